@@ -1,0 +1,114 @@
+"""Skinning decomposition: rest pose, sparse skin weights and rigid bones from an animated mesh.
+
+Names are imported when they are first used, so that ``import ssdr`` is quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Cancelled": "errors",
+    "Decomposition": "decomposition",
+    "FormatError": "errors",
+    "InputError": "errors",
+    "Material": "sequence",
+    "MeshSequence": "sequence",
+    "MissingDependencyError": "errors",
+    "Skinning": "skinning",
+    "SolverState": "state",
+    "SsdrError": "errors",
+    "SsdrWarning": "errors",
+    "Surface": "sequence",
+    "WeldReport": "sequence",
+    "decompose": "decomposition",
+    "fit_bones": "bones",
+    "fit_rest_pose": "restpose",
+    "fit_weights": "weights",
+    "get_threads": "parallel",
+    "initialize": "initialization",
+    "kabsch": "rigid",
+    "load": "io",
+    "load_skinning": "io",
+    "save": "io",
+    "set_threads": "parallel",
+    "skin": "skinning",
+}
+_MODULES = ("errors", "io", "laplacian", "metrics", "parallel", "rigid", "sequence", "skinning")
+
+__all__ = [
+    "Cancelled",
+    "Decomposition",
+    "FormatError",
+    "InputError",
+    "Material",
+    "MeshSequence",
+    "MissingDependencyError",
+    "Skinning",
+    "SolverState",
+    "SsdrError",
+    "SsdrWarning",
+    "Surface",
+    "WeldReport",
+    "__version__",
+    "decompose",
+    "errors",
+    "fit_bones",
+    "fit_rest_pose",
+    "fit_weights",
+    "get_threads",
+    "initialize",
+    "io",
+    "kabsch",
+    "laplacian",
+    "load",
+    "load_skinning",
+    "metrics",
+    "parallel",
+    "rigid",
+    "save",
+    "sequence",
+    "set_threads",
+    "skin",
+    "skinning",
+]
+
+if TYPE_CHECKING:
+    from . import errors, io, laplacian, metrics, parallel, rigid, sequence, skinning
+    from .bones import fit_bones
+    from .decomposition import Decomposition, decompose
+    from .errors import (
+        Cancelled,
+        FormatError,
+        InputError,
+        MissingDependencyError,
+        SsdrError,
+        SsdrWarning,
+    )
+    from .initialization import initialize
+    from .io import load, load_skinning, save
+    from .parallel import get_threads, set_threads
+    from .restpose import fit_rest_pose
+    from .rigid import kabsch
+    from .sequence import Material, MeshSequence, Surface, WeldReport
+    from .skinning import Skinning, skin
+    from .state import SolverState
+    from .weights import fit_weights
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        value = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    elif name in _MODULES:
+        value = importlib.import_module(f".{name}", __name__)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

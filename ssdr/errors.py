@@ -1,0 +1,53 @@
+"""Every error and warning that this package raises of its own.
+
+All errors derive from :class:`SsdrError`, so that one ``except`` catches them;
+those about an argument or a file are ``ValueError`` as well.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "Cancelled",
+    "FormatError",
+    "InputError",
+    "MissingDependencyError",
+    "SsdrError",
+    "SsdrWarning",
+]
+
+
+class SsdrError(Exception):
+    """Base class of every error raised by :mod:`ssdr`."""
+
+
+class InputError(SsdrError, ValueError):
+    """An argument is not what the function needs.
+
+    The message reads ``argument: expected ..., got ...``.
+    """
+
+    def __init__(self, argument: str, expected: str, got: object) -> None:
+        self.argument = argument
+        self.expected = expected
+        self.got = got
+        super().__init__(f"{argument}: expected {expected}, got {got}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, object]]:
+        # Exception pickles its message alone; errors must survive a process pool.
+        return type(self), (self.argument, self.expected, self.got)
+
+
+class FormatError(SsdrError, ValueError):
+    """A file is truncated, hostile, mislabelled or holds what it must not."""
+
+
+class MissingDependencyError(SsdrError, ImportError):
+    """An optional package is needed; the message says how to install it."""
+
+
+class Cancelled(SsdrError):
+    """A callback asked to stop and there is no result to hand back yet."""
+
+
+class SsdrWarning(UserWarning):
+    """Something was solved, but not in the way that the caller may expect."""

@@ -1,0 +1,133 @@
+"""Threads: fixed chunks of work, so that results do not depend on their number.
+
+Kernels are compiled without the GIL and without parallel loops of their own;
+what is run beside each other is always the same chunk of vertices or frames,
+and what chunks add up is added in their order.  BLAS gets one thread while a
+kernel runs: spinning BLAS threads cost more than they bring, and the order of
+summation inside BLAS depends on how many there are.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from threadpoolctl import ThreadpoolController
+
+from .errors import InputError
+
+__all__ = ["chunk_bounds", "get_threads", "run_chunks", "serial_blas", "set_threads"]
+
+_lock = threading.Lock()
+_pool: ThreadPoolExecutor | None = None
+_threads: int | None = None
+_controller: ThreadpoolController | None = None
+_serial = threading.local()
+
+
+def get_threads() -> int:
+    """Number of threads that kernels use.
+
+    What ``set_threads`` said, else ``SSDR_NUM_THREADS``, else the cores.
+    """
+    if _threads is not None:
+        return _threads
+    text = os.environ.get("SSDR_NUM_THREADS", "")
+    if text:
+        if not text.isdigit() or int(text) < 1:
+            raise InputError("SSDR_NUM_THREADS", "a positive integer", repr(text))
+        return int(text)
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else (os.cpu_count() or 1)
+
+
+def set_threads(count: int | None) -> None:
+    """Set the number of threads for this process; None goes back to the default.
+
+    Results are the same, bit for bit, whatever the number.
+    """
+    global _threads, _pool
+    if count is not None and (isinstance(count, bool) or int(count) != count or count < 1):
+        raise InputError("count", "a positive integer or None", repr(count))
+    with _lock:
+        _threads = None if count is None else int(count)
+        old, _pool = _pool, None
+    if old is not None:
+        old.shutdown(wait=False)
+
+
+def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
+    """Bounds of the pieces of at most `size` that cover ``range(n)``."""
+    return [(start, min(n, start + size)) for start in range(0, n, size)]
+
+
+def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> list[Any]:
+    """Call ``function(chunk number, start, stop)`` for every chunk, in threads.
+
+    Results come in the order of the chunks.
+    """
+    threads = min(get_threads(), len(bounds))
+    if threads <= 1:
+        return [function(k, start, stop) for k, (start, stop) in enumerate(bounds)]
+    pool = _shared_pool()
+    # One long task a thread, fed from one counter: waking a thread costs more than a small chunk.
+    results: list[Any] = [None] * len(bounds)
+    order = iter(range(len(bounds)))
+    feed = threading.Lock()
+
+    def work() -> None:
+        while True:
+            with feed:
+                k = next(order, -1)
+            if k < 0:
+                return
+            results[k] = function(k, *bounds[k])
+
+    futures = [pool.submit(work) for _ in range(threads - 1)]
+    try:
+        work()
+    finally:
+        errors = [future.exception() for future in futures]
+    for error in errors:
+        if error is not None:
+            raise error
+    return results
+
+
+def _shared_pool() -> ThreadPoolExecutor:
+    global _pool
+    with _lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(max(1, get_threads() - 1), thread_name_prefix="ssdr")
+        return _pool
+
+
+def _forget_pool() -> None:
+    global _pool, _lock, _serial
+    _pool, _lock, _serial = None, threading.Lock(), threading.local()
+
+
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
+    os.register_at_fork(after_in_child=_forget_pool)
+
+
+@contextlib.contextmanager
+def serial_blas() -> Iterator[None]:
+    """Give BLAS one thread inside the block; nests at no cost."""
+    global _controller
+    if getattr(_serial, "depth", 0):
+        yield
+        return
+    with _lock:
+        if _controller is None:
+            _controller = ThreadpoolController()
+    _serial.depth = 1
+    try:
+        with _controller.limit(limits=1, user_api="blas"):
+            yield
+    finally:
+        _serial.depth = 0

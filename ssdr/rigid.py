@@ -1,0 +1,188 @@
+"""Rigid motions: Kabsch, quaternions (xyzw) and the 6D representation, batched.
+
+All functions work over any leading axes and in float64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .errors import InputError
+
+__all__ = [
+    "kabsch",
+    "matrix_from_quaternion",
+    "matrix_from_sixd",
+    "quaternion_from_matrix",
+    "sixd_from_matrix",
+    "unflip_quaternions",
+]
+
+
+def kabsch(
+    source: ArrayLike, target: ArrayLike, weights: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Rigid transform that carries one point set onto another with least squared error.
+
+    Minimises Σ_i w_i ‖R s_i + T − t_i‖² over rotations R (det R = +1 always,
+    also where a reflection would fit better) and translations T.
+
+    Parameters
+    ----------
+    source, target : (..., N, 3) array
+        Corresponding points; leading axes broadcast.
+    weights : (..., N) array, optional
+        Non-negative importance of each pair; 1 by default.  Where all are zero
+        the identity rotation is returned.
+
+    Returns
+    -------
+    (..., 3, 4) float64
+        ``[R | T]``.  Where the points do not determine the rotation (fewer than
+        three, or collinear), the one closest to the identity in the free
+        directions that the SVD picks.
+
+    Raises
+    ------
+    InputError
+        If shapes do not match, a number is not finite or a weight is negative.
+
+    References
+    ----------
+    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976;
+    Umeyama, "Least-squares estimation of transformation parameters", 1991.
+    """
+    s, t = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    if s.ndim < 2 or s.shape[-1] != 3 or s.shape[-2] < 1:
+        raise InputError("source", "an array of shape (..., N, 3)", f"shape {s.shape}")
+    if t.ndim < 2 or t.shape[-2:] != s.shape[-2:]:
+        raise InputError("target", f"an array of shape (..., {s.shape[-2]}, 3)", f"shape {t.shape}")
+    w = np.ones(s.shape[-2]) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape[-1:] != s.shape[-2:-1]:
+        raise InputError("weights", f"shape (..., {s.shape[-2]})", f"shape {w.shape}")
+    for name, array in (("source", s), ("target", t), ("weights", w)):
+        if not np.isfinite(array).all():
+            raise InputError(name, "finite numbers", "NaN or Inf")
+    if (w < 0).any():
+        raise InputError("weights", "numbers >= 0", f"{w.min()}")
+    total = w.sum(axis=-1)[..., None]
+    share = np.where(total > 0, w / np.where(total > 0, total, 1.0), 1.0 / s.shape[-2])
+    s_mean = np.einsum("...n,...nc->...c", share, s)
+    t_mean = np.einsum("...n,...nc->...c", share, t)
+    moment = np.einsum(
+        "...n,...na,...nb->...ab", share, t - t_mean[..., None, :], s - s_mean[..., None, :]
+    )
+    moment = np.where(total[..., None] > 0, moment, np.eye(3))
+    rotation = _nearest_rotation(moment)
+    translation = t_mean - np.einsum("...ab,...b->...a", rotation, s_mean)
+    return np.concatenate([rotation, translation[..., None]], axis=-1)
+
+
+def _nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+    u, _, vt = np.linalg.svd(moment)
+    u = u.copy()
+    u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
+    return np.asarray(u @ vt)
+
+
+def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
+    """Unit quaternions ``(..., 4)`` xyzw of rotation matrices ``(..., 3, 3)``.
+
+    The branch with the largest component is taken (Shepperd 1978), so that no
+    rotation loses accuracy; w >= 0 on return.
+    """
+    r = np.asarray(rotation, dtype=np.float64)
+    if r.shape[-2:] != (3, 3):
+        raise InputError("rotation", "an array of shape (..., 3, 3)", f"shape {r.shape}")
+    diagonal = np.stack([r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
+    trace = diagonal.sum(axis=-1)
+    choice = np.argmax(np.concatenate([diagonal, trace[..., None]], axis=-1), axis=-1)
+    x = np.stack(
+        [
+            1 + 2 * diagonal[..., 0] - trace,
+            r[..., 0, 1] + r[..., 1, 0],
+            r[..., 0, 2] + r[..., 2, 0],
+            r[..., 2, 1] - r[..., 1, 2],
+        ],
+        axis=-1,
+    )
+    y = np.stack(
+        [
+            r[..., 0, 1] + r[..., 1, 0],
+            1 + 2 * diagonal[..., 1] - trace,
+            r[..., 1, 2] + r[..., 2, 1],
+            r[..., 0, 2] - r[..., 2, 0],
+        ],
+        axis=-1,
+    )
+    z = np.stack(
+        [
+            r[..., 0, 2] + r[..., 2, 0],
+            r[..., 1, 2] + r[..., 2, 1],
+            1 + 2 * diagonal[..., 2] - trace,
+            r[..., 1, 0] - r[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    w = np.stack(
+        [
+            r[..., 2, 1] - r[..., 1, 2],
+            r[..., 0, 2] - r[..., 2, 0],
+            r[..., 1, 0] - r[..., 0, 1],
+            1 + trace,
+        ],
+        axis=-1,
+    )
+    table = np.stack([x, y, z, w], axis=-2)
+    q = np.take_along_axis(table, choice[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.asarray(np.where(q[..., 3:] < 0, -q, q))
+
+
+def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
+    """Rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` xyzw of any length but 0."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    if q.shape[-1:] != (4,):
+        raise InputError("quaternion", "an array of shape (..., 4)", f"shape {q.shape}")
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not (np.isfinite(norm) & (norm > 0)).all():
+        raise InputError("quaternion", "finite quaternions that are not zero", "NaN, Inf or zero")
+    x, y, z, w = np.moveaxis(q / norm, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.float64]:
+    """Choose signs along `axis` (time) such that neighbours never flip.
+
+    q and −q are the same rotation, but an engine that interpolates between keys
+    of opposite sign takes the long way round.
+    """
+    q = np.moveaxis(np.asarray(quaternion, dtype=np.float64), axis, 0)
+    flip = np.ones(q.shape[:-1])
+    flip[1:] = np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
+    return np.moveaxis(q * np.cumprod(flip, axis=0)[..., None], 0, axis)
+
+
+def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
+    """First two columns of rotation matrices, ``(..., 6)`` (Zhou et al. 2019)."""
+    r = np.asarray(rotation, dtype=np.float64)
+    if r.shape[-2:] != (3, 3):
+        raise InputError("rotation", "an array of shape (..., 3, 3)", f"shape {r.shape}")
+    return np.concatenate([r[..., :, 0], r[..., :, 1]], axis=-1)
+
+
+def matrix_from_sixd(sixd: ArrayLike) -> NDArray[np.float64]:
+    """Rotation matrices ``(..., 3, 3)`` of two column vectors ``(..., 6)`` by Gram–Schmidt."""
+    d = np.asarray(sixd, dtype=np.float64)
+    if d.shape[-1:] != (6,):
+        raise InputError("sixd", "an array of shape (..., 6)", f"shape {d.shape}")
+    a = d[..., :3] / np.linalg.norm(d[..., :3], axis=-1, keepdims=True)
+    b = d[..., 3:] - (a * d[..., 3:]).sum(axis=-1, keepdims=True) * a
+    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    return np.stack([a, b, np.cross(a, b)], axis=-1)

@@ -1,0 +1,369 @@
+"""An animated mesh of fixed topology: the one input of everything else.
+
+``MeshSequence`` checks its arrays once, at the door; after it every function
+trusts them.  Vertices may live in memory, in a memory map or in a chunked
+array (zarr, dask): they are read by chunks of frames.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .errors import InputError
+
+__all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
+
+_CHUNK_BYTES = 64 << 20
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Material:
+    """What a surface looks like, in the terms of glTF's metallic-roughness model.
+
+    Attributes
+    ----------
+    name : str
+    base_color : tuple of 4 float
+        Linear RGBA in [0, 1].
+    metallic, roughness : float
+    double_sided : bool
+    texture : bytes or None
+        The encoded base colour image, carried untouched.
+    texture_type : str
+        Its MIME type, ``image/png`` or ``image/jpeg``.
+    """
+
+    name: str = "material"
+    base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+    metallic: float = 0.0
+    roughness: float = 0.9
+    double_sided: bool = False
+    texture: bytes | None = None
+    texture_type: str = "image/png"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """What a mesh carries besides its shape, per corner of a triangle.
+
+    Kept per corner, it survives welding: a seam is where two corners at one
+    vertex differ.
+
+    Attributes
+    ----------
+    uv : (T, 3, 2) float32 or None
+        Texture coordinates, v upward (as in OBJ and USD; glTF flips it).
+    normals : (T, 3, 3) float32 or None
+        Unit normals in the file's reference frame; where corners of one vertex
+        differ there is a hard edge.
+    material_index : (T,) int32 or None
+        Index into `materials`; None means that all triangles use the first.
+    materials : tuple of Material
+    """
+
+    uv: NDArray[np.float32] | None = None
+    normals: NDArray[np.float32] | None = None
+    material_index: NDArray[np.int32] | None = None
+    materials: tuple[Material, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class WeldReport:
+    """What :meth:`MeshSequence.weld` merged.
+
+    Attributes
+    ----------
+    before, after : int
+        Number of vertices.
+    tolerance : float
+        Largest distance, in the mesh's units, at which vertices were merged.
+    """
+
+    before: int
+    after: int
+    tolerance: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MeshSequence:
+    """Vertex positions of one mesh over F frames.
+
+    Parameters
+    ----------
+    vertices : (F, V, 3) float array
+        float32 and float64 are kept as they are; integers become float64.  Any
+        object with ``shape``, ``dtype`` and slicing along the first axis will
+        do (``numpy.memmap``, zarr, dask) and is not read as a whole.
+    faces : (T, 3) int array, optional
+        Triangles; none (a point cloud) by default.
+    fps : float
+        Frames per second.
+    name : str
+    surface : Surface, optional
+        Texture coordinates, normals and materials of the triangles.
+    vertex_map : (V0,) int array, optional
+        For a welded sequence, the vertex that each vertex of the original mesh
+        became.
+    validate : bool
+        ``False`` skips the check for NaN and Inf, which reads all frames; for
+        data that this package wrote and checked before.
+
+    Raises
+    ------
+    InputError
+        If a shape, a number or a face index is not usable; the message names
+        the argument and the first offender.
+    """
+
+    vertices: Any
+    faces: Any = None
+    fps: float = 24.0
+    _: dataclasses.KW_ONLY
+    name: str = ""
+    surface: Surface | None = None
+    vertex_map: Any = None
+    validate: dataclasses.InitVar[bool] = True
+
+    def __post_init__(self, validate: bool) -> None:
+        put = object.__setattr__
+        put(self, "vertices", _check_vertices(self.vertices, "vertices", validate))
+        put(self, "faces", _check_faces(self.faces, self.vertices.shape[1], "faces"))
+        fps = self.fps
+        if (
+            isinstance(fps, bool)
+            or not isinstance(fps, (int, float, np.number))
+            or not (math.isfinite(fps) and fps > 0)
+        ):
+            raise InputError("fps", "a positive number", repr(fps))
+        put(self, "fps", float(fps))
+        if self.vertex_map is not None:
+            put(self, "vertex_map", _check_vertex_map(self.vertex_map, self.n_vertices))
+        if self.surface is not None:
+            put(self, "surface", _check_surface(self.surface, len(self.faces)))
+
+    @property
+    def n_frames(self) -> int:
+        return int(self.vertices.shape[0])
+
+    @property
+    def n_vertices(self) -> int:
+        return int(self.vertices.shape[1])
+
+    @property
+    def is_lazy(self) -> bool:
+        """True where the vertices are not an array in memory."""
+        return type(self.vertices) is not np.ndarray
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}, " if self.name else ""
+        return (
+            f"MeshSequence({name}F={self.n_frames}, V={self.n_vertices}, "
+            f"T={len(self.faces)}, fps={self.fps:g}, {self.vertices.dtype})"
+        )
+
+    def frames(self, index: int | slice | ArrayLike) -> NDArray[np.floating]:
+        """Read the named frames into memory, ``(n, V, 3)`` or ``(V, 3)``."""
+        if isinstance(index, (int, np.integer, slice)):
+            return np.asarray(self.vertices[index])
+        order = np.asarray(index)
+        if order.dtype == bool:
+            order = np.flatnonzero(order)
+        if not self.is_lazy:
+            return np.asarray(self.vertices[order])
+        return np.stack([np.asarray(self.vertices[int(t)]) for t in order])
+
+    def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
+        """Walk over the frames in order, as ``(first frame, (n, V, 3) array)``."""
+        yield from _chunks(self.vertices, max_bytes)
+
+    def diagonal(self) -> float:
+        """Diagonal of the bounding box in the frame where it is largest."""
+        largest = 0.0
+        for _, block in self.chunks():
+            extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
+            largest = max(largest, float(np.sqrt((extent**2).sum(axis=1)).max()))
+        return largest
+
+    def weld(self, tolerance: float = 1e-6) -> tuple[MeshSequence, WeldReport]:
+        """Merge vertices that coincide in every frame, as seams of UVs or normals do.
+
+        Parameters
+        ----------
+        tolerance : float
+            Largest distance in any frame, relative to the diagonal of the first
+            frame's bounding box.
+
+        Returns
+        -------
+        sequence : MeshSequence
+            With `vertex_map` set; triangles keep their order and number, so
+            that `surface` stays valid.
+        report : WeldReport
+
+        Raises
+        ------
+        InputError
+            If `tolerance` is negative or not finite.
+        """
+        if not (math.isfinite(tolerance) and tolerance >= 0):
+            raise InputError("tolerance", "a number >= 0", tolerance)
+        first = np.asarray(self.vertices[0], dtype=np.float64)
+        diagonal = float(np.linalg.norm(first.max(axis=0) - first.min(axis=0)))
+        distance = tolerance * diagonal
+        if distance > 0:
+            pairs = cKDTree(first).query_pairs(distance, output_type="ndarray")
+        else:
+            pairs = _equal_rows(first)
+        for _, block in self.chunks():
+            if len(pairs) == 0:
+                break
+            gap = block[:, pairs[:, 0]].astype(np.float64) - block[:, pairs[:, 1]]
+            pairs = pairs[np.sqrt((gap**2).sum(axis=2)).max(axis=0) <= distance]
+        n = self.n_vertices
+        graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), (n, n))
+        _, label = connected_components(graph, directed=False)
+        _, keep, index = np.unique(label, return_index=True, return_inverse=True)
+        order = np.argsort(keep, kind="stable")  # first occurrences keep the input's order
+        rank = np.empty_like(order)
+        rank[order] = np.arange(len(order))
+        keep, index = keep[order], rank[index]
+        blocks = [np.asarray(block[:, keep]) for _, block in self.chunks()]
+        outer = index if self.vertex_map is None else index[self.vertex_map]
+        welded = dataclasses.replace(
+            self,
+            vertices=np.concatenate(blocks),
+            faces=index[self.faces].astype(np.int32),
+            vertex_map=outer.astype(np.int32),
+            validate=False,
+        )
+        return welded, WeldReport(before=n, after=len(keep), tolerance=distance)
+
+    def unweld(self, values: ArrayLike, *, axis: int = 0) -> NDArray[Any]:
+        """Spread values per vertex back over the vertices of the original mesh.
+
+        Parameters
+        ----------
+        values : array with V entries along `axis`
+        axis : int
+
+        Returns
+        -------
+        array with V0 entries along `axis`; `values` itself if nothing was welded.
+        """
+        array = np.asarray(values)
+        if array.shape[axis] != self.n_vertices:
+            raise InputError("values", f"{self.n_vertices} entries along axis {axis}", array.shape)
+        return array if self.vertex_map is None else np.take(array, self.vertex_map, axis=axis)
+
+
+def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.floating]]]:
+    n_frames, n_vertices = int(vertices.shape[0]), int(vertices.shape[1])
+    step = max(1, max_bytes // max(1, n_vertices * 3 * vertices.dtype.itemsize))
+    for start in range(0, n_frames, step):
+        yield start, np.asarray(vertices[start : start + step])
+
+
+def _equal_rows(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    _, index = np.unique(points + 0.0, axis=0, return_inverse=True)  # + 0.0: -0.0 equals 0.0
+    order = np.argsort(index.ravel(), kind="stable")
+    same = np.diff(index.ravel()[order]) == 0
+    return np.stack([order[:-1][same], order[1:][same]], axis=1)
+
+
+def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
+    if not all(hasattr(vertices, a) for a in ("shape", "dtype", "__getitem__")):
+        try:
+            vertices = np.asarray(vertices)
+        except (TypeError, ValueError) as error:
+            raise InputError(argument, "an array of shape (F, V, 3)", str(error)) from error
+    shape = tuple(vertices.shape)
+    if len(shape) != 3 or shape[2] != 3:
+        raise InputError(argument, "an array of shape (F, V, 3)", f"shape {shape}")
+    if shape[0] < 1 or shape[1] < 1:
+        raise InputError(argument, "at least one frame and one vertex", f"shape {shape}")
+    kind = np.dtype(vertices.dtype).kind
+    if kind in "iu":
+        vertices = np.asarray(vertices, dtype=np.float64)
+    elif kind != "f":
+        raise InputError(argument, "real numbers", f"dtype {vertices.dtype}")
+    elif vertices.dtype.itemsize not in (4, 8):
+        vertices = np.asarray(
+            vertices, dtype=np.float32 if vertices.dtype.itemsize == 2 else np.float64
+        )
+    if type(vertices) is np.ndarray and not vertices.dtype.isnative:
+        vertices = vertices.astype(vertices.dtype.newbyteorder("="))
+    if validate:
+        for start, block in _chunks(vertices, _CHUNK_BYTES):
+            bad = ~np.isfinite(block)
+            if bad.any():
+                t, i, c = (int(k) for k in np.argwhere(bad)[0])
+                raise InputError(
+                    argument,
+                    "finite numbers",
+                    f"{block[t, i, c]} at frame {start + t}, vertex {i} "
+                    f"({int(bad.any(axis=2).sum())} such vertices in frames "
+                    f"{start} to {start + len(block) - 1})",
+                )
+    return vertices
+
+
+def _check_faces(faces: Any, n_vertices: int, argument: str) -> NDArray[np.int32]:
+    array = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
+    if array.size == 0:
+        array = np.zeros((0, 3), dtype=np.int32)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(argument, "an array of shape (T, 3)", f"shape {array.shape}")
+    if array.dtype.kind not in "iu":
+        raise InputError(argument, "integers", f"dtype {array.dtype}")
+    if len(array):
+        bad = (array < 0) | (array >= n_vertices)
+        if bad.any():
+            row, corner = (int(k) for k in np.argwhere(bad)[0])
+            raise InputError(
+                argument,
+                f"indices from 0 to {n_vertices - 1}",
+                f"{array[row, corner]} in face {row} ({int(bad.sum())} such indices)",
+            )
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def _check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
+    array = np.asarray(vertex_map)
+    if array.ndim != 1 or array.dtype.kind not in "iu":
+        raise InputError("vertex_map", "a vector of integers", f"{array.dtype} {array.shape}")
+    if array.size and (array.min() < 0 or array.max() >= n_vertices):
+        raise InputError(
+            "vertex_map", f"indices from 0 to {n_vertices - 1}", f"{array.min()} to {array.max()}"
+        )
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def _check_surface(surface: Surface, n_faces: int) -> Surface:
+    for field, tail in (("uv", (3, 2)), ("normals", (3, 3)), ("material_index", ())):
+        array = getattr(surface, field)
+        if array is not None and np.shape(array) != (n_faces, *tail):
+            raise InputError(
+                f"surface.{field}", f"shape {(n_faces, *tail)}", f"shape {np.shape(array)}"
+            )
+    index = surface.material_index
+    if index is not None and len(index):
+        count = max(1, len(surface.materials))
+        if index.min() < 0 or index.max() >= count:
+            raise InputError(
+                "surface.material_index",
+                f"indices from 0 to {count - 1}",
+                f"{index.min()} to {index.max()}",
+            )
+    return surface
