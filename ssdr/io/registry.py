@@ -1,0 +1,224 @@
+"""Which module reads and writes which suffix, and what all of them share."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import FormatError, InputError, MissingDependencyError, SsdrError
+from ..sequence import MeshSequence
+
+if TYPE_CHECKING:
+    from ..skinning import Skinning
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "SaveReport",
+    "bake",
+    "call",
+    "describe",
+    "format_of",
+    "reading",
+    "require",
+]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SaveReport:
+    """What :func:`ssdr.save` wrote and what the format's own storage cost.
+
+    Attributes
+    ----------
+    path : Path
+        The file; for numbered files, their pattern.
+    bytes : int
+        Size of all that was written.
+    influences : int or None
+        Largest number of influences of a vertex in the file; None where the
+        file holds no skin weights.
+    error : float or None
+        sqrt(Σ |d|² / (F V)) between what the file holds and what was given, in
+        the mesh's units; None where the file is exact.
+    max_error : float or None
+        Largest distance of a vertex, likewise.
+    between_frames : float or None
+        As `error`, midway between frames: the engine's interpolation of the
+        bones against the mean of the two frames.  None where no engine
+        interpolates.
+    note : str
+        What else the user should know, in a sentence.
+    """
+
+    path: Path
+    bytes: int
+    influences: int | None = None
+    error: float | None = None
+    max_error: float | None = None
+    between_frames: float | None = None
+    note: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Format:
+    """The functions of one suffix: names in ``ssdr.io.<module>``, None where it has none."""
+
+    module: str
+    title: str
+    read: str | None = "read"
+    write_sequence: str | None = None
+    read_skinning: str | None = None
+    write_skinning: str | None = None
+    extra: str | None = None
+
+
+_GLTF = Format("gltf", "glTF 2.0", read_skinning="read_skinning", write_skinning="write_skinning")
+_USD = Format(
+    "usd",
+    "Universal Scene Description",
+    write_sequence="write_sequence",
+    read_skinning="read_skinning",
+    write_skinning="write_skinning",
+    extra="usd",
+)
+
+FORMATS: dict[str, Format] = {
+    ".npz": Format(
+        "npz",
+        "NumPy archive",
+        write_sequence="write_sequence",
+        read_skinning="read_skinning",
+        write_skinning="write_skinning",
+    ),
+    ".npy": Format("npy", "NumPy array", write_sequence="write_sequence"),
+    ".zarr": Format("zarr_store", "zarr store", write_sequence="write_sequence", extra="zarr"),
+    ".obj": Format("meshes", "numbered Wavefront OBJ", write_sequence="write_sequence"),
+    ".ply": Format("meshes", "numbered PLY", write_sequence="write_sequence"),
+    ".off": Format("meshes", "numbered OFF"),
+    ".stl": Format("meshes", "numbered STL"),
+    ".pc2": Format("pointcache", "PC2 point cache", "read_pc2", "write_pc2"),
+    ".mdd": Format("pointcache", "MDD point cache", "read_mdd", "write_mdd"),
+    ".csv": Format("tables", "skin weights, CSV", None, write_skinning="write_csv"),
+    ".json": Format("tables", "skin weights, JSON", None, write_skinning="write_json"),
+    ".glb": _GLTF,
+    ".gltf": _GLTF,
+    ".usd": _USD,
+    ".usda": _USD,
+    ".usdc": _USD,
+    ".abc": Format("blender", "Alembic", extra="blender"),
+    ".fbx": Format("blender", "FBX", write_skinning="write_skinning", extra="blender"),
+}
+
+
+def format_of(path: Path) -> tuple[str, Format]:
+    """Suffix and format of a path.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is not in the table.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        kind = f"the suffix {suffix!r}" if suffix else "a name without suffix"
+        raise FormatError(f"{path}: {kind} is none of {', '.join(sorted(FORMATS))}")
+    return suffix, FORMATS[suffix]
+
+
+def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
+    """Call a format's function; options that it does not know are an InputError."""
+    target: Callable[..., Any] = getattr(
+        importlib.import_module(f".{format_.module}", __package__), function
+    )
+    parameters = inspect.signature(target).parameters
+    if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+        known = [n for n, p in parameters.items() if p.kind is p.KEYWORD_ONLY]
+        unknown = [n for n in options if n not in known]
+        if unknown:
+            wanted = ", ".join(known) or "no options"
+            raise InputError("options", f"{wanted} (for {format_.title})", ", ".join(unknown))
+    return target(*args, **options)
+
+
+def bake(skinning: Skinning) -> MeshSequence:
+    """The vertices of a skinning over its frames."""
+    return MeshSequence(
+        skinning.skin(),
+        skinning.faces,
+        skinning.fps,
+        name=skinning.name,
+        surface=skinning.surface,
+        vertex_map=skinning.vertex_map,
+        validate=False,
+    )
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn whatever a parser raises inside the block into a FormatError that names the file.
+
+    An InputError inside is about what the file holds and becomes one too:
+    arguments of the caller are checked outside.
+    """
+    try:
+        yield
+    except (FileNotFoundError, PermissionError, IsADirectoryError):
+        raise
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from error
+    except SsdrError:
+        raise
+    except Exception as error:
+        # Parsers of hostile bytes raise anything; every one of these means the same.
+        what = str(error) or type(error).__name__
+        raise FormatError(f"{path}: truncated or damaged ({what})") from error
+
+
+def require(module: str, extra: str, what: str) -> Any:
+    """Import an optional package.
+
+    Raises
+    ------
+    MissingDependencyError
+        If it is not installed; the message says how to install it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingDependencyError(
+            f'{what} needs the package {module}: pip install "ssdr[{extra}]"'
+        ) from error
+
+
+_MAGIC = (
+    (b"PK\x03\x04", "a zip archive such as .npz"),
+    (b"PK\x05\x06", "an empty zip archive"),
+    (b"\x93NUMPY", "a NumPy .npy array"),
+    (b"glTF", "a binary glTF"),
+    (b"PXR-USDC", "a binary USD"),
+    (b"#usda", "a text USD"),
+    (b"POINTCACHE2", "a PC2 point cache"),
+    (b"Kaydara FBX", "an FBX file"),
+    (b"Ogawa", "an Alembic file"),
+    (b"ply", "a PLY file"),
+    (b"\x1f\x8b", "gzip data"),
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"\x80", "a Python pickle"),
+)
+
+
+def describe(head: bytes) -> str:
+    """What the first bytes of a file look like, for error messages."""
+    if not head:
+        return "the file is empty"
+    for magic, name in _MAGIC:
+        if head.startswith(magic):
+            return f"it looks like {name}"
+    text = all(32 <= b < 127 or b in b"\t\r\n" for b in head)
+    return "it looks like text" if text else "its first bytes belong to no format known here"
