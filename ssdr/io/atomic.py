@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..errors import InputError
 
-__all__ = ["atomic_path", "write_bytes"]
+__all__ = ["atomic_path", "free_name", "remove", "write_bytes"]
 
 
 @contextlib.contextmanager
@@ -31,12 +31,12 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         raise InputError("path", "a file in a folder that exists", str(target))
     if target.is_dir():
         raise InputError("path", "the name of a file", f"the folder {target}")
-    temporary = _free_name(target)
+    temporary = free_name(target)
     try:
         yield temporary
         os.replace(temporary, target)
     except BaseException:
-        _remove(temporary)
+        remove(temporary)
         raise
 
 
@@ -46,12 +46,14 @@ def write_bytes(path: Path | str, data: bytes) -> int:
         return temporary.write_bytes(data)
 
 
-def _free_name(target: Path) -> Path:
+def free_name(target: Path) -> Path:
+    """A hidden name beside `target` that no other process uses, of the same suffix."""
     # Not tempfile: it would leave the result readable by its owner alone.
     return target.with_name(f".{target.stem}.{os.getpid()}-{uuid.uuid4().hex[:8]}{target.suffix}")
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:

@@ -167,8 +167,12 @@ def reading(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (FileNotFoundError, PermissionError, IsADirectoryError):
+    except PermissionError:
         raise
+    except FileNotFoundError as error:
+        if not path.exists():
+            raise
+        raise FormatError(f"{path}: {error}") from error
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
     except SsdrError:

@@ -1,0 +1,249 @@
+"""Skin weights as CSV (``vertex,bone,weight``) and JSON, for other programs and for eyes."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FormatError, InputError
+from .atomic import write_bytes
+from .registry import SaveReport, reading
+
+if TYPE_CHECKING:
+    from ..skinning import Skinning
+
+__all__ = ["SkinWeights", "read_weights", "write_csv", "write_json"]
+
+_COLUMNS = ["vertex", "bone", "weight"]
+_FORMAT = "ssdr-weights"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SkinWeights:
+    """Skin weights read from a table.
+
+    Attributes
+    ----------
+    joints : (V, K) int32
+        Bones of each vertex, largest weight first; padded with bone 0, weight 0.
+    weights : (V, K) float64
+        Non-negative, summing to 1 over K.
+    bone_names : tuple of B str
+    """
+
+    joints: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    bone_names: tuple[str, ...]
+
+
+def write_csv(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
+    """Write one row ``vertex,bone,weight`` for every weight above 0; exact.
+
+    A bone that moves nothing gets a row of vertex 0 and weight 0, so that it is
+    not lost.
+
+    Parameters
+    ----------
+    skinning : Skinning
+    path : Path
+    unweld : bool
+        Write the vertices of the mesh before it was welded.
+    """
+    joints, weights = _given(skinning, unweld)
+    names = skinning.names()
+    if len(set(names)) != len(names):
+        raise InputError("bone_names", "different names", "the same name twice")
+    text = io.StringIO(newline="")
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(_COLUMNS)
+    idle = set(range(skinning.n_bones)) - set(joints[weights > 0].tolist())
+    rows.writerows((0, names[j], "0") for j in sorted(idle))
+    for i, (bones, values) in enumerate(zip(joints.tolist(), weights.tolist(), strict=True)):
+        rows.writerows(
+            (i, names[j], _shortest(w, weights.dtype))
+            for j, w in zip(bones, values, strict=True)
+            if w > 0
+        )
+    return _report(path, text.getvalue(), joints, skinning, unweld)
+
+
+def write_json(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
+    """Write ``{"format", "version", "bones", "joints", "weights"}``; exact.
+
+    Parameters as for :func:`write_csv`.
+    """
+    joints, weights = _given(skinning, unweld)
+    head = json.dumps({"format": _FORMAT, "version": 1, "bones": list(skinning.names())}, indent=1)
+    lines = [
+        "[" + ", ".join(_shortest(w, weights.dtype) for w in row) + "]" for row in weights.tolist()
+    ]
+    text = '{},\n "joints": [\n{}\n ],\n "weights": [\n{}\n ]\n}}\n'.format(
+        head.removesuffix("\n}"),
+        ",\n".join(f"  {row}" for row in joints.tolist()),
+        ",\n".join(f"  {line}" for line in lines),
+    )
+    return _report(path, text, joints, skinning, unweld)
+
+
+def read_weights(
+    path: str | os.PathLike[str], *, bones: Sequence[str] | None = None
+) -> SkinWeights:
+    """Read skin weights from ``.csv`` or ``.json``.
+
+    Parameters
+    ----------
+    path : path
+    bones : sequence of str, optional
+        Names of the bones in the order that the joints shall have; by default
+        the order of a JSON file, the natural order of the names of a CSV file
+        (``bone_2`` before ``bone_10``).
+
+    Raises
+    ------
+    FormatError
+        If the table is damaged, a vertex is missing, a bone is unknown, or
+        weights are negative or do not sum to 1 within 1e-4.
+    InputError
+        If the suffix is neither.
+    """
+    source = Path(path)
+    suffix = source.suffix.lower()
+    if suffix not in (".csv", ".json"):
+        raise InputError("path", "a .csv or .json file", str(source))
+    if bones is not None and len(set(bones)) != len(bones):
+        raise InputError("bones", "different names", "the same name twice")
+    with reading(source):
+        text = source.read_text(encoding="utf-8-sig")
+        table = _parse_csv(source, text) if suffix == ".csv" else _parse_json(source, text)
+        vertex, name_index, weight, names = table
+        order = tuple(names if bones is None else bones)
+        unknown = sorted(set(names) - set(order))
+        if unknown:
+            raise FormatError(f"{source}: bone {unknown[0]!r} is none of the bones asked for")
+        joint = np.array([order.index(n) for n in names], dtype=np.int32)[name_index]
+        return _pack(source, vertex, joint, weight, order)
+
+
+def _given(skinning: Skinning, unweld: bool) -> tuple[NDArray[np.int32], NDArray[Any]]:
+    if not unweld:
+        return skinning.joints, skinning.weights
+    index = skinning.vertex_map
+    if index is None:
+        raise InputError("unweld", "a skinning that was welded", "one without vertex_map")
+    return skinning.joints[index], skinning.weights[index]
+
+
+def _shortest(value: float, dtype: np.dtype[Any]) -> str:
+    return f"{value:.9g}" if dtype == np.float32 else repr(float(value))
+
+
+def _report(
+    path: Path, text: str, joints: NDArray[np.int32], skinning: Skinning, unweld: bool
+) -> SaveReport:
+    note = ""
+    if skinning.vertex_map is not None and not unweld:
+        note = (
+            f"numbers the {skinning.n_vertices} welded vertices; unweld=True numbers the "
+            f"{len(skinning.vertex_map)} of the mesh before"
+        )
+    size = write_bytes(path, text.encode("utf-8"))
+    return SaveReport(path=path, bytes=size, influences=joints.shape[1], note=note)
+
+
+_Table = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], list[str]]
+
+
+def _parse_csv(path: Path, text: str) -> _Table:
+    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    header = [cell.strip() for cell in next(rows, [])]
+    if header != _COLUMNS:
+        raise FormatError(
+            f"{path}: the header is {','.join(header)[:80]!r}, not vertex,bone,weight"
+        )
+    vertex, bone, weight = [], [], []
+    for row in rows:
+        if not row:
+            continue
+        number = row[0].strip()
+        if len(row) != 3 or not (number.isascii() and number.isdigit() and len(number) < 10):
+            raise FormatError(f"{path}: line {rows.line_num} is not vertex,bone,weight")
+        vertex.append(int(number))
+        bone.append(row[1])
+        weight.append(float(row[2]))
+    names = sorted(set(bone), key=_natural)
+    place = {name: k for k, name in enumerate(names)}
+    return (
+        np.array(vertex, dtype=np.int64),
+        np.array([place[name] for name in bone], dtype=np.int64),
+        np.array(weight, dtype=np.float64),
+        names,
+    )
+
+
+def _parse_json(path: Path, text: str) -> _Table:
+    table = json.loads(text)
+    if not isinstance(table, dict) or table.get("format") != _FORMAT:
+        raise FormatError(f'{path}: not a table of skin weights ("format": "{_FORMAT}")')
+    if table.get("version") != 1:
+        raise FormatError(f"{path}: version {table.get('version')}; this release reads 1")
+    names = table.get("bones")
+    if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+        raise FormatError(f"{path}: bones are not a list of names")
+    if len(set(names)) != len(names):
+        raise FormatError(f"{path}: two bones have the same name")
+    joints, weights = np.array(table.get("joints")), np.array(table.get("weights"))
+    if joints.ndim != 2 or joints.shape != weights.shape or joints.dtype.kind != "i":
+        raise FormatError(f"{path}: joints and weights are not two tables of one shape")
+    if joints.size and not 0 <= joints.min() <= joints.max() < len(names):
+        raise FormatError(f"{path}: a joint is not one of the {len(names)} bones")
+    vertex = np.repeat(np.arange(len(joints)), joints.shape[1])
+    flat = weights.astype(np.float64).ravel()
+    keep = flat != 0
+    return vertex[keep], joints.ravel()[keep].astype(np.int64), flat[keep], names
+
+
+def _pack(
+    path: Path,
+    vertex: NDArray[np.int64],
+    joint: NDArray[np.int32],
+    weight: NDArray[np.float64],
+    names: tuple[str, ...],
+) -> SkinWeights:
+    if not np.isfinite(weight).all() or (weight < 0).any():
+        raise FormatError(f"{path}: a weight is negative or not finite")
+    used = weight > 0
+    vertex, joint, weight = vertex[used], joint[used], weight[used]
+    present = np.unique(vertex)
+    if len(present) == 0 or present[-1] != len(present) - 1:
+        raise FormatError(f"{path}: not every vertex from 0 on has weights")
+    pairs = vertex * len(names) + joint
+    if len(np.unique(pairs)) != len(pairs):
+        raise FormatError(f"{path}: a vertex names the same bone twice")
+    count = np.bincount(vertex)
+    sums = np.bincount(vertex, weights=weight)
+    off = np.abs(sums - 1)
+    if off.max() > 1e-4:
+        worst = int(off.argmax())
+        raise FormatError(f"{path}: the weights of vertex {worst} sum to {sums[worst]:.6g}, not 1")
+    order = np.lexsort((-weight, vertex))
+    slot = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    joints = np.zeros((len(count), count.max()), dtype=np.int32)
+    weights = np.zeros(joints.shape)
+    joints[vertex[order], slot] = joint[order]
+    weights[vertex[order], slot] = weight[order]
+    return SkinWeights(joints=joints, weights=weights, bone_names=names)
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    parts = re.split(r"([0-9]+)", name)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts]
