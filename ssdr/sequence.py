@@ -176,13 +176,13 @@ class MeshSequence:
     def frames(self, index: int | slice | ArrayLike) -> NDArray[np.floating]:
         """Read the named frames into memory, ``(n, V, 3)`` or ``(V, 3)``."""
         if isinstance(index, (int, np.integer, slice)):
-            return np.asarray(self.vertices[index])
+            return _native(self.vertices[index])
         order = np.asarray(index)
         if order.dtype == bool:
             order = np.flatnonzero(order)
         if not self.is_lazy:
             return np.asarray(self.vertices[order])
-        return np.stack([np.asarray(self.vertices[int(t)]) for t in order])
+        return np.stack([_native(self.vertices[int(t)]) for t in order])
 
     def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
         """Walk over the frames in order, as ``(first frame, (n, V, 3) array)``."""
@@ -222,18 +222,24 @@ class MeshSequence:
         first = np.asarray(self.vertices[0], dtype=np.float64)
         diagonal = float(np.linalg.norm(first.max(axis=0) - first.min(axis=0)))
         distance = tolerance * diagonal
-        if distance > 0:
-            pairs = cKDTree(first).query_pairs(distance, output_type="ndarray")
-        else:
-            pairs = _equal_rows(first)
-        for _, block in self.chunks():
-            if len(pairs) == 0:
-                break
-            gap = block[:, pairs[:, 0]].astype(np.float64) - block[:, pairs[:, 1]]
-            pairs = pairs[np.sqrt((gap**2).sum(axis=2)).max(axis=0) <= distance]
         n = self.n_vertices
-        graph = coo_array((np.ones(len(pairs), dtype=np.int8), (pairs[:, 0], pairs[:, 1])), (n, n))
-        _, label = connected_components(graph, directed=False)
+        # Exact copies first: n of them at one place would be n² pairs.
+        label = _identical(self)
+        if distance > 0:
+            _, place = np.unique(label, return_index=True)
+            pairs = place[cKDTree(first[place]).query_pairs(distance, output_type="ndarray")]
+            for _, block in self.chunks():
+                if len(pairs) == 0:
+                    break
+                gap = block[:, pairs[:, 0]].astype(np.float64) - block[:, pairs[:, 1]]
+                pairs = pairs[np.sqrt((gap**2).sum(axis=2)).max(axis=0) <= distance]
+            joined = label[pairs]
+            graph = coo_array(
+                (np.ones(len(pairs), dtype=np.int8), (joined[:, 0], joined[:, 1])),
+                (len(place), len(place)),
+            )
+            _, component = connected_components(graph, directed=False)
+            label = component.astype(np.intp)[label]
         _, keep, index = np.unique(label, return_index=True, return_inverse=True)
         order = np.argsort(keep, kind="stable")  # first occurrences keep the input's order
         rank = np.empty_like(order)
@@ -272,14 +278,25 @@ def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.flo
     n_frames, n_vertices = int(vertices.shape[0]), int(vertices.shape[1])
     step = max(1, max_bytes // max(1, n_vertices * 3 * vertices.dtype.itemsize))
     for start in range(0, n_frames, step):
-        yield start, np.asarray(vertices[start : start + step])
+        yield start, _native(vertices[start : start + step])
 
 
-def _equal_rows(points: NDArray[np.float64]) -> NDArray[np.intp]:
-    _, index = np.unique(points + 0.0, axis=0, return_inverse=True)  # + 0.0: -0.0 equals 0.0
-    order = np.argsort(index.ravel(), kind="stable")
-    same = np.diff(index.ravel()[order]) == 0
-    return np.stack([order[:-1][same], order[1:][same]], axis=1)
+def _native(block: Any) -> NDArray[np.floating]:
+    # A memory map may have the byte order of its file, which compiled code does not take.
+    array = np.asarray(block)
+    return array.astype(array.dtype.newbyteorder("="), copy=False)
+
+
+def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
+    """Labels from 0 on: the same where positions are equal in every frame."""
+    label = np.zeros(sequence.n_vertices, dtype=np.intp)
+    for _, block in sequence.chunks():
+        paths = np.ascontiguousarray(block.transpose(1, 0, 2)).reshape(len(label), -1)
+        paths = paths + 0.0  # -0.0 equals 0.0, but not its bytes
+        rows = paths.view(np.dtype((np.void, paths.dtype.itemsize * paths.shape[1]))).ravel()
+        _, here = np.unique(rows, return_inverse=True)
+        _, label = np.unique(label * len(label) + here.ravel(), return_inverse=True)
+    return label.ravel()
 
 
 def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
@@ -320,7 +337,10 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
 
 
 def _check_faces(faces: Any, n_vertices: int, argument: str) -> NDArray[np.int32]:
-    array = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
+    try:
+        array = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
+    except (TypeError, ValueError) as error:
+        raise InputError(argument, "an array of shape (T, 3)", str(error)) from error
     if array.size == 0:
         array = np.zeros((0, 3), dtype=np.int32)
     if array.ndim != 2 or array.shape[1] != 3:
