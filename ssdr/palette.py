@@ -1,0 +1,117 @@
+"""Colours: one a bone, neighbours far apart, and the scale of the error map."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["bone_colors", "heat", "linear_from_srgb", "mix", "srgb_from_linear"]
+
+# Ottosson, "A perceptual color space for image processing" (OKLab), 2020.
+_LMS_FROM_RGB = np.array(
+    [
+        [0.4122214708, 0.5363325363, 0.0514459929],
+        [0.2119034982, 0.6806995451, 0.1073969566],
+        [0.0883024619, 0.2817188376, 0.6299787005],
+    ]
+)
+_LAB_FROM_LMS = np.array(
+    [
+        [0.2104542553, 0.7936177850, -0.0040720468],
+        [1.9779984951, -2.4285922050, 0.4505937099],
+        [0.0259040371, 0.7827717662, -0.8086757660],
+    ]
+)
+_HEAT = (
+    "#fbf7e9 #fdeec0 #fedc91 #fdc069 #fb9d52 #f4764c #e4524f #c93559 "
+    "#a52365 #7e1a6b #571766 #341351 #1a0d33"
+)
+
+
+def linear_from_srgb(color: ArrayLike) -> NDArray[np.float64]:
+    """Linear light from display values in [0, 1] (IEC 61966-2-1)."""
+    c = np.asarray(color, dtype=np.float64)
+    return np.asarray(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
+
+
+def srgb_from_linear(color: ArrayLike) -> NDArray[np.float64]:
+    """Display values in [0, 1] from linear light, clipped."""
+    c = np.clip(np.asarray(color, dtype=np.float64), 0.0, 1.0)
+    return np.asarray(np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055))
+
+
+def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
+    """A colour for every bone; the closer two bones, the more their colours differ.
+
+    Parameters
+    ----------
+    positions : (B, 3) array
+        Where the bones are, in the rest pose.
+
+    Returns
+    -------
+    (B, 3) float64
+        Linear RGB.  The same positions always give the same colours.
+
+    Notes
+    -----
+    Greedy: bone after bone takes the candidate with the least Σ closeness / (colour
+    distance)² to those coloured already, distances in OKLab; O(B²) for a fixed number of
+    candidates.
+    """
+    x = np.asarray(positions, dtype=np.float64)
+    candidates = _candidates()
+    apart = ((candidates[:, None] - candidates[None]) ** 2).sum(axis=2)
+    gap = ((x[:, None] - x[None]) ** 2).sum(axis=2)
+    # Five neighbours or so count as close, whatever the density of bones.
+    reach = np.sort(gap, axis=1)[:, min(5, len(x) - 1)]
+    near = np.exp(-gap / np.maximum(np.median(reach), 1e-300)) + 0.02
+    repulsion = 1.0 / (apart + 1e-4)
+    cost = np.zeros((len(x), len(candidates)))
+    chosen = np.full(len(x), -1)
+    used = np.zeros(len(candidates))
+    for _ in range(len(x)):
+        # Next is the bone most hemmed in, so that the last ones are not left with no choice.
+        open_bones = np.flatnonzero(chosen < 0)
+        b = int(open_bones[np.argmax(cost[open_bones].min(axis=1))])
+        c = int(np.argmin(cost[b] + 0.5 * used))
+        chosen[b] = c
+        cost += near[:, b][:, None] * repulsion[c]
+        used += repulsion[c] * 0.02
+    return _linear_from_oklab(candidates[chosen])
+
+
+def mix(colors: NDArray[np.float64], weights: ArrayLike, joints: ArrayLike) -> NDArray[np.float64]:
+    """Blend bone colours ``(B, 3)`` by the weights ``(V, K)`` of each vertex, in OKLab.
+
+    Returns linear RGB ``(V, 3)``.
+    """
+    lab = np.cbrt(colors @ _LMS_FROM_RGB.T) @ _LAB_FROM_LMS.T
+    w, j = np.asarray(weights, dtype=np.float64), np.asarray(joints)
+    return _linear_from_oklab(np.einsum("vk,vkc->vc", w, lab[j]))
+
+
+def heat(values: ArrayLike) -> NDArray[np.float64]:
+    """Colour of a value in [0, 1], pale to dark and monotone in lightness; linear RGB."""
+    table = np.array([[int(h[i : i + 2], 16) for i in (1, 3, 5)] for h in _HEAT.split()]) / 255
+    at = np.clip(np.asarray(values, dtype=np.float64), 0.0, 1.0) * (len(table) - 1)
+    grid = np.arange(len(table))
+    return linear_from_srgb(np.stack([np.interp(at, grid, table[:, c]) for c in range(3)], axis=-1))
+
+
+def _linear_from_oklab(lab: NDArray[np.float64]) -> NDArray[np.float64]:
+    lms = (lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3
+    return np.clip(lms @ np.linalg.inv(_LMS_FROM_RGB).T, 0.0, 1.0)
+
+
+def _candidates() -> NDArray[np.float64]:
+    """Colours in OKLab, inside the display's gamut, of middling lightness and full chroma."""
+    levels, turns = np.meshgrid([0.55, 0.66, 0.77, 0.86], np.arange(0, 360, 15), indexing="ij")
+    light, hue = levels.ravel(), np.radians(turns.ravel())
+    chroma = np.full(light.shape, 0.19)
+    for _ in range(30):
+        lab = np.stack([light, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1)
+        lms = (lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3
+        rgb = lms @ np.linalg.inv(_LMS_FROM_RGB).T
+        chroma = np.where((rgb < 0).any(axis=1) | (rgb > 1).any(axis=1), chroma * 0.96, chroma)
+    return np.stack([light, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1)
