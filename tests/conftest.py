@@ -1,0 +1,111 @@
+"""Fixtures that several test modules share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssdr
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of real animations; tests that need it are skipped where it is absent."""
+    stated = os.environ.get("SSDR_TEST_DATA")
+    folder = Path(stated) if stated else Path(__file__).parents[1].parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no real animations at {folder}; SSDR_TEST_DATA names their folder")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def real(data_dir: Path) -> Callable[[str], ssdr.MeshSequence]:
+    """Load a real animation by name."""
+
+    def load(name: str) -> ssdr.MeshSequence:
+        path = data_dir / f"{name}.npz"
+        if not path.is_file():
+            pytest.skip(f"no {path.name} in {data_dir}")
+        return ssdr.load(path)
+
+    return load
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20240607)
+
+
+def sheet(n_frames: int = 4, rows: int = 3, columns: int = 4) -> ssdr.MeshSequence:
+    """A waving grid of triangles, float32."""
+    x, y = np.meshgrid(np.linspace(0, 2, columns), np.linspace(0, 1, rows), indexing="xy")
+    t = np.arange(n_frames)[:, None, None]
+    z = 0.3 * np.sin(2 * x[None] + 0.7 * t) * (0.5 + y[None])
+    shape = (n_frames, rows, columns)
+    vertices = np.stack([np.broadcast_to(x, shape), np.broadcast_to(y, shape), z], axis=-1)
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    a, b, c, d = corner, corner + 1, corner + columns + 1, corner + columns
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    return ssdr.MeshSequence(
+        vertices.reshape(n_frames, -1, 3).astype(np.float32), faces, 25.0, name="sheet"
+    )
+
+
+@pytest.fixture
+def wave() -> ssdr.MeshSequence:
+    """Four frames of a waving grid of 12 vertices."""
+    return sheet()
+
+
+@pytest.fixture
+def seam() -> ssdr.MeshSequence:
+    """A waving grid whose middle column is doubled, as a UV seam does; surface and all."""
+    whole = sheet(columns=5)
+    left = np.arange(15).reshape(3, 5)[:, 2]
+    vertices = np.concatenate([whole.vertices, whole.vertices[:, left]], axis=1)
+    faces = whole.faces.copy()
+    right_side = vertices[0, faces].mean(axis=1)[:, 0] > 1.0
+    for new, old in enumerate(left):
+        faces[right_side] = np.where(faces[right_side] == old, 15 + new, faces[right_side])
+    uv = vertices[0, faces][..., :2].astype(np.float32) / 2
+    uv[right_side] += 0.25
+    normals = np.zeros((len(faces), 3, 3), dtype=np.float32)
+    normals[..., 2] = 1
+    normals[right_side] = np.float32([0.6, 0, 0.8])
+    surface = ssdr.Surface(
+        uv=uv,
+        normals=normals,
+        material_index=right_side.astype(np.int32),
+        materials=(
+            ssdr.Material(name="red", base_color=(1.0, 0.25, 0.125, 1.0)),
+            ssdr.Material(name="skin", roughness=0.5, texture=b"\x89PNG\r\n\x1a\nnot a picture"),
+        ),
+    )
+    return ssdr.MeshSequence(vertices, faces, 25.0, name="seam", surface=surface)
+
+
+@pytest.fixture
+def skinned(wave: ssdr.MeshSequence, rng: np.random.Generator) -> ssdr.Skinning:
+    """A small exact skinning: 12 vertices, 5 bones, 3 influences, 6 frames."""
+    weights = rng.random((12, 3))
+    weights[rng.random((12, 3)) < 0.2] = 0
+    weights[:, 0] += 0.5
+    weights /= weights.sum(axis=1, keepdims=True)
+    order = np.argsort(-weights, axis=1)
+    weights = np.take_along_axis(weights, order, axis=1)
+    joints = np.argsort(rng.random((12, 4)), axis=1)[:, :3]  # bone 4 moves nothing
+    joints[weights == 0] = 0
+    angle = rng.normal(0, 0.3, (6, 5))
+    transforms = np.zeros((6, 5, 3, 4))
+    transforms[..., 2, 2] = 1
+    transforms[..., 0, 0] = transforms[..., 1, 1] = np.cos(angle)
+    transforms[..., 1, 0] = np.sin(angle)
+    transforms[..., 0, 1] = -np.sin(angle)
+    transforms[..., 3] = rng.normal(0, 0.2, (6, 5, 3))
+    return ssdr.Skinning(
+        wave.vertices[0], joints, weights, transforms, faces=wave.faces, fps=30.0, name="arm"
+    )
