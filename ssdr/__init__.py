@@ -37,7 +37,17 @@ _HOME = {
     "set_threads": "parallel",
     "skin": "skinning",
 }
-_MODULES = ("errors", "io", "laplacian", "metrics", "parallel", "rigid", "sequence", "skinning")
+_MODULES = (
+    "errors",
+    "io",
+    "laplacian",
+    "metrics",
+    "parallel",
+    "rigid",
+    "samples",
+    "sequence",
+    "skinning",
+)
 
 __all__ = [
     "Cancelled",
@@ -69,6 +79,7 @@ __all__ = [
     "metrics",
     "parallel",
     "rigid",
+    "samples",
     "save",
     "sequence",
     "set_threads",
@@ -77,7 +88,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from . import errors, io, laplacian, metrics, parallel, rigid, sequence, skinning
+    from . import errors, io, laplacian, metrics, parallel, rigid, samples, sequence, skinning
     from .bones import fit_bones
     from .decomposition import Decomposition, decompose
     from .errors import (

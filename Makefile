@@ -1,0 +1,53 @@
+# Everything sets itself up in .venv; `make PYTHON=/path/to/python3 ...` chooses the interpreter.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+
+PYTHON ?=
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+OUT := out
+JOBS ?= 2
+PYTEST ?=
+# A Python that runs from elsewhere must not shadow the environment.
+unexport PYTHONPATH PYTHONHOME
+
+.PHONY: help setup demo test lint format docs wheel clean
+
+help:
+	@echo 'make demo    decompose the sample that ships with the package: out/'
+	@echo 'make test    run the tests              (PYTEST="-k rigid" passes options on)'
+	@echo 'make lint    ruff, its format, mypy'
+	@echo 'make docs    check the links and run the snippets of README and docs'
+	@echo 'make wheel   build dist/, install it into a new environment and try it'
+	@echo 'make clean   remove what the others made'
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt tools/setup.sh
+	@PYTHON="$(PYTHON)" tools/setup.sh
+
+demo: $(READY)
+	@OUT="$(OUT)" tools/demo.sh
+
+test: $(READY)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST)
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: $(READY)
+	$(BIN)/python -m pytest -q tests/ssdr/test_docs.py
+
+wheel: $(READY)
+	@tools/wheel.sh
+
+clean:
+	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find ssdr tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

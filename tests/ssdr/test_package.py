@@ -1,0 +1,179 @@
+"""What a user meets before any computation: the import, the names, the wheel."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import pkgutil
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssdr
+from ssdr import InputError, samples
+
+ROOT = Path(__file__).resolve().parents[2]
+HEAVY = {
+    "bpy",
+    "garmentnet",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "pxr",
+    "pygltflib",
+    "scipy",
+    "torch",
+    "trimesh",
+    "viser",
+}
+
+
+def _run(code: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    return done.stdout
+
+
+def _project() -> dict[str, object]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def test_import_is_quick_and_light() -> None:
+    found = json.loads(
+        _run(
+            "import json, sys, time\n"
+            "start = time.perf_counter()\n"
+            "import ssdr\n"
+            "took = time.perf_counter() - start\n"
+            "print(json.dumps([took, sorted({m.split('.')[0] for m in sys.modules})]))"
+        )
+    )
+    took, modules = found
+    assert not HEAVY & set(modules)
+    assert took < 0.5
+
+
+def test_solver_needs_no_viewer_nor_torch() -> None:
+    modules = json.loads(
+        _run(
+            "import json, sys, ssdr\n"
+            "ssdr.skin, ssdr.MeshSequence, ssdr.decompose, ssdr.metrics, ssdr.load\n"
+            "print(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
+        )
+    )
+    assert not {"bpy", "garmentnet", "matplotlib", "pxr", "torch", "viser"} & set(modules)
+
+
+def test_version_agrees_everywhere() -> None:
+    project = _project()
+    assert ssdr.__version__ == project["version"]
+    assert f"version: {ssdr.__version__}" in (ROOT / "CITATION.cff").read_text()
+    assert f"## [{ssdr.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+@pytest.mark.parametrize("name", ssdr.__all__)
+def test_public_name_resolves(name: str) -> None:
+    assert getattr(ssdr, name) is not None
+
+
+def test_public_names_are_listed_once_and_sorted() -> None:
+    assert ssdr.__all__ == sorted(ssdr.__all__)
+    assert len(set(ssdr.__all__)) == len(ssdr.__all__)
+    assert dir(ssdr) == ssdr.__all__
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = ssdr.no_such_name
+
+
+def test_no_module_has_the_name_of_a_public_function() -> None:
+    modules = {module.name for module in pkgutil.iter_modules(ssdr.__path__)}
+    functions = {n for n in ssdr.__all__ if inspect.isfunction(getattr(ssdr, n))}
+    assert functions
+    assert not modules & functions
+
+
+@pytest.mark.parametrize("module", [m.name for m in pkgutil.iter_modules(ssdr.__path__)])
+def test_all_of_a_module_resolves(module: str) -> None:
+    loaded = importlib.import_module(f"ssdr.{module}")
+    for name in getattr(loaded, "__all__", ()):
+        assert hasattr(loaded, name), f"ssdr.{module}.__all__ names {name}"
+
+
+def test_optional_packages_are_not_required() -> None:
+    required = _project()["dependencies"]
+    assert isinstance(required, list)
+    for package in ("torch", "bpy", "usd-core", "scikit-sparse", "zarr"):
+        assert not any(text.startswith(package) for text in required)
+
+
+@pytest.mark.parametrize(("name", "shape"), [("dancer", (72, 4202)), ("dancer_small", (24, 799))])
+def test_sample(name: str, shape: tuple[int, int]) -> None:
+    sequence = samples.load(name)
+    assert (sequence.n_frames, sequence.n_vertices) == shape
+    assert sequence.vertices.dtype == np.float32
+    vertices, faces = sequence.vertices, sequence.faces
+    assert np.unique(faces).size == sequence.n_vertices
+    # Closed and consistently wound: each edge once in each direction.
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert np.unique(directed, axis=0).shape == directed.shape
+    assert {tuple(e) for e in directed} == {tuple(e[::-1]) for e in directed}
+    # On the floor most of the time, once in the air, and a loop.
+    height = vertices[:, :, 1].min(axis=1)
+    assert np.median(np.abs(height)) < 0.005
+    assert 0.3 < height.max() < 0.6
+    step = np.linalg.norm(np.diff(vertices, axis=0, append=vertices[:1]), axis=2).max(axis=1)
+    assert step[-1] < np.median(step)
+    assert 2.0 < sequence.diagonal() < 3.5
+
+
+def test_samples_are_small_and_named() -> None:
+    assert samples.names() == ("dancer", "dancer_small")
+    assert sum(samples.path(name).stat().st_size for name in samples.names()) < 3_000_000
+    with pytest.raises(InputError, match=r"dancer_small.*'tube'"):
+        samples.path("tube")
+    origin = samples.path().with_name("ORIGIN.md").read_text()
+    for name in samples.names():
+        assert name in origin
+
+
+@pytest.mark.slow
+def test_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
+    tree, out = tmp_path / "tree", tmp_path / "out"
+    tree.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
+    shutil.copytree(ROOT / "ssdr", tree / "ssdr")
+    done = subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(out), str(tree)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    if done.returncode and "No matching distribution found for setuptools" in done.stderr:
+        pytest.skip("no network to fetch the build backend")
+    assert done.returncode == 0, done.stderr
+    (wheel,) = out.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        held = set(archive.namelist())
+    tops = {name.split("/")[0] for name in held}
+    info = f"ssdr-{ssdr.__version__}.dist-info"
+    assert tops <= {"ssdr", "garmentnet", info}
+    sources = {
+        str(path.relative_to(ROOT)) for path in (ROOT / "ssdr").rglob("*.py") if path.is_file()
+    }
+    assert sources <= held
+    for name in ("ssdr/py.typed", "ssdr/samples/dancer.npz", "ssdr/samples/ORIGIN.md"):
+        assert name in held
+    assert f"{info}/licenses/LICENSE" in held
+    assert not [name for name in held if name.endswith((".pyc", ".nbi", ".nbc"))]
