@@ -19,7 +19,17 @@ from .kernels.raster import raster_balls, raster_triangles
 from .palette import linear_from_srgb
 from .parallel import chunk_bounds, run_chunks
 
-__all__ = ["Camera", "Layer", "backdrop", "block_mean", "draw_balls", "draw_mesh", "over", "shadow"]
+__all__ = [
+    "Camera",
+    "Layer",
+    "backdrop",
+    "block_mean",
+    "draw_balls",
+    "draw_mesh",
+    "over",
+    "shadow",
+    "up_axes",
+]
 
 Float = NDArray[np.float64]
 _BAND = 48
@@ -93,7 +103,7 @@ class Camera:
         InputError
             If `up` names no axis.
         """
-        vertical, front, side = _world_axes(up)
+        vertical, front, side = up_axes(up)
         a, e = math.radians(azimuth), math.radians(elevation)
         back = math.cos(e) * (math.cos(a) * front + math.sin(a) * side) + math.sin(e) * vertical
         right = math.cos(a) * side - math.sin(a) * front
@@ -246,7 +256,8 @@ def block_mean(values: Float, step: int) -> Float:
     return np.asarray(out / step**2)
 
 
-def _world_axes(up: str) -> tuple[Float, Float, Float]:
+def up_axes(up: str) -> tuple[Float, Float, Float]:
+    """Unit vectors up, to the front and to its right, from the name of the up axis."""
     name = up.lstrip("-") if isinstance(up, str) else ""
     if name not in ("x", "y", "z") or up not in (name, f"-{name}"):
         raise InputError("up", "x, y or z, with or without a minus", repr(up))

@@ -324,7 +324,7 @@ def _best_azimuth(points: list[Float], up: str, elevation: float) -> float:
         flat = sample @ camera.axes[:2].T
         cell = np.ptp(sample, axis=0).max() / 40 or 1.0
         seen = len(np.unique(np.floor(flat / cell).astype(np.int64), axis=0))
-        score = seen * (1.0 + 0.12 * math.cos(math.radians(azimuth)))
+        score = seen * (1.0 + 0.35 * math.cos(math.radians(azimuth)))
         if score > best * 1.02:
             best, chosen = score, float(azimuth)
     return chosen

@@ -1,0 +1,55 @@
+"""``ssdr compare``."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from ..sequence import MeshSequence
+from .output import Fps, JsonFlag, Output, ReadOptions, Threads, Verbose, read_options
+
+
+def compare(
+    reference: Annotated[Path, typer.Argument(metavar="A", help="What is right.")],
+    other: Annotated[Path, typer.Argument(metavar="B", help="What is measured against it.")],
+    hausdorff: Annotated[
+        bool, typer.Option(help="Hausdorff distances, the slowest of the measures.")
+    ] = True,
+    sted: Annotated[bool, typer.Option(help="Spatio-temporal edge difference.")] = True,
+    fps: Fps = None,
+    read: ReadOptions = None,
+    threads: Threads = None,
+    json: JsonFlag = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Measure how far two animations of one mesh are apart.
+
+    Files that hold a skinning are posed first.  Where one of them was welded, the
+    other's vertices are compared with the welded ones spread back.
+    """
+    output = Output.start(json=json, verbose=verbose, threads=threads)
+    import ssdr
+
+    a, b = (ssdr.load(p, **read_options(read, fps=fps)) for p in (reference, other))
+    if a.n_vertices != b.n_vertices:
+        a, b = _spread(a, b.n_vertices), _spread(b, a.n_vertices)
+    result = ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)
+    document = {"command": "compare", "reference": reference, "other": other, **result.as_dict()}
+    if json:
+        output.result(document, [])
+    else:
+        typer.echo(str(result))
+
+
+def _spread(sequence: MeshSequence, n_vertices: int) -> MeshSequence:
+    """A welded sequence on the vertices of the original mesh, if it has that many."""
+    if sequence.vertex_map is None or len(sequence.vertex_map) != n_vertices:
+        return sequence
+    vertices = np.concatenate([sequence.unweld(block, axis=1) for _, block in sequence.chunks()])
+    return dataclasses.replace(
+        sequence, vertices=vertices, faces=None, surface=None, vertex_map=None, validate=False
+    )

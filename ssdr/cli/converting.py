@@ -1,0 +1,66 @@
+"""``ssdr convert``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from .output import (
+    Force,
+    Fps,
+    JsonFlag,
+    Output,
+    Quiet,
+    ReadOptions,
+    Verbose,
+    Weld,
+    WriteOptions,
+    check_outputs,
+    read_any,
+    read_options,
+    saved_document,
+    saved_line,
+    write_options,
+)
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A sequence or a skinning.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="The suffix chooses the format.")],
+    bake: Annotated[
+        bool, typer.Option("--bake", help="Write the vertices of a skinning, not its bones.")
+    ] = False,
+    weld: Weld = False,
+    fps: Fps = None,
+    read: ReadOptions = None,
+    write: WriteOptions = None,
+    force: Force = False,
+    json: JsonFlag = False,
+    quiet: Quiet = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Turn one format into another; a skinning stays one where the format has room for it."""
+    output = Output.start(json=json, quiet=quiet, verbose=verbose)
+    import ssdr
+
+    # A sequence can never be written where not even a skinning can.
+    check_outputs([target], kind=Skinning, pairs=None, force=force, sources=[source])
+    options = read_options(read, fps=fps, weld=weld)
+    thing: MeshSequence | Skinning
+    thing = ssdr.load(source, **options) if bake or weld else read_any(source, **options)
+    check_outputs([target], kind=type(thing), pairs=write, force=force, sources=[source])
+    report = ssdr.save(thing, target, **write_options(write, target))
+    kind = "skinning" if isinstance(thing, Skinning) else "sequence"
+    document = {
+        "command": "convert",
+        "input": source,
+        "kind": kind,
+        "frames": thing.n_frames,
+        "vertices": thing.n_vertices,
+        "output": saved_document(report),
+    }
+    output.result(document, [("read", f"{source}: {thing!r}"), ("wrote", saved_line(report))])

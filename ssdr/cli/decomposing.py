@@ -1,0 +1,297 @@
+"""``ssdr decompose``."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shlex
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import Cancelled, InputError
+from ..skinning import Skinning
+from .output import (
+    Force,
+    Fps,
+    Interrupted,
+    JsonFlag,
+    Output,
+    Quiet,
+    ReadOptions,
+    Threads,
+    Verbose,
+    Weld,
+    WriteOptions,
+    check_file,
+    check_outputs,
+    length_text,
+    read_options,
+    saved_document,
+    saved_line,
+    write_options,
+)
+from .progress import Reporter
+
+
+class Effort(StrEnum):
+    """Where on the curve of speed against accuracy a run lies."""
+
+    fast = "fast"
+    balanced = "balanced"
+    best = "best"
+
+
+class BoneModel(StrEnum):
+    """What bones may do."""
+
+    rigid = "rigid"
+    similarity = "similarity"
+    affine = "affine"
+
+
+def decompose(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="Animated mesh.")],
+    outputs: Annotated[
+        list[Path],
+        typer.Option("--output", "-o", metavar="OUT", help="Result; repeat for several formats."),
+    ],
+    bones: Annotated[int, typer.Option("--bones", "-b", min=1, help="Number of bones.")],
+    influences: Annotated[
+        int, typer.Option("--influences", "-k", min=1, help="Most bones that move one vertex.")
+    ] = 4,
+    effort: Annotated[
+        Effort, typer.Option("--effort", "-e", help="Speed against accuracy.")
+    ] = Effort.balanced,
+    bone_model: Annotated[
+        BoneModel, typer.Option("--bone-model", help="What bones may do.")
+    ] = BoneModel.rigid,
+    rng: Annotated[
+        int, typer.Option("--rng", "--seed", min=0, help="Seed; the same seed, the same result.")
+    ] = 0,
+    time_limit: Annotated[
+        float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long.")
+    ] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option("--max-iterations", min=0, help="Stop after so many iterations.")
+    ] = None,
+    smoothness: Annotated[
+        float, typer.Option("--smoothness", min=0.0, help="Smoothness of the weights on the mesh.")
+    ] = 0.0,
+    weld: Weld = False,
+    fps: Fps = None,
+    resume: Annotated[
+        Path | None, typer.Option("--resume", metavar="STATE", help="Go on from a saved state.")
+    ] = None,
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(
+            "--checkpoint",
+            metavar="STATE",
+            help="Save the state here at the end, too; by default only when interrupted, "
+            "as OUT.state.npz.",
+        ),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option("--picture", metavar="PNG", help="Draw a contact sheet as well.")
+    ] = None,
+    up: Annotated[str, typer.Option("--up", help="Up axis of the picture.")] = "y",
+    read: ReadOptions = None,
+    write: WriteOptions = None,
+    threads: Threads = None,
+    force: Force = False,
+    json: JsonFlag = False,
+    quiet: Quiet = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Fit a rest pose, sparse skin weights and bones to an animated mesh.
+
+    Ctrl-C stops at the next safe point and saves a state that --resume takes up;
+    a second Ctrl-C quits at once.
+    """
+    output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
+    if time_limit is not None and not (math.isfinite(time_limit) and time_limit > 0):
+        raise InputError("--time-limit", "seconds > 0", time_limit)
+    sources = [source] if resume is None else [source, resume]
+    check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
+    state_path = checkpoint or outputs[0].with_name(f"{outputs[0].stem}.state.npz")
+    if checkpoint is not None and checkpoint.suffix.lower() != ".npz":
+        raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
+    # A run may be cut into several that hand one state on.
+    mine = resume is not None and state_path.resolve() == resume.resolve()
+    if not mine:
+        anyway = force or checkpoint is None
+        check_file(state_path, "--checkpoint", force=anyway, sources=[source])
+    if picture is not None:
+        from ..raster import up_axes
+        from ..render import picture_format
+
+        picture_format(picture)
+        up_axes(up)
+        check_file(picture, "--picture", force=force, sources=sources)
+    import ssdr
+
+    start = None
+    if resume is not None:
+        if not resume.is_file():
+            raise FileNotFoundError(f"{resume}: no such file")
+        start = ssdr.SolverState.load(resume)
+    began = time.perf_counter()
+    sequence = ssdr.load(source, **read_options(read, fps=fps, weld=weld))
+    loading = time.perf_counter() - began
+
+    with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, _stopping() as stop:
+
+        def follow(progress: Any) -> bool:
+            reporter.update(progress)
+            return stop.asked
+
+        try:
+            result = ssdr.decompose(
+                sequence,
+                bones=bones,
+                influences=influences,
+                effort=effort.value,
+                bone_model=bone_model.value,
+                rng=rng,
+                time_limit=time_limit,
+                max_iterations=max_iterations,
+                smoothness=smoothness,
+                resume=start,
+                callback=follow,
+            )
+        except Cancelled as error:
+            raise Interrupted("interrupted before there was a model to save") from error
+    if result.stop_reason == "cancelled":
+        raise _interrupted(result, state_path, output)
+    solving = time.perf_counter() - began - loading
+
+    reports = []
+    try:
+        for path in outputs:
+            reports.append(ssdr.save(result.skinning, path, **write_options(write, path)))
+        if picture is not None:
+            from ..render import contact_sheet, write_picture
+
+            sheet = contact_sheet(result.skinning, reference=sequence, title=source.stem, up=up)
+            write_picture(sheet, picture)
+        if checkpoint is not None:
+            result.state.save(checkpoint)
+    except KeyboardInterrupt:
+        raise _interrupted(result, state_path, output) from None
+    except Exception:
+        # What was computed must survive a full disk or a format's limits.
+        with contextlib.suppress(Exception):
+            result.state.save(state_path)
+            sys.stderr.write(f"ssdr: the result is kept in {state_path}\n")
+        raise
+
+    diagonal = sequence.diagonal()
+    e = 1000 * result.rmse / math.sqrt(3)
+    share = result.rmse / diagonal if diagonal > 0 else math.nan
+    document = {
+        "command": "decompose",
+        "version": ssdr.__version__,
+        "input": source,
+        "frames": sequence.n_frames,
+        "vertices": sequence.n_vertices,
+        "triangles": len(sequence.faces),
+        "bones": result.skinning.n_bones,
+        "influences": result.skinning.n_influences,
+        "effort": effort.value,
+        "rng": rng,
+        "rmse": result.rmse,
+        "rmse_percent": 100 * share,
+        "E": e,
+        "diagonal": diagonal,
+        "seconds": solving,
+        "load_seconds": loading,
+        "compile_seconds": result.compile_seconds,
+        "converged": result.converged,
+        "stop_reason": result.stop_reason,
+        "iterations": result.history[-1].iteration if result.history else 0,
+        "outputs": [saved_document(report) for report in reports],
+        "picture": picture,
+        "state": checkpoint,
+    }
+    compiled = result.compile_seconds
+    waited = f", of which {compiled:.1f} s compiling" if compiled > 0.05 else ""
+    rows = [
+        ("input", f"{source}: {_counts(sequence)}"),
+        ("model", f"{result.skinning.n_bones} bones, {result.skinning.n_influences} influences"),
+        ("RMSE", f"{result.rmse:.4g} in the mesh's units, {100 * share:.3g} % of the diagonal"),
+        ("E", f"{e:.4g} = 1000 · RMSE / √3"),
+        ("time", f"{solving:.1f} s{waited}; loading {loading:.1f} s"),
+        ("stopped", f"{result.stop_reason}{'' if result.converged else ' (not converged)'}"),
+        *[("wrote", saved_line(report, diagonal)) for report in reports],
+        ("picture", str(picture or "")),
+        ("state", str(checkpoint or "")),
+    ]
+    output.result(document, rows)
+
+
+def _counts(sequence: Any) -> str:
+    return (
+        f"{sequence.n_frames:,} frames, {sequence.n_vertices:,} vertices, "
+        f"{len(sequence.faces):,} triangles, diagonal {length_text(sequence.diagonal(), None)}"
+    )
+
+
+def _interrupted(result: Any, state_path: Path, output: Output) -> Interrupted:
+    result.state.save(state_path)
+    again = [*_without(output.arguments, "--resume"), "--resume", str(state_path)]
+    command = shlex.join(["ssdr", *again])
+    return Interrupted(
+        f"interrupted at RMSE {result.rmse:.4g}; go on with: {command}",
+        state=str(state_path),
+        rmse=result.rmse,
+        resume=command,
+    )
+
+
+def _without(arguments: list[str], option: str) -> list[str]:
+    kept, skip = [], False
+    for argument in arguments:
+        if skip or argument.startswith(f"{option}="):
+            skip = False
+        elif argument == option:
+            skip = True
+        else:
+            kept.append(argument)
+    return kept
+
+
+class _Stop:
+    asked = False
+
+
+@contextlib.contextmanager
+def _stopping() -> Iterator[_Stop]:
+    """First SIGINT or SIGTERM: ask to stop.  Second: quit at once."""
+    stop = _Stop()
+
+    def handle(*_: Any) -> None:
+        if stop.asked:
+            if sys.stderr.isatty():
+                os.write(2, b"\x1b[?25h\n")  # the progress display hides the cursor
+            os._exit(130)
+        stop.asked = True
+        os.write(2, b"\nssdr: stopping at the next safe point; again to quit at once\n")
+
+    try:
+        old = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not in the main thread: signals are somebody else's
+        yield stop
+        return
+    try:
+        yield stop
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)

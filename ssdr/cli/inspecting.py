@@ -1,0 +1,191 @@
+"""``ssdr info``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from .output import (
+    Fps,
+    JsonFlag,
+    Output,
+    ReadOptions,
+    Verbose,
+    length_text,
+    read_any,
+    read_options,
+    size_text,
+)
+
+
+def info(
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="A sequence or a skinning.")],
+    fps: Fps = None,
+    read: ReadOptions = None,
+    json: JsonFlag = False,
+    verbose: Verbose = 0,
+) -> None:
+    """Say what a file holds and what in it may give trouble."""
+    output = Output.start(json=json, verbose=verbose)
+    thing = read_any(source, **read_options(read, fps=fps))
+    document: dict[str, Any] = {"command": "info", "input": source}
+    if isinstance(thing, Skinning):
+        document |= {"kind": "skinning", **_about_skinning(thing)}
+        rows = _skinning_rows(document)
+    else:
+        document |= {"kind": "sequence", **_about_sequence(thing)}
+        rows = _sequence_rows(document)
+    output.result(document, [("file", f"{source}: a {document['kind']}"), *rows])
+
+
+def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:
+    first = np.asarray(sequence.frames(0), dtype=np.float64)
+    _, weld = sequence.weld()
+    itemsize = np.dtype(sequence.vertices.dtype).itemsize
+    return {
+        "name": sequence.name,
+        "frames": sequence.n_frames,
+        "vertices": sequence.n_vertices,
+        "fps": sequence.fps,
+        "duration": sequence.n_frames / sequence.fps,
+        "dtype": str(sequence.vertices.dtype),
+        "memory": sequence.n_frames * sequence.n_vertices * 3 * itemsize,
+        "in_memory": not sequence.is_lazy,
+        "diagonal": sequence.diagonal(),
+        "low": first.min(axis=0),
+        "high": first.max(axis=0),
+        "seams": weld.before - weld.after,
+        **_about_surface(sequence),
+        **_about_faces(sequence.faces, first),
+    }
+
+
+def _about_skinning(skinning: Skinning) -> dict[str, Any]:
+    turn = skinning.transforms[..., :3].astype(np.float64)
+    off = np.swapaxes(turn, -1, -2) @ turn - np.eye(3)
+    used = (skinning.weights > 0).sum(axis=1)
+    share = np.bincount(
+        skinning.joints.ravel(), skinning.weights.ravel(), minlength=skinning.n_bones
+    )
+    rest = skinning.rest.astype(np.float64)
+    arrays = (skinning.rest, skinning.joints, skinning.weights, skinning.transforms)
+    low, high = rest.min(axis=0), rest.max(axis=0)
+    return {
+        "name": skinning.name,
+        "frames": skinning.n_frames,
+        "vertices": skinning.n_vertices,
+        "bones": skinning.n_bones,
+        "influences": skinning.n_influences,
+        "bone_model": skinning.bone_model,
+        "fps": skinning.fps,
+        "duration": skinning.n_frames / skinning.fps,
+        "dtype": str(skinning.transforms.dtype),
+        "memory": sum(a.nbytes for a in arrays),
+        "rest_diagonal": float(np.linalg.norm(high - low)),
+        "influence_histogram": np.bincount(used, minlength=skinning.n_influences + 1)[1:],
+        "bones_without_vertices": int((share == 0).sum()),
+        "weight_sum_error": float(np.abs(skinning.weights.sum(axis=1, dtype=np.float64) - 1).max()),
+        "orthonormality_error": float(np.abs(off).max()),
+        "smallest_determinant": float(np.linalg.det(turn).min()),
+        **_about_surface(skinning),
+        **_about_faces(skinning.faces, rest),
+    }
+
+
+def _about_surface(thing: MeshSequence | Skinning) -> dict[str, Any]:
+    surface = thing.surface
+    return {
+        "uv": surface is not None and surface.uv is not None,
+        "normals": surface is not None and surface.normals is not None,
+        "materials": [m.name for m in surface.materials] if surface is not None else [],
+        "welded_from": None if thing.vertex_map is None else len(thing.vertex_map),
+    }
+
+
+def _about_faces(faces: NDArray[np.int32], points: NDArray[np.float64]) -> dict[str, Any]:
+    """Counts that say whether a mesh is closed, clean and in one piece."""
+    n = len(points)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, times = np.unique(edges, axis=0, return_counts=True)
+    ones = np.ones(len(edges), dtype=np.int8)
+    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(n, n))
+    used = np.zeros(n, dtype=bool)
+    used[faces] = True
+    _, label = connected_components(graph, directed=False)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    double = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    return {
+        "triangles": len(faces),
+        "components": len(np.unique(label[used])),
+        "loose_vertices": int(n - used.sum()),
+        "degenerate_triangles": int((double <= 1e-10 * longest).sum()),
+        "boundary_edges": int((times == 1).sum()),
+        "nonmanifold_edges": int((times > 2).sum()),
+    }
+
+
+def _sequence_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
+    where = "" if d["in_memory"] else ", read by chunks"
+    box = " × ".join(f"{x:.4g}" for x in d["high"] - d["low"])
+    seams = f"{d['seams']:,} vertices coincide with others in every frame (--weld merges them)"
+    return [
+        *_time_rows(d),
+        *_mesh_rows(d),
+        ("seams", seams if d["seams"] else "none"),
+        ("size", f"diagonal {length_text(d['diagonal'], None)}, frame 0 {box}"),
+        ("memory", f"{size_text(d['memory'])}, {d['dtype']}{where}"),
+    ]
+
+
+def _skinning_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
+    counts = [f"{k + 1}: {int(n):,}" for k, n in enumerate(d["influence_histogram"])]
+    idle = d["bones_without_vertices"]
+    return [
+        *_time_rows(d),
+        ("bones", f"{d['bones']} ({d['bone_model']})" + (f", {idle} move nothing" * bool(idle))),
+        ("influences", f"at most {d['influences']}; vertices by number: {', '.join(counts)}"),
+        ("weights", f"sums off 1 by at most {d['weight_sum_error']:.2g}"),
+        (
+            "rotations",
+            f"off orthonormal by at most {d['orthonormality_error']:.2g}, "
+            f"determinant from {d['smallest_determinant']:.6g}",
+        ),
+        *_mesh_rows(d),
+        ("size", f"diagonal of the rest pose {length_text(d['rest_diagonal'], None)}"),
+        ("memory", f"{size_text(d['memory'])}, {d['dtype']}"),
+    ]
+
+
+def _time_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
+    return [("frames", f"{d['frames']:,} at {d['fps']:g} a second, {d['duration']:.3g} s")]
+
+
+def _mesh_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
+    what = [name for name, there in (("UVs", d["uv"]), ("normals", d["normals"])) if there]
+    what += [f"{len(d['materials'])} materials"] if d["materials"] else []
+    trouble = [
+        f"{d[key]:,} {key.replace('_', ' ')}"
+        for key in (
+            "loose_vertices",
+            "degenerate_triangles",
+            "boundary_edges",
+            "nonmanifold_edges",
+        )
+        if d[key]
+    ]
+    welded = "" if d["welded_from"] is None else f" (welded from {d['welded_from']:,})"
+    return [
+        ("vertices", f"{d['vertices']:,}{welded}"),
+        ("triangles", f"{d['triangles']:,}, connected components: {d['components']:,}"),
+        ("mesh", ", ".join(trouble) or "closed and clean"),
+        ("surface", ", ".join(what)),
+    ]

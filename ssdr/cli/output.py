@@ -1,0 +1,300 @@
+"""What commands share: tables, JSON, warnings, options of formats, checks of output files."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import glob
+import importlib
+import importlib.util
+import inspect
+import json
+import logging
+import math
+import os
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+import typer
+
+from ..errors import FormatError, InputError, MissingDependencyError
+from ..io.registry import Format, SaveReport, format_of
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+
+_PACKAGES = {"usd": "pxr", "blender": "bpy", "zarr": "zarr"}
+
+JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+Force = Annotated[bool, typer.Option("--force", "-f", help="Overwrite outputs that exist.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table.")]
+Verbose = Annotated[
+    int, typer.Option("--verbose", "-v", count=True, help="Log more, on stderr; -vv for debugging.")
+]
+Threads = Annotated[
+    int | None, typer.Option("--threads", min=1, help="Threads; all cores by default.")
+]
+Fps = Annotated[float | None, typer.Option("--fps", help="Frames per second of the input.")]
+Weld = Annotated[
+    bool,
+    typer.Option("--weld", help="Merge vertices that coincide in every frame, as UV seams do."),
+]
+ReadOptions = Annotated[
+    list[str] | None,
+    typer.Option("--read", metavar="KEY=VALUE", help="Option of the input's format; repeatable."),
+]
+WriteOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--write",
+        metavar="[SUFFIX:]KEY=VALUE",
+        help="Option of an output's format, as in glb:weights=uint16; repeatable.",
+    ),
+]
+
+
+class Interrupted(Exception):
+    """Ctrl-C stopped the work at a safe point."""
+
+    def __init__(self, text: str, **details: Any) -> None:
+        self.details = details
+        super().__init__(text)
+
+
+@dataclasses.dataclass
+class Output:
+    """Where results and warnings of one run of the command go."""
+
+    arguments: list[str]
+    json: bool = False
+    quiet: bool = False
+    warnings: list[str] = dataclasses.field(default_factory=list)
+    current: ClassVar[Output]
+
+    @classmethod
+    def start(
+        cls,
+        *,
+        json: bool = False,
+        quiet: bool = False,
+        verbose: int = 0,
+        threads: int | None = None,
+    ) -> Output:
+        """Take the options that every command has."""
+        from ..parallel import set_threads
+
+        level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+        logger = logging.getLogger("ssdr")
+        logger.setLevel(level)
+        for old in [h for h in logger.handlers if getattr(h, "of_command", False)]:
+            logger.removeHandler(old)
+        handler = logging.StreamHandler(sys.stderr)
+        handler.of_command = True  # type: ignore[attr-defined]
+        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+        logger.addHandler(handler)
+        if threads is not None:
+            set_threads(threads)
+        output = cls.current
+        output.json, output.quiet = json, quiet
+        return output
+
+    def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
+        """Stands in for ``warnings.showwarning``."""
+        text = " ".join(str(message).split())
+        self.warnings.append(text)
+        sys.stderr.write(f"ssdr: warning: {text}\n")
+
+    def result(self, document: Mapping[str, Any], rows: Iterable[tuple[str, str]]) -> None:
+        """Print the result, as JSON or as a table."""
+        if self.json:
+            text = json.dumps({**_plain(document), "warnings": self.warnings}, allow_nan=False)
+            sys.stdout.write(text + "\n")
+        elif not self.quiet:
+            lines = [(name, value) for name, value in rows if value]
+            width = max(len(name) for name, _ in lines)
+            for name, value in lines:
+                sys.stdout.write(f"{name:<{width}}  {value}\n")
+        sys.stdout.flush()
+
+
+def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
+    """Read a skinning where the file holds one, a sequence otherwise."""
+    from .. import io
+
+    format_ = None
+    with contextlib.suppress(FormatError):
+        format_ = format_of(path)[1]
+    if format_ is not None and format_.read_skinning and not path.is_dir():
+        known = _keywords(format_, format_.read_skinning)
+        fitting = {k: v for k, v in options.items() if k in known}
+        try:
+            return io.load_skinning(path, **fitting)
+        except FormatError as error:
+            # Without a skinning in it, it may still be an animated mesh.
+            reason = error
+        try:
+            return io.load(path, **options)
+        except FormatError as error:
+            raise error from reason
+    return io.load(path, **options)
+
+
+def read_options(
+    pairs: list[str] | None, *, fps: float | None, weld: bool = False
+) -> dict[str, Any]:
+    """Keyword arguments of :func:`ssdr.load` from the command line."""
+    options: dict[str, Any] = {"fps": fps} if fps is not None else {}
+    if weld:
+        options["weld"] = True
+    for pair in pairs or ():
+        key, value = _pair("--read", pair)
+        options[key] = value
+    return options
+
+
+def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
+    """Those keyword arguments of :func:`ssdr.save` that are meant for this file."""
+    options = {}
+    for pair in pairs or ():
+        match = re.match(r"\.?(\w+):(?=\w+=)", pair)
+        key, value = _pair("--write", pair[match.end() :] if match else pair)
+        if match is None or match[1].lower() == path.suffix.lower().lstrip("."):
+            options[key] = value
+    return options
+
+
+def check_outputs(
+    paths: Iterable[Path], *, kind: type, pairs: list[str] | None, force: bool, sources: list[Path]
+) -> None:
+    """Find out before the work whether the outputs can be written after it.
+
+    Raises
+    ------
+    InputError
+        If a suffix is unknown, the format cannot hold such a thing, an option is
+        unknown, the file exists (and not `force`) or its folder cannot be written.
+    MissingDependencyError
+        If the format needs a package that is not installed.
+    """
+    seen: set[Path] = set()
+    for path in paths:
+        try:
+            suffix, format_ = format_of(path)
+        except FormatError as error:
+            raise InputError("--output", "a known suffix", str(error)) from error
+        writer = format_.write_sequence
+        if issubclass(kind, Skinning):
+            writer = format_.write_skinning or writer
+        if writer is None:
+            what = "a skinning" if issubclass(kind, Skinning) else "a sequence of vertices"
+            raise InputError("--output", f"a format that holds {what}", f"{path} ({suffix})")
+        if format_.extra and importlib.util.find_spec(_PACKAGES[format_.extra]) is None:
+            package = _PACKAGES[format_.extra]
+            raise MissingDependencyError(
+                f'{path}: {format_.title} needs {package}: pip install "ssdr[{format_.extra}]"'
+            )
+        known = _keywords(format_, writer)
+        for key in write_options(pairs, path):
+            if known and key not in known:
+                raise InputError("--write", f"one of {', '.join(sorted(known))} for {suffix}", key)
+        check_file(path, "--output", force=force, sources=sources, seen=seen)
+
+
+def check_file(
+    path: Path,
+    option: str,
+    *,
+    force: bool,
+    sources: list[Path],
+    seen: set[Path] | None = None,
+) -> None:
+    """Refuse a file that exists, is an input, is named twice or cannot be written."""
+    folder = path.parent
+    if not folder.is_dir():
+        raise InputError(option, "a file in a folder that exists", str(path))
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InputError(option, "a file in a folder that can be written to", str(path))
+    absolute = path.resolve()
+    if any(absolute == source.resolve() for source in sources):
+        raise InputError(option, "another file than the input", str(path))
+    if seen is not None:
+        if absolute in seen:
+            raise InputError(option, "each file once", str(path))
+        seen.add(absolute)
+    numbered = re.sub(r"%0?\d*d", "*", path.name)
+    there = [path] if numbered == path.name else glob.glob(f"{glob.escape(str(folder))}/{numbered}")
+    if any(os.path.lexists(p) for p in there) and not force:
+        raise InputError(option, "a new file (--force overwrites)", f"{path}, which exists")
+    if path.is_dir() and path.suffix.lower() != ".zarr":
+        raise InputError(option, "the name of a file", f"the folder {path}")
+
+
+def saved_document(report: SaveReport) -> dict[str, Any]:
+    """A :class:`SaveReport` for JSON."""
+    return {f.name: getattr(report, f.name) for f in dataclasses.fields(report)}
+
+
+def saved_line(report: SaveReport, diagonal: float | None = None) -> str:
+    """A :class:`SaveReport` in one line."""
+    parts = [str(report.path), size_text(report.bytes)]
+    if report.error is not None:
+        parts.append(f"error of storage {length_text(report.error, diagonal)}")
+    if report.between_frames is not None:
+        parts.append(f"between frames {length_text(report.between_frames, diagonal)}")
+    if report.note:
+        parts.append(report.note)
+    return ", ".join(parts)
+
+
+def length_text(value: float, diagonal: float | None) -> str:
+    """A length, also in % of the diagonal where that is known."""
+    share = f" ({100 * value / diagonal:.3g} %)" if diagonal else ""
+    return f"{value:.4g}{share}"
+
+
+def size_text(count: float) -> str:
+    """Bytes in the usual units."""
+    for unit in ("bytes", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}"
+        count /= 1000
+    return f"{count:.3g} GB"
+
+
+def _pair(option: str, text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals or not key.isidentifier():
+        raise InputError(option, "KEY=VALUE", repr(text))
+    try:
+        return key, json.loads(value)
+    except ValueError:
+        return key, value
+
+
+def _keywords(format_: Format, function: str) -> set[str]:
+    """Names of the options of a format's function; empty where it takes any."""
+    module = importlib.import_module(f"ssdr.io.{format_.module}")
+    parameters = inspect.signature(getattr(module, function)).parameters.values()
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return set()
+    return {p.name for p in parameters if p.kind is p.KEYWORD_ONLY} or {"no options"}
+
+
+def _plain(value: Any) -> Any:
+    """Only what JSON knows; what is not finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str) else str(value)
