@@ -26,7 +26,7 @@ __all__ = ["has", "read_arrays", "read_header", "write_array", "write_arrays"]
 
 _npy: Any = np.lib.format  # NumPy types it only in part
 _MAX_BYTES = 16 << 30
-_BOMB_BYTES, _BOMB_RATIO = 256 << 20, 250
+_BOMB_BYTES, _BOMB_RATIO = 256 << 20, 100
 _MAX_HEADER = 10_000
 _CHUNK = 16 << 20
 # The time stamp that every member gets, the earliest a zip can hold: same content, same bytes.

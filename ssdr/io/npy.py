@@ -58,10 +58,7 @@ def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
         if head != b"\x93NUMPY":
             raise FormatError(f"{path}: not a .npy array: {describe(head + stream.read(64))}")
         stream.seek(0)
-        try:
-            dtype, shape, fortran = read_header(stream)
-        except FormatError as error:
-            raise FormatError(f"{path}: {error}") from error
+        dtype, shape, fortran = read_header(stream)
         offset = stream.tell()
         held, stated = path.stat().st_size - offset, math.prod(shape) * dtype.itemsize
         if held != stated:

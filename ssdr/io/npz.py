@@ -47,7 +47,7 @@ def read(
         Map the vertices of an uncompressed archive instead of reading them.
     max_bytes : int, optional
         Largest size of the arrays in memory; 16 GiB by default, and then
-        arrays that inflate more than 250-fold beyond 256 MiB are refused too.
+        arrays that inflate more than 100-fold beyond 256 MiB are refused too.
 
     Raises
     ------

@@ -288,7 +288,7 @@ class ObjWriter:
             lines += [f"newmtl {_word(m.name)}", f"Kd {r:.9g} {g:.9g} {b:.9g}", f"d {a:.9g}"]
             lines += [f"Pr {m.roughness:.9g}", f"Pm {m.metallic:.9g}"]
             if m.texture is not None:
-                file = f"{self._stem}_{k}{_SUFFIX.get(m.texture_type, '.png')}"
+                file = f"{self._stem}_texture_{k}{_SUFFIX.get(m.texture_type, '.png')}"
                 lines.append(f"map_Kd {file}")
                 self.bytes += write_bytes(self._folder / file, m.texture)
         text = "\n".join(lines) + "\n"

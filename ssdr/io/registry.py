@@ -175,8 +175,14 @@ def reading(path: Path) -> Iterator[None]:
         raise FormatError(f"{path}: {error}") from error
     except InputError as error:
         raise FormatError(f"{path}: {error}") from error
+    except FormatError as error:
+        if str(path) in str(error):
+            raise
+        raise FormatError(f"{path}: {error}") from error
     except SsdrError:
         raise
+    except MemoryError as error:
+        raise FormatError(f"{path}: needs more memory than there is") from error
     except Exception as error:
         # Parsers of hostile bytes raise anything; every one of these means the same.
         what = str(error) or type(error).__name__

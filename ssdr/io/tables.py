@@ -96,7 +96,10 @@ def write_json(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveR
 
 
 def read_weights(
-    path: str | os.PathLike[str], *, bones: Sequence[str] | None = None
+    path: str | os.PathLike[str],
+    *,
+    bones: Sequence[str] | None = None,
+    n_vertices: int | None = None,
 ) -> SkinWeights:
     """Read skin weights from ``.csv`` or ``.json``.
 
@@ -107,6 +110,9 @@ def read_weights(
         Names of the bones in the order that the joints shall have; by default
         the order of a JSON file, the natural order of the names of a CSV file
         (``bone_2`` before ``bone_10``).
+    n_vertices : int, optional
+        How many vertices there must be; a CSV file that lost its last lines
+        shows it in nothing else.
 
     Raises
     ------
@@ -124,14 +130,17 @@ def read_weights(
         raise InputError("bones", "different names", "the same name twice")
     with reading(source):
         text = source.read_text(encoding="utf-8-sig")
-        table = _parse_csv(source, text) if suffix == ".csv" else _parse_json(source, text)
-        vertex, name_index, weight, names = table
+        parse = _parse_csv if suffix == ".csv" else _parse_json
+        vertex, name_index, weight, names = parse(source, text)
         order = tuple(names if bones is None else bones)
         unknown = sorted(set(names) - set(order))
         if unknown:
             raise FormatError(f"{source}: bone {unknown[0]!r} is none of the bones asked for")
         joint = np.array([order.index(n) for n in names], dtype=np.int32)[name_index]
-        return _pack(source, vertex, joint, weight, order)
+        table = _pack(source, vertex, joint, weight, order)
+        if n_vertices is not None and len(table.weights) != n_vertices:
+            raise FormatError(f"{source}: {len(table.weights)} vertices, expected {n_vertices}")
+        return table
 
 
 def _given(skinning: Skinning, unweld: bool) -> tuple[NDArray[np.int32], NDArray[Any]]:
@@ -202,7 +211,8 @@ def _parse_json(path: Path, text: str) -> _Table:
     if len(set(names)) != len(names):
         raise FormatError(f"{path}: two bones have the same name")
     joints, weights = np.array(table.get("joints")), np.array(table.get("weights"))
-    if joints.ndim != 2 or joints.shape != weights.shape or joints.dtype.kind != "i":
+    numbers = joints.dtype.kind == "i" and weights.dtype.kind in "if"
+    if joints.ndim != 2 or joints.shape != weights.shape or not numbers:
         raise FormatError(f"{path}: joints and weights are not two tables of one shape")
     if joints.size and not 0 <= joints.min() <= joints.max() < len(names):
         raise FormatError(f"{path}: a joint is not one of the {len(names)} bones")
