@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from threadpoolctl import ThreadpoolController
+import threadpoolctl
 
 from .errors import InputError
 
@@ -25,8 +25,9 @@ __all__ = ["chunk_bounds", "get_threads", "run_chunks", "serial_blas", "set_thre
 _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 _threads: int | None = None
-_controller: ThreadpoolController | None = None
-_serial = threading.local()
+_controller: threadpoolctl.ThreadpoolController | None = None
+_limiter: Any = None
+_limited = 0
 
 
 def get_threads() -> int:
@@ -55,9 +56,8 @@ def set_threads(count: int | None) -> None:
         raise InputError("count", "a positive integer or None", repr(count))
     with _lock:
         _threads = None if count is None else int(count)
-        old, _pool = _pool, None
-    if old is not None:
-        old.shutdown(wait=False)
+        # Not shut down: another thread may be about to use it; idle workers end with the object.
+        _pool = None
 
 
 def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
@@ -68,7 +68,8 @@ def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
 def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> list[Any]:
     """Call ``function(chunk number, start, stop)`` for every chunk, in threads.
 
-    Results come in the order of the chunks.
+    Results come in the order of the chunks.  The first exception ends the work
+    and is raised here.  A function may itself call ``run_chunks``.
     """
     threads = min(get_threads(), len(bounds))
     if threads <= 1:
@@ -80,18 +81,24 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
     feed = threading.Lock()
 
     def work() -> None:
+        nonlocal order
         while True:
             with feed:
                 k = next(order, -1)
             if k < 0:
                 return
-            results[k] = function(k, *bounds[k])
+            try:
+                results[k] = function(k, *bounds[k])
+            except BaseException:
+                order = iter(())
+                raise
 
     futures = [pool.submit(work) for _ in range(threads - 1)]
     try:
         work()
     finally:
-        errors = [future.exception() for future in futures]
+        # What has not started is not needed any more, and in a nested call would never start.
+        errors = [future.exception() for future in futures if not future.cancel()]
     for error in errors:
         if error is not None:
             raise error
@@ -107,8 +114,8 @@ def _shared_pool() -> ThreadPoolExecutor:
 
 
 def _forget_pool() -> None:
-    global _pool, _lock, _serial
-    _pool, _lock, _serial = None, threading.Lock(), threading.local()
+    global _pool, _lock, _limiter, _limited
+    _pool, _lock, _limiter, _limited = None, threading.Lock(), None, 0
 
 
 if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
@@ -117,17 +124,37 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
 
 @contextlib.contextmanager
 def serial_blas() -> Iterator[None]:
-    """Give BLAS one thread inside the block; nests at no cost."""
-    global _controller
-    if getattr(_serial, "depth", 0):
-        yield
-        return
+    """Give BLAS one thread inside the block; nests at no cost.
+
+    The limit belongs to the process: it ends when the last of the threads that
+    are inside leaves, and then the number of before is back.
+    """
+    global _controller, _limiter, _limited
     with _lock:
-        if _controller is None:
-            _controller = ThreadpoolController()
-    _serial.depth = 1
+        if _limited == 0:
+            if _controller is None:
+                _controller = threadpoolctl.ThreadpoolController()
+            with _any_thread_may_limit():
+                _limiter = _controller.limit(limits=1, user_api="blas")
+        _limited += 1
     try:
-        with _controller.limit(limits=1, user_api="blas"):
-            yield
+        yield
     finally:
-        _serial.depth = 0
+        with _lock:
+            _limited = max(0, _limited - 1)
+            if _limited == 0 and _limiter is not None:
+                with _any_thread_may_limit():
+                    _limiter.restore_original_limits()
+                _limiter = None
+
+
+@contextlib.contextmanager
+def _any_thread_may_limit() -> Iterator[None]:
+    # Newer threadpoolctl ignores a limit that another thread than the first one sets.
+    openblas = getattr(threadpoolctl, "OpenBLASController", None)
+    release = getattr(openblas, "clear_controlling_thread", lambda force: None)
+    release(force=True)
+    try:
+        yield
+    finally:
+        release(force=True)

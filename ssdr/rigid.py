@@ -39,9 +39,9 @@ def kabsch(
     Returns
     -------
     (..., 3, 4) float64
-        ``[R | T]``.  Where the points do not determine the rotation (fewer than
-        three, or collinear), the one closest to the identity in the free
-        directions that the SVD picks.
+        ``[R | T]``.  Where the points do not determine the rotation, the
+        smallest that fits: the identity for coincident points, the turn from
+        line to line for collinear ones.
 
     Raises
     ------
@@ -79,11 +79,35 @@ def kabsch(
     return np.concatenate([rotation, translation[..., None]], axis=-1)
 
 
+# Below this ratio of singular values, a moment says nothing about the turn around its axis.
+_COLLINEAR = 1e-13
+
+
 def _nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
-    u, _, vt = np.linalg.svd(moment)
+    u, s, vt = np.linalg.svd(moment)
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
-    return np.asarray(u @ vt)
+    rotation = np.asarray(u @ vt)
+    line = s[..., 1] <= _COLLINEAR * s[..., 0]
+    if line.any():
+        turn = _turn_between(vt[line][..., 0, :], u[line][..., :, 0])
+        point = s[line][..., 0] == 0
+        rotation[line] = np.where(point[..., None, None], np.eye(3), turn)
+    return rotation
+
+
+def _turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Smallest rotations that carry unit vectors `a` to `b`, as two reflections."""
+    half = a + b
+    size = np.linalg.norm(half, axis=-1, keepdims=True)
+    # Opposite vectors: any axis across them will do.
+    across = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=-1)])
+    opposite = size < 1e-8
+    first = np.where(opposite, across, half)
+    first = first / np.linalg.norm(first, axis=-1, keepdims=True)
+    flip_first = 2 * first[..., :, None] * first[..., None, :] - np.eye(3)
+    flip_a = 2 * a[..., :, None] * a[..., None, :] - np.eye(3)
+    return np.asarray(np.where(opposite[..., None], flip_first, flip_first @ flip_a))
 
 
 def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
@@ -163,7 +187,10 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.
     """
-    q = np.moveaxis(np.asarray(quaternion, dtype=np.float64), axis, 0)
+    q = np.asarray(quaternion, dtype=np.float64)
+    if q.ndim < 2 or q.shape[-1] != 4 or axis % q.ndim == q.ndim - 1:
+        raise InputError("quaternion", "shape (..., 4) with a time axis", f"shape {q.shape}")
+    q = np.moveaxis(q, axis, 0)
     flip = np.ones(q.shape[:-1])
     flip[1:] = np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     return np.moveaxis(q * np.cumprod(flip, axis=0)[..., None], 0, axis)
@@ -178,11 +205,20 @@ def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def matrix_from_sixd(sixd: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices ``(..., 3, 3)`` of two column vectors ``(..., 6)`` by Gram–Schmidt."""
+    """Rotation matrices ``(..., 3, 3)`` of two column vectors ``(..., 6)`` by Gram–Schmidt.
+
+    Raises
+    ------
+    InputError
+        If two vectors are parallel, zero or not finite.
+    """
     d = np.asarray(sixd, dtype=np.float64)
     if d.shape[-1:] != (6,):
         raise InputError("sixd", "an array of shape (..., 6)", f"shape {d.shape}")
-    a = d[..., :3] / np.linalg.norm(d[..., :3], axis=-1, keepdims=True)
-    b = d[..., 3:] - (a * d[..., 3:]).sum(axis=-1, keepdims=True) * a
-    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a = d[..., :3] / np.linalg.norm(d[..., :3], axis=-1, keepdims=True)
+        b = d[..., 3:] - (a * d[..., 3:]).sum(axis=-1, keepdims=True) * a
+        b = b / np.linalg.norm(b, axis=-1, keepdims=True)
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise InputError("sixd", "pairs of finite, independent vectors", "NaN, Inf or parallel")
     return np.stack([a, b, np.cross(a, b)], axis=-1)

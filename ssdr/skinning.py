@@ -100,8 +100,9 @@ class Skinning:
             )
         if self.bone_model not in get_args(BoneModel):
             raise InputError("bone_model", f"one of {get_args(BoneModel)}", repr(self.bone_model))
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise InputError("fps", "a positive number", self.fps)
+        number = isinstance(self.fps, (int, float, np.number)) and not isinstance(self.fps, bool)
+        if not (number and math.isfinite(self.fps) and self.fps > 0):
+            raise InputError("fps", "a positive number", repr(self.fps))
         faces = _check_faces(self.faces, n_vertices, "faces")
         if self.keyframes is not None:
             keyframes = np.asarray(self.keyframes)
@@ -155,7 +156,9 @@ class Skinning:
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
         """Positions ``(f, V, 3)`` of the named frames; all of them by default."""
-        chosen = self.transforms if frames is None else self.transforms[_frame_index(frames)]
+        chosen = self.transforms
+        if frames is not None:
+            chosen = chosen[_frame_index(frames, self.n_frames)]
         return skin(self.rest, self.joints, self.weights, chosen, dtype=dtype)
 
     def dense_weights(self) -> NDArray[np.floating]:
@@ -195,8 +198,9 @@ class Skinning:
         InputError
             If `influences` is below 1 or `minimum` is not in [0, 1).
         """
-        if influences < 1:
-            raise InputError("influences", "an integer >= 1", influences)
+        whole = isinstance(influences, (int, np.integer)) and not isinstance(influences, bool)
+        if not whole or influences < 1:
+            raise InputError("influences", "an integer >= 1", repr(influences))
         if not 0 <= minimum < 1:
             raise InputError("minimum", "a number in [0, 1)", minimum)
         k = min(int(influences), self.n_influences)
@@ -251,7 +255,7 @@ def skin(
     j = np.asarray(joints)
     if p.ndim != 2 or p.shape[1] != 3:
         raise InputError("rest", "shape (V, 3)", f"shape {p.shape}")
-    if j.ndim != 2 or len(j) != len(p) or j.dtype.kind not in "iu":
+    if j.ndim != 2 or len(j) != len(p) or j.shape[1] < 1 or j.dtype.kind not in "iu":
         raise InputError("joints", f"integers of shape ({len(p)}, K)", f"{j.dtype} {j.shape}")
     if w.shape != j.shape:
         raise InputError("weights", f"shape {j.shape}", f"shape {w.shape}")
@@ -262,6 +266,9 @@ def skin(
         raise InputError(
             "joints", f"indices from 0 to {m.shape[-3] - 1}", f"{j.min()} to {j.max()}"
         )
+    for name, array in (("rest", p), ("weights", w), ("transforms", m)):
+        if array.dtype.kind not in "fiu":
+            raise InputError(name, "real numbers", f"dtype {array.dtype}")
     kind = np.result_type(p, w, m) if dtype is None else np.dtype(dtype)
     if kind not in (np.dtype(np.float32), np.dtype(np.float64)):
         kind = np.dtype(np.float64)
@@ -277,10 +284,16 @@ def skin(
     return out[0] if single else out
 
 
-def _frame_index(frames: Any) -> Any:
-    if isinstance(frames, (int, np.integer)):
-        return slice(int(frames), int(frames) + 1 or None)
-    return frames if isinstance(frames, slice) else np.asarray(frames)
+def _frame_index(frames: Any, n_frames: int) -> Any:
+    if isinstance(frames, slice):
+        return frames
+    index = np.atleast_1d(np.asarray(frames))
+    if index.dtype == bool and index.shape == (n_frames,):
+        return index
+    usable = index.ndim == 1 and (index.dtype.kind in "iu" or index.size == 0)
+    if not usable or (index.size and not -n_frames <= index.min() <= index.max() < n_frames):
+        raise InputError("frames", f"indices below {n_frames}, a slice or a mask", frames)
+    return index.astype(np.intp)
 
 
 def _floats(value: Any, argument: str, shape: tuple[Any, ...]) -> NDArray[np.floating]:

@@ -2,34 +2,60 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .policy import kernel
 
 
 @kernel
-def skin_range(rest, joints, weights, transforms, out, first, last):
+def skin_range(
+    rest: Any, joints: Any, weights: Any, transforms: Any, out: Any, first: int, last: int
+) -> None:
     """Write frames ``out (f,V,3)`` of vertices first..last; transforms ``(f,B,3,4)``."""
     n_slots = joints.shape[1]
     for t in range(transforms.shape[0]):
+        # Blending the twelve entries by flat index is a quarter faster than blending points; the
+        # sums start from a typed zero, since a plain one would make them float64.
+        m = transforms[t].reshape(-1)
         for i in range(first, last):
-            x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
-            a = b = c = x * 0
+            zero = rest.dtype.type(0)
+            a = b = c = d = e = f = g = h = o = p = q = r = zero
             for k in range(n_slots):
                 w = weights[i, k]
-                if w == 0:
+                if w == 0:  # a padded slot must not touch bone 0
                     continue
-                m = transforms[t, joints[i, k]]
-                a += w * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3])
-                b += w * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3])
-                c += w * (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])
-            out[t, i, 0] = a
-            out[t, i, 1] = b
-            out[t, i, 2] = c
+                s = joints[i, k] * 12
+                a += w * m[s]
+                b += w * m[s + 1]
+                c += w * m[s + 2]
+                d += w * m[s + 3]
+                e += w * m[s + 4]
+                f += w * m[s + 5]
+                g += w * m[s + 6]
+                h += w * m[s + 7]
+                o += w * m[s + 8]
+                p += w * m[s + 9]
+                q += w * m[s + 10]
+                r += w * m[s + 11]
+            x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
+            out[t, i, 0] = a * x + b * y + c * z + d
+            out[t, i, 1] = e * x + f * y + g * z + h
+            out[t, i, 2] = o * x + p * y + q * z + r
 
 
 @kernel
-def squared_error_range(rest, joints, weights, transforms, target, first, last, per_vertex):
+def squared_error_range(
+    rest: Any,
+    joints: Any,
+    weights: Any,
+    transforms: Any,
+    target: Any,
+    first: int,
+    last: int,
+    per_vertex: Any,
+) -> None:
     """Add each vertex's squared distance over the frames ``target (f,V,3)`` to `per_vertex`."""
     n_slots = joints.shape[1]
     for t in range(transforms.shape[0]):
@@ -40,7 +66,7 @@ def squared_error_range(rest, joints, weights, transforms, target, first, last, 
             c = -np.float64(target[t, i, 2])
             for k in range(n_slots):
                 w = weights[i, k]
-                if w == 0:
+                if w == 0:  # a padded slot must not touch bone 0
                     continue
                 m = transforms[t, joints[i, k]]
                 a += w * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3])

@@ -1,0 +1,224 @@
+"""Rigid fits and rotation formats against SciPy's, and in their degenerate cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ssdr import InputError, kabsch
+from ssdr.rigid import (
+    matrix_from_quaternion,
+    matrix_from_sixd,
+    quaternion_from_matrix,
+    sixd_from_matrix,
+    unflip_quaternions,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def apply(transform, points):
+    return points @ np.swapaxes(transform[..., :3], -1, -2) + transform[..., None, :, 3]
+
+
+def is_rotation(matrix):
+    eye = np.broadcast_to(np.eye(3), matrix.shape)
+    np.testing.assert_allclose(np.swapaxes(matrix, -1, -2) @ matrix, eye, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(matrix), 1, atol=1e-12)
+
+
+@given(seed=seeds, count=st.integers(4, 12), noise=st.sampled_from([0.0, 0.3]))
+@settings(max_examples=40, deadline=None)
+def test_kabsch_equals_scipy(seed, count, noise):
+    rng = np.random.default_rng(seed)
+    source = rng.normal(size=(count, 3))
+    weights = rng.uniform(0.1, 2, count)
+    truth = Rotation.random(rng=rng)
+    target = truth.apply(source) + noise * rng.normal(size=(count, 3)) + [3, -2, 1]
+    fit = kabsch(source, target, weights)
+    share = weights / weights.sum()
+    mean_s, mean_t = share @ source, share @ target
+    other, _ = Rotation.align_vectors(target - mean_t, source - mean_s, weights=weights)
+    np.testing.assert_allclose(fit[:, :3], other.as_matrix(), atol=1e-8)
+    np.testing.assert_allclose(fit[:, :3] @ mean_s + fit[:, 3], mean_t, atol=1e-12)
+    if noise == 0:
+        np.testing.assert_allclose(apply(fit, source), target, atol=1e-12)
+
+
+def test_kabsch_is_a_minimum():
+    rng = np.random.default_rng(0)
+    source, target = rng.normal(size=(2, 20, 3))
+    weights = rng.uniform(size=20)
+
+    def cost(transform):
+        return weights @ ((apply(transform, source) - target) ** 2).sum(axis=1)
+
+    best = kabsch(source, target, weights)
+    for _ in range(50):
+        turn = Rotation.from_rotvec(0.05 * rng.normal(size=3)).as_matrix()
+        other = np.concatenate(
+            [turn @ best[:, :3], best[:, 3:] + 0.05 * rng.normal(size=(3, 1))], axis=1
+        )
+        assert cost(other) > cost(best)
+
+
+def test_kabsch_is_batched_and_broadcasts():
+    rng = np.random.default_rng(1)
+    source = rng.normal(size=(7, 3))
+    target = rng.normal(size=(4, 5, 7, 3))
+    weights = rng.uniform(size=(5, 7))
+    fits = kabsch(source, target, weights)
+    assert fits.shape == (4, 5, 3, 4)
+    for t in range(4):
+        for b in range(5):
+            np.testing.assert_allclose(
+                fits[t, b], kabsch(source, target[t, b], weights[b]), atol=1e-12
+            )
+
+
+def test_a_reflection_is_never_returned():
+    rng = np.random.default_rng(2)
+    source = rng.normal(size=(200, 30, 3))
+    fits = kabsch(source, source * [-1, 1, 1])
+    is_rotation(fits[..., :3])
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_degenerate_sets_give_the_smallest_rotation(offset):
+    rng = np.random.default_rng(3)
+    line = rng.normal(size=(6, 1)) * np.array([[1.0, 2.0, -0.5]])
+    same = np.repeat(rng.normal(size=(1, 3)), 5, axis=0)
+    tolerance = 1e-9 if offset else 1e-12
+    for points in (line, same, line[:2], line[:1]):
+        fit = kabsch(points + offset, points + offset)
+        np.testing.assert_allclose(fit[:, :3], np.eye(3), atol=tolerance)
+    turn = Rotation.from_rotvec([0.3, -1.0, 0.7])
+    fit = kabsch(line + offset, turn.apply(line) + offset)
+    is_rotation(fit[:, :3])
+    np.testing.assert_allclose(
+        apply(fit, line + offset), turn.apply(line) + offset, atol=max(1e-12, 1e-9 * offset)
+    )
+    # The smallest: its axis is across the line and its angle is that between the lines.
+    axis = Rotation.from_matrix(fit[:, :3]).as_rotvec()
+    assert abs(axis @ line[0]) < 1e-6
+    a = line[0] / np.linalg.norm(line[0])
+    assert np.linalg.norm(axis) == pytest.approx(np.arccos(a @ turn.apply(a)), abs=1e-6)
+
+
+def test_a_line_turned_over():
+    line = np.linspace(-1, 2, 5)[:, None] * np.array([[0.6, 0.0, 0.8]])
+    fit = kabsch(line, -line)
+    is_rotation(fit[:, :3])
+    np.testing.assert_allclose(apply(fit, line), -line, atol=1e-12)
+
+
+def test_planar_points_determine_the_rotation():
+    rng = np.random.default_rng(4)
+    flat = rng.normal(size=(10, 3)) * [1, 1, 0]
+    turn = Rotation.random(20, rng=rng).as_matrix()
+    fits = kabsch(flat, np.einsum("bij,nj->bni", turn, flat))
+    np.testing.assert_allclose(fits[..., :3], turn, atol=1e-10)
+
+
+def test_zero_weights_ignore_points_and_all_zero_is_the_identity():
+    rng = np.random.default_rng(5)
+    source, target = rng.normal(size=(2, 8, 3))
+    weights = np.array([1, 1, 1, 1, 1, 0, 0, 0.0])
+    np.testing.assert_allclose(
+        kabsch(source, target, weights), kabsch(source[:5], target[:5]), atol=1e-12
+    )
+    nothing = kabsch(source, target, np.zeros(8))
+    np.testing.assert_allclose(nothing[:, :3], np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(nothing[:, 3], target.mean(axis=0) - source.mean(axis=0))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "argument"),
+    [
+        ((np.zeros(3), np.zeros(3)), "source"),
+        ((np.zeros((4, 2)), np.zeros((4, 2))), "source"),
+        ((np.zeros((0, 3)), np.zeros((0, 3))), "source"),
+        ((np.zeros((4, 3)), np.zeros((5, 3))), "target"),
+        ((np.zeros((4, 3)), np.zeros((4, 3)), np.ones(3)), "weights"),
+        ((np.zeros((4, 3)), np.zeros((4, 3)), -np.ones(4)), "weights"),
+        ((np.full((4, 3), np.nan), np.zeros((4, 3))), "source"),
+        ((np.zeros((4, 3)), np.full((4, 3), np.inf)), "target"),
+        ((np.zeros((4, 3)), np.zeros((4, 3)), np.full(4, np.nan)), "weights"),
+    ],
+)
+def test_kabsch_refuses(arguments, argument):
+    with pytest.raises(InputError) as error:
+        kabsch(*arguments)
+    assert error.value.argument == argument
+
+
+@given(seed=seeds, slack=st.sampled_from([0.0, 1e-15, 1e-12, 1e-8, 1e-4, 1.0]))
+@settings(max_examples=40, deadline=None)
+def test_quaternions_round_trip_also_next_to_half_a_turn(seed, slack):
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=(20, 3))
+    axis[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    rotation = Rotation.from_rotvec((np.pi - slack) * axis)
+    matrix = rotation.as_matrix()
+    quaternion = quaternion_from_matrix(matrix)
+    np.testing.assert_allclose(np.linalg.norm(quaternion, axis=1), 1, atol=1e-15)
+    assert (quaternion[:, 3] >= 0).all()
+    np.testing.assert_allclose(matrix_from_quaternion(quaternion), matrix, atol=1e-14)
+    same = np.abs((quaternion * rotation.as_quat()).sum(axis=1))
+    np.testing.assert_allclose(same, 1, atol=1e-14)
+
+
+def test_quaternions_are_xyzw_and_any_length_will_do():
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # about z
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(quaternion_from_matrix(quarter), [0, 0, half, half], atol=1e-15)
+    for q in ([0, 0, 2.0, 2.0], [0, 0, -1e-8, -1e-8]):
+        np.testing.assert_allclose(matrix_from_quaternion(q), quarter, atol=1e-15)
+    assert quaternion_from_matrix(np.broadcast_to(quarter, (2, 5, 3, 3))).shape == (2, 5, 4)
+
+
+@given(seed=seeds)
+@settings(max_examples=30, deadline=None)
+def test_sixd_round_trip(seed):
+    matrix = Rotation.random(9, rng=np.random.default_rng(seed)).as_matrix()
+    np.testing.assert_allclose(matrix_from_sixd(sixd_from_matrix(matrix)), matrix, atol=1e-14)
+    # Any pair of independent vectors names a rotation; the first keeps its direction.
+    loose = np.random.default_rng(seed + 1).normal(size=(9, 6))
+    fixed = matrix_from_sixd(loose)
+    is_rotation(fixed)
+    np.testing.assert_allclose(np.cross(fixed[:, :, 0], loose[:, :3]), np.zeros((9, 3)), atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_unflip_keeps_the_rotation_and_never_jumps(axis):
+    rng = np.random.default_rng(6)
+    turns = np.cumsum(0.2 * rng.normal(size=(60, 3, 3)), axis=0)
+    q = np.stack([Rotation.from_rotvec(turns[:, b]).as_quat() for b in range(3)], axis=1)
+    q *= rng.choice([-1.0, 1.0], size=(60, 3, 1))
+    flipped = np.moveaxis(unflip_quaternions(np.moveaxis(q, 0, axis), axis=axis), axis, 0)
+    assert ((flipped[1:] * flipped[:-1]).sum(axis=-1) >= 0).all()
+    np.testing.assert_allclose(np.abs((flipped * q).sum(axis=-1)), 1, atol=1e-14)
+    np.testing.assert_array_equal(flipped[0], q[0])
+
+
+def test_formats_refuse():
+    for function, bad in (
+        (quaternion_from_matrix, np.zeros((3, 4))),
+        (sixd_from_matrix, np.zeros(9)),
+        (matrix_from_quaternion, np.zeros(3)),
+        (matrix_from_quaternion, np.zeros(4)),
+        (matrix_from_quaternion, [np.nan, 0, 0, 1]),
+        (matrix_from_sixd, np.zeros(5)),
+        (matrix_from_sixd, np.zeros(6)),
+        (matrix_from_sixd, [1.0, 0, 0, 2, 0, 0]),
+        (unflip_quaternions, np.zeros(4)),
+        (unflip_quaternions, np.zeros((5, 3))),
+    ):
+        with pytest.raises(InputError):
+            function(bad)
+    with pytest.raises(InputError):
+        unflip_quaternions(np.zeros((5, 4)), axis=-1)

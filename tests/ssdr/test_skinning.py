@@ -1,0 +1,250 @@
+"""Forward skinning against plain loops, and what the model accepts."""
+
+from __future__ import annotations
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from ssdr import InputError, Skinning, Surface, skin
+
+
+def make(seed=0, *, V=30, B=5, K=3, F=4, dtype=np.float64):
+    rng = np.random.default_rng(seed)
+    joints = np.stack([rng.permutation(B)[:K] for _ in range(V)])
+    weights = -np.sort(-rng.dirichlet(np.ones(K), V), axis=1)
+    rotation = Rotation.random(F * B, rng=rng).as_matrix().reshape(F, B, 3, 3)
+    transforms = np.concatenate([rotation, rng.normal(size=(F, B, 3, 1))], axis=-1)
+    return {
+        "rest": rng.normal(size=(V, 3)).astype(dtype),
+        "joints": joints,
+        "weights": weights.astype(dtype),
+        "transforms": transforms.astype(dtype),
+    }
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    V=st.integers(1, 40),
+    K=st.integers(1, 5),
+    F=st.integers(1, 4),
+    dtype=st.sampled_from([np.float32, np.float64]),
+)
+@settings(max_examples=40, deadline=None)
+def test_equals_naive_loops(seed, V, K, F, dtype):
+    arrays = make(seed, V=V, K=K, F=F, dtype=dtype)
+    expected = naive.skin(**arrays)
+    got = skin(**arrays)
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, expected, atol=1e-5 if dtype == np.float32 else 1e-13)
+
+
+def test_chunk_borders_and_one_frame():
+    arrays = make(V=2500)
+    frames = skin(**arrays)
+    np.testing.assert_allclose(frames, naive.skin(**arrays), atol=1e-13)
+    alone = skin(**(arrays | {"transforms": arrays["transforms"][2]}))
+    assert alone.shape == (2500, 3)
+    np.testing.assert_array_equal(alone, frames[2])
+
+
+def test_dtype():
+    arrays = make(dtype=np.float32)
+    assert skin(**arrays, dtype=np.float64).dtype == np.float64
+    mixed = arrays | {"transforms": arrays["transforms"].astype(np.float64)}
+    assert skin(**mixed).dtype == np.float64
+    assert skin(**mixed, dtype=np.float32).dtype == np.float32
+
+
+def test_padding_never_touches_its_bone():
+    arrays = make(K=2)
+    arrays["joints"][:] = [1, 0]
+    arrays["weights"][:] = [1.0, 0.0]
+    arrays["transforms"][:, 0] = np.nan
+    assert np.isfinite(skin(**arrays)).all()
+
+
+def test_inputs_of_any_layout():
+    arrays = make(V=40)
+    expected = skin(**arrays)
+    odd = {name: np.asfortranarray(array) for name, array in arrays.items()}
+    np.testing.assert_array_equal(skin(**odd), expected)
+    wide = np.repeat(arrays["rest"], 2, axis=0)[::2]
+    np.testing.assert_array_equal(skin(**(arrays | {"rest": wide})), expected)
+    lists = {name: array.tolist() for name, array in arrays.items()}
+    np.testing.assert_array_equal(skin(**lists), expected)
+
+
+def test_model_skins_the_named_frames():
+    model = Skinning(**make())
+    frames = model.skin()
+    for index in ([2, 0], slice(1, 3), np.array([True, False, True, False]), [-1], []):
+        np.testing.assert_array_equal(model.skin(index), frames[index])
+    np.testing.assert_array_equal(model.skin(1), frames[1:2])
+    np.testing.assert_array_equal(model.skin(-1), frames[-1:])
+    assert model.skin(dtype=np.float32).dtype == np.float32
+    for bad in (4, -5, [0, 4], [0.5], "a", [[0]], [True, False]):
+        with pytest.raises(InputError, match="frames"):
+            model.skin(bad)
+
+
+def test_counts_and_names():
+    model = Skinning(**make(V=30, B=5, K=3, F=4))
+    assert (model.n_vertices, model.n_bones, model.n_influences, model.n_frames) == (30, 5, 3, 4)
+    assert model.names() == tuple(f"bone_{j}" for j in range(5))
+    assert Skinning(**make(), bone_names=list("abcde")).names() == tuple("abcde")
+    assert repr(model) == "Skinning(V=30, B=5, K=3, F=4, rigid)"
+
+
+def test_dense_and_sparse_weights():
+    arrays = make(K=3)
+    arrays["weights"][0], arrays["joints"][0] = [1, 0, 0], [4, 0, 0]
+    model = Skinning(**arrays)
+    dense = np.zeros((30, 5))
+    for i in range(30):
+        for k in range(3):
+            dense[i, arrays["joints"][i, k]] += arrays["weights"][i, k]
+    np.testing.assert_allclose(model.dense_weights(), dense, atol=1e-16)
+    assert model.sparse_weights().nnz == np.count_nonzero(dense)
+    blend = np.einsum("vb,fbxy->fvxy", dense, model.transforms)
+    points = np.einsum("fvxy,vy->fvx", blend, np.c_[model.rest, np.ones(30)])
+    np.testing.assert_allclose(points, model.skin(), atol=1e-13)
+
+
+def test_centroids():
+    arrays = make(K=2)
+    arrays["joints"][arrays["joints"] == 4] = 3  # bone 4 moves nothing
+    model = Skinning(**arrays)
+    dense = model.dense_weights()
+    for j in range(4):
+        expected = (dense[:, j, None] * model.rest).sum(axis=0) / dense[:, j].sum()
+        np.testing.assert_allclose(model.centroids()[j], expected, atol=1e-13)
+    np.testing.assert_allclose(model.centroids()[4], model.rest.mean(axis=0), atol=1e-13)
+
+
+@given(seed=st.integers(0, 10**6), keep=st.integers(1, 6), minimum=st.floats(0, 0.6))
+@settings(max_examples=40, deadline=None)
+def test_prune_keeps_the_largest(seed, keep, minimum):
+    arrays = make(seed, K=4)
+    rng = np.random.default_rng(seed)
+    order = rng.permuted(np.tile(np.arange(4), (30, 1)), axis=1)  # unsorted on purpose
+    arrays["weights"] = np.take_along_axis(arrays["weights"], order, axis=1)
+    model = Skinning(**arrays)
+    pruned = model.prune(keep, minimum=minimum)
+    assert pruned.n_influences == min(keep, 4)
+    for i in range(30):
+        rank = sorted(zip(-model.weights[i], model.joints[i], strict=True))[:keep]
+        kept = {j: -w for n, (w, j) in enumerate(rank) if n == 0 or -w >= minimum}
+        total = sum(kept.values())
+        got = {j: w for j, w in zip(pruned.joints[i], pruned.weights[i], strict=True) if w > 0}
+        assert got == pytest.approx({j: w / total for j, w in kept.items()})
+        assert (pruned.joints[i][pruned.weights[i] == 0] == 0).all()
+    np.testing.assert_allclose(pruned.weights.sum(axis=1), 1, atol=1e-12)
+
+
+def test_prune_of_nothing_changes_nothing():
+    model = Skinning(**make())
+    np.testing.assert_allclose(model.prune(8).skin(), model.skin(), atol=1e-14)
+
+
+def test_everything_given_is_kept():
+    faces = np.array([[0, 1, 2], [2, 1, 3]])
+    keys = np.zeros((4, 5), dtype=bool)
+    surface = Surface(uv=np.zeros((2, 3, 2), dtype=np.float32))
+    model = Skinning(
+        **make(dtype=np.float32),
+        faces=faces,
+        fps=30,
+        bone_model="affine",
+        keyframes=keys,
+        surface=surface,
+        vertex_map=np.arange(30),
+        name="tail",
+    )
+    np.testing.assert_array_equal(model.faces, faces)
+    assert model.keyframes is keys
+    assert model.surface is surface
+    assert (model.fps, model.bone_model, model.name) == (30.0, "affine", "tail")
+    assert model.rest.dtype == model.weights.dtype == model.transforms.dtype == np.float32
+    assert model.joints.dtype == np.int32
+    assert len(model.prune(2).faces) == 2
+
+
+def broken(name, where, value):
+    arrays = make()
+    arrays[name][where] = value
+    return {name: arrays[name]}
+
+
+@pytest.mark.parametrize(
+    ("change", "argument"),
+    [
+        ({"rest": np.zeros((30, 2))}, "rest"),
+        ({"rest": np.zeros((0, 3))}, "rest"),
+        ({"rest": np.zeros((30, 3), dtype=complex)}, "rest"),
+        (broken("rest", (3, 1), np.nan), "rest"),
+        ({"joints": np.zeros((29, 3), dtype=int)}, "joints"),
+        ({"joints": np.zeros((30, 0), dtype=int)}, "joints"),
+        ({"joints": np.zeros((30, 3))}, "joints"),
+        (broken("joints", (3, 1), 5), "joints"),
+        (broken("joints", (3, 1), -1), "joints"),
+        ({"weights": np.full((30, 2), 0.5)}, "weights"),
+        (broken("weights", (3, 1), np.inf), "weights"),
+        (broken("weights", (3, slice(None)), [1.5, -0.5, 0]), "weights"),
+        (broken("weights", 3, 0.2), "weights"),
+        ({"transforms": np.zeros((5, 3, 4))}, "transforms"),
+        ({"transforms": np.zeros((4, 5, 4, 4))}, "transforms"),
+        ({"transforms": np.zeros((0, 5, 3, 4))}, "transforms"),
+        ({"transforms": np.zeros((4, 0, 3, 4))}, "transforms"),
+        (broken("transforms", (0, 0, 0, 0), np.nan), "transforms"),
+        ({"bone_model": "soft"}, "bone_model"),
+        ({"fps": 0}, "fps"),
+        ({"fps": np.nan}, "fps"),
+        ({"fps": "24"}, "fps"),
+        ({"faces": [[0, 1, 30]]}, "faces"),
+        ({"keyframes": np.zeros((4, 4), dtype=bool)}, "keyframes"),
+        ({"keyframes": np.zeros((4, 5))}, "keyframes"),
+        ({"vertex_map": [30]}, "vertex_map"),
+        ({"vertex_map": [0.5]}, "vertex_map"),
+        ({"bone_names": ("a", "b")}, "bone_names"),
+        ({"surface": Surface(uv=np.zeros((2, 3, 2), dtype=np.float32))}, "surface.uv"),
+    ],
+)
+def test_model_refuses(change, argument):
+    with pytest.raises(InputError) as error:
+        Skinning(**(make() | change))
+    assert error.value.argument == argument
+
+
+@pytest.mark.parametrize(
+    ("change", "argument"),
+    [
+        ({"rest": np.zeros((30, 2))}, "rest"),
+        ({"rest": np.full((30, 3), "a")}, "rest"),
+        ({"joints": np.zeros((30, 3))}, "joints"),
+        ({"joints": np.zeros((3, 3), dtype=int)}, "joints"),
+        ({"joints": np.zeros((30, 0), dtype=int), "weights": np.zeros((30, 0))}, "joints"),
+        (broken("joints", (3, 1), 5), "joints"),
+        (broken("joints", (3, 1), -1), "joints"),
+        ({"weights": np.zeros((30, 2))}, "weights"),
+        ({"transforms": np.zeros((3, 4))}, "transforms"),
+        ({"transforms": np.zeros((4, 5, 3, 3))}, "transforms"),
+    ],
+)
+def test_skin_refuses(change, argument):
+    with pytest.raises(InputError) as error:
+        skin(**(make() | change))
+    assert error.value.argument == argument
+
+
+def test_prune_refuses():
+    model = Skinning(**make())
+    for bad in (0, -1, 1.5, True):
+        with pytest.raises(InputError, match="influences"):
+            model.prune(bad)
+    for bad in (-0.1, 1.0, np.nan):
+        with pytest.raises(InputError, match="minimum"):
+            model.prune(2, minimum=bad)
