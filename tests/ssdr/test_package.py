@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import itertools
 import json
+import os
 import pkgutil
 import shutil
 import subprocess
@@ -15,6 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 import ssdr
 from ssdr import InputError, samples
@@ -102,7 +106,9 @@ def test_no_module_has_the_name_of_a_public_function() -> None:
     assert not modules & functions
 
 
-@pytest.mark.parametrize("module", [m.name for m in pkgutil.iter_modules(ssdr.__path__)])
+@pytest.mark.parametrize(
+    "module", [m.name for m in pkgutil.iter_modules(ssdr.__path__) if m.name != "__main__"]
+)
 def test_all_of_a_module_resolves(module: str) -> None:
     loaded = importlib.import_module(f"ssdr.{module}")
     for name in getattr(loaded, "__all__", ()):
@@ -144,6 +150,38 @@ def test_samples_are_small_and_named() -> None:
     origin = samples.path().with_name("ORIGIN.md").read_text()
     for name in samples.names():
         assert name in origin
+
+
+def test_constraints_agree_with_the_package() -> None:
+    """Each pin names a package that the project asks for, within the range that it asks for."""
+    project = _project()
+    asked: dict[str, list[SpecifierSet]] = {}
+    assert isinstance(project["dependencies"], list)
+    assert isinstance(project["optional-dependencies"], dict)
+    extras = project["optional-dependencies"].values()
+    for text in itertools.chain(project["dependencies"], *extras):
+        requirement = Requirement(text)
+        asked.setdefault(requirement.name, []).append(requirement.specifier)
+    for line in (ROOT / "constraints.txt").read_text().splitlines():
+        if not line or line.startswith("#"):
+            continue
+        name, version = line.split("==")
+        assert name in asked, f"{name} is pinned but never asked for"
+        assert all(version in specifier for specifier in asked[name])
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_setup_refuses_what_is_no_python() -> None:
+    done = subprocess.run(
+        ["bash", str(ROOT / "tools" / "setup.sh")],
+        env={**os.environ, "PYTHON": "/bin/false"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    assert done.returncode == 1
+    assert "PYTHON=/bin/false is not a Python of version 3.11 or newer" in done.stderr
 
 
 @pytest.mark.slow
