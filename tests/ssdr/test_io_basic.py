@@ -6,6 +6,7 @@ import logging
 import struct
 import types
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -640,3 +641,15 @@ def test_real_sequences_load_as_they_are(real, data_dir):
             np.testing.assert_array_equal(sequence.vertices, archive["vertices"], strict=True)
             np.testing.assert_array_equal(sequence.faces, archive["faces"])
             assert sequence.fps == archive["fps"]
+
+
+def test_the_page_on_formats_names_them_all():
+    page = (Path(__file__).parents[2] / "docs" / "io.md").read_text(encoding="utf-8")
+    table = page[page.index("| suffix") : page.index("Options common")]
+    for suffix, row in FORMATS.items():
+        line = next(line for line in table.splitlines() if f"`{suffix}`" in line)
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        able = [row.read, row.read_skinning, row.write_sequence, row.write_skinning]
+        assert [cell == "yes" for cell in cells[2:5]] == [bool(f) for f in able[:3]]
+        assert bool(cells[5]) == bool(row.write_sequence or row.write_skinning)
+        assert cells[6] == (f"`ssdr[{row.extra}]`" if row.extra else "")
