@@ -4,6 +4,8 @@ import dataclasses
 import json
 import logging
 import struct
+import subprocess
+import sys
 import types
 import zipfile
 from pathlib import Path
@@ -41,8 +43,6 @@ def test_every_row_of_the_table_says_what_it_can():
 
 
 def test_importing_the_package_imports_no_format():
-    import subprocess
-    import sys
 
     code = (
         "import ssdr, ssdr.io, sys; ssdr.io.load; "
@@ -653,3 +653,11 @@ def test_the_page_on_formats_names_them_all():
         assert [cell == "yes" for cell in cells[2:5]] == [bool(f) for f in able[:3]]
         assert bool(cells[5]) == bool(row.write_sequence or row.write_skinning)
         assert cells[6] == (f"`ssdr[{row.extra}]`" if row.extra else "")
+
+
+def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    (tmp_path / "a.zarr").mkdir()
+    for act in (lambda p: ssdr.load(p), lambda p: ssdr.save(wave, p)):
+        with pytest.raises(ssdr.MissingDependencyError, match=r'pip install "ssdr\[zarr\]"'):
+            act(tmp_path / "a.zarr")
