@@ -173,7 +173,7 @@ class Scene:
             return 0.02 * self.diagonal
         gap = np.asarray(cKDTree(p).query(p, k=2)[0])[:, 1]
         gap = gap[gap > 0]
-        return float(np.median(gap)) * 0.7 if len(gap) else 0.01 * self.diagonal
+        return float(np.quantile(gap, 0.8)) * 0.75 if len(gap) else 0.01 * self.diagonal
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

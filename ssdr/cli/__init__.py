@@ -6,12 +6,15 @@ read as what it claims to be, 4 a missing optional package, 130 interrupted.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -69,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     output = Output.current = Output(arguments=given)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), _terminate_as_interrupt():
         warnings.showwarning = output.warn
         try:
             code = app(given, prog_name="ssdr", standalone_mode=False)
@@ -94,6 +97,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             logging.getLogger("ssdr").debug("traceback", exc_info=True)
             text = f"unexpected {type(error).__name__}: {error} (-vv shows where)"
             return _fail(1, error, text, as_json)
+
+
+@contextlib.contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM unwind like Ctrl-C, so that no half-written file stays behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, old)
 
 
 def _text(error: BaseException) -> str:

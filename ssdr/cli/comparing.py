@@ -36,7 +36,7 @@ def compare(
 
     a, b = (ssdr.load(p, **read_options(read, fps=fps)) for p in (reference, other))
     if a.n_vertices != b.n_vertices:
-        a, b = _spread(a, b.n_vertices), _spread(b, a.n_vertices)
+        a, b = _spread(a, b), _spread(b, a)
     result = ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)
     document = {"command": "compare", "reference": reference, "other": other, **result.as_dict()}
     if json:
@@ -45,11 +45,11 @@ def compare(
         typer.echo(str(result))
 
 
-def _spread(sequence: MeshSequence, n_vertices: int) -> MeshSequence:
-    """A welded sequence on the vertices of the original mesh, if it has that many."""
-    if sequence.vertex_map is None or len(sequence.vertex_map) != n_vertices:
+def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:
+    """A welded sequence on the vertices of the original mesh, if the other has those."""
+    if sequence.vertex_map is None or len(sequence.vertex_map) != like.n_vertices:
         return sequence
     vertices = np.concatenate([sequence.unweld(block, axis=1) for _, block in sequence.chunks()])
     return dataclasses.replace(
-        sequence, vertices=vertices, faces=None, surface=None, vertex_map=None, validate=False
+        sequence, vertices=vertices, faces=like.faces, surface=None, vertex_map=None, validate=False
     )

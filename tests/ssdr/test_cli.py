@@ -366,6 +366,19 @@ def test_compare_measures(run, clip, wave, tmp_path):
     assert "0.5" in out
 
 
+def test_compare_spreads_a_welded_model_back(run, seam, tmp_path):
+    welded, _ = seam.weld()
+    ssdr.save(seam, tmp_path / "a.npz")
+    ssdr.save(welded, tmp_path / "b.npz")
+    for pair in (("a.npz", "b.npz"), ("b.npz", "a.npz")):
+        code, out, err = run("compare", *(tmp_path / p for p in pair), "--json")
+        assert code == 0, err
+        assert json.loads(out)["rmse"] == 0
+    other = ssdr.MeshSequence(seam.vertices[:, :7])
+    ssdr.save(other, tmp_path / "c.npz")
+    assert run("compare", tmp_path / "a.npz", tmp_path / "c.npz")[0] == 2
+
+
 def test_words_for_sizes_options_and_progress():
     assert [size_text(n) for n in (999, 1500, 2.5e6, 3e9)] == [
         "999 bytes", "1.5 kB", "2.5 MB", "3 GB",
