@@ -1,0 +1,135 @@
+"""Distance from points to the triangles of a bounding-volume hierarchy.
+
+The tree is a complete binary one: node (level, j) covers the triangles
+``T j >> level`` to ``T (j + 1) >> level`` and has the heap index
+``2**level - 1 + j``, so that no ranges or links are stored.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .policy import inline, kernel
+
+
+@inline
+def _segment(px, py, pz, ax, ay, az, bx, by, bz):
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = px - ax, py - ay, pz - az
+    length = ux * ux + uy * uy + uz * uz
+    s = 0.0
+    if length > 0.0:
+        s = min(1.0, max(0.0, (ux * vx + uy * vy + uz * vz) / length))
+    vx -= s * ux
+    vy -= s * uy
+    vz -= s * uz
+    return vx * vx + vy * vy + vz * vz
+
+
+@inline
+def _triangle(p, vertices, triangle):
+    """Squared distance; slivers thinner than 1e-7 of their length count as their edges."""
+    a, b, c = vertices[triangle[0]], vertices[triangle[1]], vertices[triangle[2]]
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    wx, wy, wz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    uu = ux * ux + uy * uy + uz * uz
+    uv = ux * vx + uy * vy + uz * vz
+    vv = vx * vx + vy * vy + vz * vz
+    wu = wx * ux + wy * uy + wz * uz
+    wv = wx * vx + wy * vy + wz * vz
+    det = uu * vv - uv * uv
+    s = vv * wu - uv * wv
+    t = uu * wv - uv * wu
+    if det > 1e-14 * uu * vv and s >= 0.0 and t >= 0.0 and s + t <= det:
+        s /= det
+        t /= det
+        x, y, z = wx - s * ux - t * vx, wy - s * uy - t * vy, wz - s * uz - t * vz
+        return x * x + y * y + z * z
+    return min(
+        _segment(p[0], p[1], p[2], a[0], a[1], a[2], b[0], b[1], b[2]),
+        _segment(p[0], p[1], p[2], b[0], b[1], b[2], c[0], c[1], c[2]),
+        _segment(p[0], p[1], p[2], c[0], c[1], c[2], a[0], a[1], a[2]),
+    )
+
+
+@inline
+def _box(p, box):
+    total = 0.0
+    for c in range(3):
+        gap = max(0.0, max(box[c] - p[c], p[c] - box[3 + c]))
+        total += gap * gap
+    return total
+
+
+@kernel
+def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
+    """Fill the bounding boxes ``(2**(depth+1) - 1, 6)`` of all nodes, leaves first."""
+    count = len(triangles)
+    base = (1 << depth) - 1
+    for j in range(1 << depth):
+        box = boxes[base + j]
+        box[:3] = np.inf
+        box[3:] = -np.inf
+        for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+            for k in range(3):
+                for c in range(3):
+                    x = vertices[triangles[t, k], c]
+                    box[c] = min(box[c], x)
+                    box[3 + c] = max(box[3 + c], x)
+    for node in range(base - 1, -1, -1):
+        for c in range(3):
+            boxes[node, c] = min(boxes[2 * node + 1, c], boxes[2 * node + 2, c])
+            boxes[node, 3 + c] = max(boxes[2 * node + 1, 3 + c], boxes[2 * node + 2, 3 + c])
+
+
+@kernel
+def farthest(
+    points: Any, vertices: Any, triangles: Any, depth: int, boxes: Any, hints: Any, lead: int
+) -> tuple[float, int]:
+    """Largest squared distance of `points` to the triangles, and the point that has it.
+
+    ``hints (n,)`` holds a triangle likely to be near each point and is updated.
+    Point `lead` goes first: once one far point is known, a search ends as soon
+    as any triangle is nearer than that.
+    """
+    count = len(triangles)
+    stack_node = np.empty(2 * depth + 2, dtype=np.int64)
+    stack_gap = np.empty(2 * depth + 2, dtype=np.float64)
+    worst, where = -1.0, 0
+    base = (1 << depth) - 1
+    for turn in range(-1, len(points)):
+        i = lead if turn < 0 else turn
+        p = points[i]
+        best = _triangle(p, vertices, triangles[hints[i]])
+        if best <= worst:
+            continue
+        stack_node[0], stack_gap[0], top = 0, _box(p, boxes[0]), 1
+        while top > 0 and best > worst:
+            top -= 1
+            if stack_gap[top] >= best:
+                continue
+            node = stack_node[top]
+            if node >= base:
+                j = node - base
+                for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+                    gap = _triangle(p, vertices, triangles[t])
+                    if gap < best:
+                        best = gap
+                        hints[i] = t
+                continue
+            left, right = 2 * node + 1, 2 * node + 2
+            near, far = _box(p, boxes[left]), _box(p, boxes[right])
+            if near > far:
+                left, right, near, far = right, left, far, near
+            if far < best:
+                stack_node[top], stack_gap[top] = right, far
+                top += 1
+            if near < best:
+                stack_node[top], stack_gap[top] = left, near
+                top += 1
+        if best > worst:
+            worst, where = best, i
+    return worst, where

@@ -1,0 +1,68 @@
+"""Checks that all metrics share, and how they walk over frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..sequence import MeshSequence
+
+Frames = MeshSequence | ArrayLike
+_CHUNK_BYTES = 16 << 20
+
+
+def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
+    """The argument as a checked sequence; `faces` replaces those that it has."""
+    if isinstance(frames, MeshSequence):
+        if faces is None:
+            return frames
+        return MeshSequence(frames.vertices, faces, frames.fps, validate=False)
+    try:
+        return MeshSequence(frames, faces)
+    except InputError as error:
+        name = "faces" if error.argument == "faces" else argument
+        raise InputError(name, error.expected, error.got) from error
+
+
+def as_pair(
+    reference: Frames, other: Frames, faces: ArrayLike | None = None
+) -> tuple[MeshSequence, MeshSequence]:
+    """Both arguments as sequences of one mesh; faces of either serve for both."""
+    first = as_sequence(reference, faces, "reference")
+    second = as_sequence(other, faces, "other")
+    if first.vertices.shape != second.vertices.shape:
+        raise InputError(
+            "other",
+            f"the shape of the reference, {tuple(first.vertices.shape)}",
+            f"shape {tuple(second.vertices.shape)}",
+        )
+    return first, second
+
+
+def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
+    """Undirected edges ``(E, 2)`` of the first of the two that has faces."""
+    faces = first.faces if len(first.faces) else second.faces
+    ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+
+
+def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
+    """Frames a chunk, such that `per_frame` float64 numbers (3 V by default) stay small."""
+    return max(1, _CHUNK_BYTES // (8 * max(per_frame, 3 * sequence.n_vertices)))
+
+
+def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
+    """Frames start to stop in float64."""
+    return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)
+
+
+def blocks(first: MeshSequence, second: MeshSequence) -> Iterator[tuple[int, Any, Any]]:
+    """Walk over the frames of both, as ``(first frame, (n,V,3), (n,V,3))`` in float64."""
+    step = chunk_size(first)
+    for start in range(0, first.n_frames, step):
+        stop = start + step
+        yield start, read(first, start, stop), read(second, start, stop)
