@@ -1,0 +1,175 @@
+"""Rigid bone transforms of given weights, usable alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import (
+    as_sequences,
+    check_importance,
+    check_mask,
+    check_rest,
+    check_transforms,
+    check_weights,
+)
+from .errors import InputError
+from .initialization import fit_patches
+from .kernels.lbs import squared_error_range
+from .model import Fixed, Model, bone_step
+from .parallel import chunk_bounds, run_chunks
+from .sequence import MeshSequence
+from .trajectories import Array, Trajectories, gather
+
+__all__ = ["BoneFit", "fit_bones"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BoneFit:
+    """Transforms and what they reach.
+
+    Attributes
+    ----------
+    transforms : (F, B, 3, 4) float64
+    rmse : float
+        sqrt(Σ|d|² / (F V)).
+    sweeps : int
+        Gauss–Seidel sweeps that were made.
+    converged : bool
+        Whether the last sweep turned no bone by more than `tolerance`.
+    """
+
+    transforms: NDArray[np.float64]
+    rmse: float
+    sweeps: int
+    converged: bool
+
+
+def fit_bones(
+    sequence: MeshSequence | Any,
+    faces: Any = None,
+    *,
+    rest: Any,
+    joints: Any,
+    weights: Any,
+    bones: int | None = None,
+    transforms: Any = None,
+    locked_bones: Any = None,
+    vertex_importance: Any = None,
+    tolerance: float = 1e-6,
+    max_sweeps: int = 200,
+) -> BoneFit:
+    """Rigid transforms that reproduce a sequence under given rest pose and weights.
+
+    Each sweep solves one weighted Kabsch a bone and frame with the others held
+    (Gauss–Seidel); frames are independent.  Also the way to carry a model over
+    to new motion of the same mesh.
+
+    Parameters
+    ----------
+    sequence : MeshSequence, list of them, or (F, V, 3) array
+    faces : (T, 3) int array, optional
+    rest : (V, 3) array
+    joints, weights : (V, K) arrays
+    bones : int, optional
+        Number of bones; by default as many as `joints` or `transforms` name.
+    transforms : (F, B, 3, 4) array, optional
+        Where to start; by default each bone's own Kabsch fit.
+    locked_bones : mask or indices, optional
+        Bones that keep the given transforms.
+    vertex_importance : (V,) array, optional
+    tolerance : float
+        Largest change of a transform's entry (translations relative to the
+        mesh's size) at which to stop.
+    max_sweeps : int
+
+    Returns
+    -------
+    BoneFit
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable.
+
+    References
+    ----------
+    Le and Deng 2012, section 3.3; Kabsch 1976.
+    """
+    sequences = as_sequences(sequence, faces)
+    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    rest = check_rest(rest, n)
+    joints, weights = check_weights(joints, weights, n)
+    world = None if transforms is None else check_transforms(transforms, n_frames)
+    count = int(joints.max()) + 1 if world is None else world.shape[1]
+    if bones is not None:
+        if bones < count:
+            raise InputError("bones", f"at least {count}, as joints and transforms name", bones)
+        count = int(bones)
+    if joints.max() >= count:
+        raise InputError("joints", f"indices from 0 to {count - 1}", int(joints.max()))
+    if world is not None and world.shape[1] != count:
+        raise InputError("transforms", f"{count} bones", f"{world.shape[1]}")
+    locked = check_mask(locked_bones, "locked_bones", count)
+    if locked is not None and world is None:
+        raise InputError("transforms", "the transforms of the locked bones", "None")
+    if max_sweeps < 1:
+        raise InputError("max_sweeps", "an integer >= 1", max_sweeps)
+    data = gather(
+        sequences,
+        bones=count,
+        vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
+    )
+    inner, start = data.from_world(rest, world)
+    if start is None:
+        start = bones_of_weights(data, inner, joints, weights, count)
+    model = Model.start(start, inner, joints[:, 0], joints.shape[1])
+    model.joints, model.weights = joints.copy(), weights.copy()
+    sweeps, moved = 0, np.inf
+    while sweeps < max_sweeps and moved > tolerance:
+        before = model.transforms.copy()
+        step = min(5, max_sweeps - sweeps)
+        bone_step(data, model, sweeps=step, fixed=Fixed(bones=locked))
+        moved = float(np.abs(model.transforms - before).max())
+        sweeps += step
+    out_rest, out = data.to_world(model.rest, model.transforms)
+    squared = true_squared_error(sequences, out_rest, joints, weights, out)
+    return BoneFit(
+        transforms=out, rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
+        sweeps=sweeps, converged=moved <= tolerance,
+    )  # fmt: skip
+
+
+def bones_of_weights(
+    data: Trajectories, rest: Array, joints: NDArray[np.int32], weights: Array, count: int
+) -> Array:
+    """Each bone's Kabsch fit to the vertices that it moves most."""
+    return fit_patches(data, rest, joints[:, 0].astype(np.intp), count)
+
+
+def true_squared_error(
+    sequences: list[MeshSequence],
+    rest: Array,
+    joints: NDArray[np.int32],
+    weights: Array,
+    transforms: Array,
+) -> Array:
+    """(V,) Σ_t |d|² against the frames themselves, in one pass over all of them."""
+    n = len(rest)
+    total = np.zeros(n)
+    offset = 0
+    bounds = chunk_bounds(n, 512)
+    for sequence in sequences:
+        for _, block in sequence.chunks():
+            target = np.ascontiguousarray(block)
+            part = np.ascontiguousarray(transforms[offset : offset + len(target)])
+
+            def work(_: int, i: int, k: int, target: Any = target, part: Any = part) -> None:
+                squared_error_range(rest, joints, weights, part, target, i, k, total)
+
+            run_chunks(work, bounds)
+            offset += len(target)
+    return total

@@ -1,0 +1,166 @@
+"""Arguments that several public functions share, checked once at the door."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+from .sequence import MeshSequence
+
+__all__ = [
+    "as_sequences",
+    "check_bones",
+    "check_importance",
+    "check_influences",
+    "check_mask",
+    "check_rest",
+    "check_rng",
+    "check_transforms",
+    "check_weights",
+]
+
+Array = NDArray[np.float64]
+
+
+def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
+    """A sequence, several shots of one mesh, or plain (F, V, 3) frames and faces."""
+    if isinstance(sequence, MeshSequence):
+        shots = [sequence]
+    elif (
+        isinstance(sequence, Sequence)
+        and len(sequence) > 0
+        and any(isinstance(s, MeshSequence) for s in sequence)
+    ):
+        shots = list(sequence)
+    else:
+        return [MeshSequence(sequence, faces)]
+    if faces is not None:
+        raise InputError("faces", "None beside a MeshSequence, which has its own", type(faces))
+    for k, shot in enumerate(shots):
+        if not isinstance(shot, MeshSequence):
+            raise InputError(f"sequence[{k}]", "a MeshSequence", type(shot).__name__)
+        if shot.n_vertices != shots[0].n_vertices:
+            raise InputError(
+                f"sequence[{k}]",
+                f"{shots[0].n_vertices} vertices, as in the first shot",
+                shot.n_vertices,
+            )
+        if not np.array_equal(shot.faces, shots[0].faces):
+            raise InputError(f"sequence[{k}].faces", "the faces of the first shot", "others")
+    return shots
+
+
+def _integer(value: Any, argument: str, expected: str) -> int:
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise InputError(argument, expected, repr(value))
+    return int(value)
+
+
+def check_bones(bones: Any, n_vertices: int) -> int:
+    expected = f"an integer from 1 to {n_vertices} (the number of vertices)"
+    count = _integer(bones, "bones", expected)
+    if not 1 <= count <= n_vertices:
+        raise InputError("bones", expected, count)
+    return count
+
+
+def check_influences(influences: Any) -> int:
+    expected = "an integer from 1 to 64"
+    count = _integer(influences, "influences", expected)
+    if not 1 <= count <= 64:
+        raise InputError("influences", expected, count)
+    return count
+
+
+def check_rng(rng: Any) -> np.random.Generator:
+    if isinstance(rng, np.random.Generator):
+        return rng
+    seed = _integer(rng, "rng", "a non-negative integer or a numpy.random.Generator")
+    if seed < 0:
+        raise InputError("rng", "a non-negative integer or a numpy.random.Generator", seed)
+    return np.random.default_rng(seed)
+
+
+def _finite(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(argument, f"numbers of shape {shape}", str(error)) from error
+    if array.ndim != len(shape) or any(
+        isinstance(s, int) and s != n for s, n in zip(shape, array.shape, strict=True)
+    ):
+        raise InputError(argument, f"shape {shape}", f"shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise InputError(argument, "finite numbers", "NaN or Inf")
+    return np.ascontiguousarray(array)
+
+
+def check_rest(rest: Any, n_vertices: int) -> Array:
+    return _finite(rest, "rest", (n_vertices, 3))
+
+
+def check_transforms(transforms: Any, n_frames: int) -> Array:
+    """Rigid transforms (F, B, 3, 4): rotations orthonormal to 1e-4, then cleaned."""
+    m = _finite(transforms, "transforms", (n_frames, "B", 3, 4))
+    if m.shape[1] < 1:
+        raise InputError("transforms", "at least one bone", f"shape {m.shape}")
+    r = m[..., :3]
+    off = np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max()
+    if off > 1e-4 or (np.linalg.det(r) < 0).any():
+        raise InputError("transforms", "rigid transforms (rotations, det +1)", f"off by {off:.2g}")
+    u, _, vt = np.linalg.svd(r)
+    clean = m.copy()
+    clean[..., :3] = u @ vt
+    return clean
+
+
+def check_weights(joints: Any, weights: Any, n_vertices: int) -> tuple[NDArray[np.int32], Array]:
+    """Joints and weights (V, K): non-negative rows that sum to 1 within 1e-4."""
+    w = _finite(weights, "weights", (n_vertices, "K"))
+    j = np.asarray(joints)
+    if j.shape != w.shape or j.dtype.kind not in "iu":
+        raise InputError("joints", f"integers of shape {w.shape}", f"{j.dtype} {j.shape}")
+    if j.size and j.min() < 0:
+        raise InputError("joints", "indices >= 0", int(j.min()))
+    if (w < 0).any():
+        raise InputError("weights", "numbers >= 0", float(w.min()))
+    total = w.sum(axis=1)
+    if w.shape[1] < 1 or np.abs(total - 1).max() > 1e-4:
+        worst = int(np.abs(total - 1).argmax()) if w.shape[1] else 0
+        raise InputError("weights", "rows that sum to 1", f"{total[worst]} at vertex {worst}")
+    return np.ascontiguousarray(j, dtype=np.int32), w / total[:, None]
+
+
+def check_importance(value: Any, argument: str, count: int) -> Array | None:
+    """Non-negative importance, not all zero."""
+    if value is None:
+        return None
+    array = _finite(value, argument, (count,))
+    if (array < 0).any() or not array.sum() > 0:
+        raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
+    return array
+
+
+def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | None:
+    """A mask of `count` entries, given as such or as indices."""
+    if value is None:
+        return None
+    array = np.asarray(value)
+    if array.dtype == bool:
+        if array.shape != (count,):
+            raise InputError(argument, f"a mask of shape ({count},)", f"shape {array.shape}")
+        return array.copy()
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise InputError(argument, "a mask or a list of indices", f"{array.dtype} {array.shape}")
+    mask = np.zeros(count, dtype=bool)
+    if array.size:
+        if array.min() < 0 or array.max() >= count:
+            raise InputError(
+                argument, f"indices from 0 to {count - 1}", f"{array.min()} to {array.max()}"
+            )
+        mask[array] = True
+    return mask

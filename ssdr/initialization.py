@@ -1,0 +1,248 @@
+"""Bones from motion: patches that move rigidly, and the few of them that explain the most."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checks import as_sequences, check_bones, check_influences, check_rest, check_rng
+from .kernels.frames import sweep_bones
+from .model import CHUNK, Model, vertex_step
+from .parallel import chunk_bounds, run_chunks, serial_blas
+from .sequence import MeshSequence
+from .skinning import Skinning
+from .trajectories import Array, Trajectories, gather
+
+__all__ = ["farthest_points", "fit_patches", "initialize", "start_model"]
+
+_PATCHES_PER_BONE = 8
+_SAMPLE = 20_000  # vertices that choose among patches
+_REFITS = 3
+
+
+def initialize(
+    sequence: MeshSequence | Any,
+    faces: Any = None,
+    *,
+    bones: int,
+    influences: int = 4,
+    rest: Any = None,
+    rng: int | np.random.Generator = 0,
+) -> Skinning:
+    """Bones and weights to start from, by motion alone.
+
+    Eight patches a bone are found by farthest-point sampling of the
+    trajectories, each is fitted by Kabsch in every frame, and the bones are
+    those patches that greedily lower Σ_i min_j E_ij most (facility location),
+    refitted to the vertices that they serve best.  One weight solve follows.
+
+    Parameters
+    ----------
+    sequence : MeshSequence, list of them, or (F, V, 3) array
+    faces : (T, 3) int array, optional
+        With plain arrays.  Connectivity plays no part: separate components and
+        point clouds are served like everything else.
+    bones : int
+        1 to V.
+    influences : int
+        Most bones a vertex.
+    rest : (V, 3) array, optional
+        The first frame by default.
+    rng : int or numpy.random.Generator
+
+    Returns
+    -------
+    Skinning
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable.
+
+    References
+    ----------
+    Le and Deng 2012, section 3.1, for the alternation of assignment and Kabsch;
+    the choice among patches is greedy facility location (Cornuéjols et al. 1977).
+    """
+    sequences = as_sequences(sequence, faces)
+    n = sequences[0].n_vertices
+    bones = check_bones(bones, n)
+    k = check_influences(influences)
+    generator = check_rng(rng)
+    inner_rest = None if rest is None else check_rest(rest, n)
+    data = gather(sequences, bones=bones)
+    start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
+    model = start_model(data, start, bones, min(k, bones), generator)
+    vertex_step(data, model)
+    out_rest, transforms = data.to_world(model.rest, model.transforms)
+    return Skinning(
+        out_rest, model.joints, model.weights, transforms,
+        faces=sequences[0].faces, fps=sequences[0].fps,
+    )  # fmt: skip
+
+
+def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Farthest-point sampling of the rows of x: seeds and each row's nearest seed.
+
+    Fewer seeds than asked come back where rows coincide.
+    """
+    seeds = [first]
+    label = np.zeros(len(x), dtype=np.intp)
+    norm = np.einsum("ij,ij->i", x, x)
+    distance = norm - 2.0 * (x @ x[first]) + norm[first]
+    floor = 1e-14 * max(float(norm.max()), 1e-300)
+    for k in range(1, min(count, len(x))):
+        far = int(distance.argmax())
+        if not distance[far] > floor:
+            break
+        new = norm - 2.0 * (x @ x[far]) + norm[far]
+        closer = new < distance
+        label[closer] = k
+        distance[closer] = new[closer]
+        distance[far] = -1.0
+        label[far] = k
+        seeds.append(far)
+    return np.array(seeds), label
+
+
+def fit_patches(data: Trajectories, rest: Array, label: NDArray[np.intp], count: int) -> Array:
+    """Kabsch of `count` disjoint sets of vertices in every frame, (F, count, 3, 4).
+
+    Vertices with a negative label belong to no set; an empty set gets the identity.
+    """
+    member = np.flatnonzero(label >= 0)
+    member = member[np.argsort(label[member], kind="stable")]
+    bounds = np.searchsorted(label[member], np.arange(count + 1))
+    p = np.concatenate([rest[member], np.ones((len(member), 1))], axis=1)
+    # vertices of no importance still tell where their patch goes if nothing else does
+    weighted = p * np.maximum(data.importance[member], 1e-9)[:, None]
+    az = np.zeros((4, count, data.z.shape[1]))
+    own = np.zeros((count, 4, 4))
+    transforms = np.zeros((data.n_frames, count, 3, 4))
+    transforms[..., :3] = np.eye(3)
+    with serial_blas():
+        for j in range(count):
+            rows = slice(bounds[j], bounds[j + 1])
+            own[j] = p[rows].T @ weighted[rows]
+            az[:, j] = weighted[rows].T @ data.z[member[rows]]
+        c = data.expand(az)
+    start, nobody = np.zeros(2, dtype=np.int32), np.zeros(0, dtype=np.int32)
+    free = np.zeros(1, dtype=bool)
+
+    def work(j: int, _first: int, _last: int) -> None:
+        # one bone at a time: a table of all pairs would be mostly zeros
+        piece = np.ascontiguousarray(transforms[:, j : j + 1])
+        sums = np.ascontiguousarray(c[..., j : j + 1])
+        block = own[j].reshape(1, 1, 4, 4).copy()
+        sweep_bones(piece, sums, block, start, nobody, free, 1, 0, len(piece))
+        transforms[:, j] = piece[:, 0]
+
+    run_chunks(work, chunk_bounds(count, 1))
+    return transforms
+
+
+def single_bone_errors(
+    data: Trajectories,
+    rest: Array | None,
+    transforms: Array,
+    rows: NDArray[np.intp],
+) -> tuple[Array, Array | None]:
+    """Squared error (n, B) of the chosen vertices under each bone alone.
+
+    Without a rest pose every bone gets the rest position that suits it best,
+    returned as (n, 3, B).
+    """
+    n_bones = transforms.shape[1]
+    out = np.empty((len(rows), n_bones))
+    positions = np.empty((len(rows), 3, n_bones)) if rest is None else None
+    with serial_blas():
+        hat = data.hat(transforms)
+        reduced = data.reduce(hat)
+        columns = hat.reshape(-1, 4, n_bones)
+        gram = np.einsum("tdj,tej->jde", columns, columns)
+        solve = np.linalg.inv(gram[:, :3, :3]) if rest is None else None
+
+        def work(_: int, i: int, k: int) -> None:
+            part = rows[i:k]
+            y = (data.z[part] @ reduced).reshape(k - i, 4, n_bones)
+            if rest is not None:
+                p = np.concatenate([rest[part], np.ones((k - i, 1))], axis=1)
+                f = np.einsum("idj,id->ij", y, p)
+                h = np.einsum("id,ie->ide", p, p).reshape(k - i, 16) @ gram.reshape(-1, 16).T
+                out[i:k] = data.x2[part, None] - 2.0 * f + h
+                return
+            assert solve is not None
+            assert positions is not None
+            right = y[:, :3] - gram[:, :3, 3].T
+            p = np.einsum("jde,iej->idj", solve, right)
+            positions[i:k] = p
+            out[i:k] = (
+                data.x2[part, None] - 2.0 * y[:, 3] + gram[:, 3, 3]
+                - np.einsum("idj,idj->ij", p, right)
+            )  # fmt: skip
+
+        run_chunks(work, chunk_bounds(len(rows), CHUNK))
+    return np.maximum(out, 0.0, out=out), positions
+
+
+def choose(cost: Array, importance: Array, count: int, held: Array | None = None) -> list[int]:
+    """Greedy facility location: columns that lower Σ_i u_i min_j cost_ij most, one by one.
+
+    `held` (n,) is what bones that are there already cost.
+    """
+    chosen: list[int] = []
+    best = np.full(len(cost), np.inf) if held is None else held.copy()
+    taken = np.zeros(cost.shape[1], dtype=bool)
+    for _ in range(min(count, cost.shape[1])):
+        total = np.where(taken, np.inf, importance @ np.minimum(cost, best[:, None]))
+        j = int(total.argmin())
+        chosen.append(j)
+        taken[j] = True
+        best = np.minimum(best, cost[:, j])
+    return chosen
+
+
+def start_model(
+    data: Trajectories,
+    rest: Array,
+    bones: int,
+    influences: int,
+    rng: np.random.Generator,
+    given: Array | None = None,
+) -> Model:
+    """First model: patches by farthest points, Kabsch each, the best of them, refitted.
+
+    `given` (F, B0, 3, 4) bones come first and stay as they are.
+    """
+    n = data.n_vertices
+    n_given = 0 if given is None else given.shape[1]
+    everyone = np.arange(n)
+    rows = everyone
+    if n > _SAMPLE:
+        rows = np.sort(rng.choice(n, _SAMPLE, replace=False))
+    kept = np.zeros((data.n_frames, 0, 3, 4)) if given is None else given
+    if bones > n_given:
+        seeds, label_rows = farthest_points(
+            data.z[rows], _PATCHES_PER_BONE * bones, int(rng.integers(len(rows)))
+        )
+        label = np.full(n, -1, dtype=np.intp)
+        label[rows] = label_rows
+        patches = fit_patches(data, rest, label, len(seeds))
+        cost, _ = single_bone_errors(data, rest, patches, rows)
+        held = None
+        if n_given:
+            held = single_bone_errors(data, rest, kept, rows)[0].min(axis=1)
+        chosen = choose(cost, data.importance[rows], bones - n_given, held)
+        # fewer motions than bones: the rest repeat what is there
+        kept = np.concatenate([kept, patches[:, np.resize(chosen, bones - n_given)]], axis=1)
+    kept = np.ascontiguousarray(kept)
+    for _ in range(_REFITS):
+        nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
+        refit = fit_patches(data, rest, nearest, bones)
+        used = np.bincount(nearest, minlength=bones) >= 3
+        used[:n_given] = False
+        kept[:, used] = refit[:, used]
+    nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
+    return Model.start(kept, rest, nearest, influences)

@@ -1,0 +1,241 @@
+"""The bone step: sums over vertices, then rigid transforms frame by frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .policy import inline, kernel
+
+
+@kernel
+def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
+    """Add the sums over vertices first..last that the bones of every frame need.
+
+    u (B, B, 10) receives Σ w_j w_k p̃p̃ᵀ in the ten monomials, for j <= k;
+    az (4, B, r) receives Σ w_j p̃ z_i.
+    """
+    r = z.shape[1]
+    m = np.empty(10)
+    for i in range(first, last):
+        c = importance[i]
+        x, yy, zz = rest[i, 0], rest[i, 1], rest[i, 2]
+        m[0] = x * x
+        m[1] = yy * yy
+        m[2] = zz * zz
+        m[3] = x * yy
+        m[4] = x * zz
+        m[5] = yy * zz
+        m[6] = x
+        m[7] = yy
+        m[8] = zz
+        m[9] = 1.0
+        for q in range(joints.shape[1]):
+            w = weights[i, q]
+            if w == 0.0:
+                continue
+            j = joints[i, q]
+            for s in range(joints.shape[1]):
+                k = joints[i, s]
+                if k < j or weights[i, s] == 0.0:
+                    continue
+                ww = c * w * weights[i, s]
+                for d in range(10):
+                    u[j, k, d] += ww * m[d]
+            w *= c
+            for d in range(4):
+                s = w * m[6 + d]
+                for e in range(r):
+                    az[d, j, e] += s * z[i, e]
+
+
+@inline
+def horn(s, r):
+    """Rotation that maximises tr(Rᵀs): largest eigenvector of Horn's 4×4 matrix, by Jacobi."""
+    k = np.empty((4, 4))
+    v = np.eye(4)
+    k[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
+    k[1, 1] = s[0, 0] - s[1, 1] - s[2, 2]
+    k[2, 2] = s[1, 1] - s[0, 0] - s[2, 2]
+    k[3, 3] = s[2, 2] - s[0, 0] - s[1, 1]
+    k[0, 1] = k[1, 0] = s[2, 1] - s[1, 2]
+    k[0, 2] = k[2, 0] = s[0, 2] - s[2, 0]
+    k[0, 3] = k[3, 0] = s[1, 0] - s[0, 1]
+    k[1, 2] = k[2, 1] = s[0, 1] + s[1, 0]
+    k[1, 3] = k[3, 1] = s[0, 2] + s[2, 0]
+    k[2, 3] = k[3, 2] = s[1, 2] + s[2, 1]
+    for _ in range(30):
+        off = 0.0
+        size = 0.0
+        for a in range(4):
+            size += k[a, a] * k[a, a]
+            for b in range(a):
+                off += k[a, b] * k[a, b]
+        if off <= 1e-32 * size:
+            break
+        for a in range(3):
+            for b in range(a + 1, 4):
+                if k[a, b] == 0.0:
+                    continue
+                theta = (k[b, b] - k[a, a]) / (2.0 * k[a, b])
+                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / np.sqrt(t * t + 1.0)
+                q = t * c
+                for d in range(4):
+                    x, y = k[d, a], k[d, b]
+                    k[d, a] = c * x - q * y
+                    k[d, b] = q * x + c * y
+                for d in range(4):
+                    x, y = k[a, d], k[b, d]
+                    k[a, d] = c * x - q * y
+                    k[b, d] = q * x + c * y
+                for d in range(4):
+                    x, y = v[d, a], v[d, b]
+                    v[d, a] = c * x - q * y
+                    v[d, b] = q * x + c * y
+    top = 0
+    for a in range(1, 4):
+        if k[a, a] > k[top, top]:
+            top = a
+    quaternion_matrix(v[0, top], v[1, top], v[2, top], v[3, top], r)
+
+
+@inline
+def quaternion_matrix(w, x, y, z, r):
+    n = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * n, x * n, y * n, z * n
+    r[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    r[0, 1] = 2.0 * (x * y - z * w)
+    r[0, 2] = 2.0 * (x * z + y * w)
+    r[1, 0] = 2.0 * (x * y + z * w)
+    r[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    r[1, 2] = 2.0 * (y * z - x * w)
+    r[2, 0] = 2.0 * (x * z - y * w)
+    r[2, 1] = 2.0 * (y * z + x * w)
+    r[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@inline
+def rotate_toward(s, r, a, turn, new):
+    """Maximise tr(Rᵀs) over rotations from the current r, by Newton on SO(3).
+
+    On SO(3) every local maximum is the global one: where the Hessian
+    tr(A)I − sym(A), A = Rᵀs, is not positive Horn's closed form takes over.
+    """
+    size = 0.0
+    for c in range(3):
+        for d in range(3):
+            size += s[c, d] * s[c, d]
+    size = np.sqrt(size)
+    if not size > 0.0:
+        return
+    for _ in range(12):
+        for c in range(3):
+            for d in range(3):
+                a[c, d] = r[0, c] * s[0, d] + r[1, c] * s[1, d] + r[2, c] * s[2, d]
+        trace = a[0, 0] + a[1, 1] + a[2, 2]
+        h00, h11, h22 = trace - a[0, 0], trace - a[1, 1], trace - a[2, 2]
+        h01 = -0.5 * (a[0, 1] + a[1, 0])
+        h02 = -0.5 * (a[0, 2] + a[2, 0])
+        h12 = -0.5 * (a[1, 2] + a[2, 1])
+        gx, gy, gz = a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1]
+        # LDLᵀ of the 3×3 Hessian; a flat direction (collinear points) is damped, not turned
+        floor = 1e-9 * size
+        if h00 < -floor:
+            horn(s, r)
+            return
+        h00 = max(h00, floor)
+        l10, l20 = h01 / h00, h02 / h00
+        d1 = h11 - l10 * h01
+        if d1 < -floor:
+            horn(s, r)
+            return
+        d1 = max(d1, floor)
+        t12 = h12 - l20 * h01
+        l21 = t12 / d1
+        d2 = h22 - l20 * h02 - l21 * t12
+        if d2 < -floor:
+            horn(s, r)
+            return
+        d2 = max(d2, floor)
+        y1 = gy - l10 * gx
+        wz = (gz - l20 * gx - l21 * y1) / d2
+        wy = y1 / d1 - l21 * wz
+        wx = gx / h00 - l10 * wy - l20 * wz
+        angle2 = wx * wx + wy * wy + wz * wz
+        if angle2 > 1.0:
+            horn(s, r)
+            return
+        # R ← R·exp(ω), exp by the quaternion (1, ω/2), exact to the order that Newton has
+        quaternion_matrix(1.0, 0.5 * wx, 0.5 * wy, 0.5 * wz, turn)
+        for c in range(3):
+            for d in range(3):
+                new[c, d] = r[c, 0] * turn[0, d] + r[c, 1] * turn[1, d] + r[c, 2] * turn[2, d]
+        for c in range(3):
+            for d in range(3):
+                r[c, d] = new[c, d]
+        if angle2 < 1e-20:
+            break
+    # one step of Newton–Schulz: products of rotations drift from orthonormality
+    for c in range(3):
+        for d in range(3):
+            a[c, d] = r[0, c] * r[0, d] + r[1, c] * r[1, d] + r[2, c] * r[2, d]
+    for c in range(3):
+        for d in range(3):
+            new[c, d] = 1.5 * r[c, d] - 0.5 * (
+                r[c, 0] * a[0, d] + r[c, 1] * a[1, d] + r[c, 2] * a[2, d]
+            )
+    for c in range(3):
+        for d in range(3):
+            r[c, d] = new[c, d]
+
+
+@kernel
+def sweep_bones(transforms, c, u, start, neighbour, locked, sweeps, first, last):
+    """Gauss–Seidel sweeps over the bones of frames first..last.
+
+    transforms (F, B, 3, 4) is updated; c (F, 3, 4, B) is Σ_i v_i w_j p̃; u (B, B, 4, 4);
+    bone j shares vertices with ``neighbour[start[j]:start[j+1]]`` (itself left out).
+    """
+    n_bones = transforms.shape[1]
+    d = np.empty((3, 4))
+    s = np.empty((3, 3))
+    r = np.empty((3, 3))
+    a = np.empty((3, 3))
+    turn = np.empty((3, 3))
+    new = np.empty((3, 3))
+    for t in range(first, last):
+        for _ in range(sweeps):
+            for j in range(n_bones):
+                own = u[j, j]
+                mass = own[3, 3]
+                if locked[j] or not mass > 0.0:
+                    continue
+                for e in range(3):
+                    for f in range(4):
+                        d[e, f] = c[t, e, f, j]
+                for q in range(start[j], start[j + 1]):
+                    k = neighbour[q]
+                    m = transforms[t, k]
+                    v = u[j, k]
+                    for e in range(3):
+                        for f in range(4):
+                            d[e, f] -= (
+                                m[e, 0] * v[0, f]
+                                + m[e, 1] * v[1, f]
+                                + m[e, 2] * v[2, f]
+                                + m[e, 3] * v[3, f]
+                            )
+                m = transforms[t, j]
+                for e in range(3):
+                    for f in range(3):
+                        s[e, f] = d[e, f] - d[e, 3] * own[3, f] / mass
+                        r[e, f] = m[e, f]
+                rotate_toward(s, r, a, turn, new)
+                for e in range(3):
+                    for f in range(3):
+                        m[e, f] = r[e, f]
+                    m[e, 3] = (
+                        d[e, 3] - r[e, 0] * own[0, 3] - r[e, 1] * own[1, 3] - r[e, 2] * own[2, 3]
+                    ) / mass

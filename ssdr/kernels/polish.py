@@ -1,0 +1,522 @@
+"""Kernels of the variable-projection polish: vertices, Schur complement, tangents.
+
+A vertex's free variables are the weights of its support but the largest (which
+takes up the sum) and its rest position: D = K + 2 at most.  The tangent (ω, τ)
+of a bone acts from the right: δM = M [[ω]× τ; 0 0].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .policy import inline, kernel
+from .vertices import (
+    cholesky_solve,
+    hessian_row,
+    monomials,
+    simplex_qp,
+    squared_error,
+    store,
+)
+
+
+@inline
+def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, moved, a, g):
+    """Gauss–Newton matrix and half gradient of one vertex's error; returns their size.
+
+    moved (n, 4) receives Σ_s w_s G_qs p̃.
+    """
+    for q in range(n):
+        for d in range(4):
+            moved[q, d] = 0.0
+        for s in range(n):
+            block = gram4[ids[q], ids[s]]
+            c = w[s]
+            for d in range(4):
+                moved[q, d] += c * (
+                    block[d, 0] * p[0] + block[d, 1] * p[1] + block[d, 2] * p[2] + block[d, 3]
+                )
+    k = n - 1 if with_weights else 0
+    size = k + (3 if with_rest else 0)
+    j0 = ids[0]
+    f0 = y[0, j0] * p[0] + y[1, j0] * p[1] + y[2, j0] * p[2] + y[3, j0]
+    g0 = moved[0, 0] * p[0] + moved[0, 1] * p[1] + moved[0, 2] * p[2] + moved[0, 3] - f0
+    for q in range(1, k + 1):
+        j = ids[q]
+        f = y[0, j] * p[0] + y[1, j] * p[1] + y[2, j] * p[2] + y[3, j]
+        g[q - 1] = (
+            moved[q, 0] * p[0] + moved[q, 1] * p[1] + moved[q, 2] * p[2] + moved[q, 3] - f - g0
+        )
+        for s in range(1, q + 1):
+            i = ids[s]
+            value = 0.0
+            b0 = gram4[j, i]
+            b1 = gram4[j0, i]
+            b2 = gram4[j, j0]
+            b3 = gram4[j0, j0]
+            for d in range(4):
+                left = p[d] if d < 3 else 1.0
+                for e in range(4):
+                    right = p[e] if e < 3 else 1.0
+                    value += left * right * (b0[d, e] - b1[d, e] - b2[d, e] + b3[d, e])
+            a[q - 1, s - 1] = value
+    if with_rest:
+        for c in range(3):
+            g[k + c] = 0.0
+            for d in range(c + 1):
+                a[k + c, k + d] = 0.0
+        for q in range(n):
+            j = ids[q]
+            for c in range(3):
+                g[k + c] += w[q] * (moved[q, c] - y[c, j])
+            for s in range(n):
+                block = gram4[j, ids[s]]
+                ww = w[q] * w[s]
+                for c in range(3):
+                    for d in range(c + 1):
+                        a[k + c, k + d] += ww * block[c, d]
+        for q in range(1, k + 1):
+            for c in range(3):
+                value = 0.0
+                for s in range(n):
+                    b0 = gram4[ids[q], ids[s]]
+                    b1 = gram4[j0, ids[s]]
+                    for d in range(4):
+                        left = p[d] if d < 3 else 1.0
+                        value += w[s] * left * (b0[d, c] - b1[d, c])
+                a[k + c, q - 1] = value
+    return size
+
+
+@inline
+def equilibrate(a, n, scale):
+    """Scale the lower triangle to a unit diagonal: weights and lengths differ in size."""
+    for q in range(n):
+        scale[q] = 1.0 / np.sqrt(a[q, q]) if a[q, q] > 0.0 else 0.0
+    for q in range(n):
+        for s in range(q):
+            a[q, s] *= scale[q] * scale[s]
+        a[q, q] = 1.0
+
+
+@kernel
+def polish_vertices(
+    y, x2, gram, gram4, rest, joints, weights, error, keep_weights, move_rest,
+    entering, rounds, inverse, gradient, first, last,
+):  # fmt: skip
+    """Vertex step of the polish: no vertex's error rises.
+
+    Negative `entering` leaves the supports alone; up to `entering` bones are tried by reduced gradient against each member of
+    a full support; then `rounds` guarded Gauss–Newton steps on weights and rest
+    position together.  Leaves the inverse of the Gauss–Newton matrix (V, D, D)
+    and the half gradient (V, D) for the Schur complement.
+    """
+    n_bones = gram.shape[0]
+    n_keep = joints.shape[1]
+    slots = n_keep + 1
+    size_max = n_keep + 2
+    m = np.empty(10)
+    rows = np.empty((slots, n_bones))
+    h = np.empty((slots, slots))
+    f = np.empty(slots)
+    f_all = np.empty(n_bones)
+    grad = np.empty(n_bones)
+    barred = np.empty(n_bones, dtype=np.bool_)
+    w = np.empty(slots)
+    trial = np.empty(slots)
+    best_w = np.empty(slots)
+    ids = np.empty(slots, dtype=np.int32)
+    alive = np.empty(slots, dtype=np.int32)
+    a = np.empty((size_max + 1, size_max + 1))
+    b = np.empty(size_max + 1)
+    g = np.empty(size_max + 1)
+    scale = np.empty(size_max + 1)
+    moved = np.empty((slots, 4))
+    p_new = np.empty(3)
+    for i in range(first, last):
+        p = rest[i]
+        n = 0
+        for q in range(n_keep):
+            if weights[i, q] > 0.0:
+                ids[n] = joints[i, q]
+                w[n] = weights[i, q]
+                n += 1
+        with_weights = not keep_weights[i]
+        if with_weights and entering >= 0:
+            monomials(p, m)
+            for q in range(n):
+                j = ids[q]
+                hessian_row(gram, j, m, rows[q])
+                f[q] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+                alive[q] = q
+            for q in range(n):
+                for s in range(n):
+                    h[q, s] = rows[q, ids[s]]
+            simplex_qp(h, f, w, alive, n, a, b)
+            if entering > 0:
+                for j in range(n_bones):
+                    f_all[j] = (
+                        y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+                    )
+                    barred[j] = False
+            for _ in range(entering):
+                # forget bones at zero
+                n_new = 0
+                for q in range(n):
+                    if w[q] > 0.0:
+                        if n_new != q:
+                            ids[n_new] = ids[q]
+                            w[n_new] = w[q]
+                            f[n_new] = f[q]
+                            rows[n_new, :] = rows[q, :]
+                        n_new += 1
+                n = n_new
+                for j in range(n_bones):
+                    grad[j] = -f_all[j]
+                for q in range(n):
+                    s = w[q]
+                    for j in range(n_bones):
+                        grad[j] += s * rows[q, j]
+                level = 0.0
+                base = 0.0
+                for q in range(n):
+                    level += w[q] * grad[ids[q]]
+                    base += w[q] * (grad[ids[q]] - f[q])
+                enter = -1
+                for j in range(n_bones):
+                    if not barred[j] and (enter < 0 or grad[j] < grad[enter]):
+                        known = False
+                        for q in range(n):
+                            if ids[q] == j:
+                                known = True
+                        if not known:
+                            enter = j
+                if enter < 0 or not level - grad[enter] > 1e-12 * x2[i]:
+                    break
+                barred[enter] = True
+                hessian_row(gram, enter, m, rows[n])
+                ids[n] = enter
+                f[n] = f_all[enter]
+                for q in range(n + 1):
+                    for s in range(n + 1):
+                        h[q, s] = rows[q, ids[s]]
+                best = base
+                found = False
+                for out in range(-1, n):
+                    # all of them first: if no more than K stay positive there is no one to drop
+                    left = 0
+                    total = 0.0
+                    for q in range(n + 1):
+                        trial[q] = 0.0
+                        if q != out:
+                            alive[left] = q
+                            left += 1
+                            trial[q] = w[q] if q < n else 0.0
+                            total += trial[q]
+                    if total > 1e-9:
+                        for q in range(n + 1):
+                            trial[q] /= total
+                    else:
+                        trial[n] = 1.0
+                    simplex_qp(h, f, trial, alive, left, a, b)
+                    positive = 0
+                    value = 0.0
+                    for q in range(n + 1):
+                        if trial[q] > 0.0:
+                            positive += 1
+                            value -= 2.0 * trial[q] * f[q]
+                            for s in range(n + 1):
+                                value += trial[q] * trial[s] * h[q, s]
+                    if positive <= n_keep and value < best - 1e-14 * x2[i]:
+                        best = value
+                        found = True
+                        for q in range(n + 1):
+                            best_w[q] = trial[q]
+                    if out == -1 and positive <= n_keep:
+                        break
+                if found:
+                    n += 1
+                    for q in range(n):
+                        w[q] = best_w[q]
+                else:
+                    w[n] = 0.0
+            # the largest first: it is the reference of the joint step
+            store(ids, w, n, joints[i], weights[i])
+            n = 0
+            for q in range(n_keep):
+                if weights[i, q] > 0.0:
+                    ids[n] = joints[i, q]
+                    w[n] = weights[i, q]
+                    n += 1
+        e = squared_error(x2[i], gram4, y[i], ids, w, n, p)
+        for _ in range(rounds):
+            size = joint_system(gram4, y[i], ids, w, n, p, with_weights, move_rest, moved, a, g)
+            if size == 0:
+                break
+            equilibrate(a, size, scale)
+            for q in range(size):
+                b[q] = -g[q] * scale[q]
+            if not cholesky_solve(a, b, size):
+                break
+            k = n - 1 if with_weights else 0
+            step = 1.0
+            total = 0.0
+            for q in range(k):
+                d = b[q] * scale[q]
+                total += d
+                if w[q + 1] + step * d < 0.0:
+                    step = -w[q + 1] / d
+            if w[0] - step * total < 0.0:
+                step = w[0] / total
+            better = False
+            for _ in range(3):
+                for q in range(k):
+                    trial[q + 1] = max(w[q + 1] + step * b[q] * scale[q], 0.0)
+                trial[0] = max(w[0] - step * total, 0.0) if k > 0 else w[0]
+                if k == 0:
+                    for q in range(n):
+                        trial[q] = w[q]
+                for c in range(3):
+                    p_new[c] = p[c]
+                    if move_rest:
+                        p_new[c] += step * b[k + c] * scale[k + c]
+                e_new = squared_error(x2[i], gram4, y[i], ids, trial, n, p_new)
+                if e_new < e:
+                    better = True
+                    break
+                step *= 0.3
+            if not better:
+                break
+            small = e - e_new < 1e-5 * e
+            e = e_new
+            for q in range(n):
+                w[q] = trial[q]
+            for c in range(3):
+                p[c] = p_new[c]
+            if small:
+                break
+        if with_weights and rounds > 0:
+            store(ids, w, n, joints[i], weights[i])
+            n = 0
+            for q in range(n_keep):
+                if weights[i, q] > 0.0:
+                    ids[n] = joints[i, q]
+                    w[n] = weights[i, q]
+                    n += 1
+        error[i] = max(squared_error(x2[i], gram4, y[i], ids, w, n, p), 0.0)
+        size = joint_system(gram4, y[i], ids, w, n, p, with_weights, move_rest, moved, a, g)
+        for q in range(size_max):
+            gradient[i, q] = g[q] if q < size else 0.0
+            for s in range(size_max):
+                inverse[i, q, s] = 0.0
+        equilibrate(a, size, scale)
+        invert(a, size, scale, inverse[i])
+
+
+@inline
+def invert(a, n, scale, out):
+    """Inverse of an equilibrated positive definite matrix, scaled back; a is overwritten."""
+    for i in range(n):
+        a[i, i] += 1e-9
+    for i in range(n):
+        for j in range(i + 1):
+            s = a[i, j]
+            for k in range(j):
+                s -= a[i, k] * a[j, k]
+            if i == j:
+                a[i, i] = np.sqrt(max(s, 1e-12))
+            else:
+                a[i, j] = s / a[j, j]
+    for c in range(n):
+        for i in range(c, n):
+            s = 1.0 if i == c else 0.0
+            for k in range(c, i):
+                s -= a[i, k] * out[k, c]
+            out[i, c] = s / a[i, i]
+        for i in range(n - 1, c - 1, -1):
+            s = out[i, c]
+            for k in range(i + 1, n):
+                s -= a[k, i] * out[k, c]
+            out[i, c] = s / a[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            out[i, j] *= scale[i] * scale[j]
+            out[j, i] = out[i, j]
+
+
+@kernel
+def schur_vertices(
+    cross, rest, joints, weights, importance, keep_weights, inverse, gradient, share,
+    step, total, move_rest, first, last,
+):  # fmt: skip
+    """Eliminate vertices first..last from the normal equations.
+
+    cross (B, B, 4, 4) is Mᵀ δM summed over frames.  Writes ``step`` (V, D), the
+    inverse times (H_vm δM + share·gradient), and adds to ``total`` (B, B, 4, 4) its image
+    Σ δa aᵀ.
+    """
+    n_keep = joints.shape[1]
+    image = np.empty((n_keep, 4))
+    p4 = np.empty(4)
+    d4 = np.empty(4)
+    b = np.empty(n_keep + 2)
+    p4[3] = 1.0
+    for i in range(first, last):
+        n = 0
+        while n < n_keep and weights[i, n] > 0.0:
+            n += 1
+        for c in range(3):
+            p4[c] = rest[i, c]
+        for q in range(n):
+            for d in range(4):
+                image[q, d] = 0.0
+            for s in range(n):
+                block = cross[joints[i, q], joints[i, s]]
+                w = weights[i, s]
+                for d in range(4):
+                    image[q, d] += w * (
+                        block[d, 0] * p4[0]
+                        + block[d, 1] * p4[1]
+                        + block[d, 2] * p4[2]
+                        + block[d, 3]
+                    )
+        k = 0 if keep_weights[i] else n - 1
+        base = image[0, 0] * p4[0] + image[0, 1] * p4[1] + image[0, 2] * p4[2] + image[0, 3]
+        for q in range(k):
+            b[q] = (
+                image[q + 1, 0] * p4[0]
+                + image[q + 1, 1] * p4[1]
+                + image[q + 1, 2] * p4[2]
+                + image[q + 1, 3]
+                - base
+            )
+        size = k
+        if move_rest:
+            size = k + 3
+            for c in range(3):
+                b[k + c] = 0.0
+                for q in range(n):
+                    b[k + c] += weights[i, q] * image[q, c]
+        for q in range(size):
+            b[q] += share * gradient[i, q]
+        sum_w = 0.0
+        for q in range(size):
+            value = 0.0
+            for s in range(size):
+                value += inverse[i, q, s] * b[s]
+            step[i, q] = value
+            if q < k:
+                sum_w += value
+        for q in range(size, n_keep + 2):
+            step[i, q] = 0.0
+        for q in range(n):
+            dw = 0.0
+            if k > 0:
+                dw = -sum_w if q == 0 else step[i, q - 1]
+            w = weights[i, q]
+            for d in range(3):
+                d4[d] = dw * p4[d]
+                if move_rest:
+                    d4[d] += w * step[i, k + d]
+            d4[3] = dw
+            for s in range(n):
+                c = importance[i] * weights[i, s]
+                block = total[joints[i, q], joints[i, s]]
+                for d in range(4):
+                    v = c * d4[d]
+                    for e in range(4):
+                        block[d, e] += v * p4[e]
+
+
+@kernel
+def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest, first, last):
+    """Move weights and rest position by −size·step, weights back onto the simplex."""
+    n_keep = joints.shape[1]
+    w = np.empty(n_keep)
+    ids = np.empty(n_keep, dtype=np.int32)
+    for i in range(first, last):
+        n = 0
+        while n < n_keep and weights[i, n] > 0.0:
+            ids[n] = joints[i, n]
+            w[n] = weights[i, n]
+            n += 1
+        k = 0 if keep_weights[i] else n - 1
+        if k > 0:
+            total = 0.0
+            for q in range(1, n):
+                w[q] = max(w[q] - size * step[i, q - 1], 0.0)
+                total += w[q]
+            w[0] = max(1.0 - total, 0.0)
+            store(ids, w, n, joints[i], weights[i])
+        if move_rest:
+            for c in range(3):
+                rest[i, c] -= size * step[i, k + c]
+
+
+@kernel
+def tangent_image(transforms, x, scale, out, first, last):
+    """out (3F, 4, B) = the change of the stacked transforms under tangents x (F, B, 6)."""
+    for t in range(first, last):
+        s = scale[t]
+        for j in range(transforms.shape[1]):
+            m = transforms[t, j]
+            wx, wy, wz = s * x[t, j, 0], s * x[t, j, 1], s * x[t, j, 2]
+            tx, ty, tz = s * x[t, j, 3], s * x[t, j, 4], s * x[t, j, 5]
+            for c in range(3):
+                row = out[3 * t + c]
+                row[0, j] = m[c, 1] * wz - m[c, 2] * wy
+                row[1, j] = m[c, 2] * wx - m[c, 0] * wz
+                row[2, j] = m[c, 0] * wy - m[c, 1] * wx
+                row[3, j] = m[c, 0] * tx + m[c, 1] * ty + m[c, 2] * tz
+
+
+@kernel
+def tangent_pullback(transforms, g, scale, out, first, last):
+    """out (F, B, 6) = transpose of :func:`tangent_image` applied to g (3F, 4, B)."""
+    for t in range(first, last):
+        s = scale[t]
+        for j in range(transforms.shape[1]):
+            m = transforms[t, j]
+            o = out[t, j]
+            for d in range(6):
+                o[d] = 0.0
+            for c in range(3):
+                row = g[3 * t + c]
+                o[0] += s * (m[c, 2] * row[1, j] - m[c, 1] * row[2, j])
+                o[1] += s * (m[c, 0] * row[2, j] - m[c, 2] * row[0, j])
+                o[2] += s * (m[c, 1] * row[0, j] - m[c, 0] * row[1, j])
+                for d in range(3):
+                    o[3 + d] += s * m[c, d] * row[3, j]
+
+
+@kernel
+def move_bones(transforms, x, locked, first, last):
+    """M ← M exp(x) for frames first..last, rotations kept orthonormal."""
+    for t in range(first, last):
+        for j in range(transforms.shape[1]):
+            if locked[j]:
+                continue
+            m = transforms[t, j]
+            for c in range(3):
+                m[c, 3] += m[c, 0] * x[t, j, 3] + m[c, 1] * x[t, j, 4] + m[c, 2] * x[t, j, 5]
+            wx, wy, wz = 0.5 * x[t, j, 0], 0.5 * x[t, j, 1], 0.5 * x[t, j, 2]
+            n = 1.0 / np.sqrt(1.0 + wx * wx + wy * wy + wz * wz)
+            w = n
+            wx, wy, wz = wx * n, wy * n, wz * n
+            for c in range(3):
+                a, b, d = m[c, 0], m[c, 1], m[c, 2]
+                m[c, 0] = (
+                    a * (1.0 - 2.0 * (wy * wy + wz * wz))
+                    + b * 2.0 * (wx * wy + wz * w)
+                    + d * 2.0 * (wx * wz - wy * w)
+                )
+                m[c, 1] = (
+                    a * 2.0 * (wx * wy - wz * w)
+                    + b * (1.0 - 2.0 * (wx * wx + wz * wz))
+                    + d * 2.0 * (wy * wz + wx * w)
+                )
+                m[c, 2] = (
+                    a * 2.0 * (wx * wz + wy * w)
+                    + b * 2.0 * (wy * wz - wx * w)
+                    + d * (1.0 - 2.0 * (wx * wx + wy * wy))
+                )

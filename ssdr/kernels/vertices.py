@@ -1,0 +1,416 @@
+"""The vertex step: sparse convex weights and rest position of one vertex at a time.
+
+Notation: p̃ = (p, 1); ``gram[j, a, k]`` are the ten coefficients of the quadratic
+form p̃ᵀ G_jk p̃ in the monomials x², y², z², xy, xz, yz, x, y, z, 1, so that the
+Hessian row of a bone is ten vector additions; ``y[i, d, j]`` is Σ_t v_i^t M_j^tᵀ.
+A vertex's squared error is x2_i − 2 fᵀw + wᵀHw with H_jk = p̃ᵀG_jk p̃, f_j = p̃ᵀy_ij.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .policy import inline, kernel
+
+RIDGE = 1e-13  # of the trace: keeps bones that move alike from a division by zero
+
+
+@inline
+def hessian_row(gram, j, m, row):
+    """Row j of H for the monomials m of one vertex."""
+    n = gram.shape[2]
+    for k in range(n):
+        row[k] = gram[j, 9, k]
+    for a in range(9):
+        s = m[a]
+        for k in range(n):
+            row[k] += s * gram[j, a, k]
+
+
+@inline
+def monomials(p, m):
+    x, y, z = p[0], p[1], p[2]
+    m[0] = x * x
+    m[1] = y * y
+    m[2] = z * z
+    m[3] = x * y
+    m[4] = x * z
+    m[5] = y * z
+    m[6] = x
+    m[7] = y
+    m[8] = z
+    m[9] = 1.0
+
+
+@inline
+def cholesky_solve(a, b, n):
+    """Solve a x = b in place; a is overwritten by its factor. False if not positive definite."""
+    trace = 0.0
+    for i in range(n):
+        trace += a[i, i]
+    floor = RIDGE * trace / max(n, 1)
+    for i in range(n):
+        a[i, i] += floor
+    for i in range(n):
+        for j in range(i + 1):
+            s = a[i, j]
+            for k in range(j):
+                s -= a[i, k] * a[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                a[i, i] = np.sqrt(s)
+            else:
+                a[i, j] = s / a[j, j]
+    for i in range(n):
+        s = b[i]
+        for k in range(i):
+            s -= a[i, k] * b[k]
+        b[i] = s / a[i, i]
+    for i in range(n - 1, -1, -1):
+        s = b[i]
+        for k in range(i + 1, n):
+            s -= a[k, i] * b[k]
+        b[i] = s / a[i, i]
+    return True
+
+
+@inline
+def simplex_qp(h, f, w, alive, n, a, b):
+    """Minimise wᵀhw − 2fᵀw over the simplex spanned by ``alive[:n]``, from a feasible w.
+
+    Primal active set: full steps on the free weights, cut short at the first
+    that reaches zero, which is then left out.  Returns how many are left.
+    """
+    while n > 1:
+        top = 0
+        for q in range(1, n):
+            if w[alive[q]] > w[alive[top]]:
+                top = q
+        r = alive[top]
+        alive[top] = alive[n - 1]
+        alive[n - 1] = r
+        g_r = -f[r]
+        for q in range(n):
+            g_r += h[r, alive[q]] * w[alive[q]]
+        for q in range(n - 1):
+            c = alive[q]
+            g = -f[c]
+            for s in range(n):
+                g += h[c, alive[s]] * w[alive[s]]
+            b[q] = g_r - g
+            for s in range(q + 1):
+                d = alive[s]
+                a[q, s] = h[c, d] - h[c, r] - h[r, d] + h[r, r]
+        if not cholesky_solve(a, b, n - 1):
+            return n
+        step = 1.0
+        block = -1
+        total = 0.0
+        for q in range(n - 1):
+            c = alive[q]
+            total += b[q]
+            if w[c] + b[q] < 0.0 and w[c] < -step * b[q]:
+                step = -w[c] / b[q]
+                block = q
+        if w[r] - total < 0.0 and w[r] < step * total:
+            step = w[r] / total
+            block = n - 1
+        for q in range(n - 1):
+            w[alive[q]] += step * b[q]
+        w[r] -= step * total
+        if block < 0:
+            # what a full step leaves at zero to rounding is zero
+            q = 0
+            while q < n:
+                if w[alive[q]] <= 0.0:
+                    w[alive[q]] = 0.0
+                    n -= 1
+                    alive[q] = alive[n]
+                else:
+                    q += 1
+            return n
+        w[alive[block]] = 0.0
+        n -= 1
+        alive[block] = alive[n]
+    return n
+
+
+@inline
+def rest_step(gram4, y, joints, w, n, p, a, b):
+    """Move p to the least-squares rest position under the n weights; gram4 is ``(B, B, 4, 4)``."""
+    for c in range(3):
+        b[c] = 0.0
+        for d in range(3):
+            a[c, d] = 0.0
+    for q in range(n):
+        j = joints[q]
+        for c in range(3):
+            b[c] += w[q] * y[c, j]
+        for s in range(n):
+            g = gram4[j, joints[s]]
+            ww = w[q] * w[s]
+            for c in range(3):
+                b[c] -= ww * (g[c, 0] * p[0] + g[c, 1] * p[1] + g[c, 2] * p[2] + g[c, 3])
+                for d in range(3):
+                    a[c, d] += ww * g[c, d]
+    if cholesky_solve(a, b, 3):
+        for c in range(3):
+            p[c] += b[c]
+
+
+@inline
+def squared_error(x2, gram4, y, joints, w, n, p):
+    """x2 − 2 fᵀw + wᵀHw at p."""
+    e = x2
+    for q in range(n):
+        j = joints[q]
+        f = y[0, j] * p[0] + y[1, j] * p[1] + y[2, j] * p[2] + y[3, j]
+        e -= 2.0 * w[q] * f
+        for s in range(n):
+            g = gram4[j, joints[s]]
+            h = 0.0
+            for c in range(4):
+                left = p[c] if c < 3 else 1.0
+                h += left * (g[c, 0] * p[0] + g[c, 1] * p[1] + g[c, 2] * p[2] + g[c, 3])
+            e += w[q] * w[s] * h
+    return e
+
+
+@kernel
+def solve_vertices(
+    y, x2, gram, gram4, pull, stiff, rest, support, share, count,
+    joints, weights, error, keep_weights, move_rest, first, last,
+):  # fmt: skip
+    """One alternation's vertex step for vertices first..last.
+
+    The QP over all bones is kept warm on its unpruned support (`support`,
+    `share`, `count`), bones enter by gradient; the K largest weights are kept
+    and solved again (`joints`, `weights`); then the rest position moves.
+    `pull` (V,B) or (0,0) and `stiff` (V,) add 2·pullᵀw − stiff·|w|² to what is
+    maximised (smoothness).  `keep_weights` (V,) marks vertices whose weights stay.
+    """
+    n_bones = gram.shape[0]
+    n_slots = support.shape[1]
+    n_keep = joints.shape[1]
+    m = np.empty(10)
+    rows = np.empty((n_slots, n_bones))
+    h = np.empty((n_slots, n_slots))
+    f = np.empty(n_slots)
+    f_all = np.empty(n_bones)
+    grad = np.empty(n_bones)
+    w = np.empty(n_slots)
+    ids = np.empty(n_slots, dtype=np.int32)
+    alive = np.empty(n_slots, dtype=np.int32)
+    size = max(n_slots, 3)
+    a = np.empty((size, size))
+    b = np.empty(size)
+    smooth = pull.shape[0] > 0
+    for i in range(first, last):
+        p = rest[i]
+        if keep_weights[i]:
+            n = 0
+            for q in range(n_keep):
+                if weights[i, q] > 0.0:
+                    ids[n] = joints[i, q]
+                    w[n] = weights[i, q]
+                    n += 1
+        else:
+            monomials(p, m)
+            for j in range(n_bones):
+                f_all[j] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+            alpha = 0.0
+            if smooth:
+                alpha = stiff[i]
+                for j in range(n_bones):
+                    f_all[j] += pull[i, j]
+            n = count[i]
+            for q in range(n):
+                ids[q] = support[i, q]
+                w[q] = share[i, q]
+                hessian_row(gram, ids[q], m, rows[q])
+                rows[q, ids[q]] += alpha
+                alive[q] = q
+                f[q] = f_all[ids[q]]
+            for q in range(n):
+                for s in range(n):
+                    h[q, s] = rows[q, ids[s]]
+            for _ in range(3 * n_slots):
+                left = simplex_qp(h, f, w, alive, n, a, b)
+                # close the gaps that dropped bones left
+                n_new = 0
+                for q in range(n):
+                    if w[q] > 0.0:
+                        if n_new != q:
+                            ids[n_new] = ids[q]
+                            w[n_new] = w[q]
+                            f[n_new] = f[q]
+                            rows[n_new, :] = rows[q, :]
+                        n_new += 1
+                n = n_new
+                for q in range(n):
+                    alive[q] = q
+                    for s in range(n):
+                        h[q, s] = rows[q, ids[s]]
+                if n >= n_slots or left == 0:
+                    break
+                for j in range(n_bones):
+                    grad[j] = -f_all[j]
+                for q in range(n):
+                    s = w[q]
+                    for j in range(n_bones):
+                        grad[j] += s * rows[q, j]
+                level = 0.0
+                for q in range(n):
+                    level += w[q] * grad[ids[q]]
+                enter = 0
+                for j in range(1, n_bones):
+                    if grad[j] < grad[enter]:
+                        enter = j
+                slope = level - grad[enter]
+                if not slope > 0.0:
+                    break
+                known = False
+                for q in range(n):
+                    if ids[q] == enter:
+                        known = True
+                if known:
+                    break
+                hessian_row(gram, enter, m, rows[n])
+                rows[n, enter] += alpha
+                curve = rows[n, enter]
+                e = x2[i]
+                for q in range(n):
+                    curve -= 2.0 * w[q] * rows[n, ids[q]]
+                    e -= w[q] * f[q]
+                    for s in range(n):
+                        curve += w[q] * w[s] * h[q, s]
+                e += level
+                # stop where entering would gain less than a millionth of this vertex's error
+                if slope * slope < (1e-6 * max(e, 0.0) + 1e-15 * x2[i]) * max(curve, 1e-300):
+                    break
+                ids[n] = enter
+                w[n] = 0.0
+                f[n] = f_all[enter]
+                n += 1
+                for q in range(n):
+                    alive[q] = q
+                    h[q, n - 1] = rows[q, enter]
+                    h[n - 1, q] = rows[n - 1, ids[q]]
+            for q in range(n):
+                support[i, q] = ids[q]
+                share[i, q] = w[q]
+            count[i] = n
+            # keep the K largest: sort descending, stable
+            for q in range(1, n):
+                s = q
+                while s > 0 and w[s] > w[s - 1]:
+                    w[s], w[s - 1] = w[s - 1], w[s]
+                    ids[s], ids[s - 1] = ids[s - 1], ids[s]
+                    f[s], f[s - 1] = f[s - 1], f[s]
+                    alive[s], alive[s - 1] = alive[s - 1], alive[s]
+                    s -= 1
+            if n > n_keep:
+                n = n_keep
+                total = 0.0
+                for q in range(n):
+                    total += w[q]
+                for q in range(n):
+                    w[q] /= total
+                    # alive holds the row that each bone had before the sort
+                    for s in range(n):
+                        h[q, s] = rows[alive[q], ids[s]]
+                for q in range(n):
+                    alive[q] = q
+                simplex_qp(h, f, w, alive, n, a, b)
+        if move_rest:
+            rest_step(gram4, y[i], ids, w, n, p, a, b)
+        error[i] = squared_error(x2[i], gram4, y[i], ids, w, n, p)
+        if not keep_weights[i]:
+            store(ids, w, n, joints[i], weights[i])
+
+
+@inline
+def store(ids, w, n, joints, weights):
+    """Write weights descending, padded with joint 0, weight 0, summing to 1."""
+    for q in range(1, n):
+        s = q
+        while s > 0 and w[s] > w[s - 1]:
+            w[s], w[s - 1] = w[s - 1], w[s]
+            ids[s], ids[s - 1] = ids[s - 1], ids[s]
+            s -= 1
+    total = 0.0
+    for q in range(n):
+        total += w[q]
+    for q in range(weights.shape[0]):
+        if q < n and w[q] > 0.0:
+            joints[q] = ids[q]
+            weights[q] = w[q] / total
+        else:
+            joints[q] = 0
+            weights[q] = 0.0
+
+
+@kernel
+def removal_cost(y, x2, gram, rest, support, share, count, importance, cost, first, last):
+    """Add to ``cost[j]`` what vertices first..last would lose if bone j were not there."""
+    n_slots = support.shape[1]
+    n_bones = gram.shape[0]
+    m = np.empty(10)
+    rows = np.empty((n_slots, n_bones))
+    h = np.empty((n_slots, n_slots))
+    f = np.empty(n_slots)
+    w = np.empty(n_slots)
+    alive = np.empty(n_slots, dtype=np.int32)
+    a = np.empty((n_slots, n_slots))
+    b = np.empty(n_slots)
+    diagonal = np.empty(n_bones)
+    f_all = np.empty(n_bones)
+    for i in range(first, last):
+        p = rest[i]
+        n = count[i]
+        monomials(p, m)
+        base = 0.0
+        for q in range(n):
+            j = support[i, q]
+            hessian_row(gram, j, m, rows[q])
+            f[q] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+        for q in range(n):
+            base -= 2.0 * share[i, q] * f[q]
+            for s in range(n):
+                h[q, s] = rows[q, support[i, s]]
+                base += share[i, q] * share[i, s] * h[q, s]
+        if n == 1:
+            # the vertex falls to the next best single bone
+            for j in range(n_bones):
+                diagonal[j] = gram[j, 9, j]
+                for c in range(9):
+                    diagonal[j] += m[c] * gram[j, c, j]
+                f_all[j] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+            best = np.inf
+            for j in range(n_bones):
+                if j != support[i, 0]:
+                    best = min(best, diagonal[j] - 2.0 * f_all[j])
+            cost[support[i, 0]] += importance[i] * (best - base)
+            continue
+        for q in range(n):
+            left = 0
+            rest_share = 1.0 - share[i, q]
+            for s in range(n):
+                w[s] = 0.0
+                if s != q:
+                    alive[left] = s
+                    left += 1
+            for s in range(left):
+                if rest_share > 1e-12:
+                    w[alive[s]] = share[i, alive[s]] / rest_share
+                else:
+                    w[alive[s]] = 1.0 / left
+            simplex_qp(h, f, w, alive, left, a, b)
+            value = 0.0
+            for s in range(n):
+                if w[s] > 0.0:
+                    value -= 2.0 * w[s] * f[s]
+                    for c in range(n):
+                        value += w[s] * w[c] * h[s, c]
+            cost[support[i, q]] += importance[i] * (value - base)

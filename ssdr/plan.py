@@ -1,0 +1,342 @@
+"""The order of the solver's steps, and the run that walks through it.
+
+    start -> alternate -> merge -> alternate -> re-seed -> polish (-> kick -> polish)*
+
+A run is at all times between two small steps: it can be stopped, saved and
+resumed there.  The best model of exactly the bones asked for is kept apart;
+what a kick or a re-seed made worse is never handed out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+
+from .initialization import single_bone_errors, start_model
+from .model import Fixed, Model, bone_step, vertex_step
+from .projection import Polish
+from .reseeding import merge_step, reseed_step
+from .smoothness import WeightSmoothness
+from .trajectories import Array, Trajectories
+
+__all__ = ["EFFORTS", "Given", "Op", "Run", "make_plan"]
+
+Phase = Literal["start", "alternate", "merge", "reseed", "polish", "kick", "recall"]
+
+_WINDOW = 8  # polish steps over which the stopping test looks
+_ENTERING = 3  # every third polish step tries bones that could enter
+_PLATEAU = 1e-5  # relative gain of an alternation below which it hands over
+
+
+@dataclasses.dataclass(frozen=True)
+class Op:
+    """One entry of the plan.
+
+    `count` steps at most; `amount` is the bones to start with relative to those
+    asked for (start), alternations a step (merge, reseed), failures in a row at
+    which to stop (reseed: `patience`), relative gain over eight steps at which
+    to stop (polish: `tolerance`); `cost` in alternations a step, for the time left.
+    """
+
+    phase: Phase
+    count: int = 1
+    amount: float = 0.0
+    patience: int = 0
+    tolerance: float = 0.0
+    cost: float = 1.0
+
+
+def _begin(factor: float, first: int, second: int) -> list[Op]:
+    return [
+        Op("start", amount=factor, cost=8),
+        Op("alternate", count=first),
+        Op("merge", count=1000, amount=4, cost=20),
+        Op("alternate", count=second),
+    ]
+
+
+def _polish(count: int, tolerance: float) -> Op:
+    return Op("polish", count=count, tolerance=tolerance, cost=6)
+
+
+EFFORTS: dict[str, list[Op]] = {
+    "fast": [*_begin(1.6, 6, 4), _polish(6, 0.02)],
+    "balanced": [
+        *_begin(1.6, 12, 6),
+        Op("reseed", count=16, amount=4, patience=4, cost=6),
+        _polish(40, 0.01),
+    ],
+    "best": [
+        *_begin(1.0, 12, 6), _polish(8, 0.0),
+        *_begin(1.6, 12, 6), _polish(8, 0.0),
+        *_begin(2.2, 12, 6), _polish(8, 0.0),
+        Op("recall"),
+        Op("reseed", count=60, amount=4, patience=10, cost=6),
+        _polish(40, 0.005),
+        *[op for _ in range(12) for op in (
+            Op("recall"), Op("kick", count=2), _polish(10, 0.0),
+        )],
+        Op("recall"),
+        _polish(60, 0.002),
+    ],
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Given:
+    """What the caller handed over, in normalised space."""
+
+    rest: Array | None = None
+    transforms: Array | None = None
+    joints: Any = None
+    weights: Array | None = None
+    rest_frame: int = 0
+
+
+def make_plan(
+    effort: str, *, fixed: Fixed, n_vertices: int, bones: int, given: Given, smooth: bool
+) -> list[Op]:
+    """The plan of an effort, less what fixed parts and smoothness rule out."""
+    plan = list(EFFORTS[effort])
+    all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
+    if given.weights is not None or all_bones:
+        # nothing to place: one start, then down to the nearest minimum
+        steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
+        plan = [Op("start", amount=1.0, cost=8), Op("alternate", count=10), _polish(steps, 1e-3)]
+    if smooth:
+        # the polish does not know the penalty: alternate until it settles
+        steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
+        plan = [op for op in plan if op.phase in ("start", "alternate", "merge", "reseed")]
+        plan.append(Op("alternate", count=steps))
+    return plan
+
+
+class Run:
+    """A decomposition under way.
+
+    Attributes
+    ----------
+    model : Model or None
+        What the next step starts from; may have more bones than asked for.
+    best : Model or None
+        Lowest objective so far with exactly the bones asked for.
+    best_value : float
+    records : list of (iteration, elapsed, objective, phase)
+    """
+
+    def __init__(
+        self,
+        data: Trajectories,
+        plan: list[Op],
+        *,
+        bones: int,
+        influences: int,
+        rng: np.random.Generator,
+        fixed: Fixed,
+        given: Given,
+        smooth: WeightSmoothness | None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.data, self.plan = data, plan
+        self.bones, self.influences, self.rng = bones, influences, rng
+        self.fixed, self.given, self.smooth = fixed, given, smooth
+        self.model: Model | None = None
+        self.best: Model | None = None
+        self.best_value = np.inf
+        self.records: list[tuple[int, float, float, str]] = []
+        self.position, self.count, self.failures, self.iteration = 0, 0, 0, 0
+        self.damping: float | None = None
+        self.recent: list[float] = []
+        self.settled = False
+        self._polish: Polish | None = None
+        self._clock = clock
+        self._began = clock()
+        self._before = 0.0
+
+    @property
+    def elapsed(self) -> float:
+        return self._before + self._clock() - self._began
+
+    @property
+    def finished(self) -> bool:
+        return self.position >= len(self.plan)
+
+    @property
+    def phase(self) -> str:
+        return "done" if self.finished else self.plan[self.position].phase
+
+    @property
+    def fraction(self) -> float:
+        """Share of the plan's work that is done, by its estimated cost."""
+        done = total = 0.0
+        for k, op in enumerate(self.plan):
+            count = min(op.count, 3) if op.phase == "merge" else op.count
+            total += count * op.cost
+            if k < self.position:
+                done += count * op.cost
+            elif k == self.position:
+                done += min(self.count, count) * op.cost
+        return done / total if total else 1.0
+
+    def advance(self) -> None:
+        """One small step."""
+        op = self.plan[self.position]
+        phase = op.phase
+        over = getattr(self, f"_do_{phase}")(op)
+        self.count += 1
+        self._note(phase)
+        if over or self.count >= op.count:
+            self._next()
+        if self.best_value <= 1e-30 * float(self.data.x2.sum()):
+            # exact: nothing left to gain
+            self.position, self.settled = len(self.plan), True
+
+    def value(self, model: Model) -> float:
+        """The objective: squared error, and the smoothness penalty where asked for."""
+        extra = 0.0 if self.smooth is None else self.smooth.penalty(model)
+        return model.objective(self.data) + extra
+
+    def _note(self, phase: str) -> None:
+        model = self.model
+        if model is None or model.n_bones != self.bones:
+            return
+        value = self.value(model)
+        if value < self.best_value:
+            self.best, self.best_value = model.copy(), value
+            self.records.append((self.iteration, self.elapsed, value, phase))
+
+    def _next(self) -> None:
+        self.position += 1
+        self.count = self.failures = 0
+        self.recent = []
+        self._polish, self.damping = None, None
+
+    def _do_start(self, op: Op) -> bool:
+        data, given, rng = self.data, self.given, self.rng
+        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
+        if given.weights is not None:
+            bones = given.transforms
+            if bones is None:
+                from .bones import bones_of_weights
+
+                bones = bones_of_weights(data, rest, given.joints, given.weights, self.bones)
+            model = Model.start(bones.copy(), rest, given.joints[:, 0], self.influences)
+            k = min(self.influences, given.joints.shape[1])
+            model.joints[:, :k], model.weights[:, :k] = given.joints[:, :k], given.weights[:, :k]
+            model.widen()
+        elif given.transforms is not None and given.transforms.shape[1] == self.bones:
+            bones = given.transforms
+            everyone = np.arange(data.n_vertices)
+            cost, positions = single_bone_errors(data, given.rest, bones, everyone)
+            label = cost.argmin(axis=1)
+            if positions is not None:
+                rest = np.ascontiguousarray(positions[everyone, :, label])
+            model = Model.start(bones.copy(), rest, label, self.influences)
+        else:
+            most = data.n_vertices
+            count = min(most, max(self.bones, round(self.bones * op.amount)))
+            model = start_model(data, rest, count, self.influences, rng, given.transforms)
+        vertex_step(data, model, fixed=self.fixed)
+        self.model = model
+        return True
+
+    def _do_alternate(self, op: Op) -> bool:
+        model = self._current()
+        before = self.value(model)
+        bone_step(self.data, model, fixed=self.fixed)
+        pull = stiff = None
+        if self.smooth is not None:
+            pull, stiff = self.smooth.terms(model)
+        vertex_step(self.data, model, fixed=self.fixed, pull=pull, stiff=stiff)
+        self.iteration += 1
+        after = self.value(model)
+        still = before - after < _PLATEAU * before
+        self.failures = self.failures + 1 if still else 0
+        self.settled = self.failures >= 3
+        return self.settled
+
+    def _do_merge(self, op: Op) -> bool:
+        model = self._current()
+        if model.n_bones > self.bones:
+            self.model = merge_step(self.data, model, self.bones, int(op.amount), self.fixed)
+            self.iteration += int(op.amount)
+        return self._current().n_bones <= self.bones
+
+    def _do_reseed(self, op: Op) -> bool:
+        model = self._current()
+        trial = reseed_step(self.data, model, self.rng, int(op.amount), self.fixed)
+        self.iteration += int(op.amount)
+        if trial is None:
+            return True
+        if self.value(trial) < self.value(model):
+            self.model, self.failures = trial, 0
+        else:
+            self.failures += 1
+        return self.failures >= op.patience
+
+    def _do_polish(self, op: Op) -> bool:
+        model = self._current()
+        if self._polish is None:
+            self._polish = Polish(self.data, model, fixed=self.fixed, damping=self.damping)
+        polish = self._polish
+        if not self.recent:
+            self.recent = [polish.value]
+        polish.step(entering=3 if self.count % _ENTERING == 0 else 0)
+        self.damping = polish.damping
+        self.iteration += 1
+        self.recent = [*self.recent, polish.value][-_WINDOW - 1 :]
+        full = len(self.recent) > _WINDOW
+        # the objective is a square: its relative change is twice that of the error
+        gain = 0.5 * (self.recent[0] - self.recent[-1]) / max(self.recent[0], 1e-300)
+        self.settled = full and gain < op.tolerance
+        return self.settled
+
+    def _do_kick(self, op: Op) -> bool:
+        """An alternation keeps the largest weights whether or not that pays: out of the minimum."""
+        model = self._current()
+        if self.count == 0:
+            model.widen()
+        bone_step(self.data, model, fixed=self.fixed)
+        vertex_step(self.data, model, fixed=self.fixed)
+        self.iteration += 1
+        return False
+
+    def _do_recall(self, op: Op) -> bool:
+        assert self.best is not None
+        self.model = self.best.copy()
+        self.model.widen()
+        return True
+
+    def _current(self) -> Model:
+        assert self.model is not None
+        return self.model
+
+    def progress(self) -> dict[str, Any]:
+        """What :meth:`restore` needs beside the models."""
+        return {
+            "position": self.position, "count": self.count, "failures": self.failures,
+            "iteration": self.iteration, "damping": self.damping, "recent": self.recent,
+            "settled": self.settled, "elapsed": self.elapsed, "best_value": self.best_value,
+            "rng": self.rng.bit_generator.state,
+        }  # fmt: skip
+
+    def restore(
+        self,
+        progress: dict[str, Any],
+        model: Model | None,
+        best: Model | None,
+        records: list[tuple[int, float, float, str]],
+    ) -> None:
+        """Go on where a saved run was."""
+        self.model, self.best, self.records = model, best, records
+        self.position, self.count = int(progress["position"]), int(progress["count"])
+        self.failures, self.iteration = int(progress["failures"]), int(progress["iteration"])
+        self.damping = progress["damping"]
+        self.recent, self.settled = list(progress["recent"]), bool(progress["settled"])
+        self.best_value, self._before = float(progress["best_value"]), float(progress["elapsed"])
+        self._began = self._clock()
+        self.rng.bit_generator.state = progress["rng"]

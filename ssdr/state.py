@@ -1,0 +1,127 @@
+"""What a stopped decomposition needs to go on, exactly where it was."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import FormatError, InputError
+from .model import Model
+
+__all__ = ["SolverState"]
+
+_VERSION = 1
+_MODEL = tuple(f.name for f in dataclasses.fields(Model))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SolverState:
+    """A decomposition between two steps.
+
+    Saved as ``.npz`` without pickles; ``ssdr.decompose(..., resume=state)`` goes
+    on to the same result, bit for bit, as a run that was never stopped.
+
+    Attributes
+    ----------
+    settings : dict
+        What the run was asked for; resuming with anything else is an error.
+    progress : dict
+        Place in the plan, random generator, damping, elapsed time.
+    history : (n, 3) float64
+        Iteration, elapsed seconds, objective of each accepted model.
+    phases : tuple of str
+        Phase of each accepted model.
+    current, best : Model or None
+    """
+
+    settings: dict[str, Any]
+    progress: dict[str, Any]
+    history: NDArray[np.float64]
+    phases: tuple[str, ...]
+    current: Model | None
+    best: Model | None
+
+    def save(self, path: str | Path) -> Path:
+        """Write the state to ``.npz``, to a temporary name first."""
+        from .io.archive import write_arrays
+
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise InputError("path", "a name that ends in .npz", str(path))
+        header = {
+            "version": _VERSION,
+            "settings": self.settings,
+            "progress": self.progress,
+            "phases": list(self.phases),
+        }
+        arrays: dict[str, Any] = {
+            "ssdr_state": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+            "history": self.history,
+        }
+        for prefix, model in (("current", self.current), ("best", self.best)):
+            if model is not None:
+                arrays |= {f"{prefix}_{name}": getattr(model, name) for name in _MODEL}
+        write_arrays(path, arrays)
+        return path
+
+    @staticmethod
+    def load(path: str | Path) -> SolverState:
+        """Read a state.
+
+        Raises
+        ------
+        FormatError
+            If the file is not a state, or a damaged one.
+        """
+        from .io.archive import read_arrays
+
+        path = Path(path)
+        arrays = read_arrays(path)
+        try:
+            header = json.loads(bytes(arrays["ssdr_state"]).decode())
+            if header["version"] != _VERSION:
+                raise FormatError(f"{path}: state of version {header['version']}, not {_VERSION}")
+            models = [_model(arrays, prefix) for prefix in ("current", "best")]
+            return SolverState(
+                settings=dict(header["settings"]), progress=dict(header["progress"]),
+                history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 3),
+                phases=tuple(header["phases"]), current=models[0], best=models[1],
+            )  # fmt: skip
+        except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
+            if isinstance(error, FormatError):
+                raise
+            raise FormatError(f"{path}: not a saved state of ssdr.decompose ({error})") from error
+
+
+def _model(arrays: dict[str, Any], prefix: str) -> Model | None:
+    if f"{prefix}_rest" not in arrays:
+        return None
+    parts = {name: np.ascontiguousarray(arrays[f"{prefix}_{name}"]) for name in _MODEL}
+    n, k = parts["joints"].shape
+    frames, bones = parts["transforms"].shape[:2]
+    wanted = {
+        "transforms": (frames, bones, 3, 4), "rest": (n, 3), "weights": (n, k), "error": (n,),
+        "count": (n,), "share": parts["support"].shape, "joints": (n, k),
+    }  # fmt: skip
+    for name, shape in wanted.items():
+        kind = "i" if name in ("joints", "support", "count") else "f"
+        if parts[name].shape != shape or parts[name].dtype.kind != kind:
+            raise ValueError(f"{prefix}_{name} has shape {parts[name].shape}")
+    if parts["support"].shape[0] != n or parts["support"].shape[1] < k:
+        raise ValueError(f"{prefix}_support has shape {parts['support'].shape}")
+    for name in ("joints", "support"):
+        parts[name] = parts[name].astype(np.int32)
+        if parts[name].min() < 0 or parts[name].max() >= bones:
+            raise ValueError(f"{prefix}_{name} names a bone that is not there")
+    parts["count"] = parts["count"].astype(np.int32)
+    if parts["count"].min() < 1 or parts["count"].max() > parts["support"].shape[1]:
+        raise ValueError(f"{prefix}_count is out of range")
+    for name in ("transforms", "rest", "weights", "share", "error"):
+        if not np.isfinite(parts[name]).all():
+            raise ValueError(f"{prefix}_{name} holds NaN or Inf")
+    return Model(**parts)
