@@ -75,6 +75,8 @@ def fake_decompose(sequence, *, bones, influences, callback, resume, steps=3, pa
         if callback(progress):
             reason = "cancelled"
             break
+        if pause > 1:
+            sys.stderr.write("asleep\n")
         time.sleep(pause)
     skinning = model_of(sequence, bones, influences)
     return SimpleNamespace(
@@ -449,9 +451,9 @@ def test_ctrl_c_leaves_a_state_to_resume_from(number, clip, tmp_path):
 
 
 def test_second_ctrl_c_quits_at_once(clip, tmp_path):
-    code = FAKED.format(tests=str(Path(__file__).parent), steps=100_000).replace("0.02", "3600")
+    code = FAKED.format(tests=str(Path(__file__).parent), steps=100_000).replace("0.02", "60")
     process = start(["-c", code, "decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2])
-    wait_for(process, "alternate")
+    wait_for(process, "asleep")
     process.send_signal(signal.SIGINT)
     wait_for(process, "again to quit")
     process.send_signal(signal.SIGINT)
@@ -469,3 +471,35 @@ def test_a_process_of_its_own_without_a_display(clip, tmp_path):
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (2, "")
     assert "Traceback" not in err
+
+
+@pytest.mark.slow
+def test_the_real_solver_is_interrupted_and_resumed(tmp_path):
+    """The whole way on the sample: two formats, a picture, Ctrl-C, resume."""
+    clip = ssdr.samples.path("dancer_small")
+    out, model = tmp_path / "a.glb", tmp_path / "b.npz"
+    work = ["decompose", clip, "-o", out, "-o", model, "-b", 12, "--effort", "best"]
+    process = start(["-m", "ssdr", *work])
+    wait_for(process, "RMSE")
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert not out.exists()
+    last = err.strip().splitlines()[-1]
+    before = float(last.partition("RMSE ")[2].partition(";")[0])
+    command = shlex.split(last.partition("go on with: ")[2])
+    assert command[-1] == str(tmp_path / "a.state.npz")
+    more = ("--json", "--time-limit", "4", "--picture", str(tmp_path / "a.png"))
+    process = start(["-m", "ssdr", *command[1:], *more])
+    text, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    document = json.loads(text)
+    sequence = ssdr.load(clip)
+    back = ssdr.load_skinning(model)
+    assert (back.n_bones, back.n_influences) == (12, 4)
+    gap = back.skin().astype(np.float64) - sequence.vertices
+    rmse = np.sqrt((gap**2).sum() / gap[..., 0].size)
+    assert document["rmse"] == pytest.approx(rmse, rel=1e-3)
+    assert rmse <= before * (1 + 1e-3)
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.width == 1600
