@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import logging
 import math
 import time
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .bones import true_squared_error
 from .checks import (
@@ -21,21 +19,19 @@ from .checks import (
     check_bones,
     check_importance,
     check_influences,
-    check_mask,
-    check_rest,
     check_rng,
-    check_transforms,
-    check_weights,
 )
 from .errors import Cancelled, InputError, SsdrWarning
+from .given import Given, check_parts, fingerprint, normalise
 from .model import Fixed, Model
 from .parallel import serial_blas
-from .plan import Given, Run, make_plan
+from .plan import Run, make_plan
+from .result import Decomposition, Progress, Record
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
 from .smoothness import WeightSmoothness
 from .state import SolverState
-from .trajectories import Array, Trajectories, gather
+from .trajectories import gather
 from .weights import pad_influences
 
 __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
@@ -43,99 +39,6 @@ __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
 _compile_seconds: float | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Record:
-    """One accepted model of exactly the bones and influences asked for.
-
-    Attributes
-    ----------
-    iteration : int
-        Alternations and polish steps so far.
-    elapsed : float
-        Seconds since the call, initialisation included, compilation not.
-    rmse : float
-        sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units.
-    phase : str
-        The step that found it.
-    """
-
-    iteration: int
-    elapsed: float
-    rmse: float
-    phase: str
-
-
-@dataclasses.dataclass(frozen=True)
-class Progress:
-    """What a callback is told after every step.
-
-    Attributes
-    ----------
-    phase : str
-    iteration : int
-    elapsed : float
-        Seconds.
-    rmse : float
-        Of the best model so far, in the mesh's units; inf before there is one.
-    fraction : float
-        Estimated share of the work that is done, 0 to 1.
-    time_left : float
-        Estimate in seconds.
-    """
-
-    phase: str
-    iteration: int
-    elapsed: float
-    rmse: float
-    fraction: float
-    time_left: float
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Decomposition:
-    """What :func:`decompose` found.
-
-    Attributes
-    ----------
-    skinning : Skinning
-        Rest pose, joints, weights and transforms (frames of all shots in order).
-    rmse : float
-        sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units, measured by
-        skinning the result and comparing it with the input.
-    converged : bool
-        Whether the last stage ended by its stopping test.
-    stop_reason : str
-        "converged", "plan finished", "iterations", "time limit" or "cancelled".
-    history : tuple of Record
-        One record an accepted model; `rmse` never rises; the last is the result.
-    offsets : (S + 1,) int array
-        First frame of each shot, and the number of frames.
-    state : SolverState
-        To resume from.
-    compile_seconds : float
-        Time that loading or compiling the kernels took in this call.
-    warnings : tuple of str
-        What was also given as :class:`SsdrWarning`.
-    """
-
-    skinning: Skinning
-    rmse: float
-    converged: bool
-    stop_reason: str
-    history: tuple[Record, ...]
-    offsets: NDArray[np.int64]
-    state: SolverState
-    compile_seconds: float
-    warnings: tuple[str, ...] = ()
-
-    def reconstruct(self, frames: Any = None) -> NDArray[np.floating]:
-        """Positions (f, V, 3) of the named frames, all by default."""
-        return self.skinning.skin(frames)
-
-    def __repr__(self) -> str:
-        return f"Decomposition({self.skinning!r}, rmse={self.rmse:.6g}, {self.stop_reason})"
 
 
 def decompose(
@@ -256,7 +159,7 @@ def decompose(
     if not (math.isfinite(smoothness) and smoothness >= 0):
         raise InputError("smoothness", "a length >= 0 in the mesh's units", smoothness)
     generator = check_rng(rng)
-    parts = _check_given(
+    parts = check_parts(
         n, n_frames, bones, influences, rest, joints, weights, transforms,
         locked_vertices, locked_bones,
     )  # fmt: skip
@@ -277,10 +180,10 @@ def decompose(
         "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
         "rest_frame": int(rest_frame), "smoothness": float(smoothness),
         "max_iterations": None if max_iterations is None else int(max_iterations),
-        "input": _fingerprint(data, parts),
+        "input": fingerprint(data, parts),
     }  # fmt: skip
     fixed = Fixed(rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones)
-    inner = _normalise(data, parts, rest_frame, importance)
+    inner = normalise(data, parts, rest_frame)
     smooth = WeightSmoothness.build(data, sequences[0].faces, smoothness)
     run = Run(
         data,
@@ -325,17 +228,11 @@ def _walk(
             left = run.elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
             if time_limit is not None:
                 left = min(left, max(0.0, time_limit - (run.elapsed - began)))
-            stop = callback(
-                Progress(
-                    phase=phase,
-                    iteration=run.iteration,
-                    elapsed=run.elapsed,
-                    rmse=scale * math.sqrt(run.best_value),
-                    fraction=fraction,
-                    time_left=left,
-                )  # fmt: skip
-            )
-            if stop:
+            progress = Progress(
+                phase=phase, iteration=run.iteration, elapsed=run.elapsed,
+                rmse=scale * math.sqrt(run.best_value), fraction=fraction, time_left=left,
+            )  # fmt: skip
+            if callback(progress):
                 if run.best is None:
                     raise Cancelled("stopped by the callback before there was any model")
                 return "cancelled"
@@ -417,81 +314,6 @@ def _restore(run: Run, state: SolverState, settings: dict[str, Any]) -> None:
         None if state.best is None else state.best.copy(),
         records,
     )
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Parts:
-    """Fixed parts as the caller gave them, checked."""
-
-    rest: Array | None
-    joints: NDArray[np.int32] | None
-    weights: Array | None
-    transforms: Array | None
-    locked_vertices: NDArray[np.bool_] | None
-    locked_bones: NDArray[np.bool_] | None
-
-
-def _check_given(
-    n: int, n_frames: int, bones: int, influences: int, rest: Any, joints: Any, weights: Any,
-    transforms: Any, locked_vertices: Any, locked_bones: Any,
-) -> _Parts:  # fmt: skip
-    if (joints is None) != (weights is None):
-        missing = "joints" if joints is None else "weights"
-        raise InputError(missing, "an array beside the other of joints and weights", "None")
-    rest = None if rest is None else check_rest(rest, n)
-    vertex_mask = check_mask(locked_vertices, "locked_vertices", n)
-    if weights is not None:
-        joints, weights = check_weights(joints, weights, n)
-        if joints.max() >= bones:
-            raise InputError("joints", f"indices from 0 to {bones - 1}", int(joints.max()))
-        used = int((weights > 0).sum(axis=1).max())
-        if used > influences:
-            raise InputError("weights", f"at most {influences} influences a vertex", used)
-        order = np.argsort(-weights, axis=1, kind="stable")
-        weights = np.ascontiguousarray(np.take_along_axis(weights, order, axis=1))
-        joints = np.ascontiguousarray(np.take_along_axis(joints, order, axis=1))
-        joints[weights == 0] = 0
-        if vertex_mask is None:
-            vertex_mask = np.ones(n, dtype=bool)
-    elif vertex_mask is not None:
-        raise InputError("locked_vertices", "None without joints and weights", "a mask")
-    bone_mask = None
-    if transforms is not None:
-        transforms = check_transforms(transforms, n_frames)
-        count = transforms.shape[1]
-        if count > bones:
-            raise InputError("transforms", f"at most {bones} bones, as asked for", count)
-        if weights is not None and count != bones:
-            raise InputError("transforms", f"{bones} bones beside given weights", count)
-        bone_mask = check_mask(locked_bones, "locked_bones", count)
-        if bone_mask is None:
-            bone_mask = np.ones(count, dtype=bool)
-    elif locked_bones is not None:
-        raise InputError("locked_bones", "None without transforms", "a mask")
-    return _Parts(rest, joints, weights, transforms, vertex_mask, bone_mask)
-
-
-def _normalise(
-    data: Trajectories, parts: _Parts, rest_frame: int, importance: Array | None
-) -> Given:
-    origin = np.zeros((data.n_vertices, 3)) if parts.rest is None else parts.rest
-    rest, transforms = data.from_world(origin, parts.transforms)
-    return Given(
-        rest=None if parts.rest is None else np.ascontiguousarray(rest), transforms=transforms,
-        joints=parts.joints, weights=parts.weights, rest_frame=int(rest_frame),
-    )  # fmt: skip
-
-
-def _fingerprint(data: Trajectories, parts: _Parts) -> str:
-    """Tells another input from the one that a state belongs to."""
-    digest = hashlib.sha256()
-    arrays: list[Any] = [data.x2, data.centre, data.importance, data.frame_scale]
-    arrays += [getattr(parts, f.name) for f in dataclasses.fields(parts)]
-    for array in arrays:
-        if array is not None:
-            digest.update(str(np.shape(array)).encode())
-            digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
 
 
 def _compile() -> float:

@@ -246,4 +246,4 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
             return cost
 
         parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
-    return np.sum(parts, axis=0)
+    return np.asarray(np.sum(parts, axis=0))

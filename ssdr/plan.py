@@ -16,14 +16,15 @@ from typing import Any, Literal
 
 import numpy as np
 
+from .given import Given
 from .initialization import single_bone_errors, start_model
 from .model import Fixed, Model, bone_step, vertex_step
 from .projection import Polish
 from .reseeding import merge_step, reseed_step
 from .smoothness import WeightSmoothness
-from .trajectories import Array, Trajectories
+from .trajectories import Trajectories
 
-__all__ = ["EFFORTS", "Given", "Op", "Run", "make_plan"]
+__all__ = ["EFFORTS", "Op", "Run", "make_plan"]
 
 Phase = Literal["start", "alternate", "merge", "reseed", "polish", "kick", "recall"]
 
@@ -84,17 +85,6 @@ EFFORTS: dict[str, list[Op]] = {
         _polish(60, 0.002),
     ],
 }  # fmt: skip
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Given:
-    """What the caller handed over, in normalised space."""
-
-    rest: Array | None = None
-    transforms: Array | None = None
-    joints: Any = None
-    weights: Array | None = None
-    rest_frame: int = 0
 
 
 def make_plan(

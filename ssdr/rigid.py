@@ -14,6 +14,7 @@ __all__ = [
     "kabsch",
     "matrix_from_quaternion",
     "matrix_from_sixd",
+    "nearest_rotation",
     "quaternion_from_matrix",
     "sixd_from_matrix",
     "unflip_quaternions",
@@ -74,7 +75,7 @@ def kabsch(
         "...n,...na,...nb->...ab", share, t - t_mean[..., None, :], s - s_mean[..., None, :]
     )
     moment = np.where(total[..., None] > 0, moment, np.eye(3))
-    rotation = _nearest_rotation(moment)
+    rotation = nearest_rotation(moment)
     translation = t_mean - np.einsum("...ab,...b->...a", rotation, s_mean)
     return np.concatenate([rotation, translation[..., None]], axis=-1)
 
@@ -83,7 +84,7 @@ def kabsch(
 _COLLINEAR = 1e-13
 
 
-def _nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     u, s, vt = np.linalg.svd(moment)
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]

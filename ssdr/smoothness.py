@@ -53,7 +53,7 @@ class WeightSmoothness:
         i, k = np.concatenate([edges, edges[:, ::-1]]).T
         adjacency = csr_array(coo_array((np.ones(len(i)), (i, k)), shape=(n, n)))
         adjacency.data[:] = 1.0
-        degree = np.asarray(adjacency.sum(axis=1)).ravel()
+        degree = np.asarray(adjacency.sum(axis=1), dtype=np.float64).ravel()
         strength = data.n_frames * (smoothness / data.scale) ** 2
         return WeightSmoothness(adjacency, degree, strength, np.maximum(data.importance, 1e-6))
 

@@ -66,7 +66,7 @@ class SolverState:
         for prefix, model in (("current", self.current), ("best", self.best)):
             if model is not None:
                 arrays |= {f"{prefix}_{name}": getattr(model, name) for name in _MODEL}
-        write_arrays(path, arrays)
+        write_arrays(path, arrays, compress=False)
         return path
 
     @staticmethod
@@ -81,7 +81,9 @@ class SolverState:
         from .io.archive import read_arrays
 
         path = Path(path)
-        arrays = read_arrays(path)
+        arrays = read_arrays(
+            path, required=("ssdr_state", "history"), optional=("current_*", "best_*")
+        )
         try:
             header = json.loads(bytes(arrays["ssdr_state"]).decode())
             if header["version"] != _VERSION:

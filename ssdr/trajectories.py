@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .parallel import serial_blas
-from .rigid import _nearest_rotation
+from .rigid import nearest_rotation
 from .sequence import MeshSequence
 
 __all__ = ["Trajectories", "gather"]
@@ -149,7 +149,7 @@ def gather(
                 centre[t] = anchor + mean
                 if first is None:
                     first = here
-                turn[t] = _nearest_rotation(here.T @ first) if t else np.eye(3)
+                turn[t] = nearest_rotation(here.T @ first) if t else np.eye(3)
                 x[:, t] = here @ turn[t]
                 t += 1
     size = float(np.sqrt((x * x).sum() / (n_vertices * n_frames)))
@@ -191,7 +191,6 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
 def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
     """Randomised range finder (Halko et al. 2011), grown until the tail is small enough."""
     rng = np.random.default_rng(0)
-    n_columns = x.shape[1]
     keep = rank + 64
     while keep < 0.8 * min(x.shape):
         q, _ = np.linalg.qr(x.T @ (x @ (x.T @ rng.standard_normal((len(x), keep)))))
@@ -203,4 +202,4 @@ def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
         if lost <= max(_TAIL * beyond, 1e-15 * energy) or lost <= 1e-13 * energy:
             return np.ascontiguousarray(z @ vectors), np.ascontiguousarray(q @ vectors)
         keep *= 2
-    return (x, None) if n_columns <= 2 * len(x) else (x, None)
+    return x, None

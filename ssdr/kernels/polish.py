@@ -106,10 +106,11 @@ def polish_vertices(
 ):  # fmt: skip
     """Vertex step of the polish: no vertex's error rises.
 
-    Negative `entering` leaves the supports alone; up to `entering` bones are tried by reduced gradient against each member of
-    a full support; then `rounds` guarded Gauss–Newton steps on weights and rest
-    position together.  Leaves the inverse of the Gauss–Newton matrix (V, D, D)
-    and the half gradient (V, D) for the Schur complement.
+    Up to `entering` bones are tried by reduced gradient against each member of a
+    full support (negative: weights are not touched at all); then `rounds` guarded
+    Gauss–Newton steps on weights and rest position together.  Leaves the inverse
+    of the Gauss–Newton matrix (V, D, D) and the half gradient (V, D) for the
+    Schur complement.
     """
     n_bones = gram.shape[0]
     n_keep = joints.shape[1]

@@ -1,0 +1,107 @@
+"""What a decomposition hands back."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .skinning import Skinning
+from .state import SolverState
+
+__all__ = ["Decomposition", "Progress", "Record"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """One accepted model of exactly the bones and influences asked for.
+
+    Attributes
+    ----------
+    iteration : int
+        Alternations and polish steps so far.
+    elapsed : float
+        Seconds since the call, initialisation included, compilation not.
+    rmse : float
+        sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units.
+    phase : str
+        The step that found it.
+    """
+
+    iteration: int
+    elapsed: float
+    rmse: float
+    phase: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """What a callback is told after every step.
+
+    Attributes
+    ----------
+    phase : str
+    iteration : int
+    elapsed : float
+        Seconds.
+    rmse : float
+        Of the best model so far, in the mesh's units; inf before there is one.
+    fraction : float
+        Estimated share of the work that is done, 0 to 1.
+    time_left : float
+        Estimate in seconds.
+    """
+
+    phase: str
+    iteration: int
+    elapsed: float
+    rmse: float
+    fraction: float
+    time_left: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Decomposition:
+    """What :func:`decompose` found.
+
+    Attributes
+    ----------
+    skinning : Skinning
+        Rest pose, joints, weights and transforms (frames of all shots in order).
+    rmse : float
+        sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units, measured by
+        skinning the result and comparing it with the input.
+    converged : bool
+        Whether the last stage ended by its stopping test.
+    stop_reason : str
+        "converged", "plan finished", "iterations", "time limit" or "cancelled".
+    history : tuple of Record
+        One record an accepted model; `rmse` never rises; the last is the result.
+    offsets : (S + 1,) int array
+        First frame of each shot, and the number of frames.
+    state : SolverState
+        To resume from.
+    compile_seconds : float
+        Time that loading or compiling the kernels took in this call.
+    warnings : tuple of str
+        What was also given as :class:`SsdrWarning`.
+    """
+
+    skinning: Skinning
+    rmse: float
+    converged: bool
+    stop_reason: str
+    history: tuple[Record, ...]
+    offsets: NDArray[np.int64]
+    state: SolverState
+    compile_seconds: float
+    warnings: tuple[str, ...] = ()
+
+    def reconstruct(self, frames: Any = None) -> NDArray[np.floating]:
+        """Positions (f, V, 3) of the named frames, all by default."""
+        return self.skinning.skin(frames)
+
+    def __repr__(self) -> str:
+        return f"Decomposition({self.skinning!r}, rmse={self.rmse:.6g}, {self.stop_reason})"
