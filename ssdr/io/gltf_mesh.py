@@ -60,7 +60,7 @@ class Part:
         amounts = self.morph_weights(world)
         if amounts is None:
             return self.positions
-        return self.positions + np.einsum("k,kvc->vc", amounts[0], self.targets)
+        return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[0], self.targets))
 
     def matrices(self, world: World) -> NDArray[np.float64]:
         """Transforms ``(F, B, 3, 4)`` from the rest pose."""
@@ -286,7 +286,8 @@ def _closed_seams(
     if (label != mark).any() or found[0] != 0 or found[-1] != len(found) - 1:
         return same, same  # the mark of somebody else
     first = vertex[label]
-    for values in (positions, *targets, joints, weights):
+    compared: list[NDArray[Any]] = [positions, *targets, joints, weights]
+    for values in compared:
         if (values[first] != values).any():
             _log.warning("%s: edited since it was written, seams stay open", document.path)
             return same, same

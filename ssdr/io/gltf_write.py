@@ -212,7 +212,7 @@ def _mesh(
         )
     # Which of the model's vertices this is, so that seams can be closed on reading;
     # float32 as attributes may not be uint32, exact up to 2^24.
-    if len(vertex) > model.n_vertices and model.n_vertices <= 1 << 24:
+    if model.n_vertices <= 1 << 24:
         attributes["_VERTEX"] = put(vertex.astype(np.float32), "SCALAR")
     document.json["meshes"] = [
         {"name": title, "primitives": _primitives(document, model, corners, attributes, notes)}

@@ -224,7 +224,8 @@ def _clock(stage: Any, meshes: list[_Mesh], fps: float | None) -> _Clock:
         rate = tempo if on_codes else frame_rate([stamps / tempo]) or tempo
     need = (last - first) / tempo * rate
     check_size(int(min(need, 1e15)), 1, MAX_BYTES)
-    return rate, first + np.arange(math.floor(need + 1e-3) + 1) * (tempo / rate)
+    ticks = np.arange(math.floor(need + 1e-3) + 1, dtype=np.float64)
+    return rate, np.asarray(first + ticks * (tempo / rate), dtype=np.float64)
 
 
 class _Mesh:
@@ -236,7 +237,7 @@ class _Mesh:
         self.path, self.prim = path, prim
         self.polygons = Polygons(path, prim)
         self._attribute = UsdGeom.Mesh(prim).GetPointsAttr()
-        self._skeleton = skeleton if query is not None and query.HasJointInfluences() else None
+        self._skeleton: Any = skeleton if query is not None and query.HasJointInfluences() else None
         self._query = query
         self._shapes = None
         if query is not None and query.HasBlendShapes() and skeleton.GetAnimQuery():
