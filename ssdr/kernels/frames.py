@@ -52,7 +52,9 @@ def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
 def horn(s, r):
     """Rotation that maximises tr(Rᵀs): largest eigenvector of Horn's 4×4 matrix, by Jacobi."""
     k = np.empty((4, 4))
-    v = np.eye(4)
+    v = np.zeros((4, 4))
+    for a in range(4):
+        v[a, a] = 1.0
     k[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
     k[1, 1] = s[0, 0] - s[1, 1] - s[2, 2]
     k[2, 2] = s[1, 1] - s[0, 0] - s[2, 2]

@@ -12,6 +12,7 @@ import numpy as np
 from .policy import inline, kernel
 from .vertices import (
     cholesky_solve,
+    copy_row,
     hessian_row,
     monomials,
     simplex_qp,
@@ -169,7 +170,7 @@ def polish_vertices(
                             ids[n_new] = ids[q]
                             w[n_new] = w[q]
                             f[n_new] = f[q]
-                            rows[n_new, :] = rows[q, :]
+                            copy_row(rows, q, n_new)
                         n_new += 1
                 n = n_new
                 for j in range(n_bones):

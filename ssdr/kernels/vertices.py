@@ -28,6 +28,12 @@ def hessian_row(gram, j, m, row):
 
 
 @inline
+def copy_row(rows, source, target):
+    for k in range(rows.shape[1]):
+        rows[target, k] = rows[source, k]
+
+
+@inline
 def monomials(p, m):
     x, y, z = p[0], p[1], p[2]
     m[0] = x * x
@@ -245,7 +251,7 @@ def solve_vertices(
                             ids[n_new] = ids[q]
                             w[n_new] = w[q]
                             f[n_new] = f[q]
-                            rows[n_new, :] = rows[q, :]
+                            copy_row(rows, q, n_new)
                         n_new += 1
                 n = n_new
                 for q in range(n):
