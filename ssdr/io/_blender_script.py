@@ -187,6 +187,8 @@ def read(job: dict[str, Any]) -> None:
             start += size
         if k == 0:
             surface_of(items, arrays)
+    if all("_VERTEX" in item.data.attributes for item in items):
+        arrays["vertex"] = vertex_numbers(items)
     np.savez(job["out"], vertices=frames, fps=np.float64(rate() / step), **arrays)
 
 
