@@ -191,8 +191,9 @@ def check_outputs(
         if writer is None:
             what = "a skinning" if issubclass(kind, Skinning) else "a sequence of vertices"
             raise InputError("--output", f"a format that holds {what}", f"{path} ({suffix})")
-        if format_.extra and importlib.util.find_spec(_PACKAGES[format_.extra]) is None:
-            package = _PACKAGES[format_.extra]
+        elsewhere = format_.extra == "blender" and os.environ.get("SSDR_BLENDER_PYTHON")
+        package = _PACKAGES[format_.extra] if format_.extra and not elsewhere else None
+        if package and importlib.util.find_spec(package) is None:
             raise MissingDependencyError(
                 f'{path}: {format_.title} needs {package}: pip install "ssdr[{format_.extra}]"'
             )

@@ -29,7 +29,9 @@ def load(path: str) -> None:
     if path.lower().endswith(".abc"):
         bpy.ops.wm.alembic_import(filepath=path, as_background_job=False, set_frame_range=True)
     elif path.lower().endswith(".fbx"):
-        bpy.ops.import_scene.fbx(filepath=path, use_anim=True, ignore_leaf_bones=True)
+        bpy.ops.import_scene.fbx(
+            filepath=path, use_anim=True, ignore_leaf_bones=True, anim_offset=0.0
+        )
     elif path.lower().endswith((".glb", ".gltf")):
         bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False)
     else:

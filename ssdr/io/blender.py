@@ -29,7 +29,7 @@ from .atomic import atomic_path
 from .registry import SaveReport, describe, reading
 from .rig import MAX_BYTES, Up, check_up, turn_up
 
-__all__ = ["read", "run", "write_skinning"]
+__all__ = ["interpreter", "read", "run", "write_skinning"]
 
 _log = logging.getLogger(__name__)
 _SCRIPT = Path(__file__).with_name("_blender_script.py")
@@ -73,7 +73,7 @@ def read(
     """
     check_up(up)
     _check_limit(time_limit)
-    python = _python()
+    python = interpreter()
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
@@ -141,7 +141,7 @@ def write_skinning(
         If Blender fails.
     """
     _check_limit(time_limit)
-    python = _python()
+    python = interpreter()
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         source = Path(folder) / "model.glb"
         stored = gltf.write_skinning(
@@ -191,8 +191,16 @@ def _check_limit(time_limit: float) -> None:
         raise InputError("time_limit", "seconds > 0", time_limit)
 
 
-def _python() -> str:
-    """The Python that has ``bpy``, without importing it."""
+def interpreter() -> str:
+    """The Python that has ``bpy``, found without importing it.
+
+    Raises
+    ------
+    InputError
+        If ``SSDR_BLENDER_PYTHON`` names no file.
+    MissingDependencyError
+        If there is none.
+    """
     named = os.environ.get("SSDR_BLENDER_PYTHON", "")
     if named:
         if not Path(named).is_file():
@@ -220,7 +228,7 @@ def run(
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
         order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
-        command = [python or _python(), str(_SCRIPT), str(order)]
+        command = [python or interpreter(), str(_SCRIPT), str(order)]
         # Blender's Python must see its own packages, not those of this process.
         hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
         environment = {k: v for k, v in os.environ.items() if k not in hidden}

@@ -138,6 +138,8 @@ def _interpolate(
         right = left
     span = keys[right] - keys[left]
     share = np.clip((times - keys[left]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+    share = np.where(times + slack >= keys[right], 1.0, share)
+    share = np.where(times - slack <= keys[left], 0.0, share)
     if how == "STEP":
         return values[np.where(times + slack >= keys[right], right, left)]
     if how == "LINEAR":

@@ -218,6 +218,7 @@ def test_bad_outputs_are_found_before_the_work(run, clip, tmp_path, monkeypatch)
 
 def test_a_missing_package_is_named_before_the_work(run, clip, tmp_path, monkeypatch):
     real = importlib.util.find_spec
+    monkeypatch.delenv("SSDR_BLENDER_PYTHON", raising=False)
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name, *a: None if name == "bpy" else real(name, *a)
     )
