@@ -83,5 +83,7 @@ def with_patch(data: Trajectories, model: Model, members: NDArray[np.intp]) -> M
 
 def _costs(data: Trajectories, model: Model, fixed: Fixed) -> Array:
     cost = bone_costs(data, model)
-    cost[fixed.locked(model.n_bones)] = np.inf
+    if fixed.bones is not None:
+        # all bones that the caller gave: locked ones are known by their place among them
+        cost[: len(fixed.bones)] = np.inf
     return cost
