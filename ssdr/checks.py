@@ -78,7 +78,8 @@ def check_influences(influences: Any) -> int:
 
 def check_rng(rng: Any) -> np.random.Generator:
     if isinstance(rng, np.random.Generator):
-        return rng
+        # one kind inside, whatever the caller's: its state is saved and restored as plain numbers
+        return np.random.default_rng(int(rng.integers(2**63)))
     seed = _integer(rng, "rng", "a non-negative integer or a numpy.random.Generator")
     if seed < 0:
         raise InputError("rng", "a non-negative integer or a numpy.random.Generator", seed)
