@@ -58,6 +58,12 @@ def check_parts(
         order = np.argsort(-weights, axis=1, kind="stable")
         weights = np.ascontiguousarray(np.take_along_axis(weights, order, axis=1))
         joints = np.ascontiguousarray(np.take_along_axis(joints, order, axis=1))
+        named = np.sort(np.where(weights > 0, joints, -1 - np.arange(joints.shape[1])), axis=1)
+        twice = (named[:, 1:] == named[:, :-1]).any(axis=1)
+        if twice.any():
+            raise InputError(
+                "joints", "no bone twice at a vertex", f"one twice at vertex {int(twice.argmax())}"
+            )
         joints[weights == 0] = 0
         if vertex_mask is None:
             vertex_mask = np.ones(n, dtype=bool)
