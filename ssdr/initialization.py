@@ -224,8 +224,11 @@ def start_model(
         rows = np.sort(rng.choice(n, _SAMPLE, replace=False))
     kept = np.zeros((data.n_frames, 0, 3, 4)) if given is None else given
     if bones > n_given:
+        # scaled, so that what has little importance is not far from anything
         seeds, label_rows = farthest_points(
-            data.z[rows], _PATCHES_PER_BONE * bones, int(rng.integers(len(rows)))
+            data.z[rows] * np.sqrt(data.importance[rows])[:, None],
+            _PATCHES_PER_BONE * bones,
+            int(rng.integers(len(rows))),
         )
         label = np.full(n, -1, dtype=np.intp)
         label[rows] = label_rows

@@ -131,6 +131,8 @@ def gather(
     frame_scale = np.ones(n_frames)
     if frame_importance is not None:
         frame_scale = np.sqrt(frame_importance / frame_importance.mean())
+    # what has no importance shall not decide where the origin is and what the basis holds
+    share = None if vertex_importance is None else importance / n_vertices
     x = np.empty((n_vertices, n_frames, 3))
     centre = np.empty((n_frames, 3))
     turn = np.empty((n_frames, 3, 3))
@@ -144,12 +146,13 @@ def gather(
                 # sum of positions loses what the positions themselves still hold
                 anchor = here[0].copy()
                 here -= anchor
-                mean = here.mean(axis=0)
+                mean = here.mean(axis=0) if share is None else share @ here
                 here -= mean
                 centre[t] = anchor + mean
                 if first is None:
                     first = here
-                turn[t] = nearest_rotation(here.T @ first) if t else np.eye(3)
+                known = here if share is None else here * share[:, None]
+                turn[t] = nearest_rotation(known.T @ first) if t else np.eye(3)
                 x[:, t] = here @ turn[t]
                 t += 1
     size = float(np.sqrt((x * x).sum() / (n_vertices * n_frames)))
@@ -158,7 +161,12 @@ def gather(
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
     with serial_blas():
-        z, q = _reduce(flat, float(x2.sum()), 4 * bones)
+        if share is None:
+            z, q = _reduce(flat, float(x2.sum()), 4 * bones)
+        else:
+            root = np.sqrt(importance)
+            _, q = _reduce(flat * root[:, None], float(importance @ x2), 4 * bones)
+            z = flat if q is None else np.ascontiguousarray(flat @ q)
     lost = 0.0 if q is None else max(0.0, float(x2.sum() - np.einsum("ij,ij->", z, z)))
     return Trajectories(
         z=z, q=q, x2=x2, importance=importance, frame_scale=frame_scale,
