@@ -23,7 +23,7 @@ from .checks import (
 )
 from .errors import Cancelled, InputError, SsdrWarning
 from .given import Given, check_parts, fingerprint, normalise
-from .model import Fixed, Model
+from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
 from .plan import Run, make_plan
 from .result import Decomposition, Progress, Record
@@ -39,6 +39,7 @@ __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
 _compile_seconds: float | None = None
+_NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
 
 def decompose(
@@ -131,7 +132,7 @@ def decompose(
     Warns
     -----
     SsdrWarning
-        If some bones move nothing, so that fewer would do.
+        If some bones could go without a loss, so that fewer would do.
 
     References
     ----------
@@ -271,9 +272,11 @@ def _result(
     )
     history = (*history[:-1], dataclasses.replace(history[-1], rmse=rmse))
     notes = []
-    idle = int((np.bincount(joints[weights > 0], minlength=run.bones) == 0).sum())
-    if idle:
-        notes.append(f"{idle} of {run.bones} bones move nothing: {run.bones - idle} would do")
+    wide = model.copy()
+    wide.widen()
+    spare = int((bone_costs(data, wide) <= _NO_LOSS * float(data.importance @ data.x2)).sum())
+    if spare:
+        notes.append(f"{spare} of {run.bones} bones could each go at no loss: fewer bones would do")
     for note in notes:
         warnings.warn(note, SsdrWarning, stacklevel=3)
     state = SolverState(
