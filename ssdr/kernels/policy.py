@@ -18,7 +18,8 @@ def kernel(function: Function) -> Function:
 
 def inline(function: Function) -> Function:
     """Compile a helper that only kernels call; it is cached as part of them."""
-    compiled: Any = numba.njit(
+    njit: Any = numba.njit  # its stubs do not know the last two options
+    compiled: Any = njit(
         nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
     )(function)
     return compiled  # type: ignore[no-any-return]
