@@ -96,6 +96,8 @@ def draw(rows: list[dict[str, float | int | str]], path: Path) -> None:
     axes[0].set(xlabel="vertices", ylabel="seconds", title="time")
     axes[1].set(xlabel="vertices", ylabel="relative residual", title="error")
     for axis in axes:
+        axis.set_xticks(sizes, [str(n) for n in sizes])
+        axis.minorticks_off()
         axis.legend(fontsize=8)
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=130)
