@@ -17,6 +17,7 @@ from .checks import (
 from .errors import InputError
 from .initialization import single_bone_errors
 from .model import Fixed, Model, vertex_step
+from .projection import Polish
 from .sequence import MeshSequence
 from .smoothness import WeightSmoothness
 from .trajectories import gather
@@ -58,7 +59,7 @@ def fit_weights(
     """Best convex weights of at most K of the given bones, for every vertex.
 
     Minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0, Σ w = 1: an active-set
-    solve over all bones, then over the K largest.
+    solve over all bones, then over the K largest, then exchanges that lower the error.
 
     Parameters
     ----------
@@ -105,6 +106,8 @@ def fit_weights(
     smooth = WeightSmoothness.build(data, sequences[0].faces, smoothness)
     if smooth is None:
         vertex_step(data, model, fixed=fixed)
+        # the K largest are not always the K best: exchange bones wherever that pays
+        Polish(data, model, fixed=fixed)
     else:
         for _ in range(iterations):
             pull, stiff = smooth.terms(model)
