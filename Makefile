@@ -24,11 +24,11 @@ help:
 
 setup: $(READY)
 
-$(READY): pyproject.toml constraints.txt tools/setup.sh
-	@PYTHON="$(PYTHON)" tools/setup.sh
+$(READY): pyproject.toml .ci/constraints.txt .ci/setup.sh
+	@PYTHON="$(PYTHON)" .ci/setup.sh
 
 demo: $(READY)
-	@OUT="$(OUT)" tools/demo.sh
+	@OUT="$(OUT)" .ci/demo.sh
 
 test: $(READY)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST)
@@ -46,7 +46,7 @@ docs: $(READY)
 	$(BIN)/python -m pytest -q tests/ssdr/test_docs.py
 
 wheel: $(READY)
-	@tools/wheel.sh
+	@.ci/wheel.sh
 
 clean:
 	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -162,7 +162,7 @@ def test_constraints_agree_with_the_package() -> None:
     for text in itertools.chain(project["dependencies"], *extras):
         requirement = Requirement(text)
         asked.setdefault(requirement.name, []).append(requirement.specifier)
-    for line in (ROOT / "constraints.txt").read_text().splitlines():
+    for line in (ROOT / ".ci" / "constraints.txt").read_text().splitlines():
         if not line or line.startswith("#"):
             continue
         name, version = line.split("==")

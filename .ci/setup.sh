@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Sets up everything that the Makefile's targets need, in .venv beside this folder.
-# Usage: tools/setup.sh
+# Usage: .ci/setup.sh
 # Environment: PYTHON (interpreter to build on), SSDR_NO_SYSTEM=1 (install no system package).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -79,7 +79,7 @@ if ! { [ -x "$venv/bin/python" ] && usable "$venv/bin/python" && "$venv/bin/pyth
 fi
 
 say "installing ssdr and what its tests need into $venv (a few minutes the first time)"
-if ! "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input -c constraints.txt -e '.[usd,zarr,dev]'; then
+if ! "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input -c .ci/constraints.txt -e '.[usd,zarr,dev]'; then
     die "pip could not install the packages (its own words are above); without network nothing can be set up"
 fi
 
@@ -96,7 +96,7 @@ PY
     fi
     log=$(mktemp)
     if suitesparse_here && "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input \
-        -c constraints.txt scikit-sparse >"$log" 2>&1; then
+        -c .ci/constraints.txt scikit-sparse >"$log" 2>&1; then
         say "CHOLMOD (scikit-sparse) is there"
     else
         say "going on without CHOLMOD: SciPy's factorisation is used instead, slower on large meshes, same results"

@@ -7,7 +7,7 @@ rm -rf dist build
 try=$(mktemp -d)
 trap 'rm -rf "$try"' EXIT
 .venv/bin/python -m venv "$try/env"
-"$try/env/bin/python" -m pip install -q --disable-pip-version-check -c constraints.txt dist/*.whl
+"$try/env/bin/python" -m pip install -q --disable-pip-version-check -c .ci/constraints.txt dist/*.whl
 "$try/env/bin/python" -m pip check
 cd "$try"
 env/bin/python -c 'import ssdr, ssdr.samples; print(ssdr.__version__, ssdr.samples.load())'
