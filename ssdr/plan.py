@@ -78,7 +78,7 @@ EFFORTS: dict[str, list[Op]] = {
         Op("recall"),
         Op("reseed", count=60, amount=4, patience=10, cost=6),
         _polish(40, 0.005),
-        *[op for _ in range(12) for op in (
+        *[op for _ in range(16) for op in (
             Op("recall"), Op("kick", count=2), _polish(10, 0.0),
         )],
         Op("recall"),
