@@ -249,7 +249,9 @@ class Polish:
         def precondition(r: Array) -> Array:
             flat = r.reshape(n_frames, size) / frame_weight[:, None]
             parts = [flat[i:k] @ m for (i, k), m in zip(groups, inverses, strict=True)]
-            return np.concatenate(parts).reshape(r.shape)
+            out = np.concatenate(parts).reshape(r.shape)
+            out[:, self._locked] = 0.0  # the search stays among the bones that may move
+            return out
 
         return precondition, frame_weight[:, None, None] * own
 
