@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import combinations
 
 import numpy as np
 
@@ -185,3 +186,67 @@ def sted(reference, other, faces, *, neighbourhood, window, dt, normaliser, sign
             temporal.append(weighted_deviation(differences[inside], lengths[inside]))
     mean = [sum(part) / len(part) if part else 0.0 for part in (spatial, temporal)]
     return mean[0], mean[1]
+
+
+def squared_error(frames, rest, joints, weights, transforms):
+    """Per-vertex sum over frames of the squared distance to the skinned position."""
+    gap = np.asarray(frames, dtype=np.float64) - skin(rest, joints, weights, transforms)
+    return (gap**2).sum(axis=(0, 2))
+
+
+def bone_images(rest, transforms):
+    """Where each bone alone puts each vertex, (V, F*3, B)."""
+    n_frames, n_bones = transforms.shape[:2]
+    images = np.zeros((len(rest), n_frames, 3, n_bones))
+    for i in range(len(rest)):
+        p = np.append(rest[i], 1.0)
+        for t in range(n_frames):
+            for j in range(n_bones):
+                images[i, t, :, j] = transforms[t, j] @ p
+    return images.reshape(len(rest), -1, n_bones)
+
+
+def best_convex(matrix, target, influences):
+    """Minimum of |matrix w - target|^2 over the simplex with at most so many weights above 0.
+
+    Every support is tried by its equality-constrained least squares; the optimum
+    is among those whose weights are not negative.
+    """
+    n = matrix.shape[1]
+    best, best_w = math.inf, None
+    for size in range(1, min(influences, n) + 1):
+        for support in combinations(range(n), size):
+            a = matrix[:, support]
+            edges = a[:, 1:] - a[:, :1]
+            tail = np.linalg.lstsq(edges, target - a[:, 0], rcond=None)[0]
+            w = np.concatenate([[1 - tail.sum()], tail])
+            if w.min() < 0:
+                continue
+            value = float(((a @ w - target) ** 2).sum())
+            if value < best:
+                best, best_w = value, np.zeros(n)
+                best_w[list(support)] = w
+    return best, best_w
+
+
+def rest_position(frames, joints, weights, transforms):
+    """Rest positions by one dense least-squares problem a vertex."""
+    out = np.zeros((frames.shape[1], 3))
+    for i in range(len(out)):
+        rows, right = [], []
+        for t in range(len(frames)):
+            blended = sum(w * transforms[t, j] for j, w in zip(joints[i], weights[i], strict=True))
+            rows.append(blended[:, :3])
+            right.append(frames[t, i] - blended[:, 3])
+        out[i] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
+    return out
+
+
+def dirichlet(faces, joints, weights, n_bones):
+    """Sum over the mesh's edges of the squared jump of all weights."""
+    dense = np.zeros((len(joints), n_bones))
+    for i in range(len(joints)):
+        for j, w in zip(joints[i], weights[i], strict=True):
+            dense[i, j] += w
+    edges = {(min(i, j), max(i, j)) for a, b, c in faces for i, j in ((a, b), (b, c), (c, a))}
+    return sum(float(((dense[i] - dense[j]) ** 2).sum()) for i, j in edges if i != j)

@@ -1,0 +1,149 @@
+"""The start: sampling, patches, choice among them, and what comes out as a whole."""
+
+from __future__ import annotations
+
+import motions
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssdr
+from ssdr.initialization import choose, farthest_points, fit_patches, single_bone_errors
+from ssdr.trajectories import gather
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 12))
+def test_farthest_points_against_loops(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((30, 5))
+    seeds, label = farthest_points(x, count, 3)
+    want = [3]
+    while len(want) < count:
+        near = [min(np.linalg.norm(row - x[s]) for s in want) for row in x]
+        want.append(int(np.argmax(near)))
+    assert list(seeds) == want
+    distance = np.linalg.norm(x[:, None] - x[seeds][None], axis=2)
+    assert np.array_equal(label, distance.argmin(axis=1))
+
+
+def test_farthest_points_stop_at_copies() -> None:
+    x = np.repeat(np.eye(3), 4, axis=0)
+    seeds, label = farthest_points(x, 10, 0)
+    assert len(seeds) == 3
+    for s in range(3):
+        assert len(set(label[4 * s : 4 * s + 4])) == 1
+
+
+def test_patches_are_kabsch(rng: np.random.Generator) -> None:
+    frames = rng.standard_normal((4, 30, 3))
+    importance = 0.1 + rng.random(30)
+    data = gather([ssdr.MeshSequence(frames)], bones=99, vertex_importance=importance)
+    rest = rng.standard_normal((30, 3))
+    label = rng.integers(-1, 3, 30)
+    fitted = fit_patches(data, rest, label, 4)
+    for j in range(3):
+        mine = label == j
+        for t in range(4):
+            want = ssdr.kabsch(rest[mine], data.frame(t)[mine], importance[mine])
+            np.testing.assert_allclose(fitted[t, j], want, atol=1e-7)
+    assert np.array_equal(fitted[:, 3], np.tile(np.eye(4)[:3], (4, 1, 1)))
+
+
+def test_single_bone_errors_against_loops(rng: np.random.Generator) -> None:
+    frames = rng.standard_normal((5, 12, 3))
+    data = gather([ssdr.MeshSequence(frames)], bones=99)
+    rest, transforms = rng.standard_normal((12, 3)), motions.motions(rng, 5, 3)
+    inner = np.stack([data.frame(t) for t in range(5)])
+    rows = np.array([7, 2, 3])
+    cost, none = single_bone_errors(data, rest, transforms, rows)
+    assert none is None
+    best, position = single_bone_errors(data, None, transforms, rows)
+    assert position is not None
+    one = np.ones((12, 1))
+    for j in range(3):
+        joints = np.full((12, 1), j)
+        want = naive.squared_error(inner, rest, joints, one, transforms)
+        np.testing.assert_allclose(cost[:, j], want[rows], rtol=1e-9)
+        free = naive.rest_position(inner, joints, one, transforms)
+        np.testing.assert_allclose(position[:, :, j], free[rows], atol=1e-9)
+        want = naive.squared_error(inner, free, joints, one, transforms)
+        np.testing.assert_allclose(best[:, j], want[rows], rtol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 5), held=st.booleans())
+def test_choice_is_greedy(seed: int, count: int, held: bool) -> None:
+    rng = np.random.default_rng(seed)
+    cost, importance = rng.random((15, 8)), rng.random(15)
+    there = rng.random(15) if held else None
+    got = choose(cost, importance, count, there)
+    chosen: list[int] = []
+    for _ in range(count):
+        totals = []
+        for j in range(8):
+            columns = cost[:, [*chosen, j]]
+            near = columns.min(axis=1) if there is None else np.minimum(columns.min(axis=1), there)
+            totals.append(np.inf if j in chosen else (importance * near).sum())
+        chosen.append(int(np.argmin(totals)))
+    assert got == chosen
+
+
+def test_separate_bodies_get_a_bone_each() -> None:
+    rig = motions.boxes(6)
+    found = ssdr.initialize(rig.frames, bones=6)
+    assert found.n_bones == 6
+    assert np.abs(found.skin() - rig.frames).max() < 1e-6
+    owner = found.joints[:, 0].reshape(6, -1)
+    assert (owner == owner[:, :1]).all()
+    assert len(set(owner[:, 0])) == 6
+
+
+@pytest.mark.parametrize("bones", [1, 3, 120])
+def test_as_many_bones_as_asked(bones: int) -> None:
+    rig = motions.chain()
+    found = ssdr.initialize(rig.frames, rig.faces, bones=bones, influences=3)
+    assert found.n_bones == bones
+    assert found.weights.shape == (120, min(3, bones))
+    assert np.abs(found.weights.sum(axis=1) - 1).max() < 1e-9
+    r = found.transforms[..., :3]
+    assert np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max() < 1e-6
+    assert np.linalg.det(r).min() > 0
+
+
+def test_static_mesh_keeps_the_number() -> None:
+    rig = motions.chain(frames=1)
+    found = ssdr.initialize(np.repeat(rig.frames, 5, axis=0), bones=20)
+    assert found.n_bones == 20
+    assert np.abs(found.skin() - rig.frames).max() < 1e-6
+
+
+def test_seed_decides() -> None:
+    rig = motions.chain()
+    frames = motions.wobble(rig, 0.2)
+    one, same = (ssdr.initialize(frames, bones=6, rng=4) for _ in range(2))
+    other = ssdr.initialize(frames, bones=6, rng=5)
+    assert np.array_equal(one.transforms, same.transforms)
+    assert not np.array_equal(one.transforms, other.transforms)
+
+
+@pytest.mark.parametrize(
+    ("argument", "change"),
+    [
+        ("bones", {"bones": 0}),
+        ("bones", {"bones": 121}),
+        ("bones", {"bones": 2.0}),
+        ("bones", {"bones": True}),
+        ("influences", {"influences": 65}),
+        ("rest", {"rest": np.zeros((119, 3))}),
+        ("rng", {"rng": -1}),
+        ("rng", {"rng": "seed"}),
+    ],
+)
+def test_refuses(argument: str, change: dict[str, object]) -> None:
+    rig = motions.chain()
+    with pytest.raises(ssdr.InputError) as caught:
+        ssdr.initialize(rig.frames, **({"bones": 3} | change))
+    assert caught.value.argument == argument
