@@ -1,0 +1,147 @@
+"""A body's joints: who hangs on whom, where they rest, and poses as rotations or transforms."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ssdr.errors import InputError
+
+__all__ = ["REFLECTION", "Skeleton", "mirror_transforms"]
+
+# x to -x: the plane of symmetry of body and garment.
+REFLECTION = np.diag([-1.0, 1.0, 1.0])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Joints in the rest pose; every joint's axes are the world's there.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Left and right joints differ by the ends ``_l`` and ``_r``.
+    parents : (J,) int array
+        The parent of every joint, which comes before it; -1 for the root, the first.
+    rest : (J, 3) float array
+        Positions in the rest pose, metres, y up.
+
+    Raises
+    ------
+    InputError
+        If shapes do not match or parents do not come first.
+    """
+
+    names: tuple[str, ...]
+    parents: NDArray[np.int32]
+    rest: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "names", tuple(str(n) for n in self.names))
+        count = len(self.names)
+        if count == 0 or len(set(self.names)) != count:
+            raise InputError("names", "one or more names, no two the same", self.names)
+        parents = np.asarray(self.parents, dtype=np.int32)
+        if parents.shape != (count,) or parents[0] != -1:
+            raise InputError("parents", f"{count} indices, the first -1", parents)
+        for j in range(1, count):
+            if not 0 <= parents[j] < j:
+                raise InputError("parents", f"an index from 0 to {j - 1} at {j}", parents[j])
+        rest = np.asarray(self.rest, dtype=np.float64)
+        if rest.shape != (count, 3) or not np.isfinite(rest).all():
+            raise InputError("rest", f"finite numbers of shape ({count}, 3)", f"{rest.shape}")
+        put(self, "parents", parents)
+        put(self, "rest", rest)
+
+    @property
+    def n_joints(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Number of the joint `name`."""
+        if name not in self.names:
+            raise InputError("name", f"one of {', '.join(self.names)}", repr(name))
+        return self.names.index(name)
+
+    def mirror(self) -> NDArray[np.int32]:
+        """The joint ``(J,)`` on the other side of each; its own number in the middle."""
+        other = {"_l": "_r", "_r": "_l"}
+        return np.array(
+            [
+                self.index(n[:-2] + other[n[-2:]]) if n[-2:] in other else j
+                for j, n in enumerate(self.names)
+            ],
+            dtype=np.int32,
+        )
+
+    def transforms(self, root: ArrayLike, rotations: ArrayLike) -> NDArray[np.float64]:
+        """World transforms of a pose.
+
+        Parameters
+        ----------
+        root : (F, 3) array
+            Position of the root joint.
+        rotations : (F, J, 3, 3) array
+            Rotation of every joint relative to its parent, in the axes of the rest pose; the
+            root's is that of the body in the world.
+
+        Returns
+        -------
+        (F, J, 3, 4) float64
+            ``[R | T]`` from the rest pose to the pose.
+        """
+        local = np.asarray(rotations, dtype=np.float64)
+        place = np.asarray(root, dtype=np.float64)
+        if local.ndim != 4 or local.shape[1:] != (self.n_joints, 3, 3):
+            raise InputError("rotations", f"shape (F, {self.n_joints}, 3, 3)", local.shape)
+        if place.shape != (len(local), 3):
+            raise InputError("root", f"shape ({len(local)}, 3)", place.shape)
+        world = np.empty_like(local)
+        heads = np.empty((*local.shape[:2], 3))
+        for j, parent in enumerate(self.parents):
+            if parent < 0:
+                world[:, j], heads[:, j] = local[:, j], place
+            else:
+                world[:, j] = world[:, parent] @ local[:, j]
+                heads[:, j] = heads[:, parent] + world[:, parent] @ (
+                    self.rest[j] - self.rest[parent]
+                )
+        shift = heads - np.einsum("fjab,jb->fja", world, self.rest)
+        return np.concatenate([world, shift[..., None]], axis=-1)
+
+    def positions(self, joints: ArrayLike) -> NDArray[np.float64]:
+        """Positions ``(F, J, 3)`` of the joints under world transforms ``(F, J, 3, 4)``."""
+        m = self._checked(joints)
+        return np.asarray(np.einsum("fjab,jb->fja", m[..., :3], self.rest) + m[..., 3])
+
+    def pose(self, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Root positions ``(F, 3)`` and relative rotations ``(F, J, 3, 3)`` of world transforms.
+
+        The inverse of :meth:`transforms`.
+        """
+        m = self._checked(joints)
+        world = m[..., :3]
+        local = world.copy()
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                local[:, j] = world[:, parent].swapaxes(-1, -2) @ world[:, j]
+        return self.positions(m)[:, 0], local
+
+    def _checked(self, joints: ArrayLike) -> NDArray[np.float64]:
+        m = np.asarray(joints, dtype=np.float64)
+        if m.ndim != 4 or m.shape[1:] != (self.n_joints, 3, 4):
+            raise InputError("joints", f"shape (F, {self.n_joints}, 3, 4)", f"shape {m.shape}")
+        return m
+
+
+def mirror_transforms(joints: ArrayLike, mirror: ArrayLike) -> NDArray[np.floating]:
+    """Reflect world transforms ``(F, J, 3, 4)`` in x: S M S of the joint on the other side.
+
+    They stay rigid: a reflection before and one after.
+    """
+    m = np.asarray(joints)[:, np.asarray(mirror)]
+    sign = np.outer([-1, 1, 1], [-1, 1, 1, 1]).astype(m.dtype)
+    return np.asarray(m * sign)
