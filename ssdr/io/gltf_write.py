@@ -229,9 +229,9 @@ def _primitives(
     if not len(corners.faces):
         return [{"attributes": attributes, "mode": 0}]
     surface = model.surface
-    materials = surface.materials if surface is not None else ()
-    if materials:
-        document.json["materials"] = [_material(document, m, notes) for m in materials]
+    # glTF's own default is bare metal, which is black wherever there is nothing to reflect
+    materials = (surface.materials if surface is not None else ()) or (Material(),)
+    document.json["materials"] = [_material(document, m, notes) for m in materials]
     index = np.zeros(len(corners.faces), dtype=np.int32)
     if surface is not None and surface.material_index is not None:
         index = surface.material_index
@@ -243,9 +243,8 @@ def _primitives(
             "attributes": attributes,
             "indices": document.accessor(part, "SCALAR", target=_ELEMENTS),
             "mode": 4,
+            "material": int(k),
         }
-        if materials:
-            primitive["material"] = int(k)
         result.append(primitive)
     return result
 
