@@ -135,7 +135,9 @@ def rotate_toward(s, r, a, turn, new):
     for _ in range(12):
         for c in range(3):
             for d in range(3):
-                a[c, d] = r[0, c] * s[0, d] + r[1, c] * s[1, d] + r[2, c] * s[2, d]
+                a[c, d] = 0.0
+                for e in range(3):
+                    a[c, d] += r[e, c] * s[e, d]
         trace = a[0, 0] + a[1, 1] + a[2, 2]
         h00, h11, h22 = trace - a[0, 0], trace - a[1, 1], trace - a[2, 2]
         h01 = -0.5 * (a[0, 1] + a[1, 0])
@@ -173,7 +175,9 @@ def rotate_toward(s, r, a, turn, new):
         quaternion_matrix(1.0, 0.5 * wx, 0.5 * wy, 0.5 * wz, turn)
         for c in range(3):
             for d in range(3):
-                new[c, d] = r[c, 0] * turn[0, d] + r[c, 1] * turn[1, d] + r[c, 2] * turn[2, d]
+                new[c, d] = 0.0
+                for e in range(3):
+                    new[c, d] += r[c, e] * turn[e, d]
         for c in range(3):
             for d in range(3):
                 r[c, d] = new[c, d]
@@ -182,12 +186,14 @@ def rotate_toward(s, r, a, turn, new):
     # one step of Newton–Schulz: products of rotations drift from orthonormality
     for c in range(3):
         for d in range(3):
-            a[c, d] = r[0, c] * r[0, d] + r[1, c] * r[1, d] + r[2, c] * r[2, d]
+            a[c, d] = 0.0
+            for e in range(3):
+                a[c, d] += r[e, c] * r[e, d]
     for c in range(3):
         for d in range(3):
-            new[c, d] = 1.5 * r[c, d] - 0.5 * (
-                r[c, 0] * a[0, d] + r[c, 1] * a[1, d] + r[c, 2] * a[2, d]
-            )
+            new[c, d] = 1.5 * r[c, d]
+            for e in range(3):
+                new[c, d] -= 0.5 * r[c, e] * a[e, d]
     for c in range(3):
         for d in range(3):
             r[c, d] = new[c, d]
@@ -223,12 +229,8 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, sweeps, first, last)
                     v = u[j, k]
                     for e in range(3):
                         for f in range(4):
-                            d[e, f] -= (
-                                m[e, 0] * v[0, f]
-                                + m[e, 1] * v[1, f]
-                                + m[e, 2] * v[2, f]
-                                + m[e, 3] * v[3, f]
-                            )
+                            for g in range(4):
+                                d[e, f] -= m[e, g] * v[g, f]
                 m = transforms[t, j]
                 for e in range(3):
                     for f in range(3):
@@ -238,6 +240,6 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, sweeps, first, last)
                 for e in range(3):
                     for f in range(3):
                         m[e, f] = r[e, f]
-                    m[e, 3] = (
-                        d[e, 3] - r[e, 0] * own[0, 3] - r[e, 1] * own[1, 3] - r[e, 2] * own[2, 3]
-                    ) / mass
+                    m[e, 3] = d[e, 3] / mass
+                    for f in range(3):
+                        m[e, 3] -= r[e, f] * own[f, 3] / mass

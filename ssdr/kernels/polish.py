@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from .frames import quaternion_matrix
 from .policy import inline, kernel
 from .vertices import (
+    against,
     cholesky_solve,
     copy_row,
     hessian_row,
     monomials,
+    pulled,
     simplex_qp,
     squared_error,
     store,
@@ -34,32 +37,23 @@ def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, moved, a, g):
             block = gram4[ids[q], ids[s]]
             c = w[s]
             for d in range(4):
-                moved[q, d] += c * (
-                    block[d, 0] * p[0] + block[d, 1] * p[1] + block[d, 2] * p[2] + block[d, 3]
-                )
+                moved[q, d] += c * against(block, d, p)
     k = n - 1 if with_weights else 0
     size = k + (3 if with_rest else 0)
     j0 = ids[0]
-    f0 = y[0, j0] * p[0] + y[1, j0] * p[1] + y[2, j0] * p[2] + y[3, j0]
-    g0 = moved[0, 0] * p[0] + moved[0, 1] * p[1] + moved[0, 2] * p[2] + moved[0, 3] - f0
+    f0 = pulled(y, j0, p)
+    g0 = against(moved, 0, p) - f0
     for q in range(1, k + 1):
         j = ids[q]
-        f = y[0, j] * p[0] + y[1, j] * p[1] + y[2, j] * p[2] + y[3, j]
-        g[q - 1] = (
-            moved[q, 0] * p[0] + moved[q, 1] * p[1] + moved[q, 2] * p[2] + moved[q, 3] - f - g0
-        )
+        f = pulled(y, j, p)
+        g[q - 1] = against(moved, q, p) - f - g0
         for s in range(1, q + 1):
             i = ids[s]
             value = 0.0
-            b0 = gram4[j, i]
-            b1 = gram4[j0, i]
-            b2 = gram4[j, j0]
-            b3 = gram4[j0, j0]
             for d in range(4):
                 left = p[d] if d < 3 else 1.0
-                for e in range(4):
-                    right = p[e] if e < 3 else 1.0
-                    value += left * right * (b0[d, e] - b1[d, e] - b2[d, e] + b3[d, e])
+                value += left * (against(gram4[j, i], d, p) - against(gram4[j0, i], d, p))
+                value -= left * (against(gram4[j, j0], d, p) - against(gram4[j0, j0], d, p))
             a[q - 1, s - 1] = value
     if with_rest:
         for c in range(3):
@@ -149,7 +143,7 @@ def polish_vertices(
             for q in range(n):
                 j = ids[q]
                 hessian_row(gram, j, m, rows[q])
-                f[q] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+                f[q] = pulled(y[i], j, p)
                 alive[q] = q
             for q in range(n):
                 for s in range(n):
@@ -157,9 +151,7 @@ def polish_vertices(
             simplex_qp(h, f, w, alive, n, a, b)
             if entering > 0:
                 for j in range(n_bones):
-                    f_all[j] = (
-                        y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
-                    )
+                    f_all[j] = pulled(y[i], j, p)
                     barred[j] = False
             for _ in range(entering):
                 # forget bones at zero
@@ -376,22 +368,11 @@ def schur_vertices(
                 block = cross[joints[i, q], joints[i, s]]
                 w = weights[i, s]
                 for d in range(4):
-                    image[q, d] += w * (
-                        block[d, 0] * p4[0]
-                        + block[d, 1] * p4[1]
-                        + block[d, 2] * p4[2]
-                        + block[d, 3]
-                    )
+                    image[q, d] += w * against(block, d, p4)
         k = 0 if keep_weights[i] else n - 1
-        base = image[0, 0] * p4[0] + image[0, 1] * p4[1] + image[0, 2] * p4[2] + image[0, 3]
+        base = against(image, 0, p4)
         for q in range(k):
-            b[q] = (
-                image[q + 1, 0] * p4[0]
-                + image[q + 1, 1] * p4[1]
-                + image[q + 1, 2] * p4[2]
-                + image[q + 1, 3]
-                - base
-            )
+            b[q] = against(image, q + 1, p4) - base
         size = k
         if move_rest:
             size = k + 3
@@ -462,14 +443,13 @@ def tangent_image(transforms, x, scale, out, first, last):
         s = scale[t]
         for j in range(transforms.shape[1]):
             m = transforms[t, j]
-            wx, wy, wz = s * x[t, j, 0], s * x[t, j, 1], s * x[t, j, 2]
-            tx, ty, tz = s * x[t, j, 3], s * x[t, j, 4], s * x[t, j, 5]
             for c in range(3):
                 row = out[3 * t + c]
-                row[0, j] = m[c, 1] * wz - m[c, 2] * wy
-                row[1, j] = m[c, 2] * wx - m[c, 0] * wz
-                row[2, j] = m[c, 0] * wy - m[c, 1] * wx
-                row[3, j] = m[c, 0] * tx + m[c, 1] * ty + m[c, 2] * tz
+                row[3, j] = 0.0
+                for d in range(3):
+                    e, f = (d + 1) % 3, (d + 2) % 3
+                    row[d, j] = s * (m[c, e] * x[t, j, f] - m[c, f] * x[t, j, e])
+                    row[3, j] += s * m[c, d] * x[t, j, 3 + d]
 
 
 @kernel
@@ -484,41 +464,28 @@ def tangent_pullback(transforms, g, scale, out, first, last):
                 o[d] = 0.0
             for c in range(3):
                 row = g[3 * t + c]
-                o[0] += s * (m[c, 2] * row[1, j] - m[c, 1] * row[2, j])
-                o[1] += s * (m[c, 0] * row[2, j] - m[c, 2] * row[0, j])
-                o[2] += s * (m[c, 1] * row[0, j] - m[c, 0] * row[1, j])
                 for d in range(3):
+                    e, f = (d + 1) % 3, (d + 2) % 3
+                    o[d] += s * (m[c, f] * row[e, j] - m[c, e] * row[f, j])
                     o[3 + d] += s * m[c, d] * row[3, j]
 
 
 @kernel
 def move_bones(transforms, x, locked, first, last):
     """M ← M exp(x) for frames first..last, rotations kept orthonormal."""
+    turn = np.empty((3, 3))
+    old = np.empty(3)
     for t in range(first, last):
         for j in range(transforms.shape[1]):
             if locked[j]:
                 continue
             m = transforms[t, j]
+            quaternion_matrix(1.0, 0.5 * x[t, j, 0], 0.5 * x[t, j, 1], 0.5 * x[t, j, 2], turn)
             for c in range(3):
-                m[c, 3] += m[c, 0] * x[t, j, 3] + m[c, 1] * x[t, j, 4] + m[c, 2] * x[t, j, 5]
-            wx, wy, wz = 0.5 * x[t, j, 0], 0.5 * x[t, j, 1], 0.5 * x[t, j, 2]
-            n = 1.0 / np.sqrt(1.0 + wx * wx + wy * wy + wz * wz)
-            w = n
-            wx, wy, wz = wx * n, wy * n, wz * n
-            for c in range(3):
-                a, b, d = m[c, 0], m[c, 1], m[c, 2]
-                m[c, 0] = (
-                    a * (1.0 - 2.0 * (wy * wy + wz * wz))
-                    + b * 2.0 * (wx * wy + wz * w)
-                    + d * 2.0 * (wx * wz - wy * w)
-                )
-                m[c, 1] = (
-                    a * 2.0 * (wx * wy - wz * w)
-                    + b * (1.0 - 2.0 * (wx * wx + wz * wz))
-                    + d * 2.0 * (wy * wz + wx * w)
-                )
-                m[c, 2] = (
-                    a * 2.0 * (wx * wz + wy * w)
-                    + b * 2.0 * (wy * wz - wx * w)
-                    + d * (1.0 - 2.0 * (wx * wx + wy * wy))
-                )
+                for d in range(3):
+                    m[c, 3] += m[c, d] * x[t, j, 3 + d]
+                    old[d] = m[c, d]
+                for d in range(3):
+                    m[c, d] = 0.0
+                    for e in range(3):
+                        m[c, d] += old[e] * turn[e, d]

@@ -28,6 +28,24 @@ def hessian_row(gram, j, m, row):
 
 
 @inline
+def pulled(y, j, p):
+    """f_j = p̃ᵀ y_j."""
+    value = y[3, j]
+    for d in range(3):
+        value += y[d, j] * p[d]
+    return value
+
+
+@inline
+def against(block, d, p):
+    """Row d of a 4×4 block times p̃."""
+    value = block[d, 3]
+    for e in range(3):
+        value += block[d, e] * p[e]
+    return value
+
+
+@inline
 def copy_row(rows, source, target):
     for k in range(rows.shape[1]):
         rows[target, k] = rows[source, k]
@@ -157,7 +175,7 @@ def rest_step(gram4, y, joints, w, n, p, a, b):
             g = gram4[j, joints[s]]
             ww = w[q] * w[s]
             for c in range(3):
-                b[c] -= ww * (g[c, 0] * p[0] + g[c, 1] * p[1] + g[c, 2] * p[2] + g[c, 3])
+                b[c] -= ww * against(g, c, p)
                 for d in range(3):
                     a[c, d] += ww * g[c, d]
     if cholesky_solve(a, b, 3):
@@ -171,14 +189,14 @@ def squared_error(x2, gram4, y, joints, w, n, p):
     e = x2
     for q in range(n):
         j = joints[q]
-        f = y[0, j] * p[0] + y[1, j] * p[1] + y[2, j] * p[2] + y[3, j]
+        f = pulled(y, j, p)
         e -= 2.0 * w[q] * f
         for s in range(n):
             g = gram4[j, joints[s]]
             h = 0.0
             for c in range(4):
                 left = p[c] if c < 3 else 1.0
-                h += left * (g[c, 0] * p[0] + g[c, 1] * p[1] + g[c, 2] * p[2] + g[c, 3])
+                h += left * against(g, c, p)
             e += w[q] * w[s] * h
     return e
 
@@ -224,7 +242,7 @@ def solve_vertices(
         else:
             monomials(p, m)
             for j in range(n_bones):
-                f_all[j] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+                f_all[j] = pulled(y[i], j, p)
             alpha = 0.0
             if smooth:
                 alpha = stiff[i]
@@ -380,7 +398,7 @@ def removal_cost(y, x2, gram, rest, support, share, count, importance, cost, fir
         for q in range(n):
             j = support[i, q]
             hessian_row(gram, j, m, rows[q])
-            f[q] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+            f[q] = pulled(y[i], j, p)
         for q in range(n):
             base -= 2.0 * share[i, q] * f[q]
             for s in range(n):
@@ -392,7 +410,7 @@ def removal_cost(y, x2, gram, rest, support, share, count, importance, cost, fir
                 diagonal[j] = gram[j, 9, j]
                 for c in range(9):
                     diagonal[j] += m[c] * gram[j, c, j]
-                f_all[j] = y[i, 0, j] * p[0] + y[i, 1, j] * p[1] + y[i, 2, j] * p[2] + y[i, 3, j]
+                f_all[j] = pulled(y[i], j, p)
             best = np.inf
             for j in range(n_bones):
                 if j != support[i, 0]:
