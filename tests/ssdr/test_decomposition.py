@@ -1,0 +1,648 @@
+"""``ssdr.decompose`` as a whole: what it promises, each promise measured from outside."""
+
+from __future__ import annotations
+
+import functools
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import motions
+import naive
+import numpy as np
+import pytest
+import threadpoolctl
+
+import ssdr
+
+
+@functools.cache
+def rig() -> motions.Rig:
+    return motions.chain(bones=5, rows=14, frames=15)
+
+
+@functools.cache
+def frames() -> np.ndarray:
+    """The rig's frames with a wobble that no bones can follow; a read-only array."""
+    out = motions.wobble(rig(), 0.1)
+    out.setflags(write=False)
+    return out
+
+
+def diagonal(array: np.ndarray) -> float:
+    return float(np.linalg.norm(np.ptp(array, axis=1), axis=1).max())
+
+
+def rmse_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
+    again = motions.blend(skinning.rest, skinning.joints, skinning.weights, skinning.transforms)
+    return float(np.sqrt(((again - array) ** 2).sum(axis=-1).mean()))
+
+
+def check(
+    result: ssdr.Decomposition, array: np.ndarray, bones: int, influences: int = 4
+) -> ssdr.Decomposition:
+    """What holds for every result."""
+    s = result.skinning
+    n_frames, n = array.shape[:2]
+    assert s.transforms.shape == (n_frames, bones, 3, 4)
+    assert s.rest.shape == (n, 3)
+    assert s.joints.shape == s.weights.shape == (n, influences)
+    assert s.joints.min() >= 0
+    assert s.joints.max() < bones
+    assert s.weights.min() >= 0
+    assert np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6
+    assert (np.diff(s.weights, axis=1) <= 1e-12).all()
+    assert (s.joints[s.weights == 0] == 0).all()
+    r = s.transforms[..., :3]
+    assert np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max() < 1e-6
+    assert np.abs(np.linalg.det(r) - 1).max() < 1e-6
+    scale = max(diagonal(array), float(np.abs(array).max()))
+    assert result.rmse == pytest.approx(rmse_of(s, array), rel=1e-6, abs=1e-13 * scale)
+    errors = [record.rmse for record in result.history]
+    assert (np.diff(errors) <= 0).all()
+    assert errors[-1] == result.rmse
+    assert (np.diff([record.elapsed for record in result.history]) >= 0).all()
+    assert (np.diff([record.iteration for record in result.history]) >= 0).all()
+    assert result.history[0].elapsed > 0
+    assert result.stop_reason in (
+        "converged", "plan finished", "iterations", "time limit", "cancelled",
+    )  # fmt: skip
+    assert result.converged == (result.stop_reason == "converged")
+    return result
+
+
+# exact data
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_exact_chain_is_recovered(seed: int) -> None:
+    exact = motions.chain(seed, bones=5, frames=25)
+    error = {
+        effort: check(
+            ssdr.decompose(exact.frames, exact.faces, bones=5, effort=effort), exact.frames, 5
+        ).rmse
+        for effort in ("fast", "balanced", "best")
+    }
+    assert error["best"] < 1e-4 * diagonal(exact.frames)
+    assert error["best"] <= error["balanced"] <= error["fast"] < 5e-3 * diagonal(exact.frames)
+
+
+@pytest.mark.slow
+def test_exact_chain_of_many_bones() -> None:
+    exact = motions.chain(4, bones=16, frames=60, rows=64, bend=0.4)
+    result = check(
+        ssdr.decompose(exact.frames, exact.faces, bones=16, effort="best"), exact.frames, 16
+    )
+    assert result.rmse < 1e-3 * diagonal(exact.frames)
+
+
+@pytest.mark.slow
+def test_fox_is_recovered(real: Callable[[str], ssdr.MeshSequence]) -> None:
+    fox = real("fox")
+    result = check(ssdr.decompose(fox, bones=24), np.asarray(fox.vertices, dtype=np.float64), 24)
+    assert result.rmse < 1e-4 * fox.diagonal()
+
+
+def test_separate_boxes_are_exact() -> None:
+    exact = motions.boxes(2)
+    result = check(ssdr.decompose(exact.frames, bones=2), exact.frames, 2)
+    assert result.rmse < 1e-10 * diagonal(exact.frames)
+    assert result.converged
+    assert not result.warnings
+    owner = result.skinning.joints[:, 0]
+    assert len(set(owner[:30])) == len(set(owner[30:])) == 1
+    assert (result.skinning.weights[:, 0] > 1 - 1e-6).all()
+
+
+def test_noise_floor() -> None:
+    """White noise of sigma on exact data: no fit of P parameters is better than its share."""
+    exact = motions.chain(bones=4, frames=40, rows=30)
+    sigma = 0.01
+    noisy = exact.frames + sigma * np.random.default_rng(0).standard_normal(exact.frames.shape)
+    result = check(ssdr.decompose(noisy, bones=4), noisy, 4)
+    values = noisy.size
+    unknowns = 40 * 4 * 6 + len(exact.rest) * (3 + 3)
+    floor = sigma * np.sqrt(3 * (1 - unknowns / values))
+    assert 0.97 * floor < result.rmse < 1.03 * sigma * np.sqrt(3)
+    assert rmse_of(result.skinning, exact.frames) < 0.6 * sigma * np.sqrt(3)
+
+
+# the number of bones
+
+
+def test_static_mesh_still_has_its_bones() -> None:
+    still = np.repeat(rig().frames[:1], 6, axis=0)
+    for seed in range(3):
+        with pytest.warns(ssdr.SsdrWarning, match="fewer bones would do"):
+            result = check(ssdr.decompose(still, bones=20, rng=seed), still, 20)
+        assert result.rmse < 1e-7 * diagonal(still)
+        assert result.warnings
+
+
+def test_one_rigid_motion_and_twenty_bones() -> None:
+    body = np.stack([rig().rest @ motions.rotation(0.3 * t, t, 0).T + t for t in range(8)])
+    for seed in range(3):
+        with pytest.warns(ssdr.SsdrWarning, match="fewer bones would do"):
+            result = check(ssdr.decompose(body, bones=20, rng=seed), body, 20)
+        assert result.rmse < 1e-7 * diagonal(body)
+
+
+@pytest.mark.parametrize("bones", [1, 2, 7, 83, 84])
+def test_any_number_of_bones(bones: int) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ssdr.SsdrWarning)
+        result = ssdr.decompose(frames(), bones=bones, effort="fast", influences=3)
+    check(result, frames(), bones, 3)
+
+
+def test_one_bone_is_procrustes() -> None:
+    """B = 1 with the rest pose kept is Kabsch; with a free one it can only be better."""
+    rest = frames()[0]
+    kept = ssdr.decompose(frames(), bones=1, rest=rest)
+    fitted = ssdr.kabsch(np.broadcast_to(rest, frames().shape), frames())
+    # the reduced basis may lose a hundredth of a percent of what one bone cannot follow
+    np.testing.assert_allclose(kept.skinning.transforms[:, 0], fitted, atol=1e-4)
+    best = np.einsum("tab,ib->tia", fitted[..., :3], rest) + fitted[:, None, :, 3]
+    assert kept.rmse == pytest.approx(np.sqrt(((best - frames()) ** 2).sum(-1).mean()), rel=1e-6)
+    free = check(ssdr.decompose(frames(), bones=1), frames(), 1)
+    assert free.rmse < kept.rmse
+
+
+def test_more_bones_and_effort_never_hurt_much() -> None:
+    errors = [ssdr.decompose(frames(), bones=b).rmse for b in (1, 2, 4, 8)]
+    assert (np.diff(errors) < 0).all()
+    fast = ssdr.decompose(frames(), bones=4, effort="fast").rmse
+    assert errors[2] <= 1.001 * fast
+
+
+def test_plain_alternation_is_beaten() -> None:
+    """The public parts, alternated by hand from the public start, as the naive solver."""
+    skinning = ssdr.initialize(frames(), bones=4)
+    rest, transforms = skinning.rest, skinning.transforms
+    for _ in range(30):
+        w = ssdr.fit_weights(frames(), rest=rest, transforms=transforms)
+        b = ssdr.fit_bones(
+            frames(), rest=rest, joints=w.joints, weights=w.weights, transforms=transforms,
+            locked_bones=[], max_sweeps=5,
+        )  # fmt: skip
+        transforms = b.transforms
+        rest = ssdr.fit_rest_pose(
+            frames(), joints=w.joints, weights=w.weights, transforms=transforms, rest=rest
+        ).rest
+    last = ssdr.fit_weights(frames(), rest=rest, transforms=transforms)
+    assert ssdr.decompose(frames(), bones=4).rmse < last.rmse
+
+
+# history
+
+
+def test_history_is_what_a_run_stopped_there_gives() -> None:
+    """Every record's error is that of the model which a run stopped there hands out."""
+    whole = check(ssdr.decompose(frames(), bones=4), frames(), 4)
+    for record in whole.history[:: max(1, len(whole.history) // 6)]:
+        part = ssdr.decompose(frames(), bones=4, max_iterations=record.iteration)
+        assert rmse_of(part.skinning, frames()) == pytest.approx(record.rmse, rel=0.01)
+        assert part.history[-1].iteration == record.iteration
+
+
+def test_progress_agrees_with_the_result() -> None:
+    seen = []
+    result = ssdr.decompose(frames(), bones=4, callback=lambda p: seen.append(p))
+    assert seen[0].rmse == np.inf
+    assert seen[-1].rmse == pytest.approx(result.rmse, rel=0.01)
+    assert (np.diff([p.rmse for p in seen if np.isfinite(p.rmse)]) <= 0).all()
+    assert (np.diff([p.elapsed for p in seen]) >= 0).all()
+    assert (np.diff([p.fraction for p in seen]) >= 0).all()
+    assert all(0 <= p.fraction <= 1 for p in seen)
+    assert all(p.time_left >= 0 for p in seen)
+    assert {"start", "merge", "alternate", "reseed", "polish"} <= {p.phase for p in seen}
+
+
+# limits
+
+
+def test_iterations_are_limited() -> None:
+    full = ssdr.decompose(frames(), bones=4)
+    first = full.history[0].iteration
+    for limit in (first, first + 5, first + 20):
+        part = check(ssdr.decompose(frames(), bones=4, max_iterations=limit), frames(), 4)
+        assert part.stop_reason == "iterations"
+        # a re-seed is one step of several alternations
+        assert limit <= part.state.progress["iteration"] < limit + 4
+    tiny = check(ssdr.decompose(frames(), bones=4, max_iterations=1), frames(), 4)
+    assert tiny.state.progress["iteration"] <= first
+
+
+def test_time_is_limited() -> None:
+    began = time.perf_counter()
+    result = check(ssdr.decompose(frames(), bones=6, effort="best", time_limit=0.5), frames(), 6)
+    assert result.stop_reason == "time limit"
+    assert not result.converged
+    assert time.perf_counter() - began - result.compile_seconds < 5
+
+
+def test_cancel_before_any_model() -> None:
+    with pytest.raises(ssdr.Cancelled, match="before"):
+        ssdr.decompose(frames(), bones=4, callback=lambda p: True)
+
+
+def test_cancel_afterwards() -> None:
+    result = check(
+        ssdr.decompose(frames(), bones=4, callback=lambda p: np.isfinite(p.rmse)), frames(), 4
+    )
+    assert result.stop_reason == "cancelled"
+    assert len(result.history) == 1
+
+
+def test_an_error_in_the_callback_is_the_callers() -> None:
+    class Mine(Exception):
+        pass
+
+    def callback(progress: object) -> None:
+        raise Mine
+
+    with pytest.raises(Mine):
+        ssdr.decompose(frames(), bones=4, callback=callback)
+    assert all(pool["num_threads"] >= 1 for pool in threadpoolctl.threadpool_info())
+
+
+# reproducibility
+
+
+def bits(result: ssdr.Decomposition) -> list[bytes]:
+    s = result.skinning
+    return [a.tobytes() for a in (s.rest, s.joints, s.weights, s.transforms)]
+
+
+@pytest.mark.parametrize("effort", ["fast", "balanced"])
+def test_same_bits_for_any_number_of_threads(effort: str) -> None:
+    big = motions.chain(bones=6, rows=140, ring=8, frames=40)  # several chunks of vertices
+    array = motions.wobble(big, 0.05)
+    found = []
+    try:
+        for threads in (1, 2, 3):
+            ssdr.set_threads(threads)
+            with threadpoolctl.threadpool_limits(threads, user_api="blas"):
+                found.append(bits(ssdr.decompose(array, bones=6, effort=effort, max_iterations=60)))
+    finally:
+        ssdr.set_threads(None)
+    assert found[0] == found[1] == found[2]
+
+
+def test_seed_decides() -> None:
+    def run(rng: object) -> list[bytes]:
+        return bits(ssdr.decompose(frames(), bones=3, rng=rng, effort="fast"))
+
+    assert run(3) == run(3) == run(np.int64(3))
+    assert run(np.random.default_rng(8)) == run(np.random.default_rng(8))
+    assert any(run(seed) != run(3) for seed in range(4, 10))
+
+
+def test_the_global_generator_is_left_alone() -> None:
+    np.random.seed(1)  # noqa: NPY002
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    ssdr.decompose(frames(), bones=3, effort="fast")
+    assert np.array_equal(before, np.random.get_state()[1])  # noqa: NPY002
+
+
+# input
+
+
+def test_several_shots() -> None:
+    shots = [ssdr.MeshSequence(frames()[a:b], rig().faces) for a, b in ((0, 4), (4, 5), (5, 15))]
+    parts = check(ssdr.decompose(shots, bones=4), frames(), 4)
+    whole = ssdr.decompose(frames(), rig().faces, bones=4)
+    assert parts.offsets.tolist() == [0, 4, 5, 15]
+    assert whole.offsets.tolist() == [0, 15]
+    assert bits(parts) == bits(whole)
+    second = parts.reconstruct(slice(parts.offsets[1], parts.offsets[2]))
+    assert np.array_equal(second, parts.reconstruct()[4:5])
+
+
+def test_shots_must_be_of_one_mesh() -> None:
+    one = ssdr.MeshSequence(frames(), rig().faces)
+    for other, argument in (
+        (ssdr.MeshSequence(frames()[:, :-1]), "sequence[1]"),
+        (ssdr.MeshSequence(frames(), rig().faces[::-1]), "sequence[1].faces"),
+        (frames(), "sequence[1]"),
+    ):
+        with pytest.raises(ssdr.InputError) as caught:
+            ssdr.decompose([one, other], bones=2)
+        assert caught.value.argument == argument
+
+
+def test_memory_map_is_as_good_as_memory(tmp_path: Path) -> None:
+    np.save(tmp_path / "f.npy", frames())
+    lazy = ssdr.MeshSequence(np.load(tmp_path / "f.npy", mmap_mode="r"), rig().faces)
+    assert lazy.is_lazy
+    assert bits(ssdr.decompose(lazy, bones=4, effort="fast")) == bits(
+        ssdr.decompose(frames(), rig().faces, bones=4, effort="fast")
+    )
+
+
+def test_chunked_store_is_as_good_as_memory(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    store = zarr.create_array(
+        tmp_path / "f.zarr", shape=frames().shape, chunks=(4, 84, 3), dtype="f8"
+    )
+    store[:] = frames()
+    lazy = ssdr.MeshSequence(store, rig().faces)
+    assert lazy.is_lazy
+    assert bits(ssdr.decompose(lazy, bones=4, effort="fast")) == bits(
+        ssdr.decompose(frames(), rig().faces, bones=4, effort="fast")
+    )
+
+
+def test_input_is_left_alone() -> None:
+    array, faces = np.array(frames()), rig().faces.copy()
+    ssdr.decompose(array, faces, bones=4, effort="fast")
+    assert np.array_equal(array, frames())
+    assert np.array_equal(faces, rig().faces)
+
+
+def test_what_the_sequence_carries_survives(seam: ssdr.MeshSequence) -> None:
+    result = ssdr.decompose(seam, bones=2, effort="fast")
+    s = result.skinning
+    assert s.fps == seam.fps
+    assert s.name == seam.name
+    assert np.array_equal(s.faces, seam.faces)
+    assert s.surface is seam.surface
+
+
+# fixed parts
+
+
+def test_given_rest_pose_stays() -> None:
+    rest = rig().rest + 0.01
+    fixed = check(ssdr.decompose(frames(), bones=5, rest=rest), frames(), 5)
+    np.testing.assert_allclose(fixed.skinning.rest, rest, atol=1e-13)
+    assert ssdr.decompose(frames(), bones=5).rmse < fixed.rmse < 0.2
+
+
+def test_given_exact_rest_pose() -> None:
+    exact = rig().frames
+    fixed = check(ssdr.decompose(exact, bones=5, rest=rig().rest), exact, 5)
+    assert fixed.rmse < 1e-4 * diagonal(exact)
+
+
+def test_given_weights_stay() -> None:
+    w = rig().weights + 1e-5
+    w /= w.sum(axis=1, keepdims=True)
+    joints = np.tile(np.arange(5)[None], (84, 1))
+    dense = np.zeros((84, 5))
+    np.put_along_axis(dense, rig().joints, w, axis=1)
+    np.add.at(dense, (np.arange(84), 4), 1 - dense.sum(axis=1))
+    dense = np.abs(dense) / np.abs(dense).sum(axis=1, keepdims=True)
+    result = ssdr.decompose(frames(), bones=5, influences=5, joints=joints, weights=dense)
+    check(result, frames(), 5, 5)
+    got = result.skinning.sparse_weights().toarray()
+    np.testing.assert_allclose(got, dense, atol=1e-14)
+
+
+def test_given_exact_weights_are_enough() -> None:
+    exact = rig().frames
+    result = check(
+        ssdr.decompose(exact, bones=5, joints=rig().joints, weights=rig().weights), exact, 5
+    )
+    np.testing.assert_allclose(
+        result.skinning.sparse_weights().toarray(),
+        ssdr.Skinning(rig().rest, rig().joints, rig().weights, rig().transforms)
+        .sparse_weights()
+        .toarray(),
+        atol=1e-14,
+    )
+    assert result.rmse < 1e-4 * diagonal(exact)
+
+
+def test_locked_vertices_keep_their_weights() -> None:
+    locked = np.arange(84) % 3 == 0
+    wrong = np.zeros((84, 1), dtype=int)
+    result = check(
+        ssdr.decompose(
+            frames(), bones=5, joints=wrong, weights=np.ones((84, 1)), locked_vertices=locked
+        ),
+        frames(),
+        5,
+    )
+    s = result.skinning
+    assert (s.joints[locked] == 0).all()
+    assert (s.weights[locked] == [1, 0, 0, 0]).all()
+    assert (s.weights[~locked, 0] < 1).any()
+    with pytest.warns(ssdr.SsdrWarning, match="4 of 5"):
+        everything = ssdr.decompose(frames(), bones=5, joints=wrong, weights=np.ones((84, 1)))
+    assert result.rmse < 0.9 * everything.rmse
+
+
+@pytest.mark.parametrize("locked", [[0], [3], [1, 4], [0, 1, 2, 3, 4], None])
+def test_locked_bones_stay(locked: list[int] | None) -> None:
+    given = rig().transforms.copy()
+    given[..., 3] += 0.3 * np.random.default_rng(0).standard_normal(given[..., 3].shape)
+    which = range(5) if locked is None else locked
+    for bones in (5, 7):
+        result = check(
+            ssdr.decompose(frames(), bones=bones, transforms=given, locked_bones=locked),
+            frames(),
+            bones,
+        )
+        for j in which:
+            np.testing.assert_allclose(result.skinning.transforms[:, j], given[:, j], atol=1e-12)
+    free = ssdr.decompose(frames(), bones=5, transforms=given, locked_bones=[])
+    held = ssdr.decompose(frames(), bones=5, transforms=given, locked_bones=locked)
+    assert free.rmse < held.rmse
+
+
+def test_given_skeleton_is_worth_having() -> None:
+    """With the true bones held, the exact model is found; and extra bones only help."""
+    exact = rig().frames
+    result = check(ssdr.decompose(exact, bones=5, transforms=rig().transforms), exact, 5)
+    assert result.rmse < 1e-5 * diagonal(exact)
+    fewer = rig().transforms[:, :3]
+    some = check(ssdr.decompose(exact, bones=3, transforms=fewer), exact, 3)
+    more = check(ssdr.decompose(exact, bones=5, transforms=fewer), exact, 5)
+    assert more.rmse < 0.1 * some.rmse
+    np.testing.assert_allclose(more.skinning.transforms[:, :3], fewer, atol=1e-12)
+
+
+def test_rest_frame() -> None:
+    result = check(ssdr.decompose(frames(), bones=5, rest_frame=9), frames(), 5)
+    assert result.rmse < 1.5 * ssdr.decompose(frames(), bones=5).rmse
+
+
+# smoothness and importance
+
+
+def test_smoothness_trades_error_for_dirichlet_energy() -> None:
+    seen: list[list[float]] = []
+
+    def run(length: float) -> tuple[float, float]:
+        values: list[float] = []
+        result = ssdr.decompose(
+            frames(), rig().faces, bones=5, smoothness=length, effort="fast",
+            callback=lambda p: values.append(p.rmse),
+        )  # fmt: skip
+        s = result.skinning
+        seen.append(values)
+        assert result.rmse == pytest.approx(rmse_of(s, frames()), rel=1e-6)
+        return result.rmse, naive.dirichlet(rig().faces, s.joints, s.weights, 5)
+
+    table = [run(length) for length in (0.0, 0.05, 0.5)]
+    errors, energies = zip(*table, strict=True)
+    assert energies[2] < 0.5 * energies[1] < 0.5 * energies[0]
+    assert errors[0] < errors[1] < errors[2]
+    for values in seen:  # progress tells the penalised objective
+        assert (np.diff([v for v in values if np.isfinite(v)]) <= 0).all()
+
+
+def test_vertex_importance_shifts_the_error() -> None:
+    heavy = np.arange(84) < 42
+
+    def error(importance: object) -> np.ndarray:
+        result = ssdr.decompose(frames(), bones=3, vertex_importance=importance)
+        gap = result.reconstruct() - frames()
+        return np.array([np.sqrt((gap[:, m] ** 2).sum(-1).mean()) for m in (heavy, ~heavy)])
+
+    even, uneven = error(None), error(np.where(heavy, 20.0, 1.0))
+    assert uneven[0] < 0.8 * even[0]
+    assert uneven[1] > even[1]
+    np.testing.assert_allclose(error(np.full(84, 7.0)), even, rtol=0.05)
+
+
+def test_vertices_of_no_importance_may_be_anything() -> None:
+    exact = motions.chain(bones=4, frames=40, rows=24)
+    array = exact.frames
+    junk = np.arange(array.shape[1]) % 2 == 0
+    array[:, junk] += 50 * np.random.default_rng(0).standard_normal((40, junk.sum(), 3))
+    result = check_weighted(array, (~junk).astype(float))
+    gap = (result.reconstruct() - array)[:, ~junk]
+    assert np.sqrt((gap**2).sum(-1).mean()) < 1e-2 * diagonal(exact.frames)
+
+
+def check_weighted(array: np.ndarray, importance: np.ndarray) -> ssdr.Decomposition:
+    result = ssdr.decompose(array, bones=4, vertex_importance=importance)
+    return check(result, array, 4)
+
+
+def test_frame_importance_shifts_the_error() -> None:
+    heavy = np.arange(15) % 5 == 0
+
+    def error(importance: object) -> np.ndarray:
+        result = ssdr.decompose(frames(), bones=3, frame_importance=importance)
+        gap = result.reconstruct() - frames()
+        return np.array([np.sqrt((gap[m] ** 2).sum(-1).mean()) for m in (heavy, ~heavy)])
+
+    even, uneven = error(None), error(np.where(heavy, 50.0, 1.0))
+    assert uneven[0] < 0.8 * even[0]
+    assert uneven[1] > even[1]
+
+
+# threads of the caller
+
+
+def test_the_lock_of_python_is_released() -> None:
+    """Another thread keeps counting while kernels run; without the GIL's release it could not."""
+    big = motions.chain(bones=8, rows=500, ring=10, frames=60)
+    array = motions.wobble(big, 0.05)
+    ssdr.decompose(array[:2], bones=2, effort="fast")  # compiled before the clock starts
+    gaps: list[float] = []
+    done = threading.Event()
+
+    def tick() -> None:
+        last = time.perf_counter()
+        while not done.is_set():
+            time.sleep(0.001)
+            now = time.perf_counter()
+            gaps.append(now - last)
+            last = now
+
+    watcher = threading.Thread(target=tick)
+    ssdr.set_threads(1)
+    try:
+        watcher.start()
+        began = time.perf_counter()
+        ssdr.decompose(array, bones=40, effort="fast", max_iterations=30)
+        spent = time.perf_counter() - began
+    finally:
+        done.set()
+        watcher.join()
+        ssdr.set_threads(None)
+    assert spent > 0.2
+    assert len(gaps) > 100 * spent / 4
+    assert max(gaps) < max(0.2, 0.2 * spent)
+
+
+def test_two_runs_at_once() -> None:
+    alone = bits(ssdr.decompose(frames(), bones=4, effort="fast"))
+    found: list[list[bytes]] = []
+
+    def run() -> None:
+        found.append(bits(ssdr.decompose(frames(), bones=4, effort="fast")))
+
+    threads = [threading.Thread(target=run) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [alone] * 3
+
+
+# refusals
+
+
+REFUSED: dict[str, tuple[str, dict[str, object]]] = {
+    "no bones": ("bones", {"bones": 0}),
+    "more bones than vertices": ("bones", {"bones": 85}),
+    "bones as text": ("bones", {"bones": "5"}),
+    "no influences": ("influences", {"influences": 0}),
+    "unknown effort": ("effort", {"effort": "heroic"}),
+    "unknown bone model": ("bone_model", {"bone_model": "affine"}),
+    "reserved tolerance": ("tolerance", {"tolerance": 0.1}),
+    "no iterations": ("max_iterations", {"max_iterations": 0}),
+    "no time": ("time_limit", {"time_limit": 0.0}),
+    "time NaN": ("time_limit", {"time_limit": float("nan")}),
+    "rest frame out of range": ("rest_frame", {"rest_frame": 15}),
+    "smoothness below 0": ("smoothness", {"smoothness": -1}),
+    "smoothness NaN": ("smoothness", {"smoothness": float("nan")}),
+    "smoothness without faces": ("smoothness", {"smoothness": 1.0, "faces": None}),
+    "joints alone": ("weights", {"joints": np.zeros((84, 1), int)}),
+    "weights alone": ("joints", {"weights": np.ones((84, 1))}),
+    "joints out of range": (
+        "joints", {"joints": np.full((84, 1), 4), "weights": np.ones((84, 1))},
+    ),
+    "too many influences": (
+        "weights", {"joints": np.tile(np.arange(3), (84, 1)), "weights": np.full((84, 3), 1 / 3),
+                    "influences": 2},
+    ),
+    "a bone twice": (
+        "joints", {"joints": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)},
+    ),
+    "locked vertices alone": ("locked_vertices", {"locked_vertices": [0]}),
+    "locked bones alone": ("locked_bones", {"locked_bones": [0]}),
+    "too many given bones": ("transforms", {"transforms": np.tile(np.eye(4)[:3], (15, 5, 1, 1))}),
+    "bones of other frames": ("transforms", {"transforms": np.tile(np.eye(4)[:3], (9, 2, 1, 1))}),
+    "bones that scale": ("transforms", {"transforms": np.tile(2 * np.eye(4)[:3], (15, 2, 1, 1))}),
+    "a bone that is not there": (
+        "locked_bones",
+        {"transforms": np.tile(np.eye(4)[:3], (15, 2, 1, 1)), "locked_bones": [2]},
+    ),
+    "rest of another mesh": ("rest", {"rest": np.zeros((83, 3))}),
+    "rest NaN": ("rest", {"rest": np.full((84, 3), np.nan)}),
+    "importance below 0": ("vertex_importance", {"vertex_importance": -np.ones(84)}),
+    "importance all 0": ("vertex_importance", {"vertex_importance": np.zeros(84)}),
+    "importance of others": ("vertex_importance", {"vertex_importance": np.ones(83)}),
+    "a frame of no importance": ("frame_importance", {"frame_importance": np.arange(15.0)}),
+    "no seed": ("rng", {"rng": None}),
+    "faces twice": ("faces", {"sequence": ssdr.MeshSequence(np.zeros((2, 84, 3)))}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refuses(case: str) -> None:
+    argument, change = REFUSED[case]
+    arguments = {"sequence": frames(), "faces": rig().faces, "bones": 4} | change
+    calls = []
+    with pytest.raises(ssdr.InputError, match="expected") as caught:
+        ssdr.decompose(**arguments, callback=lambda p: calls.append(p))
+    assert caught.value.argument == argument
+    assert not calls
