@@ -1,0 +1,153 @@
+"""D_HF: detail on the low-frequency mesh (Pan et al. 2022, section 4.3)."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+__all__ = ["EdgeConv", "HighFrequency", "neighbour_table"]
+
+
+def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
+    """Neighbours ``(V, D)`` of every vertex by the mesh's edges.
+
+    Rows are filled up by repeating a neighbour, which a maximum does not see; a
+    vertex without any is its own.
+    """
+    faces = np.asarray(faces, dtype=np.int64)
+    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
+    ends = ends[ends[:, 0] != ends[:, 1]]
+    degree = np.bincount(ends[:, 0], minlength=n_vertices)
+    first = np.concatenate([[0], np.cumsum(degree)])
+    table = np.tile(np.arange(n_vertices)[:, None], (1, max(1, int(degree.max(initial=0)))))
+    for k in range(table.shape[1]):
+        some = degree > 0
+        slot = first[:-1] + np.minimum(k, np.maximum(degree - 1, 0))
+        table[some, k] = ends[slot[some], 1]
+    return torch.from_numpy(table)
+
+
+class EdgeConv(nn.Module):
+    """x_i' = max_j act(W [x_i, x_j − x_i] + b) over the neighbours j (Wang et al. 2019).
+
+    One linear layer and an activation that never falls: then the maximum passes
+    through it, and with W = [W_a, W_b] it is act((W_a − W_b) x_i + b + max_j W_b x_j):
+    products a vertex, not an edge, and a gather.
+
+    Parameters
+    ----------
+    inputs, outputs : int
+    scale : float
+        Divides x_j − x_i; the length of an edge where x are positions, whose
+        differences would be tiny beside them.
+    """
+
+    def __init__(self, inputs: int, outputs: int, scale: float = 1.0) -> None:
+        super().__init__()
+        self.linear = nn.Linear(2 * inputs, outputs)
+        self.scale = scale
+
+    def forward(self, x: Tensor, neighbours: Tensor) -> Tensor:
+        """``(V, N, outputs)`` of ``(V, N, inputs)``: vertices first, rows are gathered whole."""
+        own, step = self.linear.weight.chunk(2, dim=1)
+        step = step / self.scale
+        away = x @ step.T
+        highest = away.index_select(0, neighbours[:, 0])
+        for k in range(1, neighbours.shape[1]):
+            highest = torch.maximum(highest, away.index_select(0, neighbours[:, k]))
+        return torch.relu(x @ (own - step).T + self.linear.bias + highest)
+
+
+class HighFrequency(nn.Module):
+    """Global features by a GRU, local ones by EdgeConv, one MLP for all vertices.
+
+    Parameters
+    ----------
+    inputs : int
+        Numbers a frame that the GRU reads: the bones' motion.
+    faces : (T, 3) int array
+    n_vertices : int
+    hidden : int
+    global_features : int
+        Of each vertex.
+    edge_features : sequence of int
+        Widths of the EdgeConv layers; empty: no local stream.
+    mlp : sequence of int
+        Widths of the hidden layers.
+    edge_length : float
+        Mean length of an edge, metres.
+    """
+
+    neighbours: Tensor
+    mean: Tensor
+    deviation: Tensor
+    centre: Tensor
+
+    def __init__(
+        self,
+        inputs: int,
+        faces: Any,
+        n_vertices: int,
+        *,
+        hidden: int,
+        global_features: int,
+        edge_features: Sequence[int],
+        mlp: Sequence[int],
+        edge_length: float,
+    ) -> None:
+        super().__init__()
+        self.n_vertices, self.global_features = n_vertices, global_features
+        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.spread = nn.Linear(hidden, n_vertices * global_features)
+        widths = [3, *edge_features] if edge_features else []
+        self.edges = nn.ModuleList(
+            EdgeConv(a, b, edge_length if k == 0 else 1.0)
+            for k, (a, b) in enumerate(itertools.pairwise(widths))
+        )
+        sizes = [global_features + (widths[-1] if widths else 0), *mlp]
+        layers: list[nn.Module] = []
+        for a, b in itertools.pairwise(sizes):
+            layers += [nn.Linear(a, b), nn.ReLU()]
+        self.mlp = nn.Sequential(*layers, nn.Linear(sizes[-1], 3))
+        self.register_buffer("neighbours", neighbour_table(faces, n_vertices), persistent=False)
+        self.register_buffer("mean", torch.zeros(n_vertices, 3))
+        self.register_buffer("deviation", torch.ones(()))
+        self.register_buffer("centre", torch.zeros(3))
+
+    def forward(
+        self, x: Tensor, low: Any, state: Tensor | None = None, frames: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Detail and new state.
+
+        Parameters
+        ----------
+        x : (N, T, inputs)
+        low : (N, S, V, 3)
+            Low-frequency mesh of the chosen frames, in the frame of the answer.
+        state : (1, N, H), optional
+        frames : (N, S) int, optional
+            The frames that are wanted; all by default.
+
+        Returns
+        -------
+        (N, S, V, 3) metres, and (1, N, H)
+        """
+        h, state = self.gru(x, state)
+        if frames is not None:
+            h = h.gather(1, frames[..., None].expand(-1, -1, h.shape[-1]))
+        lead = h.shape[:2]
+        wide = torch.relu(self.spread(h)).reshape(-1, self.n_vertices, self.global_features)
+        features = wide.transpose(0, 1)
+        if len(self.edges):
+            y = (low.reshape(-1, self.n_vertices, 3) - self.centre).transpose(0, 1).contiguous()
+            for layer in self.edges:
+                y = layer(y, self.neighbours)
+            features = torch.cat([features, y], dim=-1)
+        out = self.mlp(features).transpose(0, 1).reshape(*lead, self.n_vertices, 3)
+        return out * self.deviation + self.mean, state

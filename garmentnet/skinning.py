@@ -1,0 +1,119 @@
+"""Linear blend skinning and rotations in torch, differentiable and on any device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ssdr import Skinning
+from ssdr.errors import InputError
+
+__all__ = [
+    "TorchSkinning",
+    "apply_frame",
+    "matrix_from_euler",
+    "matrix_from_rotation_vector",
+    "matrix_from_sixd",
+    "remove_frame",
+]
+
+
+class TorchSkinning(nn.Module):
+    """Rest pose and weights as one matrix, so that skinning is one product.
+
+    v = A M with A = w ⊗ (p, 1), dense ``(V, 4B)``, and M the transposed
+    transforms ``(4B, 3 F)`` of all frames side by side: for B about 80 quicker
+    than gathering K transforms a vertex, and its backward is one product too.
+
+    Parameters
+    ----------
+    rest : (V, 3) array
+    joints, weights : (V, K) arrays
+    n_bones : int
+    """
+
+    matrix: Tensor
+
+    def __init__(self, rest: Any, joints: Any, weights: Any, n_bones: int) -> None:
+        super().__init__()
+        rest, weights = np.asarray(rest, np.float64), np.asarray(weights, np.float64)
+        joints = np.asarray(joints)
+        n = len(rest)
+        dense = np.zeros((n, n_bones))
+        np.add.at(dense, (np.arange(n)[:, None], joints), weights)
+        extended = np.concatenate([rest, np.ones((n, 1))], axis=1)
+        matrix = (dense[:, :, None] * extended[:, None]).reshape(n, 4 * n_bones)
+        self.n_bones = n_bones
+        # Follows from rest and weights, which a checkpoint carries: no part of the state.
+        self.register_buffer("matrix", torch.from_numpy(matrix).float(), persistent=False)
+
+    @classmethod
+    def of(cls, skinning: Skinning) -> TorchSkinning:
+        """Of an :class:`ssdr.Skinning`, without its transforms."""
+        return cls(skinning.rest, skinning.joints, skinning.weights, skinning.n_bones)
+
+    def forward(self, transforms: Tensor) -> Tensor:
+        """Positions ``(..., V, 3)`` under transforms ``(..., B, 3, 4)``.
+
+        Raises
+        ------
+        InputError
+            If the transforms are not those of as many bones.
+        """
+        if transforms.shape[-3:] != (self.n_bones, 3, 4):
+            raise InputError(
+                "transforms", f"shape (..., {self.n_bones}, 3, 4)", tuple(transforms.shape)
+            )
+        lead = transforms.shape[:-3]
+        m = transforms.reshape(-1, self.n_bones, 3, 4).permute(1, 3, 0, 2)
+        posed = self.matrix @ m.reshape(4 * self.n_bones, -1)
+        return posed.view(len(self.matrix), -1, 3).transpose(0, 1).reshape(*lead, -1, 3)
+
+
+def matrix_from_euler(degrees: Tensor) -> Tensor:
+    """``(..., 3, 3)`` of degrees ``(..., 3)`` about the fixed x, y and z axes: Rz Ry Rx."""
+    angles = torch.deg2rad(degrees)
+    (sx, sy, sz), (cx, cy, cz) = angles.sin().unbind(-1), angles.cos().unbind(-1)
+    rows = [
+        cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz,
+        cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz,
+        -sy, sx * cy, cx * cy,
+    ]  # fmt: skip
+    return torch.stack(rows, dim=-1).reshape(*degrees.shape, 3)
+
+
+def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
+    """``(..., 3, 3)`` of axis times angle ``(..., 3)`` in radians (Rodrigues)."""
+    square = (vector * vector).sum(-1)[..., None, None]
+    # The root's slope is infinite at 0: keep it out of the branch that is not taken.
+    small = square < 1e-8
+    angle = torch.where(small, torch.ones_like(square), square).sqrt()
+    a = torch.where(small, 1 - square / 6, angle.sin() / angle)
+    b = torch.where(small, 0.5 - square / 24, (1 - angle.cos()) / (angle * angle))
+    x, y, z = vector.unbind(-1)
+    o = torch.zeros_like(x)
+    k = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*vector.shape, 3)
+    eye = torch.eye(3, dtype=vector.dtype, device=vector.device)
+    out: Tensor = eye + a * k + b * (k @ k)
+    return out
+
+
+def matrix_from_sixd(sixd: Tensor) -> Tensor:
+    """``(..., 3, 3)`` of two columns ``(..., 6)`` by Gram–Schmidt (Zhou et al. 2019)."""
+    x, other = sixd[..., :3], sixd[..., 3:]
+    a = nn.functional.normalize(x, dim=-1, eps=1e-8)
+    b = nn.functional.normalize(other - (a * other).sum(-1, keepdim=True) * a, dim=-1, eps=1e-8)
+    return torch.stack([a, b, torch.linalg.cross(a, b, dim=-1)], dim=-1)
+
+
+def apply_frame(frame: Tensor, points: Tensor) -> Tensor:
+    """From a moving frame ``(..., 3, 4)`` to the world: points ``(..., V, 3)``."""
+    return points @ frame[..., :3].transpose(-1, -2) + frame[..., None, :, 3]
+
+
+def remove_frame(frame: Tensor, points: Tensor) -> Tensor:
+    """From the world to a moving frame ``(..., 3, 4)``: points ``(..., V, 3)``."""
+    return (points - frame[..., None, :, 3]) @ frame[..., :3]
