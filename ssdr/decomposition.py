@@ -88,7 +88,8 @@ def decompose(
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     max_iterations : int, optional
-        Alternations and polish steps, at most.
+        Alternations and polish steps after which the best model so far is returned;
+        at least one model is always made.
     time_limit : float, optional
         Seconds after which the best model so far is returned; at least one model
         is always made.

@@ -115,7 +115,7 @@ class Run:
     best : Model or None
         Lowest objective so far with exactly the bones asked for.
     best_value : float
-    records : list of (iteration, elapsed, objective, phase)
+    records : list of (iteration, elapsed, squared error, phase)
     """
 
     def __init__(
@@ -197,7 +197,9 @@ class Run:
         value = self.value(model)
         if value < self.best_value:
             self.best, self.best_value = model.copy(), value
-            self.records.append((self.iteration, self.elapsed, value, phase))
+            # records hold the error alone, without the penalty that `value` may carry
+            error = model.objective(self.data)
+            self.records.append((self.iteration, self.elapsed, error, phase))
 
     def _next(self) -> None:
         self.position += 1

@@ -78,7 +78,8 @@ class Decomposition:
     stop_reason : str
         "converged", "plan finished", "iterations", "time limit" or "cancelled".
     history : tuple of Record
-        One record an accepted model; `rmse` never rises; the last is the result.
+        One record an accepted model; `rmse` never rises (with `smoothness` the
+        penalised error never does); the last is the result.
     offsets : (S + 1,) int array
         First frame of each shot, and the number of frames.
     state : SolverState

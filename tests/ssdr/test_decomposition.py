@@ -207,6 +207,14 @@ def test_history_is_what_a_run_stopped_there_gives() -> None:
         assert part.history[-1].iteration == record.iteration
 
 
+def test_history_with_smoothness_is_the_error_without_the_penalty() -> None:
+    options = {"faces": rig().faces, "bones": 4, "smoothness": 0.1, "effort": "fast"}
+    whole = ssdr.decompose(frames(), **options)
+    for record in whole.history[:: max(1, len(whole.history) // 4)]:
+        part = ssdr.decompose(frames(), **options, max_iterations=record.iteration)
+        assert rmse_of(part.skinning, frames()) == pytest.approx(record.rmse, rel=0.01)
+
+
 def test_progress_agrees_with_the_result() -> None:
     seen = []
     result = ssdr.decompose(frames(), bones=4, callback=lambda p: seen.append(p))

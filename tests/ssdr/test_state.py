@@ -89,6 +89,21 @@ def test_resumed_from_a_file_at_every_phase_ends_on_the_same_bits(tmp_path: Path
     assert {"alternate", "reseed", "polish"} <= seen
 
 
+@pytest.mark.slow
+def test_resumed_within_the_best_effort(tmp_path: Path) -> None:
+    """Stopped at the phases that only this effort has."""
+    result, steps = whole("best")
+    only_here = {phase for phase, _ in steps} - {phase for phase, _ in whole()[1]}
+    assert only_here >= {"kick", "recall"}
+    for phase in sorted(only_here):
+        last = max(k for k, (name, _) in enumerate(steps) if name == phase)
+        part = stopped_after(last + 1, effort="best")
+        assert part.stop_reason == "cancelled"
+        path = part.state.save(tmp_path / f"{phase}.npz")
+        again = ssdr.decompose(frames(), rig().faces, resume=path, effort="best", **OPTIONS)
+        assert_same_model(again.skinning, result.skinning)
+
+
 def test_stopped_twice(tmp_path: Path) -> None:
     result, steps = whole()
     first = stopped_after(len(steps) - 12)
