@@ -4,10 +4,9 @@
     python benchmarks/accuracy.py --effort best --only horse_gallop-20
 
 E = 1000 ‖A − Ã‖_F / sqrt(3 F V) in the files' own units, from the model's arrays by plain NumPy.
-"wall" and "cpu" (both cores together) are seconds of the call without compilation; on a machine
-that others use too the second says more.
-Runs of one effort replace the rows of that effort in the table; the others stay, each beside the
-rates of the machine when it ran.
+"wall" and "cpu seconds" (both cores together) are seconds of the call without compilation; on a
+machine that others use too the second says more.  Runs of one effort replace the rows of that
+effort in the table; the others stay, each beside the rates of the machine when it ran.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from common import (
     error_e,
     load,
     machine,
+    plain_log_ticks,
     pyplot,
     save_figure,
     table,
@@ -70,7 +70,7 @@ CASES = [
 ]
 EFFORTS = ("fast", "balanced", "best")
 COLUMNS = (
-    "case", "K", "effort", "E", "wall", "cpu", "seconds to plain", "plain", "core", "peers",
+    "case", "K", "effort", "E", "wall", "cpu seconds", "seconds to plain", "plain", "core", "peers",
     "E / plain", "E / EA", "stopped", "gemm_1", "gemm_2", "load",
 )  # fmt: skip
 
@@ -96,18 +96,25 @@ def measure(case: Case, effort: Any, seed: int, rates: dict[str, Any]) -> dict[s
     if wrong:
         raise SystemExit(f"{case.name}, {effort}: {'; '.join(wrong)}")
     per_rmse = 1000 / np.sqrt(3)
-    history = [(r.elapsed, per_rmse * r.rmse) for r in result.history]
+    history = [(round(r.elapsed, 3), round(per_rmse * r.rmse, 4)) for r in result.history]
     reached = next((s for s, value in history if value <= case.plain), None)
     ea = ea_published(case.bones) if case.data == "ea_bone" else None
     return {
         "case": case.name, "K": case.influences, "effort": effort, "seed": seed, "E": e,
         "stated E": per_rmse * result.rmse, "last gain": result.history[-1].elapsed,
-        "wall": result.state.progress["elapsed"], "cpu": cpu, "seconds to plain": reached,
+        "wall": result.state.progress["elapsed"], "cpu seconds": cpu, "seconds to plain": reached,
         "plain": case.plain, "core": case.core, "peers": case.peers, "E / plain": e / case.plain,
         "E / core": e / case.core, "E / peers": e / case.peers,
         "EA": ea, "E / EA": None if ea is None else e / ea, "stopped": result.stop_reason,
         "history": history, **rates,
     }  # fmt: skip
+
+
+def keep(rows: dict[tuple[str, str], dict[str, Any]], path: Path) -> list[dict[str, Any]]:
+    order = [(c.name, e) for c in CASES for e in EFFORTS if (c.name, e) in rows]
+    ordered = [rows[key] for key in order]
+    write_json(path, {"question": __doc__.splitlines()[0], "rows": ordered})
+    return ordered
 
 
 def chart(rows: list[dict[str, Any]], path: Path) -> None:
@@ -126,8 +133,7 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
         ):  # fmt: skip
             axis.axhline(value, color="0.4", linewidth=0.8, linestyle=style, label=name)
         axis.set(xscale="log", yscale="log", title=f"{case.data}, {case.bones} bones")
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter(plt.NullFormatter())
+        plain_log_ticks(axis)
     for axis in axes[-1]:
         axis.set_xlabel("seconds since the call")
     for axis in axes[:, 0]:
@@ -139,7 +145,10 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--effort", nargs="+", choices=EFFORTS, default=["fast", "balanced"])
+    parser.add_argument(
+        "--effort", nargs="*", choices=EFFORTS, default=["fast", "balanced"],
+        help="none: only draw the chart again",
+    )  # fmt: skip
     parser.add_argument("--only", nargs="+", choices=[c.name for c in CASES])
     parser.add_argument("--rng", type=int, default=0, help="seed")
     parser.add_argument("--out", type=Path, default=RESULTS / "accuracy.json")
@@ -149,7 +158,7 @@ def main() -> None:
     rows = {(row["case"], row["effort"]): row for row in old}
     frames, _ = load("fox")
     ssdr.decompose(frames[:4], bones=2, effort="fast", max_iterations=1)  # kernels ready
-    rates: dict[str, Any] = {}
+    rates = machine()
     for case in CASES:
         if args.only and case.name not in args.only:
             continue
@@ -163,9 +172,8 @@ def main() -> None:
                 f"/peers {row['E / peers']:.3f}  load {rates['load']}",
                 flush=True,
             )
-            order = [(c.name, e) for c in CASES for e in EFFORTS if (c.name, e) in rows]
-            ordered = [rows[key] for key in order]
-            write_json(args.out, {"question": __doc__.splitlines()[0], "rows": ordered})
+            keep(rows, args.out)
+    ordered = keep(rows, args.out)
     write_csv(args.out.with_suffix(".csv"), [{k: r[k] for k in COLUMNS} for r in ordered])
     chart(ordered, args.chart)
     print(table(ordered, COLUMNS))

@@ -20,6 +20,7 @@ from common import (
     defects,
     e_of,
     machine,
+    plain_log_ticks,
     pyplot,
     save_figure,
     table,
@@ -39,6 +40,7 @@ def chart(bones: list[dict[str, Any]], influences: list[dict[str, Any]], path: P
     left.plot([r["B"] for r in bones], [r["rmse mm"] for r in bones], "o-", color="#0072b2")
     left.set(xscale="log", yscale="log", xlabel="bones", ylabel="RMSE, mm")
     left.set_xticks([r["B"] for r in bones], [str(r["B"]) for r in bones])
+    left.set_xticks([], minor=True)
     k = [r["K"] for r in influences]
     right.plot(k, [r["rmse mm"] for r in influences], "o-", color="#0072b2", label="asked for")
     right.plot(
@@ -47,8 +49,7 @@ def chart(bones: list[dict[str, Any]], influences: list[dict[str, Any]], path: P
     right.set(xlabel="influences", yscale="log")
     right.legend()
     for axis in (left, right):
-        axis.yaxis.set_major_formatter("{x:g}")
-        axis.yaxis.set_minor_formatter("{x:g}")
+        plain_log_ticks(axis)
     save_figure(figure, path)
     plt.close(figure)
 

@@ -9,6 +9,8 @@ import csv
 import json
 import os
 import platform
+import re
+import subprocess
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -73,9 +75,24 @@ def machine() -> dict[str, Any]:
         "load": round(os.getloadavg()[0], 2),
         **{key: round(value, 1) for key, value in gemm_rates().items()},
         "memory": round(memory_bandwidth(), 1),
+        "revision": _revision(),
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
+
+
+def _revision() -> str | None:
+    """The commit that is measured, with a plus where the solver has changed since."""
+    try:
+        head, changed = (
+            subprocess.run(
+                ["git", *command], cwd=ROOT, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for command in (("rev-parse", "--short", "HEAD"), ("status", "-s", "-uno", "ssdr"))
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head + ("+" if changed else "")
 
 
 def _cpu() -> str:
@@ -140,7 +157,11 @@ def defects(model: Any, bones: int, influences: int) -> list[str]:
 
 def write_json(path: Path, content: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    text = json.dumps(content, indent=1, ensure_ascii=False)
+    # lists of numbers, and of pairs of them, on one line each
+    flat = r"\[(?:[^\[\]{}]|\[[^\[\]{}]*\])*\]"
+    text = re.sub(flat, lambda match: re.sub(r"\s+", " ", match.group()), text)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -177,6 +198,15 @@ def pyplot() -> Any:
         "axes.spines.top": False, "axes.spines.right": False,
     })  # fmt: skip
     return plt
+
+
+def plain_log_ticks(axis: Any) -> None:
+    """Ticks of a logarithmic y axis as plain numbers, also where it spans less than a decade."""
+    from matplotlib.ticker import LogLocator
+
+    axis.yaxis.set_major_formatter("{x:g}")
+    axis.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
+    axis.yaxis.set_minor_formatter("{x:g}")
 
 
 def save_figure(figure: Any, path: Path) -> None:

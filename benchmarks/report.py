@@ -1,0 +1,167 @@
+"""Put the latest results into the pages: what stands between two markers is written anew.
+
+    python benchmarks/report.py [--check]
+
+Markers are <!-- NAME --> and <!-- end NAME -->; --check only says whether a page is out of date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from common import RESULTS, ROOT, table, tell
+
+PAGES = (ROOT / "benchmarks" / "README.md", ROOT / "docs" / "decompose.md")
+
+
+def read(name: str) -> dict[str, Any]:
+    return dict(json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8")))
+
+
+def accuracy() -> str:
+    rows = []
+    for row in read("accuracy")["rows"]:
+        rows.append({
+            "sequence": row["case"], "K": row["K"], "effort": row["effort"],
+            "E": f"{row['E']:.3f}", "s": f"{row['wall']:.1f}", "CPU s": f"{row['cpu seconds']:.1f}",
+            "plain": row["plain"], "bound, core": row["core"], "bound, peers": row["peers"],
+            "E / core": f"{row['E / core']:.2f}",
+            "E / EA": None if row["E / EA"] is None else f"{row['E / EA']:.3f}",
+            "load": row["load"], "revision": row.get("revision"),
+        })  # fmt: skip
+    return table(rows, list(rows[0]))
+
+
+def efforts() -> str:
+    """One row a sequence."""
+    found: dict[str, dict[str, Any]] = {}
+    for row in read("accuracy")["rows"]:
+        line = found.setdefault(row["case"], {"sequence, bones": row["case"].replace("-", ", ")})
+        line[row["effort"]] = f"{row['E']:.2f} in {row['wall']:.1f} s"
+        line["plain alternation"] = row["plain"]
+    rows = list(found.values())
+    return table(rows, ["sequence, bones", "fast", "balanced", "best", "plain alternation"])
+
+
+def steps() -> str:
+    results = read("steps")
+    rows = [
+        {
+            "case": r["case"], "step": r["step"], "threads": r["threads"], "ms": f"{r['ms']:.1f}",
+            "products, GFLOP": f"{r['GFLOP']:.2f}", "products at the GEMM rate, ms":
+            f"{r['floor ms']:.1f}", "ratio": f"{r['times floor']:.1f}",
+            "GEMM, GFLOP/s": r["gemm_1" if r["threads"] == 1 else "gemm_2"], "load": r["load"],
+        }
+        for r in results["steps"]
+    ]  # fmt: skip
+    out = [table(rows, list(rows[0]))]
+    for step in ("outer iteration", "polish step"):
+        one = [r for r in results["steps"] if r["step"] == step and r["threads"] == 1]
+        parts = [
+            {"part": name} | {r["case"]: f"{r['parts ms'][name]:.1f}" for r in one}
+            for name in one[0]["parts ms"]
+        ]
+        out.append(f"Parts of one {step}, one thread, ms:\n\n" + table(parts, list(parts[0])))
+    memory = [
+        {
+            "case": r["case"], "input as float64, MiB": f"{r['float64 MiB']:.0f}",
+            "peak, MiB": f"{r['peak MiB']:.0f}", "before the call, MiB": f"{r['before MiB']:.0f}",
+        }
+        for r in results["memory"]
+    ]  # fmt: skip
+    out.append("Peak memory of the process:\n\n" + table(memory, list(memory[0])))
+    out.append(tell(results["steps"][-1]))
+    return "\n\n".join(out)
+
+
+def first_call() -> str:
+    results = read("first_call")
+    names = {"process": "whole process", "kernels": "compiling or loading kernels",
+             "solve": "solving"}  # fmt: skip
+    rows = [
+        {"": r["what"]} | {title: f"{r[k]:.2f}" for k, title in names.items() if k in r}
+        for r in results["waits"]
+    ]
+    kernels = [{"kernel": r["kernel"], "s": f"{r['s']:.1f}"} for r in results["kernels"]]
+    return "\n\n".join([
+        f"Seconds; {results['sample']}.", table(rows, ["", *names.values()]),
+        f"{len(kernels)} kernels, {results['all kernels']:.1f} s:", table(kernels, ["kernel", "s"]),
+        tell(results),
+    ])  # fmt: skip
+
+
+def recovery() -> str:
+    results = read("recovery")
+    rows = [
+        {
+            "data": r["data"], "B": r["B"], "effort": r["effort"],
+            "RMSE / diagonal": f"{r['rmse / diagonal']:.1e}",
+            "max / diagonal": f"{r['max / diagonal']:.1e}", "E": f"{r['E']:.2f}",
+            "s": f"{r['seconds']:.1f}",
+        }
+        for r in results["recovered"]
+    ]  # fmt: skip
+    walks = [
+        {
+            "data": r["data"], "effort": r["effort"], "models re-skinned": r["stops"],
+            "first": f"{r['first']:.1e}", "last": f"{r['last']:.1e}",
+            "largest rise, relative": f"{r['largest rise, relative']:.0e}",
+        }
+        for r in results["walks"]
+    ]  # fmt: skip
+    return table(rows, list(rows[0])) + "\n\n" + table(walks, list(walks[0]))
+
+
+def choose_bones() -> str:
+    rows = [
+        {"bones": r["B"], "RMSE, mm": f"{r['rmse mm']:.2f}", "s": f"{r['s']:.1f}"}
+        for r in read("choose")["bones"]
+    ]
+    return table(rows, list(rows[0]))
+
+
+def choose_influences() -> str:
+    rows = [
+        {
+            "influences": r["K"], "RMSE, mm": f"{r['rmse mm']:.2f}",
+            "pruned from 8, mm": f"{r['pruned mm']:.2f}", "s": f"{r['s']:.1f}",
+        }
+        for r in read("choose")["influences"]
+    ]  # fmt: skip
+    return table(rows, list(rows[0]))
+
+
+PARTS: dict[str, Callable[[], str]] = {
+    "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
+    "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
+}  # fmt: skip
+
+
+def renew(text: str) -> str:
+    def put(match: re.Match[str]) -> str:
+        name = match[1]
+        return f"<!-- {name} -->\n\n{PARTS[name]()}\n\n<!-- end {name} -->"
+
+    return re.sub(r"<!-- (\w+) -->\n.*?<!-- end \1 -->", put, text, flags=re.DOTALL)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--check", action="store_true")
+    args = parser.parse_args()
+    for page in PAGES:
+        old = page.read_text(encoding="utf-8")
+        new = renew(old)
+        if new != old and args.check:
+            sys.exit(f"{page.relative_to(ROOT)} is out of date: run benchmarks/report.py")
+        if new != old:
+            page.write_text(new, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
