@@ -82,6 +82,7 @@ def test_resumed_from_a_file_at_every_phase_ends_on_the_same_bits(tmp_path: Path
         again = ssdr.decompose(frames(), rig().faces, resume=path, **OPTIONS)
         assert_same_model(again.skinning, result.skinning)
         assert again.rmse == result.rmse
+        assert again.state.progress["rng"] == result.state.progress["rng"]
         assert [r.rmse for r in again.history] == [r.rmse for r in result.history]
         assert [r.iteration for r in again.history] == [r.iteration for r in result.history]
         assert again.stop_reason == result.stop_reason
@@ -158,6 +159,8 @@ CHANGES: dict[str, Callable[[], dict[str, object]]] = {
     "rest_frame": lambda: {"rest_frame": 1},
     "smoothness": lambda: {"smoothness": 0.1},
     "a vertex moved": lambda: {"sequence": frames() + 1e-3 * np.eye(84)[7][:, None]},
+    "moved as a whole": lambda: {"sequence": frames() + 2.0},
+    "turned as a whole": lambda: {"sequence": frames() @ motions.rotation(0, 0, 1.0)},
     "a frame less": lambda: {"sequence": frames()[1:]},
     "frames in another order": lambda: {"sequence": frames()[::-1]},
     "a vertex less": lambda: {"sequence": frames()[:, :-1], "faces": None},
