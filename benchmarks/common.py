@@ -6,6 +6,7 @@ Errors are computed here from the arrays of a model, by code of this file alone.
 from __future__ import annotations
 
 import csv
+import functools
 import json
 import os
 import platform
@@ -81,6 +82,7 @@ def machine() -> dict[str, Any]:
     }
 
 
+@functools.cache
 def _revision() -> str | None:
     """The commit that is measured, with a plus where the solver has changed since."""
     try:
@@ -93,6 +95,9 @@ def _revision() -> str | None:
     except (OSError, subprocess.CalledProcessError):
         return None
     return head + ("+" if changed else "")
+
+
+_revision()  # now: what is imported is what is measured, whatever is committed meanwhile
 
 
 def _cpu() -> str:
