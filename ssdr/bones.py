@@ -164,7 +164,7 @@ def true_squared_error(
     bounds = chunk_bounds(n, 512)
     for sequence in sequences:
         for _, block in sequence.chunks():
-            target = np.ascontiguousarray(block)
+            target = np.ascontiguousarray(block, dtype=np.float64)
             part = np.ascontiguousarray(transforms[offset : offset + len(target)])
 
             def work(_: int, i: int, k: int, target: Any = target, part: Any = part) -> None:

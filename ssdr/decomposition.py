@@ -91,8 +91,8 @@ def decompose(
         Alternations and polish steps after which the best model so far is returned;
         at least one model is always made.
     time_limit : float, optional
-        Seconds after which the best model so far is returned; at least one model
-        is always made.
+        Seconds of this call, compilation left out, after which the best model so
+        far is returned; at least one model is always made.
     callback : callable, optional
         Called with a :class:`Progress` after every step; returning True stops.
     resume : SolverState or path, optional
@@ -160,6 +160,8 @@ def decompose(
         raise InputError("rest_frame", f"an integer from 0 to {n_frames - 1}", rest_frame)
     if not (math.isfinite(smoothness) and smoothness >= 0):
         raise InputError("smoothness", "a length >= 0 in the mesh's units", smoothness)
+    if smoothness > 0 and len(sequences[0].faces) == 0:
+        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
     generator = check_rng(rng)
     parts = check_parts(
         n, n_frames, bones, influences, rest, joints, weights, transforms,
@@ -169,9 +171,7 @@ def decompose(
     frame_weights = check_importance(frame_importance, "frame_importance", n_frames)
     if frame_weights is not None and not (frame_weights > 0).all():
         raise InputError("frame_importance", "numbers > 0", float(frame_weights.min()))
-    state = (
-        resume if resume is None or isinstance(resume, SolverState) else SolverState.load(resume)
-    )
+    state = SolverState.load(resume) if isinstance(resume, (str, Path)) else resume
 
     compile_seconds = _compile()
     began = time.perf_counter()
@@ -193,9 +193,8 @@ def decompose(
             effort, fixed=fixed, n_vertices=n, bones=bones, given=inner, smooth=smooth is not None
         ),
         bones=bones, influences=min(influences, bones), rng=generator, fixed=fixed,
-        given=inner, smooth=smooth,
+        given=inner, smooth=smooth, began=began,
     )  # fmt: skip
-    run._began = began
     if state is not None:
         _restore(run, state, settings)
     reason = _walk(run, max_iterations, time_limit, callback)
@@ -210,13 +209,12 @@ def _walk(
 ) -> str:
     """Steps until the plan, a limit or the caller ends it; says why."""
     scale = run.data.scale / math.sqrt(run.data.n_frames * run.data.n_vertices)
-    began = run.elapsed
     with serial_blas():
         while not run.finished:
             if run.best is not None:
                 if max_iterations is not None and run.iteration >= max_iterations:
                     return "iterations"
-                if time_limit is not None and run.elapsed - began >= time_limit:
+                if time_limit is not None and run.here >= time_limit:
                     return "time limit"
             phase = run.phase
             run.advance()
@@ -229,7 +227,7 @@ def _walk(
             fraction = run.fraction
             left = run.elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
             if time_limit is not None:
-                left = min(left, max(0.0, time_limit - (run.elapsed - began)))
+                left = min(left, max(0.0, time_limit - (run.here)))
             progress = Progress(
                 phase=phase, iteration=run.iteration, elapsed=run.elapsed,
                 rmse=scale * math.sqrt(run.best_value), fraction=fraction, time_left=left,

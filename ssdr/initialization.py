@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ __all__ = ["farthest_points", "fit_patches", "initialize", "start_model"]
 _PATCHES_PER_BONE = 8
 _SAMPLE = 20_000  # vertices that choose among patches
 _REFITS = 3
+_SKETCH = 32  # dimensions in which distances between trajectories are compared
 
 
 def initialize(
@@ -88,6 +90,9 @@ def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp],
 
     Fewer seeds than asked come back where rows coincide.
     """
+    if x.shape[1] > 2 * _SKETCH:
+        # distances are only to spread the seeds: a random projection keeps them well enough
+        x = x @ np.random.default_rng(0).standard_normal((x.shape[1], _SKETCH))
     seeds = [first]
     label = np.zeros(len(x), dtype=np.intp)
     norm = np.einsum("ij,ij->i", x, x)
@@ -190,17 +195,31 @@ def single_bone_errors(
 def choose(cost: Array, importance: Array, count: int, held: Array | None = None) -> list[int]:
     """Greedy facility location: columns that lower Σ_i u_i min_j cost_ij most, one by one.
 
-    `held` (n,) is what bones that are there already cost.
+    `held` (n,) is what bones that are there already cost.  Lazy evaluation (Minoux 1978).
     """
+    column = np.ascontiguousarray(cost.T)
     chosen: list[int] = []
-    best = np.full(len(cost), np.inf) if held is None else held.copy()
-    taken = np.zeros(cost.shape[1], dtype=bool)
-    for _ in range(min(count, cost.shape[1])):
-        total = np.where(taken, np.inf, importance @ np.minimum(cost, best[:, None]))
-        j = int(total.argmin())
+    if held is None:
+        chosen.append(int((column @ importance).argmin()))
+        best = column[chosen[0]].copy()
+    else:
+        best = held.copy()
+
+    def gain(j: int) -> float:
+        return float(importance @ np.maximum(best - column[j], 0.0))
+
+    # gains only shrink as bones come in (submodularity): a stale one is an upper bound
+    heap = [(-gain(j), j) for j in range(len(column)) if j not in chosen]
+    heapq.heapify(heap)
+    while heap and len(chosen) < count:
+        while True:
+            _, j = heapq.heappop(heap)
+            fresh = (-gain(j), j)
+            if not heap or fresh <= heap[0]:
+                break
+            heapq.heappush(heap, fresh)
         chosen.append(j)
-        taken[j] = True
-        best = np.minimum(best, cost[:, j])
+        np.minimum(best, column[j], out=best)
     return chosen
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -129,7 +128,7 @@ class Run:
         fixed: Fixed,
         given: Given,
         smooth: WeightSmoothness | None,
-        clock: Callable[[], float] = time.perf_counter,
+        began: float | None = None,
     ) -> None:
         self.data, self.plan = data, plan
         self.bones, self.influences, self.rng = bones, influences, rng
@@ -143,13 +142,17 @@ class Run:
         self.recent: list[float] = []
         self.settled = False
         self._polish: Polish | None = None
-        self._clock = clock
-        self._began = clock()
+        self._began = time.perf_counter() if began is None else began
         self._before = 0.0
 
     @property
     def elapsed(self) -> float:
-        return self._before + self._clock() - self._began
+        return self._before + self.here
+
+    @property
+    def here(self) -> float:
+        """Seconds since this call began, without those of the run that it resumes."""
+        return time.perf_counter() - self._began
 
     @property
     def finished(self) -> bool:
@@ -330,5 +333,4 @@ class Run:
         self.damping = progress["damping"]
         self.recent, self.settled = list(progress["recent"]), bool(progress["settled"])
         self.best_value, self._before = float(progress["best_value"]), float(progress["elapsed"])
-        self._began = self._clock()
         self.rng.bit_generator.state = progress["rng"]

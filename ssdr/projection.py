@@ -44,6 +44,7 @@ _GENERATORS = np.array(
     ],
     dtype=np.float64,
 )
+_TERMS = np.argwhere(_GENERATORS != 0)
 
 
 @dataclasses.dataclass(eq=False)
@@ -232,14 +233,17 @@ class Polish:
         own = np.maximum(own, 1e-12 * own.max())
         groups = chunk_bounds(n_frames, max(self.group, -(-n_frames // _GROUPS)))
         rotation = np.ascontiguousarray(model.transforms[..., :3])
+        table = np.ascontiguousarray(u.transpose(2, 3, 0, 1))
 
         def invert(_: int, i: int, k: int) -> Array:
             stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
             turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
-            mean = np.einsum(
-                "dca,cjfk,efb,jkde->jakb", _GENERATORS, turn, _GENERATORS, u, optimize=True
-            )
-            matrix = np.ascontiguousarray(mean).reshape(size, size)
+            mean = np.zeros((6, 6, n_bones, n_bones))
+            for d, c, a in _TERMS:
+                for e, f, b in _TERMS:
+                    sign = _GENERATORS[d, c, a] * _GENERATORS[e, f, b]
+                    mean[a, b] += sign * (turn[c, :, f] * table[d, e])
+            matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
             matrix[np.diag_indices(size)] += (self.damping + 1e-9) * own.ravel()
             inverse = np.linalg.inv(matrix)
             return np.asarray(0.5 * (inverse + inverse.T))
