@@ -214,7 +214,7 @@ def _sway(rng: np.random.Generator, t: Float, length: float, state: _State) -> C
 def _spin(rng: np.random.Generator, t: Float, length: float, state: _State) -> Controls:
     way = rng.choice([-1.0, 1.0])
     envelope = _bump(t, 0, length, rng.uniform(0.2, 0.45))
-    top = min(rng.uniform(1.0, 2.4), 2.4) * 2 * math.pi
+    top = rng.uniform(0.8, 2.0) * 2 * math.pi
     rate = way * top * envelope
     if rng.random() < 0.25:
         # There and back.

@@ -24,7 +24,7 @@ from .body import Body
 __all__ = ["Dress", "Garment", "cut_dress", "garment_from_mesh", "mirror_permutation"]
 
 _ARMS = ("collar_l", "collar_r", "arm_l", "arm_r", "forearm_l", "forearm_r", "hand_l", "hand_r")
-_TORSO = ("pelvis", "abdomen", "spine", "chest", "thigh_l", "thigh_r")
+_INFLUENCES = 6
 _NEAREST = 4
 # Height of an equilateral triangle of side 1.
 _ROW = np.sqrt(3) / 2
@@ -51,7 +51,7 @@ class Dress:
     """
 
     vertices: int = 1900
-    top: float = 0.755
+    top: float = 0.745
     waist: float = 0.575
     hem: float = 0.275
     flare: float = 0.42
@@ -357,21 +357,17 @@ def _zip(
 def _follow(
     body: Body, rest: NDArray[np.float64], mirror: NDArray[np.int32] | None
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Skin weights from the body's nearest vertices, of the torso's joints alone."""
+    """Skin weights from the body's nearest vertices, those of the arms left out."""
     rig = body.skinning
-    chosen = [rig.names().index(n) for n in _TORSO]
     dense = rig.dense_weights().astype(np.float64)
-    torso = np.zeros_like(dense)
-    torso[:, chosen] = dense[:, chosen]
-    total = torso.sum(axis=1)
-    usable = np.flatnonzero(total > 0.5)
+    arms = dense[:, [rig.names().index(n) for n in _ARMS]].sum(axis=1)
+    usable = np.flatnonzero(arms < 0.5)
     distance, nearest = cKDTree(rig.rest[usable].astype(np.float64)).query(rest, k=_NEAREST)
     share = 1 / (distance + 1e-3)
-    rows = (torso[usable] / total[usable, None])[nearest]
-    weights = (rows * share[..., None]).sum(axis=1) / share.sum(axis=1)[:, None]
+    weights = (dense[usable][nearest] * share[..., None]).sum(axis=1) / share.sum(axis=1)[:, None]
     if mirror is not None:
         weights = (weights + weights[mirror][:, body.skeleton.mirror()]) / 2
-    order = np.argsort(-weights, axis=1, kind="stable")[:, : len(_TORSO)]
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCES]
     kept = np.take_along_axis(weights, order, axis=1)
     kept /= kept.sum(axis=1, keepdims=True)
     return np.where(kept > 0, order, 0).astype(np.int32), kept

@@ -401,9 +401,7 @@ class _Depth:
             indices=wp.array(faces.ravel(), dtype=wp.int32, device="cpu"),
         )
 
-    def __call__(
-        self, points: NDArray[np.float32], at: NDArray[np.float32]
-    ) -> NDArray[np.float32]:
+    def __call__(self, points: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float32]:
         wp = _warp()
         self._mesh.points.numpy()[:] = points
         self._mesh.refit()

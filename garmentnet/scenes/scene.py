@@ -1,0 +1,445 @@
+"""What a clip is made of, as a small typed description read from a file.
+
+A file (TOML) describes one garment on one body and any number of motions and parameter sets;
+it expands to :class:`Scene`\\ s, one a clip, in a fixed order and with fixed names.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ssdr.errors import FormatError, InputError
+
+from ..bvh import read_bvh, retarget
+from ..clips import Split
+from ..motion import Motion
+from ..parameters import SimulationParameters
+from .body import Body, default_body, load_body
+from .dance import DANCE_CLASSES, dance
+from .garments import Dress, Garment, cut_dress, garment_from_mesh
+from .simulate import Gate, Solver
+
+__all__ = ["DataSet", "MotionSource", "ParameterSet", "Scene", "load_data_set", "presets"]
+
+_HERE = Path(__file__).parent
+_MOVED = "-moved"
+T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionSource:
+    """Where a motion comes from.
+
+    Parameters
+    ----------
+    name : str
+        The same for every clip of this motion.
+    split : {"train", "validation", "test"}
+    seed : int
+        Of the generator.
+    frames : int
+    classes : tuple of str
+        Moves of the generator; none: drawn from the seed.
+    file : str
+        A BVH file instead of the generator.
+    start : int
+        First frame of the file, at the scene's rate.
+    """
+
+    name: str
+    split: Split
+    seed: int
+    frames: int
+    classes: tuple[str, ...] = ()
+    file: str = ""
+    start: int = 0
+
+    def make(self, body: Body, fps: float) -> Motion:
+        """The motion itself."""
+        if self.file:
+            whole = retarget(read_bvh(self.file), body.skeleton, fps=fps)
+            stop = min(whole.n_frames, self.start + self.frames)
+            return whole.cut(self.start, stop, self.name)
+        return dance(
+            body.skeleton,
+            seed=self.seed,
+            frames=self.frames,
+            fps=fps,
+            classes=self.classes or None,
+            name=self.name,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class ParameterSet:
+    """Simulation parameters and the part they play for the ensemble.
+
+    Parameters
+    ----------
+    name : str
+    split : {"train", "validation", "test"}
+        Whether networks may learn from it.
+    parameters : SimulationParameters
+    """
+
+    name: str
+    split: Split
+    parameters: SimulationParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """One clip: a garment on a body, a motion, parameters.
+
+    Attributes
+    ----------
+    name : str
+        Of the clip in its store.
+    data_set : DataSet
+        Garment, body, solver and gate.
+    motion : MotionSource
+    parameters : ParameterSet
+    perturbation : float
+        Metres by which the settled garment is moved before the first frame.
+    repeat_of : str
+        The clip that this one repeats, for a perturbed one.
+    """
+
+    name: str
+    data_set: DataSet
+    motion: MotionSource
+    parameters: ParameterSet
+    perturbation: float = 0.0
+    repeat_of: str = ""
+
+    @property
+    def seed(self) -> int:
+        return self.data_set.seed + self.motion.seed
+
+    def provenance(self, versions: Mapping[str, str]) -> dict[str, Any]:
+        """All that it takes to make the clip again."""
+        motion = dataclasses.asdict(self.motion)
+        # Where the file lay does not matter; a path would tie the bytes to one machine.
+        motion["file"] = Path(self.motion.file).name
+        return {
+            "data_set": self.data_set.name,
+            "garment": dataclasses.asdict(self.data_set.garment),
+            "solver": dataclasses.asdict(self.data_set.solver),
+            "motion": motion,
+            "parameter_set": self.parameters.name,
+            "parameter_split": self.parameters.split,
+            "repeat_of": self.repeat_of,
+            "versions": dict(versions),
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class MeshGarment:
+    """A garment from a mesh file.
+
+    Parameters
+    ----------
+    mesh : str
+        Path; in a file, relative to it.
+    pinned_above : float
+        Metres; vertices at or above follow the body.
+    """
+
+    mesh: str
+    pinned_above: float
+
+
+@dataclasses.dataclass(frozen=True)
+class DataSet:
+    """Clips of one garment on one body.
+
+    Attributes
+    ----------
+    name : str
+    fps : float
+    seed : int
+    garment : Dress or MeshGarment
+    body : str
+        Path of a body file; empty: the one that ships.
+    solver : Solver
+    gate : Gate
+    base : ParameterSet
+        Simulated with every motion.
+    motions : tuple of MotionSource
+    sets : tuple of ParameterSet
+        Simulated with `set_motions`.
+    set_motions : tuple of MotionSource
+    perturbation : float
+        Metres; test clips are simulated once more from a start moved by so much.  0: not.
+    """
+
+    name: str
+    fps: float
+    seed: int
+    garment: Dress | MeshGarment
+    body: str
+    solver: Solver
+    gate: Gate
+    base: ParameterSet
+    motions: tuple[MotionSource, ...]
+    sets: tuple[ParameterSet, ...] = ()
+    set_motions: tuple[MotionSource, ...] = ()
+    perturbation: float = 0.0
+
+    def scenes(self) -> tuple[Scene, ...]:
+        """Every clip, in the order in which they are made: base, test pairs, other sets."""
+        found = [self._scene(self.base, m) for m in self.motions]
+        found += [self._moved(s) for s in found if self.perturbation and s.motion.split == "test"]
+        for parameters in self.sets:
+            own = [self._scene(parameters, m) for m in self.set_motions]
+            found += own
+            found += [self._moved(s) for s in own if self.perturbation and s.motion.split == "test"]
+        return tuple(found)
+
+    def with_motions(self, motions: tuple[MotionSource, ...]) -> DataSet:
+        """The same with further motions under the base parameters."""
+        return dataclasses.replace(self, motions=self.motions + motions)
+
+    def make_body(self) -> Body:
+        return load_body(self.body) if self.body else default_body()
+
+    def make_garment(self, body: Body) -> Garment:
+        if isinstance(self.garment, Dress):
+            return cut_dress(body, self.garment)
+        return garment_from_mesh(body, self.garment.mesh, pinned_above=self.garment.pinned_above)
+
+    def _scene(self, parameters: ParameterSet, motion: MotionSource) -> Scene:
+        return Scene(f"{parameters.name}-{motion.name}", self, motion, parameters)
+
+    def _moved(self, scene: Scene) -> Scene:
+        return dataclasses.replace(
+            scene,
+            name=scene.name + _MOVED,
+            perturbation=self.perturbation,
+            repeat_of=scene.name,
+        )
+
+
+def presets() -> tuple[str, ...]:
+    """Names of the data sets that ship with the package."""
+    return tuple(sorted(p.stem for p in _HERE.glob("*.toml")))
+
+
+def load_data_set(source: str | Path) -> DataSet:
+    """Read a data set or a scene: the name of a preset or a file.
+
+    Raises
+    ------
+    FormatError
+        If the file is not TOML, has a key that nothing reads, or a value that is not usable;
+        the message names the file and the key.
+    """
+    path = Path(source)
+    if str(source) in presets():
+        path = _HERE / f"{source}.toml"
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file, nor a preset ({', '.join(presets())})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FormatError(f"{path}: {error}") from error
+    try:
+        return _data_set(table, path)
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+@dataclasses.dataclass(frozen=True)
+class _Generated:
+    """``[motions]``: dances of the generator."""
+
+    train: int
+    validation: int = 0
+    test: int = 0
+    frames: int = 300
+    seed: int = 0
+    # For the other parameter sets: the first of each, and how long.
+    set_train: int = 0
+    set_test: int = 0
+    set_frames: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class _Single:
+    """``[motion]``: one motion, for a scene."""
+
+    seed: int = 0
+    frames: int = 300
+    classes: tuple[str, ...] = ()
+    file: str = ""
+    start: int = 0
+    split: Split = "train"
+
+
+def _data_set(table: dict[str, Any], path: Path) -> DataSet:
+    sections = {"garment", "body", "solver", "gate", "base", "motions", "motion", "set"}
+    scalars = {"name", "fps", "seed", "perturbation"}
+    for key in table:
+        if key not in sections | scalars:
+            raise InputError(key, f"one of {', '.join(sorted(sections | scalars))}", "this key")
+    if ("motions" in table) == ("motion" in table):
+        raise InputError("motion, motions", "one of the two", "both" if "motion" in table else "-")
+    head = _build(_Head, {k: v for k, v in table.items() if k in scalars}, "")
+    garment = _section(table, "garment")
+    kind = MeshGarment if "mesh" in garment else Dress
+    made = _build(kind, garment, "garment")
+    if isinstance(made, MeshGarment):
+        made = dataclasses.replace(made, mesh=str(path.parent / made.mesh))
+    body = _build(_BodyFile, _section(table, "body"), "body").file
+    base = ParameterSet(
+        "base", "train", _build(SimulationParameters, _section(table, "base"), "base")
+    )
+    rows = table.get("set", [])
+    if not isinstance(rows, list):
+        raise InputError("set", "tables [[set]]", type(rows).__name__)
+    sets = tuple(_parameter_set(row, k) for k, row in enumerate(rows))
+    motions, set_motions = _motions(table, path, head.seed)
+    return DataSet(
+        name=head.name or path.stem,
+        fps=head.fps,
+        seed=head.seed,
+        garment=made,
+        body=str(path.parent / body) if body else "",
+        solver=_build(Solver, _section(table, "solver"), "solver"),
+        gate=_build(Gate, _section(table, "gate"), "gate"),
+        base=base,
+        motions=motions,
+        sets=sets,
+        set_motions=set_motions,
+        perturbation=head.perturbation,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Head:
+    name: str = ""
+    fps: float = 30.0
+    seed: int = 0
+    perturbation: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.fps <= 120:
+            raise InputError("fps", "1 to 120", self.fps)
+        if not 0 <= self.perturbation <= 0.1:
+            raise InputError("perturbation", "0 to 0.1", self.perturbation)
+        if self.seed < 0:
+            raise InputError("seed", "an integer >= 0", self.seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class _BodyFile:
+    file: str = ""
+
+
+def _parameter_set(row: Any, number: int) -> ParameterSet:
+    where = f"set[{number}]"
+    if not isinstance(row, dict):
+        raise InputError(where, "a table", row)
+    row = dict(row)
+    split = row.pop("split", "train")
+    _check_split(split, f"{where}.split")
+    name = row.pop("name", f"set{number + 1:02d}")
+    return ParameterSet(str(name), split, _build(SimulationParameters, row, where))
+
+
+def _motions(
+    table: dict[str, Any], path: Path, seed: int
+) -> tuple[tuple[MotionSource, ...], tuple[MotionSource, ...]]:
+    if "motion" in table:
+        one = _build(_Single, _section(table, "motion"), "motion")
+        _check_split(one.split, "motion.split")
+        for c in one.classes:
+            if c not in DANCE_CLASSES:
+                raise InputError("motion.classes", f"some of {', '.join(DANCE_CLASSES)}", c)
+        if one.frames < 1 or one.start < 0 or one.seed < 0:
+            raise InputError("motion", "frames >= 1, start and seed >= 0", one)
+        file = str(path.parent / one.file) if one.file else ""
+        stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
+        made = MotionSource(stem, one.split, one.seed, one.frames, one.classes, file, one.start)
+        return (made,), ()
+    g = _build(_Generated, _section(table, "motions"), "motions")
+    for field in dataclasses.fields(g):
+        if getattr(g, field.name) < (1 if field.name in ("train", "frames") else 0):
+            raise InputError(f"motions.{field.name}", "a larger number", getattr(g, field.name))
+    found: list[MotionSource] = []
+    counts: tuple[tuple[Split, int], ...] = (
+        ("train", g.train),
+        ("validation", g.validation),
+        ("test", g.test),
+    )
+    for k, (split, count) in enumerate(counts):
+        # Seeds of a split do not move when another one grows.
+        first = g.seed + seed + 1000 * k
+        found += [
+            MotionSource(f"dance-{first + i:04d}", split, first + i, g.frames) for i in range(count)
+        ]
+    short = []
+    for split, count in (("train", g.set_train), ("test", g.set_test)):
+        own = [m for m in found if m.split == split]
+        if count > len(own):
+            raise InputError(f"motions.set_{split}", f"at most {len(own)}", count)
+        short += [
+            dataclasses.replace(m, frames=min(g.frames, g.set_frames or g.frames))
+            for m in own[:count]
+        ]
+    return tuple(found), tuple(short)
+
+
+def _section(table: dict[str, Any], name: str) -> dict[str, Any]:
+    section = table.get(name, {})
+    if not isinstance(section, dict):
+        raise InputError(name, "a table", type(section).__name__)
+    return section
+
+
+def _check_split(value: object, where: str) -> None:
+    if value not in typing.get_args(Split):
+        raise InputError(where, f"one of {typing.get_args(Split)}", repr(value))
+
+
+def _build(kind: type[T], values: Mapping[str, Any], where: str) -> T:
+    """A dataclass from a table, every key and type checked."""
+    assert dataclasses.is_dataclass(kind)
+    hints = typing.get_type_hints(kind)
+    names = [f.name for f in dataclasses.fields(kind)]
+    label = f"{where}." if where else ""
+    given: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in names:
+            raise InputError(f"{label}{key}", f"one of {', '.join(names)}", "this key")
+        given[key] = _converted(value, hints[key], f"{label}{key}")
+    missing = [
+        f.name
+        for f in dataclasses.fields(kind)
+        if f.default is dataclasses.MISSING and f.name not in given
+    ]
+    if missing:
+        raise InputError(f"{label}{missing[0]}", "a value", "none")
+    try:
+        return kind(**given)
+    except InputError as error:
+        raise InputError(f"{label}{error.argument}", error.expected, error.got) from error
+
+
+def _converted(value: Any, hint: Any, where: str) -> Any:
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(hint, types.GenericAlias):
+        if isinstance(value, list) and all(isinstance(v, str) for v in value):
+            return tuple(value)
+        raise InputError(where, "a list of strings", repr(value))
+    plain = str if typing.get_origin(hint) is typing.Literal else hint
+    if type(value) is not plain:
+        raise InputError(where, plain.__name__, repr(value))
+    return value
