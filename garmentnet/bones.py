@@ -179,7 +179,6 @@ def virtual_bones(
     options: BoneOptions,
     *,
     folder: Path | str | None = None,
-    seed: int = 0,
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> VirtualBones:
@@ -192,8 +191,6 @@ def virtual_bones(
     folder : path, optional
         ``<store>.bones`` beside the store by default; each set of options and
         training clips has a folder of its own in it.
-    seed : int
-        Of the decomposition.
     time_limit : float, optional
         Seconds that the decomposition may take.
     progress : callable, optional
@@ -209,7 +206,7 @@ def virtual_bones(
     if not names:
         raise InputError("store", "training clips of a training set", str(store.path))
     stated = dataclasses.asdict(options) | {
-        "garment": mesh_identity(store.rest, store.faces), "clips": names, "seed": seed,
+        "garment": mesh_identity(store.rest, store.faces), "clips": names,
     }  # fmt: skip
     key = hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:12]
     home = Path(folder) if folder else store.path.with_name(store.path.name + ".bones")
@@ -217,7 +214,7 @@ def virtual_bones(
     (place / "clips").mkdir(parents=True, exist_ok=True)
     skinning_file, report_file = place / "bones.npz", place / "bones.json"
     if not (skinning_file.is_file() and report_file.is_file()):
-        skinning, report = _decompose(store, names, options, seed, time_limit, progress)
+        skinning, report = _decompose(store, names, options, time_limit, progress)
         ssdr.save(skinning, skinning_file)
         write_bytes(report_file, json.dumps(stated | report, indent=1).encode())
     skinning = ssdr.load_skinning(skinning_file)
@@ -230,7 +227,6 @@ def _decompose(
     store: ClipStore,
     names: Sequence[str],
     options: BoneOptions,
-    seed: int,
     time_limit: float | None,
     progress: Progress | None,
 ) -> tuple[Skinning, dict[str, Any]]:
@@ -258,7 +254,7 @@ def _decompose(
         bones=options.count,
         influences=options.influences,
         effort=options.effort,
-        rng=seed,
+        rng=options.seed,
         time_limit=time_limit,
         callback=follow,
     )

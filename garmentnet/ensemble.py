@@ -34,6 +34,7 @@ __all__ = [
     "fit_kernel",
     "gram",
     "inverse_distance",
+    "left_out_errors",
     "nearest",
     "select_pivots",
     "smallest_good",
@@ -76,7 +77,7 @@ class Kernel(nn.Module):
         with torch.no_grad():
             out = self(torch.as_tensor(np.asarray(pivots, float)), torch.as_tensor(
                 np.asarray(theta, float)))  # fmt: skip
-        weights: Array = out.numpy()
+        weights: Array = np.array(out.numpy(), np.float64)
         return weights
 
 
@@ -253,6 +254,22 @@ def fit_kernel(
         optimiser.step()
     kernel.load_state_dict(kept)
     return kernel, best
+
+
+def left_out_errors(
+    kernel: Kernel, grams: Sequence[Array], parameters: Any, pivots: Sequence[int]
+) -> list[float]:
+    """RMSE, metres, of each training set mixed from the pivots other than itself.
+
+    A set that is the only pivot is passed over.
+    """
+    theta, errors = np.asarray(parameters, float), []
+    for s, q in enumerate(grams):
+        others = [i for i in pivots if i != s]
+        if others:
+            weights = kernel.weights(theta[others], theta[s])
+            errors.append(error_of(q[np.ix_(others, others)], weights))
+    return errors
 
 
 def smallest_good(errors: Sequence[float], within: float = 0.02) -> int:

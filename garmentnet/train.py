@@ -319,7 +319,8 @@ def choose_clips(
     stated, chosen = config.data.parameters, None
     if stated and not config.data.condition:
         try:
-            chosen = SimulationParameters(*(float(x) for x in stated.split(",")))
+            bending, density, time_scale = (float(x) for x in stated.split(","))
+            chosen = SimulationParameters(bending, density, time_scale)
         except (TypeError, ValueError) as error:
             wanted = "'bending,density,time_scale'"
             raise InputError("data.parameters", wanted, repr(stated)) from error
@@ -406,7 +407,7 @@ def train(
     if o.threads:
         torch.set_num_threads(o.threads)
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    bones = virtual_bones(store, config.bones, folder=bones_folder, seed=o.seed, progress=progress)
+    bones = virtual_bones(store, config.bones, folder=bones_folder, progress=progress)
     bones.prepare([*names, *held], progress)
     # The initial weights depend on the seed alone, whatever ran before.
     with torch.random.fork_rng(devices=[]):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -26,6 +27,7 @@ __all__ = [
     "LowOptions",
     "TrainOptions",
     "load_config",
+    "override",
     "preset_names",
 ]
 
@@ -45,6 +47,7 @@ class BoneOptions:
     influences: int = 8
     effort: Literal["fast", "balanced", "best"] = "balanced"
     frames: int = 1000
+    seed: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -194,6 +197,27 @@ def load_config(path: Path | str) -> Config:
     except tomllib.TOMLDecodeError as error:
         raise FormatError(f"{name}: not TOML ({error})") from error
     return Config.of(table, name)
+
+
+def override(config: Config, changes: Sequence[str]) -> Config:
+    """A configuration with settings changed as ``section.name=value``, values as in TOML.
+
+    Raises
+    ------
+    FormatError
+        If a change is unreadable, unknown or of the wrong kind.
+    """
+    table = config.as_dict()
+    for change in changes:
+        path, sign, value = change.partition("=")
+        section, dot, name = path.strip().partition(".")
+        if not (sign and dot and section in table and name in table[section]):
+            raise FormatError(f"{change}: expected section.name=value with a setting that exists")
+        try:
+            table[section][name] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            table[section][name] = value.strip()  # a plain word needs no quotes
+    return Config.of(table, ", ".join(changes))
 
 
 def _build(kind: Any, table: Any, origin: str, prefix: str) -> Any:
