@@ -6,7 +6,6 @@ needs an extra does not stand in the way of the others.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +16,7 @@ from ssdr.errors import SsdrError
 
 from . import learning_cli
 
-__all__ = ["app", "data_folder", "main"]
+__all__ = ["app", "main"]
 
 app = typer.Typer(
     add_completion=False,
@@ -26,11 +25,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Loose garments on a moving body: simulate, learn, predict.",
 )
-
-
-def data_folder() -> Path:
-    """Where data and results go: ``GARMENTNET_DATA``, else ``out`` in the working directory."""
-    return Path(os.environ.get("GARMENTNET_DATA") or "out")
 
 
 @app.command()
@@ -44,7 +38,7 @@ def simulate(
     """Simulate the clips that a file describes."""
     from .scenes.report import run
 
-    run(scene, output or data_folder() / f"{scene.stem}.clips", workers=workers)
+    run(scene, output or learning_cli.output_folder() / f"{scene.stem}.clips", workers=workers)
 
 
 @app.command()
@@ -62,10 +56,20 @@ def dataset(
     from .scenes.report import run
 
     stem = Path(name).stem + ("-recorded" if motion else "")
-    run(name, output or data_folder() / f"{stem}.clips", motion=motion, workers=workers)
+    run(
+        name,
+        output or learning_cli.output_folder() / f"{stem}.clips",
+        motion=motion,
+        workers=workers,
+    )
 
 
-for _command in (learning_cli.train, learning_cli.evaluate, learning_cli.predict, learning_cli.demo):
+for _command in (
+    learning_cli.train,
+    learning_cli.evaluate,
+    learning_cli.predict,
+    learning_cli.demo,
+):
     app.command()(_command)
 
 

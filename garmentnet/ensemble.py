@@ -84,9 +84,8 @@ class Kernel(nn.Module):
 def inverse_distance(pivots: Any, theta: Any) -> Array:
     """Weights ∝ 1 / ‖θ_i − θ‖, the paper's first alternative; all to an exact match."""
     gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
-    if gap.min() < 1e-12:
-        return np.asarray(gap < 1e-12, float) / (gap < 1e-12).sum()
-    return np.asarray((1 / gap) / (1 / gap).sum())
+    near = np.asarray(gap < 1e-12, np.float64) if gap.min() < 1e-12 else 1 / gap
+    return np.asarray(near / near.sum())
 
 
 def nearest(pivots: Any, theta: Any) -> Array:
