@@ -190,7 +190,8 @@ def decompose(
     run = Run(
         data,
         make_plan(
-            effort, fixed=fixed, n_vertices=n, bones=bones, given=inner, smooth=smooth is not None
+            effort, fixed=fixed, bones=bones, given=inner, smooth=smooth is not None,
+            size=float(n) * n_frames * bones,
         ),
         bones=bones, influences=min(influences, bones), rng=generator, fixed=fixed,
         given=inner, smooth=smooth, began=began,
@@ -327,7 +328,7 @@ def _compile() -> float:
     rng = np.random.default_rng(0)
     data = gather([MeshSequence(rng.standard_normal((3, 8, 3)))], bones=2)
     run = Run(
-        data, make_plan("best", fixed=Fixed(), n_vertices=8, bones=2, given=Given(), smooth=False),
+        data, make_plan("best", fixed=Fixed(), bones=2, given=Given(), smooth=False, size=0),
         bones=2, influences=2, rng=rng, fixed=Fixed(), given=Given(), smooth=None,
     )  # fmt: skip
     for phase in ("start", "merge", "alternate", "reseed", "polish"):

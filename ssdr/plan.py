@@ -63,6 +63,9 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
+_ROUND = [Op("recall"), Op("kick", count=2), _polish(10, 0.0)]
+_MORE_ROUNDS = 12  # "best" on what is small enough to be done with them in two minutes
+_SMALL = 12.5e6  # vertices × frames × bones
 EFFORTS: dict[str, list[Op]] = {
     "fast": [*_begin(1.6, 6, 4), _polish(6, 0.02)],
     "balanced": [
@@ -71,15 +74,13 @@ EFFORTS: dict[str, list[Op]] = {
         _polish(40, 0.01),
     ],
     "best": [
-        *_begin(1.0, 12, 6), _polish(8, 0.0),
         *_begin(1.6, 12, 6), _polish(8, 0.0),
         *_begin(2.2, 12, 6), _polish(8, 0.0),
+        *_begin(3.0, 12, 6), _polish(8, 0.0),
         Op("recall"),
         Op("reseed", count=60, amount=4, patience=10, cost=6),
         _polish(40, 0.005),
-        *[op for _ in range(16) for op in (
-            Op("recall"), Op("kick", count=2), _polish(10, 0.0),
-        )],
+        *_ROUND * 20,
         Op("recall"),
         _polish(60, 0.002),
     ],
@@ -87,10 +88,15 @@ EFFORTS: dict[str, list[Op]] = {
 
 
 def make_plan(
-    effort: str, *, fixed: Fixed, n_vertices: int, bones: int, given: Given, smooth: bool
+    effort: str, *, fixed: Fixed, bones: int, given: Given, smooth: bool, size: float
 ) -> list[Op]:
-    """The plan of an effort, less what fixed parts and smoothness rule out."""
+    """The plan of an effort, less what fixed parts and smoothness rule out.
+
+    `size` is vertices × frames × bones.
+    """
     plan = list(EFFORTS[effort])
+    if effort == "best" and size < _SMALL:
+        plan[-2:-2] = _ROUND * _MORE_ROUNDS
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     if given.weights is not None or all_bones:
         # nothing to place: one start, then down to the nearest minimum
@@ -99,7 +105,9 @@ def make_plan(
     if smooth:
         # the polish does not know the penalty: alternate until it settles
         steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        plan = [op for op in plan if op.phase in ("start", "alternate", "merge", "reseed")]
+        plan = [
+            op for op in plan if op.phase in ("start", "alternate", "merge", "reseed", "recall")
+        ]
         plan.append(Op("alternate", count=steps))
     return plan
 
