@@ -257,7 +257,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
         float(np.linalg.norm(_rest(skeleton, f"{b}_l") - _rest(skeleton, f"{a}_l")))
         for a, b in (("thigh", "shin"), ("shin", "foot"))
     )
-    first = _first_frame(bvh)
+    first = _first_frame(bvh, world)
     turned = ours @ world[first:] @ ours.T
     count = len(turned)
     rotations = np.empty((count, skeleton.n_joints, 3, 3))
@@ -277,14 +277,15 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
     for j, parent in enumerate(skeleton.parents):
         if parent >= 0:
             local[:, j] = rotations[:, parent].swapaxes(-1, -2) @ rotations[:, j]
-    path = bvh.root[first:] @ ours.T * (own_legs / legs)
+    path: Float = bvh.root[first:] @ ours.T * (own_legs / legs)
     path -= [path[0, 0], 0.0, path[0, 2]]
     joints = skeleton.transforms(path, local)
     soles = skeleton.positions(joints)[:, [skeleton.index(n) for n in ("foot_l", "foot_r")], 1]
     # The lowest feet but for a few frames of noise stand on the floor.
     joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - _rest(skeleton, "foot_l")[1]
     frames = max(1, math.floor((count - 1) * fps / bvh.fps + 1e-3) + 1)
-    joints = interpolate(skeleton, joints, np.arange(frames) * bvh.fps / fps)
+    at = np.arange(frames, dtype=np.float64) * (bvh.fps / fps)
+    joints = interpolate(skeleton, joints, at)
     recorded = np.full(frames, CLASSES.index("recorded"), dtype=np.int8)
     return Motion(joints, recorded, fps, name)
 
@@ -313,12 +314,22 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
     return found
 
 
-def _first_frame(bvh: Bvh) -> int:
-    """1 where the first frame is a pose of its own that converters put before the motion."""
-    if bvh.n_frames < 4:
+def _first_frame(bvh: Bvh, world: Float) -> int:
+    """First frame of the motion itself.
+
+    Converters put a pose of their own before it and leap from there within a few frames: left
+    out are leading frames much faster than the fastest of the motion.
+    """
+    lead = min(12, bvh.n_frames // 4)
+    if lead == 0:
         return 0
-    step = np.abs(np.diff(bvh.rotations, axis=0)).max(axis=(1, 2, 3))
-    return 1 if step[0] > 3 * step[1:].max() and step[0] > 0.1 else 0
+    heads = np.zeros((bvh.n_frames, len(bvh.names), 3))
+    for j, parent in enumerate(bvh.parents):
+        if parent >= 0:
+            heads[:, j] = heads[:, parent] + world[:, parent] @ bvh.offsets[j]
+    speed = np.linalg.norm(np.diff(heads, axis=0), axis=2).max(axis=1)
+    fast = speed[:lead] > 1.5 * np.percentile(speed[lead:], 99)
+    return int(fast.argmin()) if not fast.all() else lead
 
 
 def _rest(skeleton: Skeleton, name: str) -> Float:

@@ -213,7 +213,8 @@ def mirror_permutation(
         Metres by which a vertex may be off its image in the plane x = 0.
     """
     points, triangles = np.asarray(rest, dtype=np.float64), np.asarray(faces)
-    distance, nearest = cKDTree(points).query(points * [-1, 1, 1])
+    distance, nearest = _nearest(points, points * [-1, 1, 1], 1)
+    distance, nearest = distance[:, 0], nearest[:, 0]
     order = np.arange(len(points))
     if distance.max() > tolerance or not np.array_equal(nearest[nearest], order):
         return None
@@ -226,8 +227,7 @@ def mirror_permutation(
 def _outline(body: Body, cut: Dress) -> Callable[[float, NDArray[np.float64]], NDArray[np.float64]]:
     """Points ``(n, 2)`` x and z of the bodice at a height, at angles from the front."""
     rig = body.skinning
-    dense = rig.dense_weights()
-    arms = dense[:, [rig.names().index(n) for n in _ARMS]].sum(axis=1) > 0.5
+    arms = _arm_share(body) > 0.5
     keep = ~arms[rig.faces].any(axis=1)
     rest, faces = rig.rest.astype(np.float64), rig.faces[keep]
     height = body.height()
@@ -258,6 +258,12 @@ def _outline(body: Body, cut: Dress) -> Callable[[float, NDArray[np.float64]], N
         return np.stack([r * np.sin(theta), middle + r * np.cos(theta)], axis=1)
 
     return at
+
+
+def _arm_share(body: Body) -> NDArray[np.float64]:
+    dense = body.skinning.dense_weights()
+    arms = [body.skinning.names().index(n) for n in _ARMS]
+    return np.asarray(dense[:, arms].sum(axis=1), dtype=np.float64)
 
 
 def _section(rest: NDArray[np.float64], faces: NDArray[np.int32], y: float) -> NDArray[np.float64]:
@@ -344,7 +350,7 @@ def _zip(
             )
             # Where rings have equal numbers the diagonals are equal: criss-cross favours no side.
             even = abs(longer) < 1e-3 * np.linalg.norm(points[below[j + 1]] - points[below[j]])
-            down = (i + row) % 2 == 0 if even else longer < 0
+            down = (i + row) % 2 == 0 if even else bool(longer < 0)
         if down:
             faces.append((above[i], below[j], below[j + 1]))
             j += 1
@@ -354,15 +360,21 @@ def _zip(
     return np.array(faces)
 
 
+def _nearest(
+    points: NDArray[np.float64], at: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    distance, index = cKDTree(points).query(at, k=np.arange(1, count + 1))
+    return np.asarray(distance, dtype=np.float64), np.asarray(index, dtype=np.int64)
+
+
 def _follow(
     body: Body, rest: NDArray[np.float64], mirror: NDArray[np.int32] | None
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Skin weights from the body's nearest vertices, those of the arms left out."""
     rig = body.skinning
     dense = rig.dense_weights().astype(np.float64)
-    arms = dense[:, [rig.names().index(n) for n in _ARMS]].sum(axis=1)
-    usable = np.flatnonzero(arms < 0.5)
-    distance, nearest = cKDTree(rig.rest[usable].astype(np.float64)).query(rest, k=_NEAREST)
+    usable = np.flatnonzero(_arm_share(body) < 0.5)
+    distance, nearest = _nearest(rig.rest[usable].astype(np.float64), rest, _NEAREST)
     share = 1 / (distance + 1e-3)
     weights = (dense[usable][nearest] * share[..., None]).sum(axis=1) / share.sum(axis=1)[:, None]
     if mirror is not None:

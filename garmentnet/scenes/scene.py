@@ -50,6 +50,9 @@ class MotionSource:
         A BVH file instead of the generator.
     start : int
         First frame of the file, at the scene's rate.
+    whole : int
+        Frames that the generator makes, of which the first `frames` are used; 0: as many.  A
+        dance that is shorter is another dance, not the beginning of a longer one.
     """
 
     name: str
@@ -59,6 +62,7 @@ class MotionSource:
     classes: tuple[str, ...] = ()
     file: str = ""
     start: int = 0
+    whole: int = 0
 
     def make(self, body: Body, fps: float) -> Motion:
         """The motion itself."""
@@ -66,14 +70,15 @@ class MotionSource:
             whole = retarget(read_bvh(self.file), body.skeleton, fps=fps)
             stop = min(whole.n_frames, self.start + self.frames)
             return whole.cut(self.start, stop, self.name)
-        return dance(
+        danced = dance(
             body.skeleton,
             seed=self.seed,
-            frames=self.frames,
+            frames=max(self.frames, self.whole),
             fps=fps,
             classes=self.classes or None,
             name=self.name,
         )
+        return danced.cut(0, self.frames)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -292,10 +297,12 @@ def _data_set(table: dict[str, Any], path: Path) -> DataSet:
         raise InputError("motion, motions", "one of the two", "both" if "motion" in table else "-")
     head = _build(_Head, {k: v for k, v in table.items() if k in scalars}, "")
     garment = _section(table, "garment")
-    kind = MeshGarment if "mesh" in garment else Dress
-    made = _build(kind, garment, "garment")
-    if isinstance(made, MeshGarment):
-        made = dataclasses.replace(made, mesh=str(path.parent / made.mesh))
+    made: Dress | MeshGarment
+    if "mesh" in garment:
+        from_file = _build(MeshGarment, garment, "garment")
+        made = dataclasses.replace(from_file, mesh=str(path.parent / from_file.mesh))
+    else:
+        made = _build(Dress, garment, "garment")
     body = _build(_BodyFile, _section(table, "body"), "body").file
     base = ParameterSet(
         "base", "train", _build(SimulationParameters, _section(table, "base"), "base")
@@ -390,7 +397,7 @@ def _motions(
         if count > len(own):
             raise InputError(f"motions.set_{split}", f"at most {len(own)}", count)
         short += [
-            dataclasses.replace(m, frames=min(g.frames, g.set_frames or g.frames))
+            dataclasses.replace(m, frames=min(g.frames, g.set_frames or g.frames), whole=g.frames)
             for m in own[:count]
         ]
     return tuple(found), tuple(short)

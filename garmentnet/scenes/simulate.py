@@ -421,7 +421,8 @@ def _depth_kernel() -> Any:
 @functools.cache
 def _warp() -> Any:
     wp = require("warp", "scenes", "a simulation")
-    wp.config.quiet = True
+    # Every process would say again that there is no GPU, and what it compiled.
+    wp.config.log_level = wp.LOG_ERROR
     return wp
 
 
@@ -444,11 +445,11 @@ def _unrest(garment: Garment, size: float, seed: int) -> NDArray[np.float32]:
     ones = np.ones(len(e))
     near = coo_array((ones, (e[:, 0], e[:, 1])), (n, n)).tocsr()
     near = near + near.T
-    degree = np.asarray(near.sum(axis=1)).ravel()[:, None]
+    degree: NDArray[np.float64] = np.asarray(near.sum(axis=1)).ravel()[:, None]
     free = ~garment.pinned
     for _ in range(20):
         # Noise of one vertex would die at once in stretch; folds are what may go another way.
-        noise = 0.5 * noise + 0.5 * (near @ noise) / degree
+        noise = 0.5 * noise + 0.5 * np.asarray(near @ noise) / degree
         noise[~free] = 0.0
     noise *= size / math.sqrt(float((noise[free] ** 2).sum(axis=1).mean()))
     return noise.astype(np.float32)

@@ -1,4 +1,5 @@
-"""Kernels of our own that run beside the simulator."""
+# mypy: ignore-errors
+"""Kernels of our own that run beside the simulator; warp reads their annotations its own way."""
 
 import warp as wp
 
