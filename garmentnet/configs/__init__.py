@@ -57,7 +57,7 @@ class FeatureOptions:
     translation: bool = True
     velocities: bool = False
     root_motion: bool = False
-    floor: float = 0.0
+    floor: float = 0.001
     clamp: float = 0.0
     frame: Literal["world", "root", "heading"] = "root"
 
