@@ -146,7 +146,7 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
     Parameters
     ----------
     path : path
-        ``.bvh``, retargeted by the names of its joints; ``.npz`` with an array
+        ``.bvh`` or ``.bvh.gz``, retargeted by the names of its joints; ``.npz`` with an array
         ``joints`` ``(F, J, 3, 4)``; or the folder of a clip in a store.
 
     Raises
@@ -160,7 +160,7 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
     suffix = file.suffix.lower()
     if not file.exists():
         raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
-    if suffix == ".bvh":
+    if file.name.lower().endswith((".bvh", ".bvh.gz")):
         from .bvh import read_bvh, retarget
 
         moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps, name=file.stem)
