@@ -81,7 +81,11 @@ def load_body(path: str | os.PathLike[str]) -> Body:
         If it is not one.
     """
     source = Path(path)
-    with reading(source), np.load(source, allow_pickle=False) as data:
+    with (
+        reading(source),
+        source.open("rb") as file,
+        np.load(file, allow_pickle=False) as data,
+    ):
         missing = [k for k in _KEYS if k not in data]
         if missing:
             raise FormatError(f"no array {missing[0]}")
