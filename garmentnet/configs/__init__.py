@@ -42,7 +42,7 @@ class DataOptions:
 
 @dataclasses.dataclass(frozen=True)
 class BoneOptions:
-    length: float = 0.03
+    length: float = 0.02
     count: int = 80
     influences: int = 8
     effort: Literal["fast", "balanced", "best"] = "balanced"
