@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from ssdr.errors import InputError
 
@@ -355,7 +356,7 @@ def _add_arms(rng: np.random.Generator, controls: Controls, seconds: float) -> N
     """Arms wander between shapes; at times both do the same."""
     count = len(controls["turn"])
     together = _noise(rng, count, 0.25) > 0.2
-    mix = np.clip(np.convolve(together, np.ones(61) / 61, mode="same"), 0, 1)
+    mix = uniform_filter1d(together.astype(np.float64), RATE // 2, mode="nearest")
     wander = {
         side: {
             "reach": 0.45 + 0.6 * _noise(rng, count, 0.5),
