@@ -31,7 +31,8 @@ from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
 from .smoothness import WeightSmoothness
 from .state import SolverState
-from .trajectories import gather
+from .streaming import AllFrames, needs_streaming, scan, subset
+from .trajectories import Alignment, gather
 from .weights import pad_influences
 
 __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
@@ -39,6 +40,8 @@ __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
 _compile_seconds: float | None = None
+_PASSES = {"fast": 1, "balanced": 3, "best": 8}  # over all frames, where they are streamed
+_PASS_GAIN = 2e-3  # of the objective, below which another pass is not made
 _NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
 
@@ -175,23 +178,32 @@ def decompose(
 
     compile_seconds = _compile()
     began = time.perf_counter()
+    found = None
+    solved, solved_parts, solved_weights, start_frame = sequences, parts, frame_weights, rest_frame
+    if needs_streaming(sequences):
+        found = scan(sequences, importance, keep=[rest_frame])
+        solved, solved_weights = [subset(sequences, found.chosen)], found.importance(frame_weights)
+        start_frame = int(np.searchsorted(found.chosen, rest_frame))
+        if parts.transforms is not None:
+            some = np.ascontiguousarray(parts.transforms[found.chosen])
+            solved_parts = dataclasses.replace(parts, transforms=some)
     data = gather(
-        sequences, bones=bones, vertex_importance=importance, frame_importance=frame_weights
+        solved, bones=bones, vertex_importance=importance, frame_importance=solved_weights
     )
     settings = {
         "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
         "rest_frame": int(rest_frame), "smoothness": float(smoothness),
         "max_iterations": None if max_iterations is None else int(max_iterations),
-        "input": fingerprint(data, parts),
+        "input": fingerprint(data, solved_parts),
     }  # fmt: skip
     fixed = Fixed(rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones)
-    inner = normalise(data, parts, rest_frame)
+    inner = normalise(data, solved_parts, start_frame)
     smooth = WeightSmoothness.build(data, sequences[0].faces, smoothness)
     run = Run(
         data,
         make_plan(
             effort, fixed=fixed, bones=bones, given=inner, smooth=smooth is not None,
-            size=float(n) * n_frames * bones,
+            size=float(n) * data.n_frames * bones,
         ),
         bones=bones, influences=min(influences, bones), rng=generator, fixed=fixed,
         given=inner, smooth=smooth, began=began,
@@ -199,7 +211,75 @@ def decompose(
     if state is not None:
         _restore(run, state, settings)
     reason = _walk(run, max_iterations, time_limit, callback)
-    return _result(run, sequences, settings, reason, influences, compile_seconds, smooth)
+    if found is None:
+        outcome = _Outcome(data, _best(run), run.records)
+    else:
+        if smooth is not None:
+            # a pass knows nothing of the penalty: weights stay as the run left them
+            fixed = dataclasses.replace(fixed, weights=np.ones(n, dtype=bool))
+        frames = AllFrames(
+            sequences, found, data, _best(run), fixed=fixed, importance=frame_weights,
+            given=normalise(found.alignment, parts, 0).transforms,
+        )  # fmt: skip
+        outcome = _finish(run, frames, effort, time_limit, callback)
+    return _result(run, outcome, sequences, settings, reason, influences, compile_seconds)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Outcome:
+    """The model to hand out, with the way back to the input's space and its history."""
+
+    alignment: Alignment
+    model: Model
+    records: list[tuple[int, float, float, str]]
+
+
+def _best(run: Run) -> Model:
+    assert run.best is not None
+    return run.best
+
+
+def _finish(
+    run: Run,
+    frames: AllFrames,
+    effort: str,
+    time_limit: float | None,
+    callback: Callable[[Progress], bool | None] | None,
+) -> _Outcome:
+    """Exact alternations over all frames until they pay no more."""
+    passes = _PASSES[effort]
+    scale = frames.alignment.scale / math.sqrt(len(frames.frame_scale) * run.data.n_vertices)
+    records: list[tuple[int, float, float, str]] = []
+    best: Model | None = None
+    stopped = False
+    for k in range(passes):
+
+        def told(share: float, k: int = k) -> None:
+            nonlocal stopped
+            if callback is None:
+                return
+            value = records[-1][2] if records else math.inf
+            fraction = (k + share) / passes
+            stopped |= bool(
+                callback(
+                    Progress(
+                        phase="all frames", iteration=run.iteration + k, elapsed=run.elapsed,
+                        rmse=scale * math.sqrt(value), fraction=fraction,
+                        time_left=run.here * (1 - fraction) / max(fraction, 1e-3),
+                    )
+                )
+            )  # fmt: skip
+
+        value = frames.pass_over(entering=0 if run.smooth else 3, told=told)
+        if records and value >= records[-1][2]:
+            break
+        gain = 1.0 - value / records[-1][2] if records else 1.0
+        records.append((run.iteration + k + 1, run.elapsed, value, "all frames"))
+        best = frames.model.copy()
+        if stopped or gain < _PASS_GAIN or (time_limit is not None and run.here >= time_limit):
+            break
+    assert best is not None
+    return _Outcome(frames.alignment, best, records)
 
 
 def _walk(
@@ -228,7 +308,7 @@ def _walk(
             fraction = run.fraction
             left = run.elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
             if time_limit is not None:
-                left = min(left, max(0.0, time_limit - (run.here)))
+                left = min(left, max(0.0, time_limit - run.here))
             progress = Progress(
                 phase=phase, iteration=run.iteration, elapsed=run.elapsed,
                 rmse=scale * math.sqrt(run.best_value), fraction=fraction, time_left=left,
@@ -242,39 +322,39 @@ def _walk(
 
 def _result(
     run: Run,
+    outcome: _Outcome,
     sequences: list[MeshSequence],
     settings: dict[str, Any],
     reason: str,
     influences: int,
     compile_seconds: float,
-    smooth: WeightSmoothness | None,
 ) -> Decomposition:
-    data, model = run.data, run.best
-    assert model is not None
+    data, model = outcome.alignment, outcome.model
     joints, weights = pad_influences(model, influences)
     rest, transforms = data.to_world(model.rest, model.transforms)
     squared = true_squared_error(sequences, rest, joints, weights, transforms)
-    count = data.n_frames * data.n_vertices
+    count = data.n_frames * len(rest)
     rmse = math.sqrt(float(squared.sum()) / count)
     first = sequences[0]
     skinning = Skinning(
         rest, joints, weights, transforms, faces=first.faces, fps=first.fps,
         surface=first.surface, vertex_map=first.vertex_map, name=first.name,
     )  # fmt: skip
-    values = np.array([r[2] for r in run.records])
+    values = np.array([r[2] for r in outcome.records])
     errors = data.scale * np.sqrt(np.maximum(values, 0.0) / count)
     # the reduced basis and importance change the objective, not which model is better: the
     # last record is measured on the frames, the others keep their ratio to it
     factor = rmse / errors[-1] if errors[-1] > 0 else 1.0
     history = tuple(
         Record(iteration=r[0], elapsed=r[1], rmse=float(e), phase=r[3])
-        for r, e in zip(run.records, errors * factor, strict=True)
+        for r, e in zip(outcome.records, errors * factor, strict=True)
     )
     history = (*history[:-1], dataclasses.replace(history[-1], rmse=rmse))
     notes = []
-    wide = model.copy()
+    wide = _best(run).copy()
     wide.widen()
-    spare = int((bone_costs(data, wide) <= _NO_LOSS * float(data.importance @ data.x2)).sum())
+    energy = float(run.data.importance @ run.data.x2)
+    spare = int((bone_costs(run.data, wide) <= _NO_LOSS * energy).sum())
     if spare:
         notes.append(f"{spare} of {run.bones} bones could each go at no loss: fewer bones would do")
     for note in notes:
@@ -282,7 +362,7 @@ def _result(
     state = SolverState(
         settings=settings, progress=run.progress(),
         history=np.array([r[:3] for r in run.records], dtype=np.float64).reshape(-1, 3),
-        phases=tuple(r[3] for r in run.records), current=run.model, best=model,
+        phases=tuple(r[3] for r in run.records), current=run.model, best=run.best,
     )  # fmt: skip
     return Decomposition(
         skinning=skinning, rmse=rmse, converged=reason == "converged", stop_reason=reason,

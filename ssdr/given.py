@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .checks import check_mask, check_rest, check_transforms, check_weights
 from .errors import InputError
-from .trajectories import Array, Trajectories
+from .trajectories import Alignment, Array, Trajectories
 
 __all__ = ["Given", "Parts", "check_parts", "fingerprint", "normalise"]
 
@@ -85,8 +85,9 @@ def check_parts(
     return Parts(rest, joints, weights, transforms, vertex_mask, bone_mask)
 
 
-def normalise(data: Trajectories, parts: Parts, rest_frame: int) -> Given:
-    origin = np.zeros((data.n_vertices, 3)) if parts.rest is None else parts.rest
+def normalise(data: Alignment, parts: Parts, rest_frame: int) -> Given:
+    """Fixed parts in the solver's space."""
+    origin = np.zeros((1, 3)) if parts.rest is None else parts.rest
     rest, transforms = data.from_world(origin, parts.transforms)
     return Given(
         rest=None if parts.rest is None else np.ascontiguousarray(rest), transforms=transforms,

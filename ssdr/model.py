@@ -128,9 +128,9 @@ class Fixed:
 FREE = Fixed()
 
 
-def gram_tables(hat: Array, n_bones: int) -> tuple[Array, Array]:
-    """G = hatᵀhat as (B, 10, B) coefficients and as (B, B, 4, 4) blocks."""
-    g = (hat.T @ hat).reshape(4, n_bones, 4, n_bones)
+def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
+    """G = hatᵀhat (4B, 4B) as (B, 10, B) coefficients and as (B, B, 4, 4) blocks."""
+    g = gram.reshape(4, n_bones, 4, n_bones)
     blocks = np.ascontiguousarray(g.transpose(1, 3, 0, 2))
     table = np.empty((n_bones, 10, n_bones))
     for d in range(4):
@@ -153,7 +153,7 @@ def vertex_step(
     keep = fixed.keep_weights(data.n_vertices)
     with serial_blas():
         hat = data.hat(model.transforms)
-        gram, gram4 = gram_tables(hat, n_bones)
+        gram, gram4 = gram_tables(hat.T @ hat, n_bones)
         reduced = data.reduce(hat)
         none, none1 = np.zeros((0, 0)), np.zeros(0)
 
@@ -233,7 +233,7 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
     n_bones = model.n_bones
     with serial_blas():
         hat = data.hat(model.transforms)
-        gram, _ = gram_tables(hat, n_bones)
+        gram, _ = gram_tables(hat.T @ hat, n_bones)
         reduced = data.reduce(hat)
 
         def work(_: int, i: int, k: int) -> Array:

@@ -151,7 +151,7 @@ class Polish:
         move_rest = not self.fixed.rest
         with serial_blas():
             hat = data.hat(model.transforms)
-            gram, gram4 = gram_tables(hat, n_bones)
+            gram, gram4 = gram_tables(hat.T @ hat, n_bones)
             reduced = data.reduce(hat)
             left.hat, left.gram4 = hat, gram4
 

@@ -18,7 +18,7 @@ from .parallel import serial_blas
 from .rigid import nearest_rotation
 from .sequence import MeshSequence
 
-__all__ = ["Trajectories", "gather"]
+__all__ = ["Alignment", "Trajectories", "centred", "gather", "turn_onto"]
 
 Array = NDArray[np.float64]
 
@@ -26,8 +26,54 @@ _TAIL = 1e-4  # energy that compression may lose, relative to what no model of B
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Trajectories:
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Alignment:
+    """The way between the input's space and the solver's.
+
+    Attributes
+    ----------
+    centre : (F, 3), turn : (F, 3, 3), scale : float
+        ``x = turn (scale x') + centre`` leads back to the input's space.
+    """
+
+    centre: Array
+    turn: Array
+    scale: float
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.centre)
+
+    def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
+        """Rest pose and transforms (F, B, 3, 4) in the input's space."""
+        origin = self.centre[0]
+        r = np.einsum("tab,tjbc->tjac", self.turn, transforms[..., :3])
+        shift = self.scale * np.einsum("tab,tjb->tja", self.turn, transforms[..., 3])
+        t = shift + self.centre[:, None] - r @ origin
+        return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
+
+    def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
+        """Inverse of :meth:`to_world`."""
+        origin = self.centre[0]
+        inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
+        if transforms is None:
+            return inner, None
+        m = np.asarray(transforms, dtype=np.float64)
+        r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
+        moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
+        t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
+        return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
+
+    def inward(self, block: NDArray[np.floating], first: int) -> Array:
+        """Positions (V, c, 3) in the solver's space of the frames first.. (c, V, 3)."""
+        last = first + len(block)
+        moved = block.astype(np.float64, order="C") - self.centre[first:last, None]
+        turned = np.matmul(moved, self.turn[first:last])
+        return np.ascontiguousarray(turned.transpose(1, 0, 2)) / self.scale
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Trajectories(Alignment):
     """An animation as the solver sees it.
 
     Attributes
@@ -42,8 +88,6 @@ class Trajectories:
         Importance of vertices, mean 1.
     frame_scale : (F,) float64
         Root of the frames' importance.
-    centre : (F, 3), turn : (F, 3, 3), scale : float
-        ``x = turn (scale x') + centre`` leads back to the input's space.
     lost : float
         Energy outside the basis, Σ x2 − Σ|z|².
     """
@@ -53,14 +97,7 @@ class Trajectories:
     x2: Array
     importance: Array
     frame_scale: Array
-    centre: Array
-    turn: Array
-    scale: float
     lost: float
-
-    @property
-    def n_frames(self) -> int:
-        return len(self.centre)
 
     @property
     def n_vertices(self) -> int:
@@ -90,27 +127,8 @@ class Trajectories:
         x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
         return np.ascontiguousarray(x / self.frame_scale[t])
 
-    def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
-        """Rest pose and transforms (F, B, 3, 4) in the input's space."""
-        origin = self.centre[0]
-        r = np.einsum("tab,tjbc->tjac", self.turn, transforms[..., :3])
-        shift = self.scale * np.einsum("tab,tjb->tja", self.turn, transforms[..., 3])
-        t = shift + self.centre[:, None] - r @ origin
-        return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
 
-    def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
-        """Inverse of :meth:`to_world`."""
-        origin = self.centre[0]
-        inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
-        if transforms is None:
-            return inner, None
-        m = np.asarray(transforms, dtype=np.float64)
-        r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
-        moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
-        t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
-        return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
-
-
+@serial_blas()
 def gather(
     sequences: Sequence[MeshSequence],
     *,
@@ -141,18 +159,10 @@ def gather(
     for sequence in sequences:
         for _, block in sequence.chunks():
             for frame in block:
-                here = frame.astype(np.float64)
-                # the first vertex is taken out before the mean: far from the origin a
-                # sum of positions loses what the positions themselves still hold
-                anchor = here[0].copy()
-                here -= anchor
-                mean = here.mean(axis=0) if share is None else share @ here
-                here -= mean
-                centre[t] = anchor + mean
+                here, centre[t] = centred(frame, share)
                 if first is None:
                     first = here
-                known = here if share is None else here * share[:, None]
-                turn[t] = nearest_rotation(known.T @ first) if t else np.eye(3)
+                turn[t] = turn_onto(here, first, share) if t else np.eye(3)
                 x[:, t] = here @ turn[t]
                 t += 1
     size = float(np.sqrt((x * x).sum() / (n_vertices * n_frames)))
@@ -172,6 +182,25 @@ def gather(
         z=z, q=q, x2=x2, importance=importance, frame_scale=frame_scale,
         centre=centre, turn=turn, scale=scale, lost=lost,
     )  # fmt: skip
+
+
+def centred(frame: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
+    """Positions relative to their (weighted) centroid, and that."""
+    # in C order: sums over the same numbers laid out otherwise differ in their last bits
+    here = frame.astype(np.float64, order="C")
+    # the first vertex is taken out before the mean: far from the origin a
+    # sum of positions loses what the positions themselves still hold
+    anchor = here[0].copy()
+    here -= anchor
+    mean = here.mean(axis=0) if share is None else share @ here
+    here -= mean
+    return here, anchor + mean
+
+
+def turn_onto(here: Array, first: Array, share: Array | None) -> Array:
+    """Rotation that, applied from the right, turns a centred frame onto the first."""
+    known = here if share is None else here * share[:, None]
+    return nearest_rotation(known.T @ first)
 
 
 def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
