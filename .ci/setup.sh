@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Sets up everything that the Makefile's targets need, in .venv beside this folder.
 # Usage: .ci/setup.sh
-# Environment: PYTHON (interpreter to build on), SSDR_NO_SYSTEM=1 (install no system package).
+# Environment: PYTHON (interpreter to build on), SSDR_NO_SYSTEM=1 (install no system package),
+# EXTRAS (more of pyproject's extras, such as garmentnet,scenes: their tests skip without them).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -79,7 +80,7 @@ if ! { [ -x "$venv/bin/python" ] && usable "$venv/bin/python" && "$venv/bin/pyth
 fi
 
 say "installing ssdr and what its tests need into $venv (a few minutes the first time)"
-if ! "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input -c .ci/constraints.txt -e '.[usd,zarr,dev]'; then
+if ! "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input -c .ci/constraints.txt -e ".[usd,zarr,dev${EXTRAS:+,$EXTRAS}]"; then
     die "pip could not install the packages (its own words are above); without network nothing can be set up"
 fi
 
