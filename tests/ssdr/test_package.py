@@ -173,7 +173,7 @@ def test_constraints_agree_with_the_package() -> None:
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 def test_setup_refuses_what_is_no_python() -> None:
     done = subprocess.run(
-        ["bash", str(ROOT / "tools" / "setup.sh")],
+        ["bash", str(ROOT / ".ci" / "setup.sh")],
         env={**os.environ, "PYTHON": "/bin/false"},
         capture_output=True,
         text=True,
