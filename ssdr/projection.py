@@ -18,10 +18,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .kernels.polish import (
+from .kernels.polish import polish_vertices
+from .kernels.tangents import (
     apply_vertex_step,
     move_bones,
-    polish_vertices,
     schur_vertices,
     tangent_image,
     tangent_pullback,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import inline, kernel
+from .vertices import monomials
 
 
 @kernel
@@ -18,17 +19,7 @@ def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
     m = np.empty(10)
     for i in range(first, last):
         c = importance[i]
-        x, yy, zz = rest[i, 0], rest[i, 1], rest[i, 2]
-        m[0] = x * x
-        m[1] = yy * yy
-        m[2] = zz * zz
-        m[3] = x * yy
-        m[4] = x * zz
-        m[5] = yy * zz
-        m[6] = x
-        m[7] = yy
-        m[8] = zz
-        m[9] = 1.0
+        monomials(rest[i], m)
         for q in range(joints.shape[1]):
             w = weights[i, q]
             if w == 0.0:

@@ -46,9 +46,19 @@ def against(block, d, p):
 
 
 @inline
-def copy_row(rows, source, target):
-    for k in range(rows.shape[1]):
-        rows[target, k] = rows[source, k]
+def close_gaps(ids, w, f, rows, n):
+    """Forget bones of weight zero; returns how many are left."""
+    left = 0
+    for q in range(n):
+        if w[q] > 0.0:
+            if left != q:
+                ids[left] = ids[q]
+                w[left] = w[q]
+                f[left] = f[q]
+                for k in range(rows.shape[1]):
+                    rows[left, k] = rows[q, k]
+            left += 1
+    return left
 
 
 @inline
@@ -262,16 +272,7 @@ def solve_vertices(
             for _ in range(3 * n_slots):
                 left = simplex_qp(h, f, w, alive, n, a, b)
                 # close the gaps that dropped bones left
-                n_new = 0
-                for q in range(n):
-                    if w[q] > 0.0:
-                        if n_new != q:
-                            ids[n_new] = ids[q]
-                            w[n_new] = w[q]
-                            f[n_new] = f[q]
-                            copy_row(rows, q, n_new)
-                        n_new += 1
-                n = n_new
+                n = close_gaps(ids, w, f, rows, n)
                 for q in range(n):
                     alive[q] = q
                     for s in range(n):

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.kernels.polish import move_bones, tangent_image, tangent_pullback
+from ssdr.kernels.tangents import move_bones, tangent_image, tangent_pullback
 from ssdr.model import FREE, Fixed, Model, vertex_step
 from ssdr.projection import Polish
 from ssdr.trajectories import Trajectories, gather
