@@ -301,7 +301,7 @@ def _jump(rng: np.random.Generator, t: Float, length: float, state: _State) -> C
     count = max(1, round(length / rng.uniform(1.0, 1.5)))
     for k in range(count):
         begin, end = k * length / count, (k + 1) * length / count
-        height = rng.uniform(0.1, 0.32)
+        height = rng.uniform(0.07, 0.22)
         flight = 2 * math.sqrt(2 * height / _GRAVITY)
         off = begin + 0.45 * (end - begin - flight) + 0.05
         s = t - off
@@ -314,7 +314,7 @@ def _jump(rng: np.random.Generator, t: Float, length: float, state: _State) -> C
         out["lift"] -= crouch * load
         out["bend"] += 1.2 * crouch * load
         flown = _bump(t, off, off + flight, 0.35 * flight)
-        out["turn"] += flown * rng.choice([0.0, 0.0, 1.0, -1.0]) * rng.uniform(2, 9)
+        out["turn"] += flown * rng.choice([0.0, 0.0, 1.0, -1.0]) * rng.uniform(1.5, 6)
         split, tuck = rng.uniform(0, 0.7) * rng.integers(0, 2), rng.uniform(0, 0.9)
         stride = rng.uniform(-0.7, 0.7) * rng.integers(0, 2)
         for side, sign in (("l", 1), ("r", -1)):

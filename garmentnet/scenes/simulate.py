@@ -70,9 +70,9 @@ class Solver:
     iterations: int = 1
     stretch: float = 3e3
     stretch_damping: float = 1e-5
-    bending_damping: float = 5e-3
+    bending_damping: float = 2e-2
     friction: float = 0.1
-    drag: float = 2.0
+    drag: float = 3.0
     radius: float = 0.01
     gap: float = 0.03
     contact: float = 1e4
@@ -399,6 +399,7 @@ class _Depth:
         self._mesh = wp.Mesh(
             points=wp.array(points, dtype=wp.vec3, device="cpu"),
             indices=wp.array(faces.ravel(), dtype=wp.int32, device="cpu"),
+            support_winding_number=True,
         )
 
     def __call__(self, points: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float32]:

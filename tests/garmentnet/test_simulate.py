@@ -133,6 +133,24 @@ def test_depth_is_that_of_a_sphere(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(depth, 0.5 - np.linalg.norm(at, axis=1), atol=2e-3)
 
 
+def test_depth_has_the_sign_of_the_winding_number(rng: np.random.Generator) -> None:
+    # A dancing body, whose limbs overlap, and points all about and within it.
+    rig = BODY.skinning
+    pose = dance(BODY.skeleton, seed=2000, frames=120).joints[102].astype(np.float32)
+    skin_ = skin(rig.rest, rig.joints, rig.weights, pose)
+    pick = rng.integers(0, len(skin_), (2, 300))
+    at = (skin_[pick[0]] + skin_[pick[1]]) / 2
+    a, b, c = (skin_[rig.faces[:, k]][None].astype(float) - at[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    above = (a * np.cross(b, c)).sum(axis=-1)
+    below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    number = (2 * np.arctan2(above, below)).sum(axis=1) / (4 * np.pi)
+    depth = _Depth(rig.rest, rig.faces)(skin_, at)
+    clear = np.abs(depth) > 1e-4
+    assert (number > 0.5).sum() > 30
+    np.testing.assert_array_equal((depth > 0)[clear], (number > 0.5)[clear])
+
+
 def test_the_gate_says_why(spin: Motion) -> None:
     made = simulate(BODY, DRESS, spin, SimulationParameters(), solver=QUICK).vertices
     strict = judge(BODY, DRESS, spin, made, Gate(stretch_p99=1.0, speed=0.0))
