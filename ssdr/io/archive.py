@@ -22,7 +22,7 @@ from ..errors import FormatError, InputError
 from .atomic import atomic_path
 from .registry import describe, reading
 
-__all__ = ["has", "read_arrays", "read_header", "write_array", "write_arrays"]
+__all__ = ["has", "read_array", "read_arrays", "write_array", "write_arrays"]
 
 _npy: Any = np.lib.format  # NumPy types it only in part
 _MAX_BYTES = 16 << 30
@@ -108,6 +108,26 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], *, compress: bool = True
                 with archive.open(info, "w", force_zip64=size > 1 << 30) as member:
                     write_array(member, array)
         return temporary.stat().st_size
+
+
+def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
+    """Read or map one array; its size must be what its header states."""
+    with reading(path), path.open("rb") as stream:
+        head = stream.read(6)
+        if head != b"\x93NUMPY":
+            raise FormatError(f"{path}: not a .npy array: {describe(head + stream.read(64))}")
+        stream.seek(0)
+        dtype, shape, fortran = read_header(stream)
+        offset = stream.tell()
+        held, stated = path.stat().st_size - offset, math.prod(shape) * dtype.itemsize
+        if held != stated:
+            raise FormatError(
+                f"{path}: states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
+            )
+        if mmap:
+            return np.memmap(path, dtype, "r", offset, shape, "F" if fortran else "C")
+        flat = np.fromfile(stream, dtype=dtype, count=math.prod(shape))
+        return np.ascontiguousarray(flat.reshape(shape, order="F" if fortran else "C"))
 
 
 def read_header(stream: IO[bytes]) -> tuple[np.dtype[Any], tuple[int, ...], bool]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence, Surface, _check_faces
+from .archive import read_array
 
 __all__ = ["Companion", "find"]
 
@@ -74,11 +75,11 @@ def _sibling(path: Path, argument: str) -> Path:
 
 
 def _from_file(mesh: Path, path: Path, n_vertices: int) -> Companion:
-    from . import load, npy
+    from . import load
 
     if mesh.suffix.lower() == ".npy":
         try:
-            return Companion(faces=_check_faces(npy.read_array(mesh), n_vertices, "faces"))
+            return Companion(faces=_check_faces(read_array(mesh), n_vertices, "faces"))
         except InputError as error:
             raise FormatError(f"{mesh}: {error} (for {path})") from error
     sequence = load(mesh)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..errors import FormatError
 from ..sequence import MeshSequence
-from .archive import read_header, write_array
+from .archive import read_array, write_array
 from .atomic import atomic_path
 from .companion import find
-from .registry import SaveReport, describe, reading
+from .registry import SaveReport, reading
 
-__all__ = ["read", "read_array", "write_sequence"]
+__all__ = ["read", "write_sequence"]
 
 
 def read(
@@ -49,26 +45,6 @@ def read(
             surface=mesh.surface,
             vertex_map=mesh.vertex_map,
         )
-
-
-def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
-    """Read or map one array; its size must be what its header states."""
-    with reading(path), path.open("rb") as stream:
-        head = stream.read(6)
-        if head != b"\x93NUMPY":
-            raise FormatError(f"{path}: not a .npy array: {describe(head + stream.read(64))}")
-        stream.seek(0)
-        dtype, shape, fortran = read_header(stream)
-        offset = stream.tell()
-        held, stated = path.stat().st_size - offset, math.prod(shape) * dtype.itemsize
-        if held != stated:
-            raise FormatError(
-                f"{path}: states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
-            )
-        if mmap:
-            return np.memmap(path, dtype, "r", offset, shape, "F" if fortran else "C")
-        flat = np.fromfile(stream, dtype=dtype, count=math.prod(shape))
-        return np.ascontiguousarray(flat.reshape(shape, order="F" if fortran else "C"))
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
