@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from .checks import (
     as_sequences,
+    check_count,
     check_importance,
     check_mask,
+    check_nonnegative,
     check_rest,
     check_transforms,
     check_weights,
@@ -106,9 +108,11 @@ def fit_bones(
     world = None if transforms is None else check_transforms(transforms, n_frames)
     count = int(joints.max()) + 1 if world is None else world.shape[1]
     if bones is not None:
-        if bones < count:
-            raise InputError("bones", f"at least {count}, as joints and transforms name", bones)
-        count = int(bones)
+        expected = f"an integer >= {count}, as joints and transforms name"
+        asked = check_count(bones, "bones", expected)
+        if asked < count:
+            raise InputError("bones", expected, asked)
+        count = asked
     if joints.max() >= count:
         raise InputError("joints", f"indices from 0 to {count - 1}", int(joints.max()))
     if world is not None and world.shape[1] != count:
@@ -116,8 +120,8 @@ def fit_bones(
     locked = check_mask(locked_bones, "locked_bones", count)
     if locked is not None and world is None:
         raise InputError("transforms", "the transforms of the locked bones", "None")
-    if max_sweeps < 1:
-        raise InputError("max_sweeps", "an integer >= 1", max_sweeps)
+    max_sweeps = check_count(max_sweeps, "max_sweeps")
+    tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
     data = gather(
         sequences,
         bones=count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,9 +15,11 @@ from .sequence import MeshSequence
 __all__ = [
     "as_sequences",
     "check_bones",
+    "check_count",
     "check_importance",
     "check_influences",
     "check_mask",
+    "check_nonnegative",
     "check_rest",
     "check_rng",
     "check_transforms",
@@ -36,6 +39,16 @@ def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
         and any(isinstance(s, MeshSequence) for s in sequence)
     ):
         shots = list(sequence)
+    elif (
+        isinstance(sequence, Sequence)
+        and len(sequence) > 0
+        and all(getattr(s, "ndim", 0) == 3 for s in sequence)
+    ):
+        raise InputError(
+            "sequence",
+            "several shots as a list of MeshSequence",
+            f"a list of {len(sequence)} arrays (F, V, 3)",
+        )
     else:
         return [MeshSequence(sequence, faces)]
     if faces is not None:
@@ -58,6 +71,21 @@ def _integer(value: Any, argument: str, expected: str) -> int:
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise InputError(argument, expected, repr(value))
     return int(value)
+
+
+def check_count(value: Any, argument: str, expected: str = "an integer >= 1") -> int:
+    count = _integer(value, argument, expected)
+    if count < 1:
+        raise InputError(argument, expected, count)
+    return count
+
+
+def check_nonnegative(value: Any, argument: str, expected: str) -> float:
+    """A finite real number >= 0."""
+    number = isinstance(value, (int, float, np.integer, np.floating))
+    if not (number and not isinstance(value, bool) and math.isfinite(value) and value >= 0):
+        raise InputError(argument, expected, repr(value))
+    return float(value)
 
 
 def check_bones(bones: Any, n_vertices: int) -> int:
@@ -111,8 +139,11 @@ def check_transforms(transforms: Any, n_frames: int) -> Array:
         raise InputError("transforms", "at least one bone", f"shape {m.shape}")
     r = m[..., :3]
     off = np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max()
-    if off > 1e-4 or (np.linalg.det(r) < 0).any():
-        raise InputError("transforms", "rigid transforms (rotations, det +1)", f"off by {off:.2g}")
+    expected = "rigid transforms (rotations, det +1)"
+    if off > 1e-4:
+        raise InputError("transforms", expected, f"off by {off:.2g}")
+    if (np.linalg.det(r) < 0).any():
+        raise InputError("transforms", expected, "a reflection")
     u, _, vt = np.linalg.svd(r)
     clean = m.copy()
     clean[..., :3] = u @ vt

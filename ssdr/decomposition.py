@@ -17,8 +17,10 @@ from .bones import true_squared_error
 from .checks import (
     as_sequences,
     check_bones,
+    check_count,
     check_importance,
     check_influences,
+    check_nonnegative,
     check_rng,
 )
 from .errors import Cancelled, InputError, SsdrWarning
@@ -42,6 +44,7 @@ _logger = logging.getLogger(__name__)
 _compile_seconds: float | None = None
 _PASSES = {"fast": 1, "balanced": 3, "best": 8}  # over all frames, where they are streamed
 _PASS_GAIN = 2e-3  # of the objective, below which another pass is not made
+_REAL = (int, float, np.integer, np.floating)
 _NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
 
@@ -155,14 +158,19 @@ def decompose(
         raise InputError("bone_model", "'rigid'", repr(bone_model))
     if tolerance is not None:
         raise InputError("tolerance", "None (reserved)", repr(tolerance))
-    if max_iterations is not None and (isinstance(max_iterations, bool) or int(max_iterations) < 1):
-        raise InputError("max_iterations", "an integer >= 1 or None", repr(max_iterations))
-    if time_limit is not None and not time_limit > 0:
+    if max_iterations is not None:
+        max_iterations = check_count(max_iterations, "max_iterations", "an integer >= 1 or None")
+    if time_limit is not None and not (isinstance(time_limit, _REAL) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
-    if not 0 <= rest_frame < n_frames:
-        raise InputError("rest_frame", f"an integer from 0 to {n_frames - 1}", rest_frame)
-    if not (math.isfinite(smoothness) and smoothness >= 0):
-        raise InputError("smoothness", "a length >= 0 in the mesh's units", smoothness)
+    if callback is not None and not callable(callback):
+        raise InputError("callback", "a function of one Progress, or None", repr(callback))
+    if resume is not None and not isinstance(resume, (SolverState, str, Path)):
+        raise InputError(
+            "resume", "a SolverState (result.state) or the path of one", type(resume).__name__
+        )
+    if not (isinstance(rest_frame, (int, np.integer)) and 0 <= rest_frame < n_frames):
+        raise InputError("rest_frame", f"an integer from 0 to {n_frames - 1}", repr(rest_frame))
+    smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
     if smoothness > 0 and len(sequences[0].faces) == 0:
         raise InputError("smoothness", "0 for a mesh without faces", smoothness)
     generator = check_rng(rng)
@@ -193,7 +201,7 @@ def decompose(
     settings = {
         "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
         "rest_frame": int(rest_frame), "smoothness": float(smoothness),
-        "max_iterations": None if max_iterations is None else int(max_iterations),
+        "max_iterations": max_iterations,
         "input": fingerprint(data, solved_parts),
     }  # fmt: skip
     fixed = Fixed(rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones)
@@ -344,10 +352,12 @@ def _result(
     errors = data.scale * np.sqrt(np.maximum(values, 0.0) / count)
     # the reduced basis and importance change the objective, not which model is better: the
     # last record is measured on the frames, the others keep their ratio to it
-    factor = rmse / errors[-1] if errors[-1] > 0 else 1.0
+    # (where what counts is exact there is no ratio: the error is of what does not count)
+    last = errors[-1]
+    errors = errors * (rmse / last) if last > 0 else np.maximum(errors, rmse)
     history = tuple(
         Record(iteration=r[0], elapsed=r[1], rmse=float(e), phase=r[3])
-        for r, e in zip(outcome.records, errors * factor, strict=True)
+        for r, e in zip(outcome.records, errors, strict=True)
     )
     history = (*history[:-1], dataclasses.replace(history[-1], rmse=rmse))
     notes = []
@@ -375,13 +385,17 @@ def _restore(run: Run, state: SolverState, settings: dict[str, Any]) -> None:
     for key, value in settings.items():
         if key == "max_iterations":
             continue
-        if state.settings.get(key) != value:
+        if state.settings.get(key) == value:
+            continue
+        if key == "input":
             raise InputError(
                 "resume",
-                f"a state of a run with {key} = {value!r}" if key != "input"
-                else "a state of a run on this very input",
-                repr(state.settings.get(key)),
-            )  # fmt: skip
+                "a state of a run on these very frames, importances and fixed parts",
+                "one on others",
+            )
+        raise InputError(
+            "resume", f"a state of a run with {key} = {value!r}", repr(state.settings.get(key))
+        )
     for model in (state.current, state.best):
         if model is not None and (
             len(model.rest) != run.data.n_vertices or len(model.transforms) != run.data.n_frames

@@ -302,9 +302,18 @@ def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
 def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
     if not all(hasattr(vertices, a) for a in ("shape", "dtype", "__getitem__")):
         try:
-            vertices = np.asarray(vertices)
+            given = np.asarray(vertices)
         except (TypeError, ValueError) as error:
             raise InputError(argument, "an array of shape (F, V, 3)", str(error)) from error
+        if given.dtype.kind not in "fiu" and given.ndim == 0:
+            raise InputError(
+                argument,
+                "an array of shape (F, V, 3)",
+                f"an object of type {type(vertices).__name__}",
+            )
+        vertices = given
+    if np.ma.is_masked(vertices):
+        raise InputError(argument, "numbers everywhere", "an array with masked entries")
     shape = tuple(vertices.shape)
     if len(shape) != 3 or shape[2] != 3:
         raise InputError(argument, "an array of shape (F, V, 3)", f"shape {shape}")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
+from .checks import check_nonnegative
 from .errors import InputError
 from .model import Model
 from .trajectories import Array, Trajectories
@@ -41,8 +41,8 @@ class WeightSmoothness:
         InputError
             If `smoothness` is negative or not finite, or the mesh has no faces.
         """
-        if not (math.isfinite(smoothness) and smoothness >= 0):
-            raise InputError("smoothness", "a length >= 0 in the mesh's units", smoothness)
+        expected = "a length >= 0 in the mesh's units"
+        smoothness = check_nonnegative(smoothness, "smoothness", expected)
         if smoothness == 0:
             return None
         if len(faces) == 0:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from .checks import (
     as_sequences,
+    check_count,
     check_influences,
     check_rest,
     check_transforms,
 )
-from .errors import InputError
 from .initialization import single_bone_errors
 from .model import Fixed, Model, vertex_step
 from .projection import Polish
@@ -95,8 +95,7 @@ def fit_weights(
     k = check_influences(influences)
     rest = check_rest(rest, n)
     world = check_transforms(transforms, sum(len(s) for s in sequences))
-    if iterations < 1:
-        raise InputError("iterations", "an integer >= 1", iterations)
+    iterations = check_count(iterations, "iterations")
     data = gather(sequences, bones=world.shape[1])
     inner, bones = data.from_world(rest, world)
     assert bones is not None

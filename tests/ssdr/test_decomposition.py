@@ -638,6 +638,16 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "unknown bone model": ("bone_model", {"bone_model": "affine"}),
     "reserved tolerance": ("tolerance", {"tolerance": 0.1}),
     "no iterations": ("max_iterations", {"max_iterations": 0}),
+    "half an iteration": ("max_iterations", {"max_iterations": 2.5}),
+    "time as text": ("time_limit", {"time_limit": "10"}),
+    "half a frame": ("rest_frame", {"rest_frame": 2.5}),
+    "smoothness as text": ("smoothness", {"smoothness": "0.1"}),
+    "a result, not its state": ("resume", {"resume": object()}),
+    "a file's name": ("vertices", {"sequence": "walk.npz"}),
+    "shots as arrays": ("sequence", {"sequence": [np.zeros((3, 84, 3)), np.zeros((5, 84, 3))]}),
+    "bones that mirror": (
+        "transforms", {"transforms": np.tile(-np.eye(4)[:3], (15, 2, 1, 1))},
+    ),
     "no time": ("time_limit", {"time_limit": 0.0}),
     "time NaN": ("time_limit", {"time_limit": float("nan")}),
     "rest frame out of range": ("rest_frame", {"rest_frame": 15}),
@@ -685,3 +695,19 @@ def test_refuses(case: str) -> None:
         ssdr.decompose(**arguments, callback=lambda p: calls.append(p))
     assert caught.value.argument == argument
     assert not calls
+
+
+def test_refuses_a_callback_that_is_none() -> None:
+    with pytest.raises(ssdr.InputError) as caught:
+        ssdr.decompose(frames(), bones=4, callback=3)
+    assert caught.value.argument == "callback"
+
+
+def test_history_never_rises_where_all_that_counts_is_exact() -> None:
+    array = np.random.default_rng(1).standard_normal((2, 7, 3))
+    counts = np.arange(7) < 2
+    result = ssdr.decompose(array, bones=2, effort="fast", vertex_importance=counts)
+    values = [record.rmse for record in result.history]
+    assert len(values) > 1
+    assert values == sorted(values, reverse=True)
+    assert values[-1] == result.rmse > 0.1

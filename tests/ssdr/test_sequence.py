@@ -60,8 +60,9 @@ class Counted:
         (frames() > 3, FACES, "vertices", "bool"),
         (frames().astype(object), FACES, "vertices", "object"),
         ([[[1, 2, 3], [1, 2]]], FACES, "vertices", "inhomogeneous"),
-        ("walk.npz", FACES, "vertices", "()"),
-        (None, FACES, "vertices", "()"),
+        ("walk.npz", FACES, "vertices", "type str"),
+        (None, FACES, "vertices", "NoneType"),
+        (np.ma.masked_greater(frames(), frames().min()), FACES, "vertices", "masked"),
     ],
 )
 def test_bad_arrays_are_refused_by_name(vertices, faces, argument, says):
