@@ -46,6 +46,13 @@ class SolverState:
     current: Model | None
     best: Model | None
 
+    def __repr__(self) -> str:
+        s, model = self.settings, "none yet" if self.best is None else "one"
+        return (
+            f"SolverState(bones={s.get('bones')}, effort={s.get('effort')!r}, "
+            f"iteration={self.progress.get('iteration')}, best model: {model})"
+        )
+
     def save(self, path: str | Path) -> Path:
         """Write the state to ``.npz``, to a temporary name first."""
         from .io.archive import write_arrays

@@ -197,6 +197,12 @@ def test_round_trip(tmp_path: Path) -> None:
             assert value.dtype == other.dtype
 
 
+def test_it_prints_in_a_line() -> None:
+    text = repr(whole()[0].state)
+    assert "bones=" in text
+    assert len(text) < 120
+
+
 def test_name_must_say_what_it_is(tmp_path: Path) -> None:
     with pytest.raises(ssdr.InputError, match=r"\.npz"):
         whole()[0].state.save(tmp_path / "state.bin")
