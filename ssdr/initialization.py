@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .checks import as_sequences, check_bones, check_influences, check_rest, check_rng
 from .kernels.frames import sweep_bones
-from .model import CHUNK, Model, vertex_step
+from .model import CHUNK, Fixed, Model, vertex_step
 from .parallel import chunk_bounds, run_chunks, serial_blas
 from .sequence import MeshSequence
 from .skinning import Skinning
@@ -51,7 +51,7 @@ def initialize(
     influences : int
         Most bones a vertex.
     rest : (V, 3) array, optional
-        The first frame by default.
+        A rest pose to keep; by default it is solved for, from the first frame on.
     rng : int or numpy.random.Generator
 
     Returns
@@ -77,7 +77,7 @@ def initialize(
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
     model = start_model(data, start, bones, min(k, bones), generator)
-    vertex_step(data, model)
+    vertex_step(data, model, fixed=Fixed(rest=rest is not None))
     out_rest, transforms = data.to_world(model.rest, model.transforms)
     return Skinning(
         out_rest, model.joints, model.weights, transforms,

@@ -120,6 +120,13 @@ def test_static_mesh_keeps_the_number() -> None:
     assert np.abs(found.skin() - rig.frames).max() < 1e-6
 
 
+def test_given_rest_pose_stays() -> None:
+    rig = motions.chain()
+    frames = motions.wobble(rig, 0.2)
+    found = ssdr.initialize(frames, bones=6, rest=frames[3])
+    assert np.abs(found.rest - frames[3]).max() < 1e-9
+
+
 def test_seed_decides() -> None:
     rig = motions.chain()
     frames = motions.wobble(rig, 0.2)
