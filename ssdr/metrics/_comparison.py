@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -161,7 +162,9 @@ def _plain(result: Any, arrays: bool) -> dict[str, Any]:
             if arrays:
                 plain[field.name] = value.tolist()
         elif not (value is None and field.name.endswith("_per_frame")):
-            plain[field.name] = value
+            # JSON has no Infinity: a share of a diagonal of 0 is no number
+            unknown = isinstance(value, float) and not math.isfinite(value)
+            plain[field.name] = None if unknown else value
     return plain
 
 

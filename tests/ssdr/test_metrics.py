@@ -382,6 +382,12 @@ def test_compare_has_them_all():
         assert text in table
 
 
+def test_no_share_of_a_diagonal_of_zero_in_json():
+    result = compare(np.zeros((3, 4, 3)), np.ones((3, 4, 3)))
+    assert result.percent_of_diagonal == math.inf
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=False))["percent_of_diagonal"] is None
+
+
 def test_compare_of_parts_and_options():
     a, faces = animation(F=5)
     b, _ = animation(1, F=5)
