@@ -48,6 +48,7 @@ class Progress:
         Seconds.
     rmse : float
         Of the best model so far, in the mesh's units; inf before there is one.
+        Weighted by the importances, where there are any.
     fraction : float
         Estimated share of the work that is done, 0 to 1.
     time_left : float
