@@ -218,7 +218,8 @@ def decompose(
     )  # fmt: skip
     if state is not None:
         _restore(run, state, settings)
-    reason = _walk(run, max_iterations, time_limit, callback)
+    # passes over all frames are taken for half of the work
+    reason = _walk(run, max_iterations, time_limit, callback, 1.0 if found is None else 0.5)
     if found is None:
         outcome = _Outcome(data, _best(run), run.records)
     else:
@@ -229,7 +230,8 @@ def decompose(
             sequences, found, data, _best(run), fixed=fixed, importance=frame_weights,
             given=normalise(found.alignment, parts, 0).transforms,
         )  # fmt: skip
-        outcome = _finish(run, frames, effort, time_limit, callback)
+        outcome, stopped = _finish(run, frames, effort, time_limit, callback)
+        reason = "cancelled" if stopped else reason
     return _result(run, outcome, sequences, settings, reason, influences, compile_seconds)
 
 
@@ -253,8 +255,8 @@ def _finish(
     effort: str,
     time_limit: float | None,
     callback: Callable[[Progress], bool | None] | None,
-) -> _Outcome:
-    """Exact alternations over all frames until they pay no more."""
+) -> tuple[_Outcome, bool]:
+    """Exact alternations over all frames while they pay; whether the caller stopped them."""
     passes = _PASSES[effort]
     scale = frames.alignment.scale / math.sqrt(len(frames.frame_scale) * run.data.n_vertices)
     records: list[tuple[int, float, float, str]] = []
@@ -267,7 +269,7 @@ def _finish(
             if callback is None:
                 return
             value = records[-1][2] if records else math.inf
-            fraction = (k + share) / passes
+            fraction = 0.5 + 0.5 * (k + share) / passes
             stopped |= bool(
                 callback(
                     Progress(
@@ -287,7 +289,7 @@ def _finish(
         if stopped or gain < _PASS_GAIN or (time_limit is not None and run.here >= time_limit):
             break
     assert best is not None
-    return _Outcome(frames.alignment, best, records)
+    return _Outcome(frames.alignment, best, records), stopped
 
 
 def _walk(
@@ -295,6 +297,7 @@ def _walk(
     max_iterations: int | None,
     time_limit: float | None,
     callback: Callable[[Progress], bool | None] | None,
+    whole: float,
 ) -> str:
     """Steps until the plan, a limit or the caller ends it; says why."""
     scale = run.data.scale / math.sqrt(run.data.n_frames * run.data.n_vertices)
@@ -313,7 +316,7 @@ def _walk(
             )  # fmt: skip
             if callback is None:
                 continue
-            fraction = run.fraction
+            fraction = whole * run.fraction
             left = run.elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
             if time_limit is not None:
                 left = min(left, max(0.0, time_limit - run.here))

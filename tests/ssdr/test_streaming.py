@@ -129,6 +129,8 @@ def test_progress_and_cancel() -> None:
 
     result = ssdr.decompose(wobbly(), bones=4, effort="fast", callback=watch)
     assert len(result.history) == 1
+    assert result.stop_reason == "cancelled"
+    assert [share for _, share in seen] == sorted(share for _, share in seen)
     shares = [share for phase, share in seen if phase == "all frames"]
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
