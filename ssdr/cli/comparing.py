@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from ..errors import InputError
 from ..sequence import MeshSequence
 from .output import Fps, JsonFlag, Output, ReadOptions, Threads, Verbose, read_options
 
@@ -37,6 +38,13 @@ def compare(
     a, b = (ssdr.load(p, **read_options(read, fps=fps)) for p in (reference, other))
     if a.n_vertices != b.n_vertices:
         a, b = _spread(a, b), _spread(b, a)
+    if a.n_vertices != b.n_vertices:
+        raise InputError(
+            "B",
+            f"the {a.n_vertices:,} vertices of A (if one of them was welded, weld the other, "
+            "too: ssdr convert IN OUT.npz --weld)",
+            f"{b.n_vertices:,}",
+        )
     result = ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)
     document = {"command": "compare", "reference": reference, "other": other, **result.as_dict()}
     if json:

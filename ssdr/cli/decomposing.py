@@ -53,8 +53,6 @@ class BoneModel(StrEnum):
     """What bones may do."""
 
     rigid = "rigid"
-    similarity = "similarity"
-    affine = "affine"
 
 
 def decompose(
@@ -121,6 +119,18 @@ def decompose(
         raise InputError("--time-limit", "seconds > 0", time_limit)
     sources = [source] if resume is None else [source, resume]
     check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
+    for path in outputs:
+        limited = path.suffix.lower() in (".glb", ".gltf")
+        if (
+            limited
+            and min(influences, bones) > 8
+            and "influences" not in write_options(write, path)
+        ):
+            raise InputError(
+                "--influences",
+                f"at most 8 for {path} (--write {path.suffix[1:]}:influences=8 keeps the largest)",
+                influences,
+            )
     state_path = checkpoint or outputs[0].with_name(f"{outputs[0].stem}.state.npz")
     if checkpoint is not None and checkpoint.suffix.lower() != ".npz":
         raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))

@@ -22,7 +22,7 @@ import numpy as np
 import typer
 
 from ..errors import FormatError, InputError, MissingDependencyError
-from ..io.registry import Format, SaveReport, format_of
+from ..io.registry import FORMATS, Format, SaveReport, format_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
@@ -161,6 +161,9 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
     for pair in pairs or ():
         match = re.match(r"\.?(\w+):(?=\w+=)", pair)
         key, value = _pair("--write", pair[match.end() :] if match else pair)
+        # What is meant for a format that this run does not write may stand there all the same.
+        if match and f".{match[1].lower()}" not in FORMATS:
+            raise InputError("--write", "the suffix of a format before the colon", pair)
         if match is None or match[1].lower() == path.suffix.lower().lstrip("."):
             options[key] = value
     return options
@@ -189,8 +192,8 @@ def check_outputs(
         if issubclass(kind, Skinning):
             writer = format_.write_skinning or writer
         if writer is None:
-            what = "a skinning" if issubclass(kind, Skinning) else "a sequence of vertices"
-            raise InputError("--output", f"a format that holds {what}", f"{path} ({suffix})")
+            what = "holds a sequence of vertices" if format_.write_skinning else "can be written"
+            raise InputError("--output", f"a format that {what}", f"{path} ({suffix})")
         elsewhere = format_.extra == "blender" and os.environ.get("SSDR_BLENDER_PYTHON")
         package = _PACKAGES[format_.extra] if format_.extra and not elsewhere else None
         if package and importlib.util.find_spec(package) is None:

@@ -128,6 +128,9 @@ def test_help_version_and_usage(run):
     code, out, err = run("decompose", "a.npz", "--bones", "0", "-o", "b.npz")
     assert (code, out) == (2, "")
     assert "--bones" in err
+    code, _, err = run("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "affine")
+    assert code == 2
+    assert "'rigid'" in err
     assert "Traceback" not in err
 
 
@@ -193,7 +196,9 @@ def test_bad_outputs_are_found_before_the_work(run, clip, tmp_path, monkeypatch)
     good = tmp_path / "good.npz"
     for arguments, text in (
         (["-o", tmp_path / "a.xyz"], "known suffix"),
-        (["-o", tmp_path / "a.abc"], "holds a skinning"),
+        (["-o", tmp_path / "a.abc"], "can be written"),
+        (["-o", tmp_path / "a.glb", "--write", "gbl:up=z"], "suffix of a format"),
+        (["-o", tmp_path / "a.glb", "-b", 9, "-k", 9], "at most 8"),
         (["-o", tmp_path / "no" / "a.npz"], "folder that exists"),
         (["-o", taken], "--force overwrites"),
         (["-o", clip, "--force"], "another file than the input"),
@@ -379,7 +384,9 @@ def test_compare_spreads_a_welded_model_back(run, seam, tmp_path):
         assert json.loads(out)["rmse"] == 0
     other = ssdr.MeshSequence(seam.vertices[:, :7])
     ssdr.save(other, tmp_path / "c.npz")
-    assert run("compare", tmp_path / "a.npz", tmp_path / "c.npz")[0] == 2
+    code, _, err = run("compare", tmp_path / "a.npz", tmp_path / "c.npz")
+    assert code == 2
+    assert "--weld" in err
 
 
 def test_words_for_sizes_options_and_progress():
