@@ -138,6 +138,8 @@ def write_sequence(
         root = UsdGeom.Xform.Define(stage, _root(name or sequence.name or path.stem))
         stage.SetDefaultPrim(root.GetPrim())
         mesh = _mesh(stage, root.GetPath(), sequence.faces, sequence.surface, path, notes)
+        if sequence.surface is not None and sequence.surface.normals is not None:
+            notes.append("normals, of the first frame alone, are not kept")
         points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
         for first, block in sequence.chunks():
             stored = block.astype(np.float32)

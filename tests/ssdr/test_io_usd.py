@@ -87,6 +87,7 @@ def test_point_cache(tmp_path):
     path = tmp_path / "cache.usdc"
     report = ssdr.save(sequence, path, up="z", meters_per_unit=0.01)
     assert report.max_error < 1e-6
+    assert ("normals" in report.note) == (model.surface.normals is not None)
     stage = Usd.Stage.Open(str(path))
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 0.01
