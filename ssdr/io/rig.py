@@ -248,8 +248,8 @@ def _scaled_rotations(
         frame, bone = (int(k) for k in np.unravel_index(int(off.argmax()), off.shape))
         raise InputError(
             "thing",
-            "bones that are scaled rotations, all that a node of this format can hold; decompose "
-            'with bone_model="rigid" or "similarity", or save the vertices of reconstruct()',
+            "bones that are scaled rotations, all that a node of this format can hold; "
+            "save the vertices instead, as MeshSequence(skinning.skin(), skinning.faces)",
             f"a shear or reflection (bone {bone}, frame {frame})",
         )
     if skinning.bone_model == "rigid" or np.abs(scale - 1).max() < 1e-6:
