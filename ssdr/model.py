@@ -140,6 +140,16 @@ def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
     return table, blocks
 
 
+def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array, Array, Array]:
+    """What every vertex needs of the transforms.
+
+    The stacked matrix (3F, 4B), both tables of :func:`gram_tables`, and Qᵀ times the matrix.
+    """
+    hat = data.hat(transforms)
+    gram, gram4 = gram_tables(hat.T @ hat, transforms.shape[1])
+    return hat, gram, gram4, data.reduce(hat)
+
+
 def vertex_step(
     data: Trajectories,
     model: Model,
@@ -152,9 +162,7 @@ def vertex_step(
     n_bones = model.n_bones
     keep = fixed.keep_weights(data.n_vertices)
     with serial_blas():
-        hat = data.hat(model.transforms)
-        gram, gram4 = gram_tables(hat.T @ hat, n_bones)
-        reduced = data.reduce(hat)
+        _, gram, gram4, reduced = transform_sums(data, model.transforms)
         none, none1 = np.zeros((0, 0)), np.zeros(0)
 
         def work(_: int, i: int, k: int) -> None:
@@ -232,9 +240,7 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
     """(B,) how much the objective would rise, to first order, without each bone."""
     n_bones = model.n_bones
     with serial_blas():
-        hat = data.hat(model.transforms)
-        gram, _ = gram_tables(hat.T @ hat, n_bones)
-        reduced = data.reduce(hat)
+        _, gram, _, reduced = transform_sums(data, model.transforms)
 
         def work(_: int, i: int, k: int) -> Array:
             cost = np.zeros(n_bones)

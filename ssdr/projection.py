@@ -26,7 +26,7 @@ from .kernels.tangents import (
     tangent_image,
     tangent_pullback,
 )
-from .model import CHUNK, FREE, Fixed, Model, bone_sums, gram_tables
+from .model import CHUNK, FREE, Fixed, Model, bone_sums, transform_sums
 from .parallel import chunk_bounds, run_chunks, serial_blas
 from .trajectories import Array, Trajectories
 
@@ -54,7 +54,6 @@ class _Eliminated:
     inverse: Array  # (V, D, D) of the vertices' Gauss–Newton matrices
     gradient: Array  # (V, D) half gradients
     hat: Array  # (3F, 4B) transforms
-    gram4: Array  # (B, B, 4, 4) hatᵀhat
 
 
 class Polish:
@@ -109,8 +108,9 @@ class Polish:
             joints=model.joints.copy(), weights=model.weights.copy(), error=model.error.copy(),
         )  # fmt: skip
         step = self._back_substitute(x)
-        self._over_frames(
-            lambda i, k: move_bones(trial.transforms[i:k], x[i:k], self._locked, 0, k - i)
+        run_chunks(
+            lambda _, i, k: move_bones(trial.transforms[i:k], x[i:k], self._locked, 0, k - i),
+            self._frames,
         )
         move_rest = not self.fixed.rest
 
@@ -136,9 +136,6 @@ class Polish:
         self._left, self.value = left, value
         return True
 
-    def _over_frames(self, work: object) -> None:
-        run_chunks(lambda _, i, k: work(i, k), self._frames)  # type: ignore[operator]
-
     def _vertex_step(self, model: Model, *, entering: int, rounds: int) -> _Eliminated:
         data, n_bones = self.data, model.n_bones
         size = model.n_influences + 2
@@ -146,14 +143,10 @@ class Polish:
             inverse=np.empty((data.n_vertices, size, size)),
             gradient=np.empty((data.n_vertices, size)),
             hat=np.empty(0),
-            gram4=np.empty(0),
         )
         move_rest = not self.fixed.rest
         with serial_blas():
-            hat = data.hat(model.transforms)
-            gram, gram4 = gram_tables(hat.T @ hat, n_bones)
-            reduced = data.reduce(hat)
-            left.hat, left.gram4 = hat, gram4
+            left.hat, gram, gram4, reduced = transform_sums(data, model.transforms)
 
             def work(_: int, i: int, k: int) -> None:
                 y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)

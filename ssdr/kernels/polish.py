@@ -13,6 +13,7 @@ from .vertices import (
     against,
     cholesky_solve,
     close_gaps,
+    gradient_of_all,
     hessian_row,
     monomials,
     pulled,
@@ -154,12 +155,7 @@ def polish_vertices(
             for _ in range(entering):
                 # forget bones at zero
                 n = close_gaps(ids, w, f, rows, n)
-                for j in range(n_bones):
-                    grad[j] = -f_all[j]
-                for q in range(n):
-                    s = w[q]
-                    for j in range(n_bones):
-                        grad[j] += s * rows[q, j]
+                gradient_of_all(f_all, rows, w, n, grad)
                 level = 0.0
                 base = 0.0
                 for q in range(n):

@@ -46,6 +46,17 @@ def against(block, d, p):
 
 
 @inline
+def gradient_of_all(f_all, rows, w, n, grad):
+    """Half gradient Hw − f of the error in the weights of all bones."""
+    for j in range(len(grad)):
+        grad[j] = -f_all[j]
+    for q in range(n):
+        s = w[q]
+        for j in range(len(grad)):
+            grad[j] += s * rows[q, j]
+
+
+@inline
 def close_gaps(ids, w, f, rows, n):
     """Forget bones of weight zero; returns how many are left."""
     left = 0
@@ -279,12 +290,7 @@ def solve_vertices(
                         h[q, s] = rows[q, ids[s]]
                 if n >= n_slots or left == 0:
                     break
-                for j in range(n_bones):
-                    grad[j] = -f_all[j]
-                for q in range(n):
-                    s = w[q]
-                    for j in range(n_bones):
-                        grad[j] += s * rows[q, j]
+                gradient_of_all(f_all, rows, w, n, grad)
                 level = 0.0
                 for q in range(n):
                     level += w[q] * grad[ids[q]]
