@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence, Surface, _check_faces
 from .archive import read_array
+from .registry import reading
 
 __all__ = ["Companion", "find"]
 
@@ -27,6 +28,18 @@ class Companion:
     surface: Surface | None = None
     vertex_map: NDArray[np.int32] | None = None
     fps: float | None = None
+
+    def moved(self, vertices: Any, path: Path, fps: float | None) -> MeshSequence:
+        """The mesh under the vertices (F, V, 3) that `path` holds."""
+        with reading(path):
+            return MeshSequence(
+                vertices,
+                self.faces,
+                fps or self.fps or 24.0,
+                name=path.stem,
+                surface=self.surface,
+                vertex_map=self.vertex_map,
+            )
 
 
 def find(path: Path, given: Any, argument: str, n_vertices: int) -> Companion:

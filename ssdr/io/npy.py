@@ -10,7 +10,7 @@ from ..sequence import MeshSequence
 from .archive import read_array, write_array
 from .atomic import atomic_path
 from .companion import find
-from .registry import SaveReport, reading
+from .registry import SaveReport
 
 __all__ = ["read", "write_sequence"]
 
@@ -36,15 +36,7 @@ def read(
     if array.ndim != 3 or array.shape[2] != 3:
         raise FormatError(f"{path}: expected an array of shape (F, V, 3), got {array.shape}")
     mesh = find(path, faces, "faces", array.shape[1])
-    with reading(path):
-        return MeshSequence(
-            array,
-            mesh.faces,
-            fps or mesh.fps or 24.0,
-            name=path.stem,
-            surface=mesh.surface,
-            vertex_map=mesh.vertex_map,
-        )
+    return mesh.moved(array, path, fps)
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:

@@ -58,15 +58,7 @@ def read(
         if fps is None and stated is not None:
             fps = float(stated)
     mesh = find(path, faces, "faces", vertices.shape[1])
-    with reading(path):
-        return MeshSequence(
-            vertices,
-            mesh.faces,
-            fps or mesh.fps or 24.0,
-            name=path.stem,
-            surface=mesh.surface,
-            vertex_map=mesh.vertex_map,
-        )
+    return mesh.moved(vertices, path, fps)
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
