@@ -33,6 +33,37 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     return torch.from_numpy(table)
 
 
+class _Highest(torch.autograd.Function):
+    """Maximum over the neighbours; its slope goes to the first that attains it.
+
+    Written out because PyTorch's own would keep and mask two tensors for every neighbour.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, neighbours: Tensor) -> Tensor:
+        highest = x.index_select(0, neighbours[:, 0])
+        if not ctx.needs_input_grad[0]:
+            for k in range(1, neighbours.shape[1]):
+                torch.maximum(highest, x.index_select(0, neighbours[:, k]), out=highest)
+            return highest
+        winner = torch.zeros(highest.shape, dtype=torch.uint8, device=x.device)
+        for k in range(1, neighbours.shape[1]):
+            other = x.index_select(0, neighbours[:, k])
+            winner.masked_fill_(other > highest, k)
+            torch.maximum(highest, other, out=highest)
+        ctx.save_for_backward(winner, neighbours)
+        return highest
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
+        winner, neighbours = ctx.saved_tensors
+        (slope,) = slopes
+        out = torch.zeros_like(slope)
+        for k in range(neighbours.shape[1]):
+            out.index_add_(0, neighbours[:, k], slope * (winner == k))
+        return out, None
+
+
 class EdgeConv(nn.Module):
     """x_i' = max_j act(W [x_i, x_j − x_i] + b) over the neighbours j (Wang et al. 2019).
 
@@ -58,9 +89,7 @@ class EdgeConv(nn.Module):
         own, step = self.linear.weight.chunk(2, dim=1)
         step = step / self.scale
         away = x @ step.T
-        highest = away.index_select(0, neighbours[:, 0])
-        for k in range(1, neighbours.shape[1]):
-            highest = torch.maximum(highest, away.index_select(0, neighbours[:, k]))
+        highest: Tensor = _Highest.apply(away, neighbours)
         return torch.relu(x @ (own - step).T + self.linear.bias + highest)
 
 

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from ssdr import Skinning
@@ -13,7 +15,7 @@ from ssdr.laplacian import uniform_laplacian
 
 from .skinning import TorchSkinning, apply_frame
 
-__all__ = ["BodyShape", "MeshLaplacian", "closest_vertices", "collision_depth", "frame_norm"]
+__all__ = ["BodyShape", "closest_vertices", "collision_depth", "frame_norm", "mesh_laplacian"]
 
 _PAIRS = 1 << 24  # distances held at once in the search for closest vertices
 
@@ -36,31 +38,11 @@ def frame_norm(difference: Tensor, mask: Tensor | None = None) -> Tensor:
     return (norm * mask).sum() / mask.sum().clamp(min=1)
 
 
-class MeshLaplacian(nn.Module):
-    """Δ(x)_i = x_i − mean of its neighbours, by the mesh's edges."""
-
-    matrix: Tensor
-
-    def __init__(self, faces: Any, n_vertices: int) -> None:
-        super().__init__()
-        laplacian = uniform_laplacian(faces, n_vertices).tocoo()
-        degree = np.bincount(
-            laplacian.row[laplacian.row == laplacian.col],
-            weights=laplacian.data[laplacian.row == laplacian.col],
-            minlength=n_vertices,
-        )
-        values = laplacian.data / np.maximum(degree, 1.0)[laplacian.row]
-        index = torch.from_numpy(np.stack([laplacian.row, laplacian.col]).astype(np.int64))
-        matrix = torch.sparse_coo_tensor(
-            index, torch.from_numpy(values).float(), (n_vertices, n_vertices), check_invariants=True
-        )
-        self.register_buffer("matrix", matrix.coalesce(), persistent=False)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Of ``(..., V, 3)``; linear, so that a difference of two needs one call."""
-        flat = x.reshape(-1, *x.shape[-2:]).transpose(0, 1).reshape(x.shape[-2], -1)
-        out: Tensor = torch.sparse.mm(self.matrix, flat)
-        return out.view(x.shape[-2], -1, 3).transpose(0, 1).reshape(x.shape)
+def mesh_laplacian(faces: Any, n_vertices: int) -> csr_array:
+    """Δ(x)_i = x_i − mean of its neighbours, by the mesh's edges; ``(V, V)`` float64."""
+    laplacian = uniform_laplacian(faces, n_vertices)
+    scale = 1.0 / np.maximum(laplacian.diagonal(), 1.0)
+    return csr_array(laplacian.multiply(scale[:, None]))
 
 
 class BodyShape(nn.Module):
@@ -94,6 +76,12 @@ class BodyShape(nn.Module):
 @torch.no_grad()
 def closest_vertices(points: Tensor, body: Tensor) -> Tensor:
     """Index ``(N, V)`` of the body vertex closest to each point, frame by frame."""
+    if points.device.type == "cpu":
+        found = [
+            cKDTree(q).query(p)[1]
+            for p, q in zip(points.detach().numpy(), body.detach().numpy(), strict=True)
+        ]
+        return torch.from_numpy(np.stack(found).astype(np.int64))
     step = max(1, _PAIRS // (points.shape[1] * body.shape[1]))
     parts = []
     for i in range(0, len(points), step):

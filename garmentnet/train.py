@@ -121,7 +121,7 @@ def fit(
     """
     module, state_file = task.module, folder / f"{name}.state.safetensors"
     optimiser = torch.optim.Adam(
-        module.parameters(), lr=learning_rate, weight_decay=options.weight_decay
+        module.parameters(), lr=learning_rate, weight_decay=options.weight_decay, fused=True
     )
     rng = np.random.default_rng([options.seed, *name.encode()])
     history: list[Epoch] = []

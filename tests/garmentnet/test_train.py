@@ -11,7 +11,8 @@ import toy_store as toy
 
 from garmentnet.clips import ClipStore
 from garmentnet.configs import Config, load_config, override, preset_names
-from garmentnet.streams import batches
+from garmentnet.streams import batches, load_tracks
+from garmentnet.tasks import LowTask
 from garmentnet.train import choose_clips, train
 from ssdr.errors import FormatError, InputError
 
@@ -69,6 +70,27 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
     rows = {r.name: r for r in evaluate(toy_bones, methods, ["base-test-0", "base-test-1"])}
     for other in ("mean", "ridge"):
         assert rows["network"].overall.rmse < 0.7 * rows[other].overall.rmse
+
+
+def test_low_loss_against_vertices(toy_store, toy_bones, toy_network):
+    """The loss that never sees a vertex, and its gradient, against the paper's sum over them."""
+    network = toy_network.networks[0]
+    task = LowTask(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
+    batch = next(batches(task.tracks, 1, 20, None))
+    loss, _ = task.loss(batch, None, np.random.default_rng(0))
+    torch.autograd.backward(loss)
+    got = [p.grad.clone() for p in network.low.parameters()]
+
+    network.low.zero_grad()
+    z, _ = network.low(batch.inputs())
+    gap = network.mesh(z[batch.mask]) - task.tracks[0].target("low", slice(0, 20))
+    bent = torch.stack([torch.from_numpy(task._laplacian.toarray()).float() @ g for g in gap])
+    plain = sum(x.square().sum(-1).mean(-1).sqrt().mean() for x in (gap, bent))
+    torch.autograd.backward(plain)
+    assert abs((loss - plain).item()) < 1e-5 * plain.item()
+    for a, p in zip(got, network.low.parameters(), strict=True):
+        assert float((a - p.grad).norm()) < 1e-3 * float(p.grad.norm())
+    network.low.zero_grad()
 
 
 def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
