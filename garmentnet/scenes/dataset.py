@@ -13,7 +13,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ssdr.errors import InputError, SsdrError
 from ssdr.io.registry import require
@@ -171,6 +171,8 @@ def make_data_set(
     with _writing(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s, made_with)]
+        # What is learned from comes first: training need not wait for the test clips.
+        todo.sort(key=lambda s: get_args(Split).index(s.motion.split))
         _check_room(store, todo)
         if todo:
             _Run(store, scenes, todo, progress).go(min(count, len(todo)))
