@@ -8,14 +8,12 @@ trains, evaluates and predicts needs nothing else.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
-import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,132 +21,27 @@ from numpy.typing import ArrayLike, NDArray
 import ssdr
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import free_name, remove
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import reading
 from ssdr.sequence import MeshSequence
-from ssdr.skinning import Skinning, skin
+from ssdr.skinning import Skinning
 
+from .clip import MIRRORED, Clip
+from .clip_files import (
+    CLASSES,
+    Split,
+    check_finite,
+    compressors,
+    read_statement,
+    write_clip,
+    zarr,
+)
 from .parameters import RANGES, SimulationParameters
-from .skeleton import Skeleton, mirror_transforms
+from .skeleton import Skeleton
 
 __all__ = ["CLASSES", "MIRRORED", "RANGES", "Clip", "ClipStore", "SimulationParameters", "Split"]
 
-Split = Literal["train", "validation", "test"]
-CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
-MIRRORED = "~mirrored"
 _FORMAT, _VERSION = "garmentnet clips", 1
-_CHUNK_FRAMES = 32
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Clip:
-    """One clip of a store.
-
-    Attributes
-    ----------
-    store : ClipStore
-    name : str
-    split : {"train", "validation", "test"}
-    motion : str
-        The motion's own name; the same motion under other parameters has the same.
-    parameters : SimulationParameters
-    seed : int
-    perturbation : float
-        Metres (standard deviation) by which the start was moved; 0 but for the second of a
-        pair that measures chaos.
-    quality : dict
-        ``accepted``, ``reason`` and what the quality gate measured.
-    provenance : dict
-        Scene, versions of the simulator: all that it takes to make the clip again.
-    n_frames : int
-    is_mirrored : bool
-        Reflected as it is read; nothing of it is stored.
-    """
-
-    store: ClipStore
-    name: str
-    split: Split
-    motion: str
-    parameters: SimulationParameters
-    seed: int
-    perturbation: float
-    quality: dict[str, Any]
-    provenance: dict[str, Any]
-    n_frames: int
-    is_mirrored: bool
-    path: Path
-
-    @property
-    def accepted(self) -> bool:
-        return bool(self.quality["accepted"])
-
-    @property
-    def fps(self) -> float:
-        return self.store.fps
-
-    @property
-    def mirrored_of(self) -> str | None:
-        """Name of the clip that this one reflects."""
-        return self.name.removesuffix(MIRRORED) if self.is_mirrored else None
-
-    @functools.cached_property
-    def sequence(self) -> MeshSequence:
-        """The garment; frames are read from disk as they are asked for."""
-        vertices = _Frames(
-            self._array("vertices", (self.n_frames, self.store.n_vertices, 3)),
-            self.path,
-            self.store.mirror_vertices if self.is_mirrored else None,
-        )
-        faces = self.store.faces
-        return MeshSequence(vertices, faces, self.fps, name=self.name, validate=not self.accepted)
-
-    @functools.cached_property
-    def joints(self) -> NDArray[np.float32]:
-        """``(F, J, 3, 4)`` transforms from the body's rest pose to the pose of each frame."""
-        shape = (self.n_frames, self.store.skeleton.n_joints, 3, 4)
-        with reading(self.path):
-            values = np.asarray(self._array("joints", shape)[:])
-            _check_finite(values, "joints", 0)
-        if self.is_mirrored:
-            values = mirror_transforms(values, self.store.skeleton.mirror())
-        return values
-
-    @functools.cached_property
-    def classes(self) -> NDArray[np.int8]:
-        """``(F,)`` class of motion of each frame, an index into :data:`CLASSES`."""
-        with reading(self.path):
-            values = np.asarray(self._array("classes", (self.n_frames,))[:])
-            if values.min() < 0 or values.max() >= len(CLASSES):
-                raise FormatError(f"classes: {values.min()} to {values.max()}")
-        return values
-
-    def body(self, frames: Any = slice(None)) -> NDArray[np.float32]:
-        """Body vertices ``(f, V, 3)`` in the named frames."""
-        rig = self.store.body
-        return np.asarray(skin(rig.rest, rig.joints, rig.weights, self.joints[frames]))
-
-    def mirrored(self) -> Clip:
-        """The clip reflected in x; of a mirrored clip, the clip itself.
-
-        Raises
-        ------
-        InputError
-            If the garment is not symmetric.
-        """
-        if self.store.mirror_vertices is None:
-            raise InputError("clip", "a clip of a symmetric garment", self.name)
-        name = self.name.removesuffix(MIRRORED) + ("" if self.is_mirrored else MIRRORED)
-        return dataclasses.replace(self, name=name, is_mirrored=not self.is_mirrored)
-
-    def _array(self, name: str, shape: tuple[int, ...]) -> Any:
-        with reading(self.path):
-            array = _zarr().open_array(str(self.path / name), mode="r")
-            kind = {"vertices": "float32", "joints": "float32", "classes": "int8"}[name]
-            if tuple(array.shape) != shape or str(array.dtype) != kind:
-                raise FormatError(
-                    f"{name}: expected {kind} {shape}, got {array.dtype} {tuple(array.shape)}"
-                )
-            return array
 
 
 class ClipStore:
@@ -253,11 +146,11 @@ class ClipStore:
             return there
         if not target.parent.is_dir():
             raise InputError("path", "a folder in a folder that exists", str(target))
-        zarr, temporary = _zarr(), free_name(target)
+        temporary = free_name(target)
         try:
-            group = zarr.create_group(store=str(temporary), attributes=stated)
+            group = zarr().create_group(store=str(temporary), attributes=stated)
             for name, values in arrays.items():
-                group.create_array(name, data=values, compressors=_compressors())
+                group.create_array(name, data=values, compressors=compressors())
             (temporary / "clips").mkdir()
             ssdr.save(body, temporary / "body.npz")
             os.replace(temporary, target)
@@ -279,7 +172,7 @@ class ClipStore:
         if not target.is_dir():
             raise FormatError(f"{target}: no such folder")
         with reading(target):
-            group = _zarr().open_group(str(target), mode="r")
+            group = zarr().open_group(str(target), mode="r")
             attributes = dict(group.attrs)
             if attributes.get("format") != _FORMAT:
                 raise FormatError("not a store of clips (no such attribute format)")
@@ -445,7 +338,7 @@ class ClipStore:
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
             raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
         if accepted:
-            _check_finite(v, "vertices", 0)
+            check_finite(v, "vertices", 0)
         stated = {
             "frames": frames,
             "fps": self.fps,
@@ -457,29 +350,7 @@ class ClipStore:
             "quality": json.loads(json.dumps(dict(quality))),
             "provenance": json.loads(json.dumps(dict(provenance))),
         }
-        temporary = free_name(target)
-        chunk = min(frames, _CHUNK_FRAMES)
-        try:
-            group = _zarr().create_group(store=str(temporary), attributes=stated)
-            for key, values, fill in (
-                ("vertices", v, math.nan),
-                ("joints", m, math.nan),
-                ("classes", c, -1),
-            ):
-                # A chunk that is not there reads as the fill value, which no clip may hold.
-                array = group.create_array(
-                    key,
-                    shape=values.shape,
-                    dtype=values.dtype,
-                    chunks=(chunk if key == "vertices" else frames, *values.shape[1:]),
-                    fill_value=fill,
-                    compressors=_compressors(values.itemsize),
-                )
-                array[:] = values
-            os.replace(temporary, target)
-        except BaseException:
-            remove(temporary)
-            raise
+        write_clip(target, {"vertices": v, "joints": m, "classes": c}, stated)
         return self.clip(name)
 
     def sweep(self) -> int:
@@ -496,75 +367,7 @@ class ClipStore:
         return sorted(p.name for p in folder.iterdir() if p.name in self)
 
     def _stated(self, name: str) -> dict[str, Any]:
-        path = self.path / "clips" / name
-        with reading(path):
-            stated: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
-            missing = [k for k in _STATED if k not in stated]
-            if missing:
-                raise FormatError(f"no attribute {missing[0]}")
-            if stated["split"] not in get_args(Split):
-                raise FormatError(f"split {stated['split']!r}")
-            if not isinstance(stated["quality"].get("accepted"), bool):
-                raise FormatError("quality does not state whether the clip was accepted")
-            return stated
-
-
-_STATED = (
-    "frames",
-    "split",
-    "motion",
-    "parameters",
-    "seed",
-    "perturbation",
-    "quality",
-    "provenance",
-)
-
-
-class _Frames:
-    """Vertices on disk as an array: sliced, reflected where asked, never silently wrong."""
-
-    def __init__(self, array: Any, path: Path, permutation: NDArray[np.int32] | None) -> None:
-        self._array, self._path, self._permutation = array, path, permutation
-        self.shape: tuple[int, ...] = tuple(array.shape)
-        self.dtype = np.dtype(np.float32)
-        self.ndim = 3
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, index: Any) -> NDArray[np.float32]:
-        first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
-        with reading(self._path):
-            block = np.asarray(self._array[first])
-            _check_finite(block, "vertices", first if isinstance(first, int) else 0)
-        if self._permutation is not None:
-            block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
-        if rest:
-            block = block[(slice(None),) * (block.ndim - 2) + rest]
-        return block
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return np.asarray(self[:], dtype=dtype)
-
-
-def _zarr() -> Any:
-    return require("zarr", "garmentnet", "a store of clips")
-
-
-def _compressors(itemsize: int = 4) -> Sequence[Any]:
-    codecs = require("zarr.codecs", "garmentnet", "a store of clips")
-    # The checksum comes last: a flipped bit is found before anything is unpacked.
-    return (
-        codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle", typesize=itemsize),
-        codecs.Crc32cCodec(),
-    )
-
-
-def _check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
-    if not np.isfinite(values).all():
-        frames = np.flatnonzero(~np.isfinite(values.reshape(-1, *values.shape[-2:])).all((1, 2)))
-        raise InputError(what, "finite numbers", f"NaN or Inf from frame {first + frames[0]} on")
+        return read_statement(self.path / "clips" / name)
 
 
 def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:

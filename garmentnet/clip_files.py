@@ -1,0 +1,160 @@
+"""What lies on disk of one clip: checked arrays and a statement about them; damage is named.
+
+A clip is a zarr group of three arrays.  Every chunk carries a checksum, and one that is missing
+reads as a value that no clip may hold, so that nothing is ever silently wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import free_name, remove
+from ssdr.io.registry import reading, require
+
+__all__ = [
+    "CLASSES",
+    "Frames",
+    "Split",
+    "check_finite",
+    "compressors",
+    "open_array",
+    "read_statement",
+    "write_clip",
+    "zarr",
+]
+
+Split = Literal["train", "validation", "test"]
+CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
+_CHUNK_FRAMES = 32
+# Type of every array, and what a chunk that is not there reads as.
+_ARRAYS: Mapping[str, tuple[str, float]] = {
+    "vertices": ("float32", math.nan),
+    "joints": ("float32", math.nan),
+    "classes": ("int8", -1),
+}
+_STATED = (
+    "frames",
+    "split",
+    "motion",
+    "parameters",
+    "seed",
+    "perturbation",
+    "quality",
+    "provenance",
+)
+
+
+def write_clip(
+    target: Path, arrays: Mapping[str, NDArray[Any]], statement: Mapping[str, Any]
+) -> None:
+    """Write a clip; the folder appears when it is complete."""
+    temporary = free_name(target)
+    frames = len(arrays["vertices"])
+    chunk = min(frames, _CHUNK_FRAMES)
+    try:
+        group = zarr().create_group(store=str(temporary), attributes=statement)
+        for key, (_, fill) in _ARRAYS.items():
+            values = arrays[key]
+            array = group.create_array(
+                key,
+                shape=values.shape,
+                dtype=values.dtype,
+                chunks=(chunk if key == "vertices" else frames, *values.shape[1:]),
+                fill_value=fill,
+                compressors=compressors(values.itemsize),
+            )
+            array[:] = values
+        os.replace(temporary, target)
+    except BaseException:
+        remove(temporary)
+        raise
+
+
+def read_statement(path: Path) -> dict[str, Any]:
+    """What a clip states about itself.
+
+    Raises
+    ------
+    FormatError
+        If something is missing or not of its kind.
+    """
+    with reading(path):
+        stated: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
+        missing = [k for k in _STATED if k not in stated]
+        if missing:
+            raise FormatError(f"no attribute {missing[0]}")
+        if stated["split"] not in get_args(Split):
+            raise FormatError(f"split {stated['split']!r}")
+        if not isinstance(stated["quality"].get("accepted"), bool):
+            raise FormatError("quality does not state whether the clip was accepted")
+        return stated
+
+
+def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
+    """An array of a clip, still on disk, of the type and shape that it must have."""
+    with reading(path):
+        array = zarr().open_array(str(path / name), mode="r")
+        kind = _ARRAYS[name][0]
+        if tuple(array.shape) != shape or str(array.dtype) != kind:
+            raise FormatError(
+                f"{name}: expected {kind} {shape}, got {array.dtype} {tuple(array.shape)}"
+            )
+        return array
+
+
+class Frames:
+    """Vertices on disk as an array: sliced, reflected where asked, never silently wrong."""
+
+    def __init__(self, array: Any, path: Path, permutation: NDArray[np.int32] | None) -> None:
+        self._array, self._path, self._permutation = array, path, permutation
+        self.shape: tuple[int, ...] = tuple(array.shape)
+        self.dtype = np.dtype(np.float32)
+        self.ndim = 3
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, index: Any) -> NDArray[np.float32]:
+        first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
+        with reading(self._path):
+            block = np.asarray(self._array[first])
+            check_finite(block, "vertices", first if isinstance(first, int) else 0)
+        if self._permutation is not None:
+            block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
+        if rest:
+            block = block[(slice(None),) * (block.ndim - 2) + rest]
+        return block
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(self[:], dtype=dtype)
+
+
+def zarr() -> Any:
+    """The package zarr."""
+    return require("zarr", "garmentnet", "a store of clips")
+
+
+def compressors(itemsize: int = 4) -> Sequence[Any]:
+    """How arrays of a store are packed."""
+    codecs = require("zarr.codecs", "garmentnet", "a store of clips")
+    # The checksum comes last: a flipped bit is found before anything is unpacked.
+    return (
+        codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle", typesize=itemsize),
+        codecs.Crc32cCodec(),
+    )
+
+
+def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
+    """Raise InputError that names the first frame, counted from `first`, with NaN or Inf."""
+    if not np.isfinite(values).all():
+        frames = np.flatnonzero(~np.isfinite(values.reshape(-1, *values.shape[-2:])).all((1, 2)))
+        raise InputError(what, "finite numbers", f"NaN or Inf from frame {first + frames[0]} on")
