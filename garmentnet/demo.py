@@ -37,7 +37,7 @@ def run_demo(
     """
     # The simulator is another extra, and only this command needs both.
     from .scenes.dataset import make_data_set
-    from .scenes.scene import load_data_set
+    from .scenes.scene_file import load_data_set
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

@@ -2,63 +2,27 @@
 
 from __future__ import annotations
 
-import concurrent.futures
 import contextlib
-import dataclasses
 import json
-import multiprocessing
 import os
-import queue
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
-from ssdr.errors import InputError, SsdrError
+from ssdr.errors import InputError
 from ssdr.io.registry import require
 
 from ..bvh import find_bvh, read_bvh, retarget
 from ..clips import ClipStore, Split
-from ..motion import Motion
-from .body import Body
 from .scene import DataSet, MotionSource, Scene
-from .simulate import simulate, versions
+from .simulate import versions
+from .workers import Progress, Run
 
 __all__ = ["Progress", "make_data_set", "open_store", "recorded_motions"]
 
 _ROW = 12  # bytes of a vertex in a frame
 _LOCK = "writing.lock"
-
-
-@dataclasses.dataclass(frozen=True)
-class Progress:
-    """How far a data set is.
-
-    Attributes
-    ----------
-    clips, clips_total : int
-    frames, frames_total : int
-        Settling included; of what was still to do when the run began.
-    elapsed, time_left : float
-        Seconds; the second is NaN before the first frame.
-    clip : str
-        The clip that this is about.
-    accepted : bool or None
-        Whether the quality gate took it; None while it runs.
-    reason : str
-        Why not.
-    """
-
-    clips: int
-    clips_total: int
-    frames: int
-    frames_total: int
-    elapsed: float
-    time_left: float
-    clip: str
-    accepted: bool | None = None
-    reason: str = ""
 
 
 def recorded_motions(
@@ -175,7 +139,7 @@ def make_data_set(
         todo.sort(key=lambda s: get_args(Split).index(s.motion.split))
         _check_room(store, todo)
         if todo:
-            _Run(store, scenes, todo, progress).go(min(count, len(todo)))
+            Run(store, scenes, todo, progress).go(min(count, len(todo)))
     return store
 
 
@@ -243,192 +207,3 @@ def _alive(process: int) -> bool:
     except OSError:
         return True
     return True
-
-
-class _Run:
-    """One run over what is to do: sends scenes to processes, gathers what they say."""
-
-    def __init__(
-        self,
-        store: ClipStore,
-        scenes: tuple[Scene, ...],
-        todo: list[Scene],
-        progress: Callable[[Progress], None] | None,
-    ) -> None:
-        self._store, self._todo, self._progress = store, todo, progress
-        solver = todo[0].data_set.solver
-        self._lead = solver.approach + solver.settle
-        self._total = sum(s.motion.frames + self._lead for s in todo)
-        self._clips = len(scenes) - len(todo)
-        self._n_clips = len(scenes)
-        self._frames: dict[str, int] = {}
-        self._begun = time.monotonic()
-
-    def go(self, workers: int) -> None:
-        context = multiprocessing.get_context("spawn")
-        news: Any = context.Queue()
-        with (
-            _one_thread(),
-            concurrent.futures.ProcessPoolExecutor(
-                workers, mp_context=context, initializer=_begin, initargs=(news, os.getpid())
-            ) as pool,
-        ):
-            # The first compiles the simulator's kernels; beside it others would do the same.
-            first = pool.submit(_warm_up)
-            self._wait({first}, news)
-            first.result()
-            waiting = {
-                pool.submit(_make, scene, str(self._store.path)): scene for scene in self._todo
-            }
-            try:
-                while waiting:
-                    for future in self._wait(set(waiting), news):
-                        scene = waiting.pop(future)
-                        self._finished(scene, *future.result())
-            except BaseException:
-                for future in waiting:
-                    future.cancel()
-                for process in list((pool._processes or {}).values()):
-                    process.terminate()
-                raise
-
-    def _wait(self, futures: set[Any], news: Any) -> set[Any]:
-        while True:
-            done, _ = concurrent.futures.wait(
-                futures, timeout=0.2, return_when=concurrent.futures.FIRST_COMPLETED
-            )
-            name = ""
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    name, frames = news.get_nowait()
-                    self._frames[name] = frames
-            if name:
-                self._tell(name)
-            if done:
-                return done
-
-    def _finished(self, scene: Scene, accepted: bool, reason: str, seconds: float) -> None:
-        self._clips += 1
-        frames = scene.motion.frames + self._lead
-        self._frames[scene.name] = frames
-        line = {"clip": scene.name, "frames": frames, "seconds": round(seconds, 2)}
-        # Beside the clips, not in them: times are never the same twice.
-        with (self._store.path / "timing.jsonl").open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
-        self._tell(scene.name, accepted, reason)
-
-    def _tell(self, name: str, accepted: bool | None = None, reason: str = "") -> None:
-        if self._progress is None:
-            return
-        frames = sum(self._frames.values())
-        elapsed = time.monotonic() - self._begun
-        left = elapsed / frames * (self._total - frames) if frames else float("nan")
-        self._progress(
-            Progress(
-                self._clips,
-                self._n_clips,
-                frames,
-                self._total,
-                elapsed,
-                left,
-                name,
-                accepted,
-                reason,
-            )
-        )
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started inside use one thread each, for all that counts threads by itself."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "SSDR_NUM_THREADS")
-    before = {n: os.environ.get(n) for n in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-# What follows runs in the processes.
-_news: Any = None
-_parent = 0
-
-
-def _begin(news: Any, parent: int) -> None:
-    global _news, _parent
-    _news, _parent = news, parent
-
-
-def _make(scene: Scene, path: str) -> tuple[bool, str, float]:
-    """Simulate one scene and add it to the store."""
-    begun = time.monotonic()
-    data_set = scene.data_set
-    body = data_set.make_body()
-    garment = data_set.make_garment(body)
-    motion = scene.motion.make(body, data_set.fps)
-
-    def tell(frame: int, total: int) -> None:
-        if os.getppid() != _parent:
-            # Nobody waits for this any more; the clip is made when the run goes on.
-            os._exit(1)
-        if _news is not None and (frame % 5 == 0 or frame == total):
-            _news.put((scene.name, frame))
-
-    result = simulate(
-        body,
-        garment,
-        motion,
-        scene.parameters.parameters,
-        solver=data_set.solver,
-        gate=data_set.gate,
-        seed=scene.seed,
-        perturbation=scene.perturbation,
-        progress=tell,
-    )
-    try:
-        ClipStore.open(path).add(
-            scene.name,
-            vertices=result.vertices,
-            joints=motion.joints,
-            classes=motion.classes,
-            split=scene.motion.split,
-            motion=scene.motion.name,
-            parameters=scene.parameters.parameters,
-            seed=scene.seed,
-            quality=dataclasses.asdict(result.quality),
-            provenance=scene.provenance(versions()),
-            perturbation=scene.perturbation,
-        )
-    except OSError as error:
-        raise SsdrError(f"{path}: clip {scene.name} could not be written: {error}") from error
-    return result.quality.accepted, result.quality.reason, time.monotonic() - begun
-
-
-def _warm_up() -> None:
-    """Compile the simulator's kernels, on the smallest dress and two frames."""
-    from ..parameters import SimulationParameters
-    from .body import default_body
-    from .garments import Dress, cut_dress
-    from .simulate import Solver
-
-    body = default_body()
-    motion = _still(body)
-    simulate(
-        body,
-        cut_dress(body, Dress(vertices=300)),
-        motion,
-        SimulationParameters(),
-        solver=Solver(substeps=1, approach=0, settle=1),
-    )
-
-
-def _still(body: Body) -> Motion:
-    import numpy as np
-
-    joints = np.broadcast_to(np.eye(3, 4), (2, body.skeleton.n_joints, 3, 4))
-    return Motion(joints, np.zeros(2, dtype=np.int8))

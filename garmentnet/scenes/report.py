@@ -15,7 +15,7 @@ from ssdr.io.registry import require
 
 from ..clips import ClipStore
 from . import dataset
-from .scene import load_data_set
+from .scene_file import load_data_set
 
 __all__ = ["quality_table", "run"]
 

@@ -12,7 +12,8 @@ pytest.importorskip("zarr")
 from garmentnet.clips import SimulationParameters
 from garmentnet.scenes.dataset import recorded_motions
 from garmentnet.scenes.garments import Dress
-from garmentnet.scenes.scene import DataSet, load_data_set, presets
+from garmentnet.scenes.scene import DataSet
+from garmentnet.scenes.scene_file import load_data_set, presets
 from ssdr.errors import FormatError
 
 SCENE = """

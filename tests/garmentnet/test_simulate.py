@@ -23,7 +23,7 @@ from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance import dance
 from garmentnet.scenes.dataset import make_data_set
 from garmentnet.scenes.garments import Dress, cut_dress
-from garmentnet.scenes.scene import load_data_set
+from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulate import Gate, Solver, _Depth, _unrest, judge, simulate
 from ssdr.errors import InputError
 from ssdr.skinning import skin
