@@ -12,7 +12,7 @@ PYTEST ?=
 # A Python that runs from elsewhere must not shadow the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint format docs wheel clean
+.PHONY: help setup demo test lint format docs wheel bench bench-full clean
 
 help:
 	@echo 'make demo    decompose the sample that ships with the package: out/'
@@ -20,6 +20,8 @@ help:
 	@echo 'make lint    ruff, its format, mypy'
 	@echo 'make docs    check the links and run the snippets of README and docs'
 	@echo 'make wheel   build dist/, install it into a new environment and try it'
+	@echo 'make bench   ssdr beside Dem Bones and others in ten minutes: out/bench-short/'
+	@echo 'make bench-full  all of it, hours: the tables and charts of docs/benchmarks.md'
 	@echo 'make clean   remove what the others made'
 
 setup: $(READY)
@@ -47,6 +49,18 @@ docs: $(READY)
 
 wheel: $(READY)
 	@.ci/wheel.sh
+
+# Both go on where they were stopped.
+bench: $(VENV)/.bench
+	$(BIN)/python benchmarks/bench.py --short --limit 480
+
+bench-full: $(VENV)/.bench
+	$(BIN)/python benchmarks/bench.py
+	$(BIN)/python benchmarks/report.py
+
+$(VENV)/.bench: $(READY)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c .ci/constraints.txt -e ".[bench]"
+	@touch $@
 
 clean:
 	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

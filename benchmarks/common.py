@@ -76,14 +76,14 @@ def machine() -> dict[str, Any]:
         "load": round(os.getloadavg()[0], 2),
         **{key: round(value, 1) for key, value in gemm_rates().items()},
         "memory": round(memory_bandwidth(), 1),
-        "revision": _revision(),
+        "revision": revision(),
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
 
 
 @functools.cache
-def _revision() -> str | None:
+def revision() -> str | None:
     """The commit that is measured, with a plus where the solver has changed since."""
     try:
         head, changed = (
@@ -97,7 +97,7 @@ def _revision() -> str | None:
     return head + ("+" if changed else "")
 
 
-_revision()  # now: what is imported is what is measured, whatever is committed meanwhile
+revision()  # now: what is imported is what is measured, whatever is committed meanwhile
 
 
 def _cpu() -> str:

@@ -1,0 +1,88 @@
+"""All tables and charts that the records of bench.py allow."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench_charts import (
+    bones_chart,
+    effort_chart,
+    front_chart,
+    race_chart,
+    scaling_chart,
+    size_chart,
+    smooth_chart,
+)
+from bench_tables import (
+    at_bytes,
+    by_case,
+    case_of,
+    choice_rows,
+    collapsed,
+    race_rows,
+    read,
+    scaling_rows,
+    summary,
+)
+from common import table, write_csv, write_json
+
+
+def report(cache: Path, results: Path, images: Path, clock: str) -> None:
+    """Everything that the records at hand allow."""
+    race, front = read(cache, "race"), read(cache, "front")
+    scaling, choices = read(cache, "scaling"), read(cache, "choices")
+    if race:
+        cases = by_case(race)
+        apart = {case: records for case, records in cases.items() if collapsed(records)}
+        level = {
+            case: records for case, records in cases.items()
+            if case not in apart and any(r["solver"].startswith("ssdr") for r in records)
+        }  # fmt: skip
+        rows = race_rows(race)
+        ours = [row for case, records in level.items() if (row := summary(case, records))]
+        theirs = [row for case, records in apart.items() if (row := summary(case, records))]
+        walks = [
+            {"case": case_of(r), **stop} for r in race for stop in r.get("walk", [])
+        ]  # fmt: skip
+        write_json(results / "race.json", {
+            "clock": clock, "summary": ours, "apart": theirs, "rows": rows, "walks": walks,
+            "curves": {
+                f"{case_of(r)} {r['solver']} t{r['threads']} s{r['seed']}": r["curve"] for r in race
+            },
+        })  # fmt: skip
+        write_csv(results / "race.csv", rows)
+        if ours:
+            write_csv(results / "race_summary.csv", ours)
+            columns = ("case", "Dem Bones", "balanced", "best", "balanced / Dem Bones",
+                       "best / Dem Bones", "best fixed / Dem Bones",
+                       f"times faster, balanced, {clock}",
+                       f"times faster, balanced fixed, {clock}")  # fmt: skip
+            print(table(ours, columns))
+            race_chart(level, images / "race.png", clock)
+            effort_chart(level, images / "effort.png", clock)
+        if apart:
+            race_chart(apart, images / "race_apart.png", clock)
+    if front:
+        pca = {r["sequence"]: r["pca"] for r in front if "pca" in r}
+        rows = race_rows(front)
+        for row in rows:
+            line = pca.get(row["case"].rsplit("-", 1)[0])
+            known = line is not None and row["bytes8"] is not None
+            row["PCA at these bytes"] = at_bytes(line, row["bytes8"]) if known else None
+        write_json(results / "front.json", {"clock": clock, "rows": rows, "pca": pca})
+        write_csv(results / "front.csv", rows)
+        front_chart(front, images / "front.png", clock)
+        size_chart(front, race, images / "size.png")
+        bones_chart(front, images / "bones.png")
+    if scaling:
+        rows = scaling_rows(scaling, clock)
+        write_json(results / "scaling.json", {"clock": clock, "rows": rows})
+        write_csv(results / "scaling.csv", rows)
+        scaling_chart(rows, images / "scaling.png", clock)
+    if choices:
+        rows = choice_rows(choices)
+        write_json(results / "choices.json", {"rows": rows})
+        write_csv(results / "choices.csv", rows)
+        smooth = [r for r in choices if r["solver"].startswith("smooth")]
+        if smooth:
+            smooth_chart(smooth, images / "smooth.png")

@@ -1,0 +1,109 @@
+"""Bytes of a model as an engine keeps it, its error at that precision, and PCA at equal bytes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+POSITION = 12  # bytes: three float32
+KEY = 28  # a bone in a frame: quaternion and translation, seven float32
+INDEX = 1  # a bone's number, up to 256 of them
+
+
+def model_bytes(
+    vertices: int, frames: int, bones: int, influences: int, weight_bits: int = 8
+) -> int:
+    """Rest pose, K pairs of bone number and weight a vertex, a key a bone and frame."""
+    index = INDEX if bones <= 256 else 2
+    skin = vertices * influences * (index + weight_bits // 8)
+    return POSITION * vertices + skin + KEY * frames * bones
+
+
+def stored_weights(weights: np.ndarray, bits: int) -> np.ndarray:
+    """Weights (V, K) as unsigned integers of so many bits hold them; rows sum to 1 exactly.
+
+    Rounded down, what is missing to the sum goes to the largest remainders.
+    """
+    top = 2**bits - 1
+    scaled = np.asarray(weights, dtype=np.float64) * top
+    whole = np.floor(scaled + 1e-9)
+    missing = np.rint(top - whole.sum(axis=1)).astype(int)
+    rank = np.argsort(np.argsort(whole - scaled, axis=1, kind="stable"), axis=1, kind="stable")
+    return (whole + (rank < missing[:, None])) / top
+
+
+def dense(joints: np.ndarray, weights: np.ndarray, bones: int) -> np.ndarray:
+    """Weights (V, B)."""
+    out = np.zeros((len(joints), bones))
+    np.add.at(out, (np.arange(len(joints))[:, None], joints), weights)
+    return out
+
+
+def sparse(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joints and weights (V, K), largest first, of dense weights (V, B); K as large as needed."""
+    k = max(1, int((weights > 0).sum(axis=1).max()))
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :k]
+    return joints, np.take_along_axis(weights, joints, axis=1)
+
+
+def skinned_e(
+    frames: np.ndarray, rest: np.ndarray, weights: np.ndarray, transforms: np.ndarray
+) -> float:
+    """E of dense weights (V, B): one matrix product a block of frames, in float64."""
+    homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+    a = (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(rest), -1)
+    squared = 0.0
+    for first in range(0, len(frames), 64):
+        block = np.asarray(frames[first : first + 64], dtype=np.float64)
+        m = np.asarray(transforms[first : first + 64], dtype=np.float64)
+        columns = m.transpose(1, 3, 0, 2).reshape(-1, 3 * len(m))  # (4B, 3f)
+        skinned = (a @ columns).reshape(len(rest), len(m), 3).transpose(1, 0, 2)
+        squared += float(((block - skinned) ** 2).sum())
+    return 1000.0 * float(np.sqrt(squared / frames.size))
+
+
+def stored(
+    frames: np.ndarray,
+    rest: np.ndarray,
+    joints: np.ndarray,
+    weights: np.ndarray,
+    transforms: np.ndarray,
+) -> dict[str, Any]:
+    """Bytes and E with weights of 8 and of 16 bits."""
+    n_frames, bones = transforms.shape[:2]
+    out: dict[str, Any] = {}
+    for bits in (8, 16):
+        w = dense(joints, stored_weights(weights, bits), bones)
+        out[f"bytes{bits}"] = model_bytes(len(rest), n_frames, bones, joints.shape[1], bits)
+        out[f"E{bits}"] = skinned_e(frames, rest, w, transforms)
+    return out
+
+
+def pca_curve(frames: np.ndarray, points: int = 24) -> list[tuple[int, int, float]]:
+    """Rank, bytes and E of the best linear models of the trajectories (Eckart–Young).
+
+    The mean trajectory and r basis trajectories in float32, r coefficients a vertex in 16 bits.
+    """
+    n_frames, n = frames.shape[:2]
+    x = np.asarray(frames, dtype=np.float64).transpose(1, 0, 2).reshape(n, 3 * n_frames)
+    x = x - x.mean(axis=0)
+    rank = min(x.shape)
+    small = x.T @ x if n >= 3 * n_frames else x @ x.T
+    values, vectors = np.linalg.eigh(small)
+    vectors = vectors[:, ::-1]
+    values = np.maximum(values[::-1], 0.0)
+    if n < 3 * n_frames:  # right vectors from left ones
+        keep = values > 1e-14 * values[0]
+        vectors = (x.T @ vectors[:, keep]) / np.sqrt(values[keep])
+    rank = min(rank, vectors.shape[1])
+    ranks = np.unique(np.geomspace(1, rank, points).round().astype(int))
+    coefficients = x @ vectors[:, :rank]
+    step = np.maximum(np.abs(coefficients).max(axis=0), 1e-300) / (2**15 - 1)
+    coefficients = np.rint(coefficients / step) * step
+    curve = []
+    for r in ranks:
+        rest = x - coefficients[:, :r] @ vectors[:, :r].T
+        e = 1000.0 * float(np.linalg.norm(rest)) / float(np.sqrt(x.size))
+        curve.append((int(r), int(12 * n_frames + r * (2 * n + 12 * n_frames)), e))
+    return curve
