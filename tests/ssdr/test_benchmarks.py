@@ -1,0 +1,145 @@
+"""What the benchmarks compute themselves: errors, sizes, times; how records become tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import bench_tables as tables
+import common
+import model_size as size
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _model(seed: int = 0) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    n, f, b, k = 30, 70, 6, 3
+    rest = rng.standard_normal((n, 3))
+    joints = np.argsort(rng.random((n, b)), axis=1)[:, :k]
+    weights = rng.dirichlet(np.ones(k), n)
+    return rest, joints, weights, rng.standard_normal((f, b, 3, 4))
+
+
+def test_the_error_is_the_same_by_two_ways_of_skinning() -> None:
+    rest, joints, weights, transforms = _model()
+    skinned = common.reskin(rest, joints, weights, transforms)
+    frames = skinned + 0.1 * np.random.default_rng(1).standard_normal(skinned.shape)
+    fast = size.skinned_e(frames, rest, size.dense(joints, weights, 6), transforms)
+    assert fast == pytest.approx(common.error_e(frames, skinned), rel=1e-12)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_stored_weights_are_whole_steps_that_sum_to_one(bits: int) -> None:
+    weights = _model()[2]
+    weights[0] = (1.0, 0.0, 0.0)
+    out = size.stored_weights(weights, bits)
+    top = 2**bits - 1
+    np.testing.assert_allclose(out * top, np.rint(out * top), atol=1e-9)
+    np.testing.assert_array_equal(np.rint(out * top).sum(axis=1), top)
+    assert abs(out - weights).max() <= 1 / top
+    assert (out >= 0).all()
+    np.testing.assert_array_equal(out[0], weights[0])
+
+
+def test_bytes_by_hand() -> None:
+    # 10 positions, 10 x 4 pairs of two bytes, 3 x 5 keys of seven float32
+    assert size.model_bytes(10, 3, 5, 4) == 120 + 80 + 420
+    assert size.model_bytes(10, 3, 5, 4, weight_bits=16) == 120 + 120 + 420
+    assert size.model_bytes(10, 3, 300, 4) == 120 + 120 + 28 * 900
+
+
+def test_pca_is_the_best_linear_model() -> None:
+    rng = np.random.default_rng(2)
+    for n, f in ((50, 8), (12, 30)):
+        low = rng.standard_normal((n, 4)) @ rng.standard_normal((4, 3 * f))
+        x = low + 0.01 * rng.standard_normal(low.shape)
+        frames = x.reshape(n, f, 3).transpose(1, 0, 2)
+        values = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+        for rank, size_, e in size.pca_curve(frames):
+            left = 1000 * np.sqrt((values[rank:] ** 2).sum() / x.size)
+            # the coefficients are rounded to 16 bits
+            assert e == pytest.approx(left, rel=0.02, abs=0.1)
+            assert size_ == 12 * f + rank * (2 * n + 12 * f)
+
+
+def _run(solver: str, curve: list[list[float]], **more: Any) -> dict[str, Any]:
+    return {
+        "solver": solver, "sequence": "horse", "bones": 5, "influences": 4, "threads": 1,
+        "seed": 0, "curve": curve, "E": curve[-1][3], "bones found": 5, **more,
+    }  # fmt: skip
+
+
+def test_times_are_to_within_a_percent_of_dem_bones_best() -> None:
+    slow = _run("dembones default", [[0, 1.0, 0.9, 9.0], [1, 2.0, 1.8, 6.0]])
+    best = _run("dembones 0", [[0, 1.0, 0.9, 8.0], [1, 10.0, 8.0, 4.03], [2, 20.0, 16.0, 4.0]])
+    ours = _run("ssdr balanced", [[5, 0.5, 0.4, 4.05], [6, 0.8, 0.5, 4.04], [7, 0.9, 0.6, 2.0]])
+    row = tables.summary("horse-5", [slow, best, ours])
+    assert row is not None
+    assert row["Dem Bones"] == 4.0
+    assert row["setting"] == "0"
+    assert row["Dem Bones wall s"] == 10.0
+    assert row["balanced wall s"] == 0.8
+    assert row["times faster, balanced, wall"] == pytest.approx(12.5)
+    assert row["times faster, balanced, cpu"] == pytest.approx(16.0)
+    assert row["balanced / Dem Bones"] == 0.5
+    assert row["best"] is None
+    assert tables.summary("horse-5", [ours]) is None
+
+
+def test_fewer_bones_than_asked_or_a_crash_is_a_collapse() -> None:
+    whole = _run("dembones 0", [[0, 1.0, 1.0, 3.0]])
+    assert not tables.collapsed([whole])
+    assert tables.collapsed([whole, _run("dembones 0", [[0, 1.0, 1.0, 3.0]]) | {"bones found": 4}])
+    crashed = {"solver": "dembones 0", "bones": 5, "failed": "ended with status -11", "curve": []}
+    assert tables.collapsed([whole, crashed])
+
+
+def test_front_and_interpolation_in_bytes() -> None:
+    assert tables.front_of([(3, 1), (1, 5), (2, 6), (4, 1)]) == [(1, 5), (3, 1)]
+    line = [[1, 100, 10.0], [2, 10000, 0.1]]
+    assert tables.at_bytes(line, 1000) == pytest.approx(1.0)
+    assert tables.at_bytes(line, 50) is None
+
+
+def test_exponent_of_a_sweep() -> None:
+    runs = [
+        _run("ssdr balanced", [[1, s, s, 1.0]]) | {"V": v, "F": 100, "total wall": 0.001 * v**1.5,
+         "peak MiB": 1}
+        for v, s in ((500, 1.0), (1000, 1.0), (2000, 1.0))
+    ]  # fmt: skip
+    rows = tables.scaling_rows(runs, "wall")
+    assert {r["over"] for r in rows} == {"V"}
+    assert rows[0]["exponent"] == pytest.approx(1.5)
+
+
+@pytest.mark.slow
+def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth(tmp_path: Path) -> None:
+    out = tmp_path / "record.json"
+    job = {
+        "solver": "ssdr fast", "sequence": "tube:200:12", "bones": 4, "influences": 2, "seed": 0,
+        "threads": 1, "iterations": 1, "slice": 0.0, "stops": [0.0, 1.0], "out": str(out),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "peers.py"), json.dumps(job)],
+        input="go\n" * 1000, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    # with slices of no length it asks for its turn before every step
+    assert done.stdout.split().count("ready") > 3
+    record = json.loads(out.read_text())
+    assert record["defects"] == []
+    assert record["E"] == pytest.approx(record["stated E"], rel=1e-9)
+    errors = [point[3] for point in record["curve"]]
+    assert errors == sorted(errors, reverse=True)
+    assert all(a[1] <= b[1] for a, b in zip(record["curve"], record["curve"][1:], strict=False))
+    assert record["curve"][-1][1] <= record["total wall"]
+    for stop in record["walk"]:
+        assert stop["E"] == pytest.approx(stop["history"], rel=1e-3)
