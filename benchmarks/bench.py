@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from bench_report import report
+from bench_tables import BASE
 from common import IMAGES, RESULTS, ROOT, data_folder, machine, revision, tell, write_json
 
 CASES = [
@@ -42,7 +43,6 @@ PEERS = ["dembones default", "dembones 0", "2012"]
 OURS = ["ssdr fast", "ssdr balanced", "ssdr best", "ssdr balanced fixed", "ssdr best fixed"]
 FRONT = ["ea_bone", "horse_gallop", "cow_elastic"]
 BONES, INFLUENCES, EFFORTS = (5, 10, 20, 40), (1, 2, 4, 8), ("fast", "balanced", "best")
-BASE = {"V": 2000, "F": 100, "B": 20}
 SWEEPS = {"F": (25, 50, 100, 200, 400), "V": (500, 1000, 2000, 4000, 8000), "B": (5, 10, 20, 40)}
 SHORT_CASES = [("ea_bone", 10), ("cow_elastic", 24), ("horse_gallop", 20)]
 SHORT_SWEEPS = {"F": (25, 50, 100), "V": (500, 1000, 2000), "B": (5, 10, 20)}
@@ -227,7 +227,7 @@ def finished(file: Path, job: Job, stale: bool) -> bool:
 def groups(jobs: Iterable[Job], args: argparse.Namespace) -> list[list[Job]]:
     """What is still to do, case by case."""
     found: dict[str, list[Job]] = {}
-    for job in jobs:
+    for job in dict.fromkeys(jobs):  # sweeps cross
         if args.only and f"{job.sequence}-{job.bones}" not in args.only:
             continue
         if args.solvers and job.solver not in args.solvers:

@@ -12,6 +12,7 @@ import numpy as np
 
 Record = dict[str, Any]
 WITHIN = 1.01  # of Dem Bones' best error: when its run, and ssdr's, are taken to be there
+BASE = {"V": 2000, "F": 100, "B": 20}  # where the sweeps of cost cross
 MACHINE = ("gemm_1", "gemm_2", "memory", "load", "revision")
 
 
@@ -128,23 +129,20 @@ def cost_of(record: Record, clock: str) -> float | None:
 
 
 def scaling_rows(records: list[Record], clock: str) -> list[Record]:
-    """Sweeps through the middle of F, V and B, each with its fitted exponent."""
+    """Sweeps of F, V and B through BASE, each with its fitted exponent."""
     rows = []
     keys = ("F", "V", "B")
     sizes = [{**r, "B": r["bones"]} for r in records if "V" in r]
-    if not sizes:
-        return []
-    middle = {k: float(np.median([r[k] for r in sizes])) for k in keys}
     for solver in ("ssdr balanced", "dembones 0"):
         for sweep in keys:
             others = [k for k in keys if k != sweep]
-            line = sorted(
+            line = [
                 (r[sweep], cost, r)
-                for r in sizes
+                for r in sorted(sizes, key=lambda r, sweep=sweep: r[sweep])
                 if r["solver"] == solver
-                and all(abs(r[k] / middle[k] - 1) < 0.03 for k in others)
+                and all(abs(r[k] / BASE[k] - 1) < 0.03 for k in others)
                 and (cost := cost_of(r, clock)) is not None
-            )
+            ]
             if len(line) < 2:
                 continue
             x, y = np.log([(size, cost) for size, cost, _ in line]).T

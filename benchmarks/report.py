@@ -16,7 +16,10 @@ from typing import Any
 
 from common import RESULTS, ROOT, table, tell
 
-PAGES = (ROOT / "benchmarks" / "README.md", ROOT / "docs" / "decompose.md")
+PAGES = [
+    ROOT / "benchmarks" / "README.md",
+    *(ROOT / "docs" / f"{name}.md" for name in ("decompose", "benchmarks", "how-to-choose")),
+]
 
 
 def read(name: str) -> dict[str, Any]:
@@ -136,9 +139,153 @@ def choose_influences() -> str:
     return table(rows, list(rows[0]))
 
 
+def rates(row: dict[str, Any]) -> str:
+    return (
+        f"GEMM float64 {row['gemm_1']} GFLOP/s in one thread, {row['gemm_2']} in two; "
+        f"copy {row['memory']} GB/s; load {row['load']}; revision {row['revision']}"
+    )
+
+
+def figure(value: float | None, digits: int = 3) -> str | None:
+    return None if value is None else f"{value:.{digits}f}"
+
+
+def words(case: str) -> str:
+    return case.replace("-", ", ")
+
+
+def race_errors() -> str:
+    rows = [
+        {
+            "sequence, bones": words(r["case"]), "Dem Bones": f"{r['Dem Bones']:.3f}",
+            "regularisers": r["setting"], "SSDR 2012": figure(r["2012"]),
+            "ssdr fast": figure(r["fast"]), "balanced": figure(r["balanced"]),
+            "best": figure(r["best"]), "balanced ÷": figure(r["balanced / Dem Bones"], 2),
+            "best ÷": figure(r["best / Dem Bones"], 2),
+            "balanced, rest fixed ÷": figure(r["balanced fixed / Dem Bones"], 2),
+            "best, rest fixed ÷": figure(r["best fixed / Dem Bones"], 2),
+        }
+        for r in read("race")["summary"]
+    ]  # fmt: skip
+    return table(rows, list(rows[0]))
+
+
+def race_times() -> str:
+    rows = []
+    found = read("race")["summary"]
+    for r in found:
+        row = {"sequence, bones": words(r["case"])}
+        for clock in ("cpu", "wall"):
+            short = {"cpu": "CPU s", "wall": "s"}[clock]
+            row |= {
+                f"Dem Bones, {short}": figure(r[f"Dem Bones {clock} s"], 2),
+                f"ssdr, {short}": figure(r[f"balanced {clock} s"], 2),
+                f"ratio, {short}": figure(r[f"times faster, balanced, {clock}"], 0),
+                f"rest fixed, ratio, {short}":
+                    figure(r[f"times faster, balanced fixed, {clock}"], 0),
+            }  # fmt: skip
+        row["threads"] = ", ".join(map(str, r["threads tried"]))
+        row["GEMM, GFLOP/s"] = f"{r['gemm_1']}, {r['gemm_2']}"
+        row["copy, GB/s"], row["load"], row["revision"] = r["memory"], r["load"], r["revision"]
+        rows.append(row)
+    return table(rows, list(rows[0]))
+
+
+def race_apart() -> str:
+    results = read("race")
+    cases = {r["case"] for r in results["apart"]}
+    rows = [
+        {
+            "sequence, bones": words(r["case"]), "solver": r["solver"], "threads": r["threads"],
+            "bones in the result": r["bones found"], "E": figure(r["E"]), "failed": r["failed"],
+        }
+        for r in results["rows"] if r["case"] in cases
+    ]  # fmt: skip
+    if not rows:
+        return "None was run."
+    return table(
+        rows, [*list(rows[0])[:5], *(["failed"] if any(r["failed"] for r in rows) else [])]
+    )
+
+
+def race_history() -> str:
+    found = read("race")["walks"]
+    worst = max(found, key=lambda r: abs(r["E"] / r["history"] - 1))
+    return (
+        f"At {len(found)} stops of {len({r['case'] for r in found})} runs the error of the "
+        f"re-skinned model and the one that the history states differ by at most "
+        f"{abs(worst['E'] / worst['history'] - 1):.1e} of it "
+        f"({words(worst['case'])} bones, iteration {worst['iteration']})."
+    )
+
+
+def sizes() -> str:
+    rows = [
+        {
+            "sequence, bones": words(r["case"]), "K": r["K"], "KiB": f"{r['bytes8'] / 1024:.0f}",
+            "E": figure(r["E"]), "E stored": figure(r["E8"]),
+            "E of PCA at these bytes": figure(r["PCA at these bytes"]),
+        }
+        for r in read("front")["rows"]
+        if r["solver"] == "ssdr balanced" and r["K"] == 4 and r["E"] is not None
+    ]  # fmt: skip
+    rows.sort(key=lambda r: (r["sequence, bones"].split(",")[0],
+                             int(r["sequence, bones"].split(",")[1])))  # fmt: skip
+    return table(rows, list(rows[0])) + "\n\n" + rates(read("front")["rows"][-1])
+
+
+def scaling() -> str:
+    results = read("scaling")
+    rows = []
+    for r in results["rows"]:
+        key = {"solver": r["solver"].replace("dembones 0", "Dem Bones, regularisers 0"),
+               "over": {"F": "frames", "V": "vertices", "B": "bones"}[r["over"]],
+               "exponent": f"{r['exponent']:.2f}"}  # fmt: skip
+        if not rows or any(rows[-1][k] != v for k, v in key.items()):
+            rows.append(key | {"size: seconds": ""})
+        rows[-1]["size: seconds"] += f"{r['size']}: {r['seconds']:.1f}   "
+    for row in rows:
+        row["size: seconds"] = ", ".join(row["size: seconds"].split("   "))[:-2]
+    clock = {"cpu": "CPU seconds", "wall": "Seconds"}[results["clock"]]
+    return f"{clock} of one call.\n\n{table(rows, list(rows[0]))}\n\n{rates(results['rows'][-1])}"
+
+
+def rest_poses() -> str:
+    found: dict[str, dict[str, Any]] = {}
+    names = {
+        "ssdr balanced": "solved, from frame 0",
+        "ssdr balanced middle": "solved, from the middle",
+        "ssdr balanced fixed": "fixed at frame 0",
+        "ssdr balanced fixed middle": "fixed at the middle",
+    }
+    for r in read("choices")["rows"]:
+        if r["solver"] in names:
+            case = f"{r['sequence']}, {r['bones']}"
+            line = found.setdefault(case, {"sequence, bones": case})
+            line[names[r["solver"]]] = figure(r["E"])
+    return table(list(found.values()), ["sequence, bones", *names.values()])
+
+
+def smoothness() -> str:
+    rows = [
+        {
+            "sequence, bones": f"{r['sequence']}, {r['bones']}",
+            "smoothness / diagonal": r["solver"].split()[1], "E, fitted frames": figure(r["E"]),
+            "E, frames kept out": figure(r["E kept out"]),
+            "mean jump of weights across an edge": figure(r["jump"]),
+        }
+        for r in read("choices")["rows"] if r["solver"].startswith("smooth")
+    ]  # fmt: skip
+    rows.sort(key=lambda r: (r["sequence, bones"], float(r["smoothness / diagonal"])))
+    return table(rows, list(rows[0]))
+
+
 PARTS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
+    "race_errors": race_errors, "race_times": race_times, "race_apart": race_apart,
+    "race_history": race_history, "sizes": sizes, "scaling": scaling, "rest_poses": rest_poses,
+    "smoothness": smoothness,
 }  # fmt: skip
 
 

@@ -110,9 +110,9 @@ def test_front_and_interpolation_in_bytes() -> None:
 
 def test_exponent_of_a_sweep() -> None:
     runs = [
-        _run("ssdr balanced", [[1, s, s, 1.0]]) | {"V": v, "F": 100, "total wall": 0.001 * v**1.5,
-         "peak MiB": 1}
-        for v, s in ((500, 1.0), (1000, 1.0), (2000, 1.0))
+        _run("ssdr balanced", [[1, 1.0, 1.0, 1.0]], V=v, F=100)
+        | {"bones": 20, "total wall": 0.001 * v**1.5, "peak MiB": 1}
+        for v in (500, 1000, 2000)
     ]  # fmt: skip
     rows = tables.scaling_rows(runs, "wall")
     assert {r["over"] for r in rows} == {"V"}
