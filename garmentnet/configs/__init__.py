@@ -90,10 +90,9 @@ class TrainOptions:
     high_learning_rate: float = 1e-3
     weight_decay: float = 0.0
     gradient_norm: float = 1.0
-    epochs: int = 200
-    high_epochs: int = 60
+    epochs: int = 48
+    high_epochs: int = 20
     validate_every: int = 2
-    plateau: int = 4
     patience: int = 10
     time_limit: float = 0.0
     threads: int = 0

@@ -139,9 +139,7 @@ def test_seeds(toy_store, toy_config, tmp_path):
 def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
     seen = []
     # A rate of nothing: validation cannot improve after the first time.
-    config = toy_config(
-        epochs=50, high_epochs=1, validate_every=1, patience=3, plateau=2, learning_rate=1e-12
-    )
+    config = toy_config(epochs=50, high_epochs=1, validate_every=1, patience=3, learning_rate=1e-12)
     train(toy_store, config, tmp_path, callback=lambda p: seen.append(p) and False)
     low = [p for p in seen if p.phase == "low"]
     assert len(low) <= 8
