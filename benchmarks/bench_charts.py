@@ -84,9 +84,11 @@ def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
             axis.set_ylabel("E")
         if k // columns == rows - 1 or k + columns >= len(cases):
             axis.set_xlabel(clock_label(clock) + " since the call")
-    waits_chart(figure.add_subplot(grid[rows, 1:]), [r for c in cases.values() for r in c])
+    waits_chart(figure.add_subplot(grid[rows, 1:]), [r for c in cases.values() for r in c], clock)
+    labels = [label for label, _, _ in STYLE.values() if label in handles]
+    labels += [label for label in handles if label not in labels]
     figure.legend(
-        handles.values(), handles, loc="upper center", ncols=4, fontsize=8, frameon=False,
+        [handles[label] for label in labels], labels, loc="upper center", ncols=4, fontsize=8, frameon=False,
         bbox_to_anchor=(0.5, 1.0),
     )  # fmt: skip
     figure.tight_layout(rect=(0, 0, 1, 1 - 0.55 / figure.get_figheight()))
@@ -95,17 +97,15 @@ def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
     plt.close(figure)
 
 
-def waits_chart(axis: Any, records: list[Record]) -> None:
+def waits_chart(axis: Any, records: list[Record], clock: str) -> None:
     """Before the first call of a process: imports, and kernels from the cache or compiled."""
-    named = {"ssdr balanced": "ssdr", "dembones 0": "Dem Bones"}
     bars: list[tuple[str, float]] = []
-    for solver, name in named.items():
-        runs = [r["waits"] for r in records if r["solver"] == solver and "waits" in r]
-        if runs:
-            bars.append((f"{name}: import", float(np.median([w.get("import", 0) for w in runs]))))
-        if runs and "kernels" in runs[0]:
-            median = float(np.median([w["kernels"] for w in runs]))
-            bars.append((f"{name}: kernels from the cache", median))
+    for solver, name in {"ssdr balanced": "ssdr", "dembones 0": "Dem Bones"}.items():
+        waits = [r["waits"] for r in records if r["solver"] == solver and "waits" in r]
+        for key, what in {"import": "import", "kernels": "kernels from the cache"}.items():
+            seconds = [w.get(f"{key} cpu" if clock == "cpu" else key) for w in waits]
+            if known := [s for s in seconds if s is not None]:
+                bars.append((f"{name}: {what}", float(np.median(known))))
     first = RESULTS / "first_call.json"
     if first.exists():
         waits = {r["what"]: r for r in json.loads(first.read_text())["waits"]}
@@ -117,7 +117,7 @@ def waits_chart(axis: Any, records: list[Record]) -> None:
         axis.text(max(seconds, 1e-3), k, f" {seconds:.2g} s", va="center", fontsize=7)
     axis.invert_yaxis()
     axis.set(xscale="log", xlim=(1e-3, 100))
-    axis.set_title("seconds before the first call, not in the curves")
+    axis.set_title(clock_label(clock) + " before the first call, not in the curves")
     axis.tick_params(labelsize=7)
 
 
