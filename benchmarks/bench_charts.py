@@ -88,8 +88,8 @@ def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
     labels = [label for label, _, _ in STYLE.values() if label in handles]
     labels += [label for label in handles if label not in labels]
     figure.legend(
-        [handles[label] for label in labels], labels, loc="upper center", ncols=4, fontsize=8, frameon=False,
-        bbox_to_anchor=(0.5, 1.0),
+        [handles[label] for label in labels], labels, loc="upper center", ncols=4, fontsize=8,
+        frameon=False, bbox_to_anchor=(0.5, 1.0),
     )  # fmt: skip
     figure.tight_layout(rect=(0, 0, 1, 1 - 0.55 / figure.get_figheight()))
     path.parent.mkdir(parents=True, exist_ok=True)
