@@ -111,7 +111,14 @@ class LowFrequency(nn.Module):
         self.gru = nn.GRU(inputs, hidden, batch_first=True)
         self.out = nn.Linear(hidden, bones * width)
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Normalised bone motion ``(N, T, B, C)`` and the new state ``(1, N, H)``."""
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Normalised bone motion ``(N, T, B, C)`` and the new state ``(1, N, H)``.
+
+        `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
+        """
         h, state = self.gru(x, state)
+        if mask is not None:
+            h = h * mask
         return self.out(h).unflatten(-1, self.code.shape), state

@@ -88,7 +88,13 @@ class LowTask:
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        z, state = self.module(batch.inputs().to(self.network.device), state)
+        x, drop = batch.inputs(), self.network.config.low.dropout
+        mask = None
+        if drop:
+            # From the loop's own generator: a run that goes on draws what it would have drawn.
+            keep = rng.random((*x.shape[:2], self.module.gru.hidden_size), np.float32) >= drop
+            mask = torch.from_numpy(keep).to(self.network.device) / (1 - drop)
+        z, state = self.module(x.to(self.network.device), state, mask)
         code = torch.cat([_extra(w[0])[w[1] : w[2]] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
         # An exact fit has no direction; the floor (1 µm) keeps its gradient finite.

@@ -67,6 +67,7 @@ class LowOptions:
     hidden: int = 600
     rotation: Literal["euler", "vector", "sixd"] = "euler"
     laplacian: float = 1.0
+    dropout: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,6 +143,9 @@ class Config:
                 for number in value if isinstance(value, tuple) else (value,):
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)
+
+        if self.low.dropout >= 1:
+            raise InputError("low.dropout", "a share below 1", self.low.dropout)
 
     def as_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

@@ -72,9 +72,10 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
         assert rows["network"].overall.rmse < 0.7 * rows[other].overall.rmse
 
 
-def test_low_loss_against_vertices(toy_store, toy_bones, toy_network):
+def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatch):
     """The loss that never sees a vertex, and its gradient, against the paper's sum over them."""
     network = toy_network.networks[0]
+    monkeypatch.setattr(network, "config", override(network.config, ["low.dropout=0.0"]))
     task = LowTask(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
     batch = next(batches(task.tracks, 1, 20, None))
     loss, _ = task.loss(batch, None, np.random.default_rng(0))
