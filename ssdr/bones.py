@@ -1,4 +1,4 @@
-"""Rigid bone transforms of given weights, usable alone."""
+"""Bone transforms of given weights, usable alone."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .checks import (
     as_sequences,
+    check_bone_model,
     check_count,
     check_importance,
     check_mask,
@@ -24,6 +25,7 @@ from .kernels.lbs import squared_error_range
 from .model import Fixed, Model, bone_step
 from .parallel import chunk_bounds, run_chunks
 from .sequence import MeshSequence
+from .skinning import BoneModel
 from .trajectories import Array, Trajectories, gather
 
 __all__ = ["BoneFit", "fit_bones"]
@@ -41,7 +43,7 @@ class BoneFit:
     sweeps : int
         Gauss–Seidel sweeps that were made.
     converged : bool
-        Whether the last sweep turned no bone by more than `tolerance`.
+        Whether the last sweep moved no bone by more than `tolerance`.
     """
 
     transforms: NDArray[np.float64]
@@ -58,17 +60,19 @@ def fit_bones(
     joints: Any,
     weights: Any,
     bones: int | None = None,
+    bone_model: BoneModel = "rigid",
     transforms: Any = None,
     locked_bones: Any = None,
     vertex_importance: Any = None,
     tolerance: float = 1e-6,
     max_sweeps: int = 200,
 ) -> BoneFit:
-    """Rigid transforms that reproduce a sequence under given rest pose and weights.
+    """Transforms that reproduce a sequence under given rest pose and weights.
 
     Each sweep solves one weighted Kabsch a bone and frame with the others held
-    (Gauss–Seidel); frames are independent.  Also the way to carry a model over
-    to new motion of the same mesh.
+    (Gauss–Seidel), for similarity bones with Umeyama's scale; for affine ones a
+    single linear solve finds all of them.  Frames are independent.  Also the way
+    to carry a model over to new motion of the same mesh.
 
     Parameters
     ----------
@@ -78,8 +82,9 @@ def fit_bones(
     joints, weights : (V, K) arrays
     bones : int, optional
         Number of bones; by default as many as `joints` or `transforms` name.
+    bone_model : {"rigid", "similarity", "affine"}
     transforms : (F, B, 3, 4) array, optional
-        Where to start; by default each bone's own Kabsch fit.
+        Where to start; by default each bone's own fit.
     locked_bones : mask or indices, optional
         Bones that keep the given transforms.
     vertex_importance : (V,) array, optional
@@ -99,13 +104,14 @@ def fit_bones(
 
     References
     ----------
-    Le and Deng 2012, section 3.3; Kabsch 1976.
+    Le and Deng 2012, section 3.3; Kabsch 1976; Umeyama 1991.
     """
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     rest = check_rest(rest, n)
     joints, weights = check_weights(joints, weights, n)
-    world = None if transforms is None else check_transforms(transforms, n_frames)
+    bone_model = check_bone_model(bone_model)
+    world = None if transforms is None else check_transforms(transforms, n_frames, bone_model)
     count = int(joints.max()) + 1 if world is None else world.shape[1]
     if bones is not None:
         expected = f"an integer >= {count}, as joints and transforms name"
@@ -129,14 +135,15 @@ def fit_bones(
     )
     inner, start = data.from_world(rest, world)
     if start is None:
-        start = bones_of_weights(data, inner, joints, weights, count)
+        start = bones_of_weights(data, inner, joints, count, bone_model)
     model = Model.start(start, inner, joints[:, 0], joints.shape[1])
     model.joints, model.weights = joints.copy(), weights.copy()
+    fixed = Fixed(bones=locked, bone_model=bone_model)
     sweeps, moved = 0, np.inf
     while sweeps < max_sweeps and moved > tolerance:
         before = model.transforms.copy()
         step = min(5, max_sweeps - sweeps)
-        bone_step(data, model, sweeps=step, fixed=Fixed(bones=locked))
+        bone_step(data, model, sweeps=step, fixed=fixed)
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
     out_rest, out = data.to_world(model.rest, model.transforms)
@@ -148,10 +155,10 @@ def fit_bones(
 
 
 def bones_of_weights(
-    data: Trajectories, rest: Array, joints: NDArray[np.int32], weights: Array, count: int
+    data: Trajectories, rest: Array, joints: NDArray[np.int32], count: int, bone_model: BoneModel
 ) -> Array:
-    """Each bone's Kabsch fit to the vertices that it moves most."""
-    return fit_patches(data, rest, joints[:, 0].astype(np.intp), count)
+    """Each bone's own fit to the vertices that it moves most."""
+    return fit_patches(data, rest, joints[:, 0].astype(np.intp), count, bone_model)
 
 
 def true_squared_error(

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError
 from .sequence import MeshSequence
+from .skinning import BoneModel
 
 __all__ = [
     "as_sequences",
+    "check_bone_model",
     "check_bones",
     "check_count",
     "check_importance",
@@ -96,6 +98,13 @@ def check_bones(bones: Any, n_vertices: int) -> int:
     return count
 
 
+def check_bone_model(bone_model: Any) -> BoneModel:
+    if bone_model not in get_args(BoneModel):
+        raise InputError("bone_model", f"one of {get_args(BoneModel)}", repr(bone_model))
+    model: BoneModel = bone_model
+    return model
+
+
 def check_influences(influences: Any) -> int:
     expected = "an integer from 1 to 64"
     count = _integer(influences, "influences", expected)
@@ -132,21 +141,41 @@ def check_rest(rest: Any, n_vertices: int) -> Array:
     return _finite(rest, "rest", (n_vertices, 3))
 
 
-def check_transforms(transforms: Any, n_frames: int) -> Array:
-    """Rigid transforms (F, B, 3, 4): rotations orthonormal to 1e-4, then cleaned."""
+def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "rigid") -> Array:
+    """Transforms (F, B, 3, 4) that the bone model allows.
+
+    Rotations, scaled or not, orthogonal to 1e-4 and then cleaned; affine maps
+    that keep orientation.
+    """
     m = _finite(transforms, "transforms", (n_frames, "B", 3, 4))
     if m.shape[1] < 1:
         raise InputError("transforms", "at least one bone", f"shape {m.shape}")
     r = m[..., :3]
-    off = np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max()
-    expected = "rigid transforms (rotations, det +1)"
-    if off > 1e-4:
-        raise InputError("transforms", expected, f"off by {off:.2g}")
-    if (np.linalg.det(r) < 0).any():
+    expected = {
+        "rigid": "rigid transforms (rotations, det +1)",
+        "similarity": "similarities (uniformly scaled rotations, det > 0)",
+        "affine": "affine transforms that keep orientation (det > 0)",
+    }[bone_model]
+    gram = np.einsum("tjca,tjcb->tjab", r, r)
+    size = np.ones(m.shape[:2])
+    if bone_model != "rigid":
+        size = np.sqrt(np.trace(gram, axis1=2, axis2=3) / 3)
+    if not (size > 0).all():
+        raise InputError("transforms", expected, "a 3×3 block of zeros")
+    if bone_model != "affine":
+        off = np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max()
+        if off > 1e-4:
+            raise InputError("transforms", expected, f"off by {off:.2g}")
+    det = np.linalg.det(r / size[..., None, None])
+    if (det < 0).any():
         raise InputError("transforms", expected, "a reflection")
+    if bone_model == "affine":
+        if not (det > 1e-12).all():
+            raise InputError("transforms", expected, "a singular 3×3 block")
+        return m
     u, _, vt = np.linalg.svd(r)
     clean = m.copy()
-    clean[..., :3] = u @ vt
+    clean[..., :3] = (u @ vt) * size[..., None, None]
     return clean
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from .bones import true_squared_error
 from .checks import (
     as_sequences,
+    check_bone_model,
     check_bones,
     check_count,
     check_importance,
@@ -34,6 +35,7 @@ from .skinning import BoneModel, Skinning
 from .smoothness import WeightSmoothness
 from .state import SolverState
 from .streaming import AllFrames, needs_streaming, scan, subset
+from .stretching import normalise_gauge
 from .trajectories import Alignment, gather
 from .weights import pad_influences
 
@@ -73,10 +75,11 @@ def decompose(
     frame_importance: Any = None,
     tolerance: Any = None,
 ) -> Decomposition:
-    """Find a rest pose, sparse convex skin weights and rigid bones for an animated mesh.
+    """Find a rest pose, sparse convex skin weights and bones for an animated mesh.
 
     Minimises Σ_t Σ_i |v_i^t − Σ_j w_ij (R_j^t p_i + T_j^t)|² over rest pose p,
-    weights w (w >= 0, Σ_j w_ij = 1, at most K of them a vertex) and rigid (R, T).
+    weights w (w >= 0, Σ_j w_ij = 1, at most K of them a vertex) and bones (R, T),
+    rigid unless `bone_model` says otherwise.
 
     Parameters
     ----------
@@ -90,7 +93,9 @@ def decompose(
         Most bones a vertex (K).
     effort : {"fast", "balanced", "best"}
         Place on the curve of speed against accuracy.
-    bone_model : {"rigid"}
+    bone_model : {"rigid", "similarity", "affine"}
+        What a bone may do: turn and move, also grow and shrink uniformly, or
+        stretch and shear as well (det > 0 always).
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     max_iterations : int, optional
@@ -154,8 +159,7 @@ def decompose(
     influences = check_influences(influences)
     if effort not in get_args(Effort):
         raise InputError("effort", f"one of {get_args(Effort)}", repr(effort))
-    if bone_model != "rigid":
-        raise InputError("bone_model", "'rigid'", repr(bone_model))
+    bone_model = check_bone_model(bone_model)
     if tolerance is not None:
         raise InputError("tolerance", "None (reserved)", repr(tolerance))
     if max_iterations is not None:
@@ -176,7 +180,7 @@ def decompose(
     generator = check_rng(rng)
     parts = check_parts(
         n, n_frames, bones, influences, rest, joints, weights, transforms,
-        locked_vertices, locked_bones,
+        locked_vertices, locked_bones, bone_model,
     )  # fmt: skip
     importance = check_importance(vertex_importance, "vertex_importance", n)
     frame_weights = check_importance(frame_importance, "frame_importance", n_frames)
@@ -204,7 +208,10 @@ def decompose(
         "max_iterations": max_iterations,
         "input": fingerprint(data, solved_parts),
     }  # fmt: skip
-    fixed = Fixed(rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones)
+    fixed = Fixed(
+        rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones,
+        bone_model=bone_model,
+    )  # fmt: skip
     inner = normalise(data, solved_parts, start_frame)
     smooth = WeightSmoothness.build(data, sequences[0].faces, smoothness)
     run = Run(
@@ -342,6 +349,9 @@ def _result(
 ) -> Decomposition:
     data, model = outcome.alignment, outcome.model
     joints, weights = pad_influences(model, influences)
+    if run.fixed.bone_model != "rigid":
+        model = model.copy()  # the state keeps its own, so that resuming goes on to the same bits
+        normalise_gauge(model, run.data.importance, run.fixed)
     rest, transforms = data.to_world(model.rest, model.transforms)
     squared = true_squared_error(sequences, rest, joints, weights, transforms)
     count = data.n_frames * len(rest)
@@ -349,7 +359,8 @@ def _result(
     first = sequences[0]
     skinning = Skinning(
         rest, joints, weights, transforms, faces=first.faces, fps=first.fps,
-        surface=first.surface, vertex_map=first.vertex_map, name=first.name,
+        bone_model=run.fixed.bone_model, surface=first.surface, vertex_map=first.vertex_map,
+        name=first.name,
     )  # fmt: skip
     values = np.array([r[2] for r in outcome.records])
     errors = data.scale * np.sqrt(np.maximum(values, 0.0) / count)

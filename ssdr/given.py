@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .checks import check_mask, check_rest, check_transforms, check_weights
 from .errors import InputError
+from .skinning import BoneModel
 from .trajectories import Alignment, Array, Trajectories
 
 __all__ = ["Given", "Parts", "check_parts", "fingerprint", "normalise"]
@@ -41,7 +42,7 @@ class Parts:
 
 def check_parts(
     n: int, n_frames: int, bones: int, influences: int, rest: Any, joints: Any, weights: Any,
-    transforms: Any, locked_vertices: Any, locked_bones: Any,
+    transforms: Any, locked_vertices: Any, locked_bones: Any, bone_model: BoneModel = "rigid",
 ) -> Parts:  # fmt: skip
     if (joints is None) != (weights is None):
         missing = "joints" if joints is None else "weights"
@@ -71,7 +72,7 @@ def check_parts(
         raise InputError("locked_vertices", "None without joints and weights", "a mask")
     bone_mask = None
     if transforms is not None:
-        transforms = check_transforms(transforms, n_frames)
+        transforms = check_transforms(transforms, n_frames, bone_model)
         count = transforms.shape[1]
         if count > bones:
             raise InputError("transforms", f"at most {bones} bones, as asked for", count)

@@ -8,12 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import as_sequences, check_bones, check_influences, check_rest, check_rng
+from .affine import PATCH_RIDGE, solve_affine
+from .checks import (
+    as_sequences,
+    check_bone_model,
+    check_bones,
+    check_influences,
+    check_rest,
+    check_rng,
+)
 from .kernels.frames import sweep_bones
 from .model import CHUNK, Fixed, Model, vertex_step
 from .parallel import chunk_bounds, run_chunks, serial_blas
 from .sequence import MeshSequence
-from .skinning import Skinning
+from .skinning import BoneModel, Skinning
 from .trajectories import Array, Trajectories, gather
 
 __all__ = ["farthest_points", "fit_patches", "initialize", "start_model"]
@@ -21,6 +29,7 @@ __all__ = ["farthest_points", "fit_patches", "initialize", "start_model"]
 _PATCHES_PER_BONE = 8
 _SAMPLE = 20_000  # vertices that choose among patches
 _REFITS = 3
+_FEWEST_STRETCHED = 6  # vertices from which a patch may do more than move rigidly
 _SKETCH = 32  # dimensions in which distances between trajectories are compared
 
 
@@ -30,6 +39,7 @@ def initialize(
     *,
     bones: int,
     influences: int = 4,
+    bone_model: BoneModel = "rigid",
     rest: Any = None,
     rng: int | np.random.Generator = 0,
 ) -> Skinning:
@@ -50,6 +60,7 @@ def initialize(
         1 to V.
     influences : int
         Most bones a vertex.
+    bone_model : {"rigid", "similarity", "affine"}
     rest : (V, 3) array, optional
         A rest pose to keep; by default it is solved for, from the first frame on.
     rng : int or numpy.random.Generator
@@ -72,16 +83,18 @@ def initialize(
     n = sequences[0].n_vertices
     bones = check_bones(bones, n)
     k = check_influences(influences)
+    bone_model = check_bone_model(bone_model)
     generator = check_rng(rng)
     inner_rest = None if rest is None else check_rest(rest, n)
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
-    model = start_model(data, start, bones, min(k, bones), generator)
-    vertex_step(data, model, fixed=Fixed(rest=rest is not None))
+    model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
+    fixed = Fixed(rest=rest is not None, bone_model=bone_model)
+    vertex_step(data, model, fixed=fixed)
     out_rest, transforms = data.to_world(model.rest, model.transforms)
     return Skinning(
         out_rest, model.joints, model.weights, transforms,
-        faces=sequences[0].faces, fps=sequences[0].fps,
+        faces=sequences[0].faces, fps=sequences[0].fps, bone_model=bone_model,
     )  # fmt: skip
 
 
@@ -112,8 +125,14 @@ def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp],
     return np.array(seeds), label
 
 
-def fit_patches(data: Trajectories, rest: Array, label: NDArray[np.intp], count: int) -> Array:
-    """Kabsch of `count` disjoint sets of vertices in every frame, (F, count, 3, 4).
+def fit_patches(
+    data: Trajectories,
+    rest: Array,
+    label: NDArray[np.intp],
+    count: int,
+    bone_model: BoneModel = "rigid",
+) -> Array:
+    """Best transforms of `count` disjoint sets of vertices in every frame, (F, count, 3, 4).
 
     Vertices with a negative label belong to no set; an empty set gets the identity.
     """
@@ -141,7 +160,11 @@ def fit_patches(data: Trajectories, rest: Array, label: NDArray[np.intp], count:
         piece = np.ascontiguousarray(transforms[:, j : j + 1])
         sums = np.ascontiguousarray(c[..., j : j + 1])
         block = own[j].reshape(1, 1, 4, 4).copy()
-        sweep_bones(piece, sums, block, start, nobody, free, 1, 0, len(piece))
+        # a handful of vertices says little about stretch
+        stretches = bone_model != "rigid" and bounds[j + 1] - bounds[j] >= _FEWEST_STRETCHED
+        sweep_bones(piece, sums, block, start, nobody, free, stretches, 1, 0, len(piece))
+        if stretches and bone_model == "affine":
+            solve_affine(piece, block, sums, free, ridge=PATCH_RIDGE)
         transforms[:, j] = piece[:, 0]
 
     run_chunks(work, chunk_bounds(count, 1))
@@ -230,6 +253,7 @@ def start_model(
     influences: int,
     rng: np.random.Generator,
     given: Array | None = None,
+    bone_model: BoneModel = "rigid",
 ) -> Model:
     """First model: patches by farthest points, Kabsch each, the best of them, refitted.
 
@@ -251,7 +275,7 @@ def start_model(
         )
         label = np.full(n, -1, dtype=np.intp)
         label[rows] = label_rows
-        patches = fit_patches(data, rest, label, len(seeds))
+        patches = fit_patches(data, rest, label, len(seeds), bone_model)
         cost, _ = single_bone_errors(data, rest, patches, rows)
         held = None
         if n_given:
@@ -262,7 +286,7 @@ def start_model(
     kept = np.ascontiguousarray(kept)
     for _ in range(_REFITS):
         nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
-        refit = fit_patches(data, rest, nearest, bones)
+        refit = fit_patches(data, rest, nearest, bones, bone_model)
         used = np.bincount(nearest, minlength=bones) >= 3
         used[:n_given] = False
         kept[:, used] = refit[:, used]

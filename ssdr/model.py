@@ -7,9 +7,11 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from .affine import solve_affine
 from .kernels.frames import bone_moments, sweep_bones
 from .kernels.vertices import removal_cost, solve_vertices
 from .parallel import chunk_bounds, run_chunks, serial_blas
+from .skinning import BoneModel
 from .trajectories import Array, Trajectories
 
 __all__ = ["Fixed", "Model", "bone_costs", "bone_step", "bone_sums", "vertex_step"]
@@ -110,11 +112,12 @@ class Model:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fixed:
-    """What a caller wants left alone."""
+    """What a caller wants left alone, and what bones may do."""
 
     rest: bool = False
     weights: NDArray[np.bool_] | None = None  # (V,) vertices whose weights stay
     bones: NDArray[np.bool_] | None = None  # (B,) bones whose transforms stay
+    bone_model: BoneModel = "rigid"
 
     def keep_weights(self, n: int) -> NDArray[np.bool_]:
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights
@@ -223,14 +226,24 @@ def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 def bone_step(
     data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE
 ) -> tuple[Array, Array]:
-    """Gauss–Seidel sweeps of Kabsch over the bones of every frame (in place); returns the sums."""
+    """Transforms of every frame under the weights and rest pose (in place); returns the sums.
+
+    Gauss–Seidel sweeps over the bones where they are rotations, scaled or not;
+    one linear solve for all bones of all frames where they are affine.
+    """
     u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
-    start, neighbour = neighbours(u)
     locked = fixed.locked(model.n_bones)
+    if fixed.bone_model == "affine":
+        solve_affine(model.transforms, u, c, locked)
+        return u, c
+    start, neighbour = neighbours(u)
+    scaled = fixed.bone_model == "similarity"
     work_size = max(1, -(-data.n_frames // 16))
 
     def work(_: int, i: int, k: int) -> None:
-        sweep_bones(model.transforms[i:k], c[i:k], u, start, neighbour, locked, sweeps, 0, k - i)
+        sweep_bones(
+            model.transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps, 0, k - i
+        )
 
     run_chunks(work, chunk_bounds(data.n_frames, work_size))
     return u, c

@@ -21,6 +21,7 @@ from .model import Fixed, Model, bone_step, vertex_step
 from .projection import Polish
 from .reseeding import merge_step, reseed_step
 from .smoothness import WeightSmoothness
+from .stretching import normalise_gauge, polish_of
 from .trajectories import Trajectories
 
 __all__ = ["EFFORTS", "Op", "Run", "make_plan"]
@@ -226,7 +227,9 @@ class Run:
             if bones is None:
                 from .bones import bones_of_weights
 
-                bones = bones_of_weights(data, rest, given.joints, given.weights, self.bones)
+                bones = bones_of_weights(
+                    data, rest, given.joints, self.bones, self.fixed.bone_model
+                )
             model = Model.start(bones.copy(), rest, given.joints[:, 0], self.influences)
             k = min(self.influences, given.joints.shape[1])
             model.joints[:, :k], model.weights[:, :k] = given.joints[:, :k], given.weights[:, :k]
@@ -242,7 +245,9 @@ class Run:
         else:
             most = data.n_vertices
             count = min(most, max(self.bones, round(self.bones * op.amount)))
-            model = start_model(data, rest, count, self.influences, rng, given.transforms)
+            model = start_model(
+                data, rest, count, self.influences, rng, given.transforms, self.fixed.bone_model
+            )
         vertex_step(data, model, fixed=self.fixed)
         self.model = model
         return True
@@ -255,6 +260,7 @@ class Run:
         if self.smooth is not None:
             pull, stiff = self.smooth.terms(model)
         vertex_step(self.data, model, fixed=self.fixed, pull=pull, stiff=stiff)
+        normalise_gauge(model, self.data.importance, self.fixed)
         self.iteration += 1
         after = self.value(model)
         still = before - after < _PLATEAU * before
@@ -284,7 +290,7 @@ class Run:
     def _do_polish(self, op: Op) -> bool:
         model = self._current()
         if self._polish is None:
-            self._polish = Polish(self.data, model, fixed=self.fixed, damping=self.damping)
+            self._polish = polish_of(self.data, model, fixed=self.fixed, damping=self.damping)
         polish = self._polish
         if not self.recent:
             self.recent = [polish.value]
@@ -305,6 +311,7 @@ class Run:
             model.widen()
         bone_step(self.data, model, fixed=self.fixed)
         vertex_step(self.data, model, fixed=self.fixed)
+        normalise_gauge(model, self.data.importance, self.fixed)
         self.iteration += 1
         return False
 

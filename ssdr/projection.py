@@ -18,6 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .affine import flat_blocks
 from .kernels.polish import polish_vertices
 from .kernels.tangents import (
     apply_vertex_step,
@@ -44,7 +45,6 @@ _GENERATORS = np.array(
     ],
     dtype=np.float64,
 )
-_TERMS = np.argwhere(_GENERATORS != 0)
 
 
 @dataclasses.dataclass(eq=False)
@@ -57,7 +57,7 @@ class _Eliminated:
 
 
 class Polish:
-    """Variable-projection steps on one model.
+    """Variable-projection steps on one model of rigid bones.
 
     Parameters
     ----------
@@ -73,6 +73,8 @@ class Polish:
     group : int
         Frames that share a factor in the preconditioner.
     """
+
+    generators = _GENERATORS  # rows of p̃, 3 × the dimension of a tangent
 
     def __init__(
         self,
@@ -108,10 +110,7 @@ class Polish:
             joints=model.joints.copy(), weights=model.weights.copy(), error=model.error.copy(),
         )  # fmt: skip
         step = self._back_substitute(x)
-        run_chunks(
-            lambda _, i, k: move_bones(trial.transforms[i:k], x[i:k], self._locked, 0, k - i),
-            self._frames,
-        )
+        self._move(trial.transforms, x)
         move_rest = not self.fixed.rest
 
         def work(_: int, i: int, k: int) -> None:
@@ -160,33 +159,33 @@ class Polish:
         return left
 
     def _solve(self) -> tuple[Array, float]:
-        """Tangents (F, B, 6) of the damped step and the decrease that they promise."""
+        """Tangents (F, B, n) of the damped step and the decrease that they promise."""
         data, model = self.data, self.model
         n_frames, n_bones = model.transforms.shape[:2]
         u, c = bone_sums(data, model.joints, model.weights, model.rest, n_bones)
         scale = data.frame_scale
         hat = self._left.hat
-        u_flat = np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n_bones, 4 * n_bones)
+        u_flat = flat_blocks(u)
         # half gradient of the objective in the stacked transforms: hat·U − C
         slope = hat @ u_flat - (c * scale[:, None, None, None]).reshape(hat.shape)
         gradient = self._pullback(slope)
         no_cross = np.zeros((n_bones, n_bones, 4, 4))
         _, total = self._eliminate(no_cross, 1.0)
-        rhs = -(gradient - self._pullback(hat @ self._flat(total)))
+        rhs = -(gradient - self._pullback(hat @ flat_blocks(total)))
         rhs[:, self._locked] = 0.0
 
-        precondition, diagonal = self._preconditioner(u)
+        precondition, damp = self._preconditioner(u)
 
         def apply(x: Array) -> Array:
             image = self._image(x)
             cross = (hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
             _, total = self._eliminate(np.ascontiguousarray(cross), 0.0)
-            out = self._pullback(image @ u_flat - hat @ self._flat(total))
-            out += self.damping * diagonal * x
+            out = self._pullback(image @ u_flat - hat @ flat_blocks(total))
+            out += damp(x)
             out[:, self._locked] = 0.0
             return out
 
-        x = np.zeros((n_frames, n_bones, 6))
+        x = np.zeros((n_frames, n_bones, self.generators.shape[2]))
         residual = rhs.copy()
         z = precondition(residual)
         direction = z.copy()
@@ -206,11 +205,13 @@ class Polish:
             rho, last = float(np.vdot(residual, z)), rho
             direction = z + (rho / last) * direction
         # decrease of the undamped quadratic: 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
-        applied = rhs - residual - self.damping * diagonal * x
+        applied = rhs - residual - damp(x)
         return x, float(2.0 * np.vdot(rhs, x) - np.vdot(x, applied))
 
-    def _preconditioner(self, u: Array) -> tuple[Callable[[Array], Array], Array]:
-        """Inverses of the Gauss–Newton matrix averaged over groups of frames; diagonal (F, B, 6).
+    def _preconditioner(
+        self, u: Array
+    ) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        """Inverses of the Gauss–Newton matrix averaged over groups of frames; damping λ·diag.
 
         With right tangents the block of two bones depends on the frame by R_jᵀR_k
         alone: frames that follow each other share one factor, and applying it is a
@@ -219,9 +220,12 @@ class Polish:
         model, data = self.model, self.data
         n_frames, n_bones = model.transforms.shape[:2]
         frame_weight = data.frame_scale**2
-        size = 6 * n_bones
+        generators = self.generators
+        terms = np.argwhere(generators != 0)
+        n_tangent = generators.shape[2]
+        size = n_tangent * n_bones
         index = np.arange(n_bones)
-        own = np.einsum("dca,jde,ecb->jab", _GENERATORS, u[index, index], _GENERATORS)
+        own = np.einsum("dca,jde,ecb->jab", generators, u[index, index], generators)
         own = np.maximum(np.einsum("jaa->ja", own), 1e-300)
         own = np.maximum(own, 1e-12 * own.max())
         groups = chunk_bounds(n_frames, max(self.group, -(-n_frames // _GROUPS)))
@@ -231,10 +235,10 @@ class Polish:
         def invert(_: int, i: int, k: int) -> Array:
             stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
             turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
-            mean = np.zeros((6, 6, n_bones, n_bones))
-            for d, c, a in _TERMS:
-                for e, f, b in _TERMS:
-                    sign = _GENERATORS[d, c, a] * _GENERATORS[e, f, b]
+            mean = np.zeros((n_tangent, n_tangent, n_bones, n_bones))
+            for d, c, a in terms:
+                for e, f, b in terms:
+                    sign = generators[d, c, a] * generators[e, f, b]
                     mean[a, b] += sign * (turn[c, :, f] * table[d, e])
             matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
             matrix[np.diag_indices(size)] += (self.damping + 1e-9) * own.ravel()
@@ -250,7 +254,14 @@ class Polish:
             out[:, self._locked] = 0.0  # the search stays among the bones that may move
             return out
 
-        return precondition, frame_weight[:, None, None] * own
+        damped = self.damping * (frame_weight[:, None, None] * own)
+        return precondition, lambda x: damped * x
+
+    def _move(self, transforms: Array, x: Array) -> None:
+        run_chunks(
+            lambda _, i, k: move_bones(transforms[i:k], x[i:k], self._locked, 0, k - i),
+            self._frames,
+        )
 
     def _image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]
@@ -266,11 +277,6 @@ class Polish:
             self.data.frame_scale, out, 0, n_frames,
         )  # fmt: skip
         return out
-
-    @staticmethod
-    def _flat(blocks: Array) -> Array:
-        n = len(blocks)
-        return np.ascontiguousarray(blocks.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
         data, model, left = self.data, self.model, self._left

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from .initialization import fit_patches
 from .model import Fixed, Model, bone_costs, bone_step, vertex_step
+from .skinning import BoneModel
 from .trajectories import Array, Trajectories
 
 __all__ = ["alternate", "merge_step", "reseed_step"]
@@ -62,17 +63,20 @@ def reseed_step(
     _, near = cKDTree(model.rest).query(model.rest[seeds], k=size)
     near = np.asarray(near).reshape(len(seeds), size)
     members = near[error[near].sum(axis=1).argmax()]
-    grown = with_patch(data, model.without(np.array([drop])), members)
+    smaller = model.without(np.array([drop]))
+    grown = with_patch(data, smaller, members, fixed.bone_model)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     return grown
 
 
-def with_patch(data: Trajectories, model: Model, members: NDArray[np.intp]) -> Model:
+def with_patch(
+    data: Trajectories, model: Model, members: NDArray[np.intp], bone_model: BoneModel = "rigid"
+) -> Model:
     """A copy with one bone more, that moves `members` as they move themselves."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
-    grown = model.with_bone(fit_patches(data, model.rest, label, 1)[:, 0])
+    grown = model.with_bone(fit_patches(data, model.rest, label, 1, bone_model)[:, 0])
     grown.support[members] = 0
     grown.share[members] = 0.0
     grown.support[members, 0] = grown.n_bones - 1

@@ -8,10 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .checks import as_sequences, check_mask, check_rest, check_transforms, check_weights
+from .checks import (
+    as_sequences,
+    check_bone_model,
+    check_mask,
+    check_rest,
+    check_transforms,
+    check_weights,
+)
 from .errors import InputError
 from .model import Fixed, Model, vertex_step
 from .sequence import MeshSequence
+from .skinning import BoneModel
 from .trajectories import gather
 
 __all__ = ["RestPoseFit", "fit_rest_pose"]
@@ -42,6 +50,7 @@ def fit_rest_pose(
     joints: Any,
     weights: Any,
     transforms: Any,
+    bone_model: BoneModel = "rigid",
     rest: Any = None,
     locked_vertices: Any = None,
 ) -> RestPoseFit:
@@ -55,7 +64,8 @@ def fit_rest_pose(
     faces : (T, 3) int array, optional
     joints, weights : (V, K) arrays
     transforms : (F, B, 3, 4) array
-        Rigid.
+        Such as `bone_model` allows.
+    bone_model : {"rigid", "similarity", "affine"}
     rest : (V, 3) array, optional
         Positions of locked vertices, and what stays where the motion does not
         determine a position; the first frame by default.
@@ -78,7 +88,9 @@ def fit_rest_pose(
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices
     joints, weights = check_weights(joints, weights, n)
-    world = check_transforms(transforms, sum(len(s) for s in sequences))
+    world = check_transforms(
+        transforms, sum(len(s) for s in sequences), check_bone_model(bone_model)
+    )
     if joints.max() >= world.shape[1]:
         raise InputError("joints", f"indices from 0 to {world.shape[1] - 1}", int(joints.max()))
     locked = check_mask(locked_vertices, "locked_vertices", n)

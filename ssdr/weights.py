@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .checks import (
     as_sequences,
+    check_bone_model,
     check_count,
     check_influences,
     check_rest,
@@ -19,6 +20,7 @@ from .initialization import single_bone_errors
 from .model import Fixed, Model, vertex_step
 from .projection import Polish
 from .sequence import MeshSequence
+from .skinning import BoneModel
 from .smoothness import WeightSmoothness
 from .trajectories import gather
 
@@ -53,6 +55,7 @@ def fit_weights(
     rest: Any,
     transforms: Any,
     influences: int = 4,
+    bone_model: BoneModel = "rigid",
     smoothness: float = 0.0,
     iterations: int = 20,
 ) -> WeightFit:
@@ -68,8 +71,9 @@ def fit_weights(
         With plain arrays; only `smoothness` reads it.
     rest : (V, 3) array
     transforms : (F, B, 3, 4) array
-        Rigid, from the rest pose to each frame.
+        From the rest pose to each frame, such as `bone_model` allows.
     influences : int
+    bone_model : {"rigid", "similarity", "affine"}
     smoothness : float
         Length in the mesh's units: a jump of 1 in a weight across an edge costs
         as much as this distance in every frame at one vertex.  0: off.
@@ -94,7 +98,9 @@ def fit_weights(
     n = sequences[0].n_vertices
     k = check_influences(influences)
     rest = check_rest(rest, n)
-    world = check_transforms(transforms, sum(len(s) for s in sequences))
+    world = check_transforms(
+        transforms, sum(len(s) for s in sequences), check_bone_model(bone_model)
+    )
     iterations = check_count(iterations, "iterations")
     data = gather(sequences, bones=world.shape[1])
     inner, bones = data.from_world(rest, world)

@@ -50,9 +50,14 @@ class Effort(StrEnum):
 
 
 class BoneModel(StrEnum):
-    """What bones may do."""
+    """What bones may do: turn and move; also grow uniformly; also stretch and shear."""
 
     rigid = "rigid"
+    similarity = "similarity"
+    affine = "affine"
+
+
+_NO_SHEAR = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx")
 
 
 def decompose(
@@ -120,6 +125,12 @@ def decompose(
     sources = [source] if resume is None else [source, resume]
     check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
     for path in outputs:
+        if bone_model is BoneModel.affine and path.suffix.lower() in _NO_SHEAR:
+            raise InputError(
+                "--bone-model",
+                f"rigid or similarity for {path}, whose joints cannot shear (.npz holds any)",
+                bone_model.value,
+            )
         limited = path.suffix.lower() in (".glb", ".gltf")
         if (
             limited

@@ -7,6 +7,9 @@ import numpy as np
 from .policy import inline, kernel
 from .vertices import monomials
 
+SPECK = 1e-6  # squared radius, of a mesh of unit size, below which a bone's scale is not trusted
+SMALLEST, LARGEST = 0.05, 20.0  # scale of a bone, unless it starts beyond
+
 
 @kernel
 def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
@@ -191,11 +194,12 @@ def rotate_toward(s, r, a, turn, new):
 
 
 @kernel
-def sweep_bones(transforms, c, u, start, neighbour, locked, sweeps, first, last):
+def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, first, last):
     """Gauss–Seidel sweeps over the bones of frames first..last.
 
     transforms (F, B, 3, 4) is updated; c (F, 3, 4, B) is Σ_i v_i w_j p̃; u (B, B, 4, 4);
     bone j shares vertices with ``neighbour[start[j]:start[j+1]]`` (itself left out).
+    With `scaled` the 3×3 blocks are scaled rotations (Umeyama 1991), else rotations.
     """
     n_bones = transforms.shape[1]
     d = np.empty((3, 4))
@@ -223,14 +227,26 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, sweeps, first, last)
                             for g in range(4):
                                 d[e, f] -= m[e, g] * v[g, f]
                 m = transforms[t, j]
+                size = 1.0
+                if scaled:
+                    size = np.sqrt(m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0])
                 for e in range(3):
                     for f in range(3):
                         s[e, f] = d[e, f] - d[e, 3] * own[3, f] / mass
-                        r[e, f] = m[e, f]
+                        r[e, f] = m[e, f] / size
                 rotate_toward(s, r, a, turn, new)
+                if scaled:
+                    # a speck of the present size: a bone without extent keeps it
+                    spread = SPECK * mass
+                    pull = spread * size
+                    for e in range(3):
+                        spread += own[e, e] - own[e, 3] * own[3, e] / mass
+                        for f in range(3):
+                            pull += r[e, f] * s[e, f]
+                    size = min(max(pull / spread, min(size, SMALLEST)), max(size, LARGEST))
                 for e in range(3):
                     for f in range(3):
-                        m[e, f] = r[e, f]
+                        m[e, f] = size * r[e, f]
                     m[e, 3] = d[e, 3] / mass
                     for f in range(3):
-                        m[e, 3] -= r[e, f] * own[f, 3] / mass
+                        m[e, 3] -= m[e, f] * own[f, 3] / mass

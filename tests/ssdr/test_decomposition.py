@@ -635,7 +635,7 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "bones as text": ("bones", {"bones": "5"}),
     "no influences": ("influences", {"influences": 0}),
     "unknown effort": ("effort", {"effort": "heroic"}),
-    "unknown bone model": ("bone_model", {"bone_model": "affine"}),
+    "unknown bone model": ("bone_model", {"bone_model": "soft"}),
     "reserved tolerance": ("tolerance", {"tolerance": 0.1}),
     "no iterations": ("max_iterations", {"max_iterations": 0}),
     "half an iteration": ("max_iterations", {"max_iterations": 2.5}),
