@@ -92,7 +92,7 @@ class TrainOptions:
     weight_decay: float = 0.0
     gradient_norm: float = 1.0
     epochs: int = 48
-    high_epochs: int = 20
+    high_epochs: int = 12
     validate_every: int = 2
     patience: int = 10
     time_limit: float = 0.0
