@@ -43,6 +43,7 @@ _MODULES = (
     "laplacian",
     "metrics",
     "parallel",
+    "parsimony",
     "rigid",
     "samples",
     "sequence",
@@ -78,6 +79,7 @@ __all__ = [
     "load_skinning",
     "metrics",
     "parallel",
+    "parsimony",
     "rigid",
     "samples",
     "save",
@@ -88,7 +90,18 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from . import errors, io, laplacian, metrics, parallel, rigid, samples, sequence, skinning
+    from . import (
+        errors,
+        io,
+        laplacian,
+        metrics,
+        parallel,
+        parsimony,
+        rigid,
+        samples,
+        sequence,
+        skinning,
+    )
     from .bones import fit_bones
     from .decomposition import Decomposition, decompose
     from .errors import (

@@ -25,6 +25,7 @@ from .checks import (
     check_rng,
 )
 from .errors import Cancelled, InputError, SsdrWarning
+from .fewest import Measure
 from .given import Given, check_parts, fingerprint, normalise
 from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
@@ -36,6 +37,7 @@ from .smoothness import WeightSmoothness
 from .state import SolverState
 from .streaming import AllFrames, needs_streaming, scan, subset
 from .stretching import normalise_gauge
+from .tolerance import MOST_BONES, decompose_within
 from .trajectories import Alignment, gather
 from .weights import pad_influences
 
@@ -54,7 +56,7 @@ def decompose(
     sequence: MeshSequence | Any,
     faces: Any = None,
     *,
-    bones: int,
+    bones: int | None = None,
     influences: int = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
@@ -73,7 +75,8 @@ def decompose(
     smoothness: float = 0.0,
     vertex_importance: Any = None,
     frame_importance: Any = None,
-    tolerance: Any = None,
+    tolerance: float | str | None = None,
+    tolerance_of: Measure = "rmse",
 ) -> Decomposition:
     """Find a rest pose, sparse convex skin weights and bones for an animated mesh.
 
@@ -88,7 +91,8 @@ def decompose(
     faces : (T, 3) int array, optional
         With plain arrays.
     bones : int
-        1 to V; the result has exactly as many.
+        1 to V; the result has exactly as many.  With a tolerance the most it may
+        have, by default 256 or V.
     influences : int
         Most bones a vertex (K).
     effort : {"fast", "balanced", "best"}
@@ -127,8 +131,13 @@ def decompose(
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
         Positive; likewise for frames.
-    tolerance
-        Reserved.
+    tolerance : float or str, optional
+        Error to put up with, in the mesh's units or as ``"0.5%"`` of the diagonal:
+        the model of fewest bones, then of fewest bytes, that holds it is looked
+        for, and `parsimony` of the result says what was left out and what that
+        cost.  Not beside weights or transforms handed over, nor `smoothness`.
+    tolerance_of : {"rmse", "max"}
+        Whether it bounds the pooled RMSE or every vertex in every frame.
 
     Returns
     -------
@@ -144,7 +153,8 @@ def decompose(
     Warns
     -----
     SsdrWarning
-        If some bones could go without a loss, so that fewer would do.
+        If some bones could go without a loss, so that fewer would do, or if no
+        model holds the tolerance: the closest is returned.
 
     References
     ----------
@@ -155,13 +165,13 @@ def decompose(
     n = sequences[0].n_vertices
     lengths = [len(s) for s in sequences]
     n_frames = sum(lengths)
-    bones = check_bones(bones, n)
+    if bones is None and tolerance is None:
+        raise InputError("bones", f"an integer from 1 to {n}, or a tolerance", "None")
+    bones = check_bones(min(n, MOST_BONES) if bones is None else bones, n)
     influences = check_influences(influences)
     if effort not in get_args(Effort):
         raise InputError("effort", f"one of {get_args(Effort)}", repr(effort))
     bone_model = check_bone_model(bone_model)
-    if tolerance is not None:
-        raise InputError("tolerance", "None (reserved)", repr(tolerance))
     if max_iterations is not None:
         max_iterations = check_count(max_iterations, "max_iterations", "an integer >= 1 or None")
     if time_limit is not None and not (isinstance(time_limit, _REAL) and time_limit > 0):
@@ -188,6 +198,15 @@ def decompose(
         raise InputError("frame_importance", "numbers > 0", float(frame_weights.min()))
     state = SolverState.load(resume) if isinstance(resume, (str, Path)) else resume
 
+    if tolerance is not None:
+        return decompose_within(
+            sequences, parts, tolerance=tolerance, measure=tolerance_of, bones=bones,
+            influences=influences, effort=effort, bone_model=bone_model, rng=generator,
+            rest_frame=int(rest_frame), smoothness=smoothness, importance=importance,
+            frame_importance=frame_weights, max_iterations=max_iterations,
+            time_limit=time_limit, callback=callback, state=state,
+            ready=_compile,
+        )  # fmt: skip
     compile_seconds = _compile()
     began = time.perf_counter()
     found = None

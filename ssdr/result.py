@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .skinning import Skinning
 from .state import SolverState
+
+if TYPE_CHECKING:
+    from .parsimony import Parsimony
 
 __all__ = ["Decomposition", "Progress", "Record"]
 
@@ -77,10 +80,12 @@ class Decomposition:
     converged : bool
         Whether the last stage ended by its stopping test.
     stop_reason : str
-        "converged", "plan finished", "iterations", "time limit" or "cancelled".
+        "converged", "plan finished", "iterations", "time limit" or "cancelled";
+        with a tolerance "tolerance held" or "tolerance out of reach" for the first two.
     history : tuple of Record
         One record an accepted model; `rmse` never rises (with `smoothness` the
-        penalised error never does); the last is the result.
+        penalised error never does); the last is the result.  With a tolerance
+        one record for each smaller model that held it, then the result.
     offsets : (S + 1,) int array
         First frame of each shot, and the number of frames.
     state : SolverState
@@ -89,6 +94,8 @@ class Decomposition:
         Time that loading or compiling the kernels took in this call.
     warnings : tuple of str
         What was also given as :class:`SsdrWarning`.
+    parsimony : Parsimony or None
+        With a tolerance: how small a model holds it, and what every pruning cost.
     """
 
     skinning: Skinning
@@ -100,6 +107,7 @@ class Decomposition:
     state: SolverState
     compile_seconds: float
     warnings: tuple[str, ...] = ()
+    parsimony: Parsimony | None = None
 
     def reconstruct(self, frames: Any = None) -> NDArray[np.floating]:
         """Positions (f, V, 3) of the named frames, all by default."""

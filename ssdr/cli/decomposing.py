@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import os
 import shlex
@@ -60,16 +61,38 @@ class BoneModel(StrEnum):
 _NO_SHEAR = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx")
 
 
+class ToleranceOf(StrEnum):
+    """Root mean square over all vertices and frames, or the largest distance of any of them."""
+
+    rmse = "rmse"
+    max = "max"
+
+
 def decompose(
     source: Annotated[Path, typer.Argument(metavar="IN", help="Animated mesh.")],
     outputs: Annotated[
         list[Path],
         typer.Option("--output", "-o", metavar="OUT", help="Result; repeat for several formats."),
     ],
-    bones: Annotated[int, typer.Option("--bones", "-b", min=1, help="Number of bones.")],
+    bones: Annotated[
+        int | None,
+        typer.Option("--bones", "-b", min=1, help="Number of bones; with --tolerance the most."),
+    ] = None,
     influences: Annotated[
         int, typer.Option("--influences", "-k", min=1, help="Most bones that move one vertex.")
     ] = 4,
+    tolerance: Annotated[
+        str | None,
+        typer.Option(
+            "--tolerance",
+            metavar="ERROR",
+            help="Find the smallest model with at most this error: a length in the mesh's units, "
+            "or a share of the diagonal such as 0.5%.",
+        ),
+    ] = None,
+    tolerance_of: Annotated[
+        ToleranceOf, typer.Option("--tolerance-of", help="What the tolerance bounds.")
+    ] = ToleranceOf.rmse,
     effort: Annotated[
         Effort, typer.Option("--effort", "-e", help="Speed against accuracy.")
     ] = Effort.balanced,
@@ -122,6 +145,9 @@ def decompose(
     output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
     if time_limit is not None and not (math.isfinite(time_limit) and time_limit > 0):
         raise InputError("--time-limit", "seconds > 0", time_limit)
+    if bones is None and tolerance is None:
+        raise InputError("--bones", "a number of bones, or --tolerance", "neither")
+    wanted = _tolerance(tolerance, tolerance_of)
     sources = [source] if resume is None else [source, resume]
     check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
     for path in outputs:
@@ -134,7 +160,7 @@ def decompose(
         limited = path.suffix.lower() in (".glb", ".gltf")
         if (
             limited
-            and min(influences, bones) > 8
+            and min(influences, bones or influences) > 8
             and "influences" not in write_options(write, path)
         ):
             raise InputError(
@@ -187,6 +213,7 @@ def decompose(
                 smoothness=smoothness,
                 resume=start,
                 callback=follow,
+                **wanted,
             )
         except Cancelled as error:
             raise Interrupted("interrupted before there was a model to save") from error
@@ -235,6 +262,7 @@ def decompose(
         "seconds": solving,
         "load_seconds": loading,
         "compile_seconds": result.compile_seconds,
+        **_pruned_document(result),
         "converged": result.converged,
         "stop_reason": result.stop_reason,
         "iterations": result.history[-1].iteration if result.history else 0,
@@ -249,6 +277,7 @@ def decompose(
         ("model", f"{result.skinning.n_bones} bones, {result.skinning.n_influences} influences"),
         ("RMSE", f"{result.rmse:.4g} in the mesh's units, {100 * share:.3g} % of the diagonal"),
         ("E", f"{e:.4g} = 1000 · RMSE / √3"),
+        *_pruned_rows(result, diagonal),
         ("time", f"{solving:.1f} s{waited}; loading {loading:.1f} s"),
         ("stopped", f"{result.stop_reason}{'' if result.converged else ' (not converged)'}"),
         *[("wrote", saved_line(report, diagonal)) for report in reports],
@@ -263,6 +292,56 @@ def _counts(sequence: Any) -> str:
         f"{sequence.n_frames:,} frames, {sequence.n_vertices:,} vertices, "
         f"{len(sequence.faces):,} triangles, diagonal {length_text(sequence.diagonal(), None)}"
     )
+
+
+def _tolerance(text: str | None, of: ToleranceOf) -> dict[str, Any]:
+    """What the solver is told of a tolerance, refused here if it is none."""
+    if text is None:
+        return {}
+    from ..tolerance import parse_tolerance
+
+    value: str | float = text
+    with contextlib.suppress(ValueError):
+        value = float(text)
+    parse_tolerance(value, 1.0)
+    return {"tolerance": value, "tolerance_of": of.value}
+
+
+def _pruned_document(result: Any) -> dict[str, Any]:
+    found = getattr(result, "parsimony", None)
+    if found is None:
+        return {}
+    return {
+        "tolerance": found.tolerance,
+        "tolerance_of": found.tolerance_of,
+        "tolerance_error": found.error,
+        "held": found.held,
+        "least_bones": found.least_bones,
+        "bytes": found.size.total,
+        "prunings": [dataclasses.asdict(pruning) for pruning in found.prunings],
+    }
+
+
+def _pruned_rows(result: Any, diagonal: float) -> list[tuple[str, str]]:
+    found = getattr(result, "parsimony", None)
+    if found is None:
+        return []
+
+    def share(value: float) -> str:
+        return f"{value:.3g}" + (f" ({100 * value / diagonal:.2g} %)" if diagonal > 0 else "")
+
+    word = "held" if found.held else "not held"
+    kind = {"rmse": "RMSE", "max": "largest error"}[found.tolerance_of]
+    rows = [
+        ("tolerance", f"{word}: {kind} {share(found.error)} of {share(found.tolerance)}"),
+        ("size", f"{found.size.total:,} bytes"),
+    ]
+    for p in found.prunings:
+        saved = p.bytes_before - p.bytes_after
+        rows.append(
+            (p.what, f"{p.before:,} to {p.after:,}, {saved:,} bytes less; error {p.cost:+.2g}")
+        )
+    return rows
 
 
 def _interrupted(result: Any, state_path: Path, output: Output) -> Interrupted:

@@ -636,7 +636,6 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "no influences": ("influences", {"influences": 0}),
     "unknown effort": ("effort", {"effort": "heroic"}),
     "unknown bone model": ("bone_model", {"bone_model": "soft"}),
-    "reserved tolerance": ("tolerance", {"tolerance": 0.1}),
     "no iterations": ("max_iterations", {"max_iterations": 0}),
     "half an iteration": ("max_iterations", {"max_iterations": 2.5}),
     "time as text": ("time_limit", {"time_limit": "10"}),
