@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from ssdr import cli, parsimony, streaming
-from ssdr.fewest import grow_bone, rank_bound
+from ssdr.fewest import grow_bone, rank_bound, reduced
 from ssdr.given import Given
 from ssdr.io.rig import build_rig
 from ssdr.model import Fixed, Model
@@ -455,6 +455,24 @@ def test_no_model_is_below_the_rank_bound(seed: int, bones: int) -> None:
     left = values.sum() - np.concatenate([[0], np.cumsum(values)])
     rank = int(np.argmax(left <= error))
     assert rank_bound(data, error) == max(1, -(-(rank + 1) // 4))
+
+
+@pytest.mark.parametrize("shape", [(30, 40), (6, 90)])
+def test_reduction_keeps_what_the_tolerance_sees(shape: tuple[int, int]) -> None:
+    n_frames, n = shape
+    rng = np.random.default_rng(0)
+    low = rng.standard_normal((n, 4)) @ rng.standard_normal((4, 3 * n_frames))
+    frames = low.reshape(n, n_frames, 3).transpose(1, 0, 2)
+    frames = frames + 1e-4 * rng.standard_normal(frames.shape)
+    data = gather([ssdr.MeshSequence(frames)], bones=n)
+    less = reduced(data, 1e-2 * float(data.x2.sum()))
+    assert less.z.shape[1] < data.z.shape[1]
+    assert less.q is not None
+    assert np.abs(less.q.T @ less.q - np.eye(less.q.shape[1])).max() < 1e-10
+    whole = data.z if data.q is None else data.z @ data.q.T
+    lost = float(((whole - less.z @ less.q.T) ** 2).sum())
+    assert lost == pytest.approx(less.lost, rel=1e-6, abs=1e-12)
+    assert lost <= 1e-6 * float(data.x2.sum())
 
 
 @settings(max_examples=15, deadline=None)
