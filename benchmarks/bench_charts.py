@@ -10,6 +10,8 @@ import numpy as np
 from bench_tables import WITHIN, Record, case_of, divide, front_of, least, only, summary
 from common import RESULTS, plain_log_ticks, pyplot, save_figure
 
+KIB = 1024
+STRETCH = ("ssdr balanced similarity", "ssdr balanced affine")
 STYLE = {
     "dembones default": ("Dem Bones, default", "#cc79a7", "-"),
     "dembones 0": ("Dem Bones, regularisers 0", "#d55e00", "-"),
@@ -19,6 +21,9 @@ STYLE = {
     "ssdr best": ("ssdr best", "#009e73", "-"),
     "ssdr balanced fixed": ("ssdr balanced, rest pose fixed", "#0072b2", ":"),
     "ssdr best fixed": ("ssdr best, rest pose fixed", "#009e73", ":"),
+    "ssdr balanced similarity": ("ssdr balanced, similarity bones", "#56b4e9", "--"),
+    "ssdr balanced affine": ("ssdr balanced, affine bones", "#882255", "--"),
+    "ssdr best affine": ("ssdr best, affine bones", "#882255", "-"),
     "published": ("published by Dem Bones' authors", "black", ""),
     "pca": ("PCA of the trajectories", "0.6", "--"),
 }
@@ -28,12 +33,12 @@ def clock_label(clock: str) -> str:
     return "seconds" if clock == "wall" else "CPU seconds"
 
 
-def plain_seconds(axis: Any) -> None:
+def plain_x(axis: Any) -> None:
     """A logarithmic x axis of at least a decade, with plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_xlim()
-    if high < 12 * low:
+    if 0 < high < 12 * low:
         middle = (low * high) ** 0.5
         axis.set_xlim(middle / 12**0.5, middle * 12**0.5)
     axis.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
@@ -79,12 +84,12 @@ def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
         axis.set(xscale="log", yscale="log", title=case.replace("-", ", ") + " bones")
         axis.grid(which="minor", alpha=0.12)
         plain_log_ticks(axis)
-        plain_seconds(axis)
+        plain_x(axis)
         if k % columns == 0:
             axis.set_ylabel("E")
         if k // columns == rows - 1 or k + columns >= len(cases):
             axis.set_xlabel(clock_label(clock) + " since the call")
-    waits_chart(figure.add_subplot(grid[rows, 1:]), [r for c in cases.values() for r in c], clock)
+    waits_chart(figure.add_subplot(grid[rows, :]), [r for c in cases.values() for r in c], clock)
     labels = [label for label, _, _ in STYLE.values() if label in handles]
     labels += [label for label in handles if label not in labels]
     figure.legend(
@@ -112,9 +117,10 @@ def waits_chart(axis: Any, records: list[Record], clock: str) -> None:
         cold = waits.get("first call, nothing compiled")
         if cold:
             bars.append(("ssdr: kernels compiled, once a machine", cold["kernels"]))
-    axis.barh([b[0] for b in bars], [max(b[1], 1e-3) for b in bars], color="0.6")
-    for k, (_, seconds) in enumerate(bars):
-        axis.text(max(seconds, 1e-3), k, f" {seconds:.2g} s", va="center", fontsize=7)
+    axis.barh(range(len(bars)), [max(b[1], 1e-3) for b in bars], color="0.8")
+    for k, (what, seconds) in enumerate(bars):
+        axis.text(1.1e-3, k, f"{what}, {seconds:.2g} s", va="center", fontsize=8)
+    axis.set_yticks([])
     axis.invert_yaxis()
     axis.set(xscale="log", xlim=(1e-3, 100))
     axis.set_title(clock_label(clock) + " before the first call, not in the curves")
@@ -132,29 +138,34 @@ def front_chart(records: list[Record], path: Path, clock: str) -> None:
         mine = [r for r in records if r["sequence"] == name and r.get("E8") is not None]
         for row, key in enumerate(("bytes8", seconds)):
             axis = axes[row, column]
-            error = "E8" if row == 0 else "E"
+            error, unit = ("E8", KIB) if row == 0 else ("E", 1)
             for r in mine:
                 colour = STYLE[r["solver"]][1]
                 axis.plot(
-                    r[key], r[error], marks.get(r["influences"], "x"), color=colour, markersize=4
+                    r[key] / unit,
+                    r[error],
+                    marks.get(r["influences"], "x"),
+                    color=colour,
+                    markersize=4,
                 )
                 if r["influences"] == 4 and r["solver"] == "ssdr balanced":
                     axis.annotate(
-                        str(r["bones"]), (r[key], r[error]), xytext=(4, 3),
+                        str(r["bones"]), (r[key] / unit, r[error]), xytext=(4, 3),
                         textcoords="offset points", fontsize=7,
                     )  # fmt: skip
-            front = front_of([(r[key], r[error]) for r in mine])
+            front = front_of([(r[key] / unit, r[error]) for r in mine])
             axis.step(*np.array(front).T, where="post", color="0.3", linewidth=0.7)
             axis.set(xscale="log", yscale="log", title=name if row == 0 else None)
-            axis.set_xlabel("bytes, weights of 8 bits" if row == 0 else clock_label(clock))
+            axis.set_xlabel("KiB, weights of 8 bits" if row == 0 else clock_label(clock))
             plain_log_ticks(axis)
+            plain_x(axis)
         axes[0, column].set_ylabel("E of the stored model" if column == 0 else "")
         axes[1, column].set_ylabel("E" if column == 0 else "")
     for k, mark in marks.items():
-        axes[0, 0].plot([], [], mark, color="0.4", label=f"{k} influence" + "s" * (k > 1))
+        axes[1, 0].plot([], [], mark, color="0.4", label=f"{k} influence" + "s" * (k > 1))
     for solver in ("ssdr fast", "ssdr balanced", "ssdr best"):
-        axes[0, 0].plot([], [], "-", color=STYLE[solver][1], label=STYLE[solver][0])
-    axes[0, 0].legend(fontsize=7)
+        axes[1, 0].plot([], [], "-", color=STYLE[solver][1], label=STYLE[solver][0])
+    axes[1, 0].legend(fontsize=7)
     save_figure(figure, path)
     plt.close(figure)
 
@@ -168,13 +179,14 @@ def size_chart(front: list[Record], race: list[Record], path: Path) -> None:
         for r in front + race:
             if r["sequence"] == name and r["solver"] == "pca" and "pca" in r:
                 label, colour, line = STYLE["pca"]
-                axis.plot(*np.array(r["pca"])[:, 1:].T, line, color=colour, label=label)
+                size, e = np.array(r["pca"])[:, 1:].T
+                axis.plot(size / KIB, e, line, color=colour, label=label)
                 break
         for bits, fill in ((8, "full"), (16, "none")):
-            for solver in ("ssdr balanced", "ssdr best"):
+            for solver in ("ssdr balanced", "ssdr best", *STRETCH):
                 label, colour, _ = STYLE[solver]
                 runs = only((r for r in front if r["sequence"] == name), solver)
-                line = front_of([(r[f"bytes{bits}"], r[f"E{bits}"]) for r in runs])
+                line = front_of([(r[f"bytes{bits}"] / KIB, r[f"E{bits}"]) for r in runs])
                 if line:
                     axis.plot(
                         *np.array(line).T, "o-", color=colour, fillstyle=fill, markersize=4,
@@ -185,16 +197,17 @@ def size_chart(front: list[Record], race: list[Record], path: Path) -> None:
                 runs = only((r for r in race if r["sequence"] == name), solver)
                 if runs:
                     axis.plot(
-                        [r[f"bytes{bits}"] for r in runs], [r[f"E{bits}"] for r in runs], "*",
+                        [r[f"bytes{bits}"] / KIB for r in runs], [r[f"E{bits}"] for r in runs], "*",
                         color=colour, fillstyle=fill, label=label if bits == 8 else None,
                     )  # fmt: skip
-        sizes = [r["bytes16"] for r in front if r["sequence"] == name and "bytes16" in r]
+        sizes = [r["bytes16"] / KIB for r in front if r["sequence"] == name and "bytes16" in r]
         if sizes:
             axis.set_xlim(0.7 * min(sizes), 1.5 * max(sizes))
         errors = [r["E16"] for r in front + race if r["sequence"] == name and r.get("E16")]
-        axis.set(xscale="log", yscale="log", title=name, xlabel="bytes")
+        axis.set(xscale="log", yscale="log", title=name, xlabel="KiB")
         axis.set_ylim(0.6 * min(errors), 1.6 * max(errors))
         plain_log_ticks(axis)
+        plain_x(axis)
     axes[0, 0].set_ylabel("E of the stored model")
     axes[0, -1].legend(fontsize=6)
     save_figure(figure, path)
@@ -216,6 +229,7 @@ def scaling_chart(rows: list[Record], path: Path, clock: str) -> None:
         axis.set(xscale="log", yscale="log", xlabel=word)
         plain_log_ticks(axis)
         axis.legend(fontsize=7)
+        plain_x(axis)
     axes[0].set_ylabel(clock_label(clock) + " of a call")
     save_figure(figure, path)
     plt.close(figure)
@@ -257,6 +271,7 @@ def effort_chart(race: dict[str, list[Record]], path: Path, clock: str) -> None:
     """What the efforts cost and bring, and what a fixed rest pose costs."""
     plt = pyplot()
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8))
+    race = {name: records for name, records in race.items() if only(records, "ssdr balanced")}
     names = list(race)
     for solver in ("ssdr fast", "ssdr balanced", "ssdr best"):
         label, colour, _ = STYLE[solver]
@@ -275,6 +290,7 @@ def effort_chart(race: dict[str, list[Record]], path: Path, clock: str) -> None:
         ]
         left.plot(*np.array(line).T, "-", color="0.7", linewidth=0.7, zorder=0)
     left.set(xscale="log", xlabel=clock_label(clock), ylabel="E, relative to balanced")
+    plain_x(left)
     left.legend(fontsize=7)
     width = 0.4
     for k, effort in enumerate(("balanced", "best")):

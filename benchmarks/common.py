@@ -153,7 +153,12 @@ def defects(model: Any, bones: int, influences: int) -> list[str]:
     if model.weights.min() < 0 or abs(model.weights.sum(axis=1) - 1).max() > 1e-6:
         found.append("weights not convex")
     r = model.transforms[..., :3]
-    if abs(r.swapaxes(-1, -2) @ r - np.eye(3)).max() > 1e-6 or np.linalg.det(r).min() < 0:
+    if model.bone_model == "similarity":
+        r = r / np.linalg.norm(r, axis=(-1, -2), keepdims=True) * np.sqrt(3)
+    if model.bone_model == "affine":
+        if not (np.linalg.det(r) > 0).all():
+            found.append("reflections")
+    elif abs(r.swapaxes(-1, -2) @ r - np.eye(3)).max() > 1e-6 or np.linalg.det(r).min() < 0:
         found.append("rotations not orthonormal")
     if not all(np.isfinite(a).all() for a in (model.rest, model.weights, model.transforms)):
         found.append("NaN or Inf")

@@ -196,7 +196,8 @@ def run_2012(
 def run_ssdr(
     job: dict[str, Any], frames: np.ndarray, faces: np.ndarray, pace: Pace
 ) -> dict[str, Any]:
-    """`ssdr.decompose`; "fixed" keeps the rest pose at frame 0, "middle" takes that frame."""
+    """`ssdr.decompose`; "fixed" keeps the rest pose at frame 0, "middle" takes that frame;
+    "similarity" and "affine" are bone models."""
     import ssdr
 
     _, effort, *more = job["solver"].split()
@@ -204,6 +205,8 @@ def run_ssdr(
         "bones": job["bones"], "influences": job["influences"], "effort": effort,
         "rng": job["seed"], **job.get("options", {}),
     }  # fmt: skip
+    for bone_model in {"similarity", "affine"} & set(more):
+        options["bone_model"] = bone_model
     rest_frame = len(frames) // 2 if "middle" in more else 0
     if "fixed" in more:
         options["rest"] = np.asarray(frames[rest_frame], dtype=np.float64)
@@ -247,7 +250,9 @@ def run_ssdr(
         "curve": curve, "bones found": model.transforms.shape[1], "total wall": pace.wall,
         "total cpu": pace.cpu, "E": e, "stated E": per_rmse(result.rmse), "defects": wrong,
         "stopped": result.stop_reason,
-        **stored(frames, model.rest, model.joints, model.weights, model.transforms),
+        **stored(
+            frames, model.rest, model.joints, model.weights, model.transforms, model.bone_model
+        ),
     }  # fmt: skip
     if job.get("stops"):
         out["walk"] = walk(job["stops"], options, frames, faces, result)

@@ -15,6 +15,8 @@ import model_size as size
 import numpy as np
 import pytest
 
+import ssdr
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -48,11 +50,14 @@ def test_stored_weights_are_whole_steps_that_sum_to_one(bits: int) -> None:
     np.testing.assert_array_equal(out[0], weights[0])
 
 
-def test_bytes_by_hand() -> None:
-    # 10 positions, 10 x 4 pairs of two bytes, 3 x 5 keys of seven float32
-    assert size.model_bytes(10, 3, 5, 4) == 120 + 80 + 420
-    assert size.model_bytes(10, 3, 5, 4, weight_bits=16) == 120 + 120 + 420
-    assert size.model_bytes(10, 3, 300, 4) == 120 + 120 + 28 * 900
+def test_bytes_by_hand_and_by_the_package() -> None:
+    # 10 + 5 positions, 10 counts, 37 pairs of two bytes, 3 x 5 keys of seven float32
+    assert size.model_bytes(10, 3, 5, 37, 8) == 180 + 10 + 74 + 420
+    assert size.model_bytes(10, 3, 300, 37, 8, "affine") == 12 * 310 + 10 + 111 + 48 * 900
+    rest, joints, weights, transforms = _model()
+    transforms[..., :3] = np.eye(3)
+    model = ssdr.Skinning(rest, joints, weights, transforms)
+    assert size.model_bytes(30, 70, 6, 90, 16) == ssdr.parsimony.size(model).total
 
 
 def test_pca_is_the_best_linear_model() -> None:
