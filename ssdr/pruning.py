@@ -162,7 +162,9 @@ class Tracks:
         self._root, self._mass = self._moments()
         self._feature = self._features(linear * self.scale[..., None, None], self.place)
         many = m.shape[0] * m.shape[1] > _MANY
-        self.spans = [s for s in (_FEW_SPANS if many else _SPANS) if s < max(2, len(m))]
+        whole = {int(n) - 1 for n in np.diff(offsets)[:8] if 2 <= n <= _SPANS[-1] + 1}
+        usual = {s for s in (_FEW_SPANS if many else _SPANS) if s < max(2, len(m))}
+        self.spans = sorted(usual | whole)
         self.cost = self._span_costs()
         self.still, self.still_cost = self._standing()
 
