@@ -128,6 +128,29 @@ def choose_bones() -> str:
     return table(rows, list(rows[0]))
 
 
+def bone_models() -> str:
+    """One row a sequence, a column a kind of bones."""
+    found: dict[tuple[str, int], dict[str, Any]] = {}
+    for r in read("bone_models")["rows"]:
+        if r["effort"] != "balanced":
+            continue
+        line = found.setdefault(
+            (r["data"], r["rigid bones"]),
+            {"sequence, rigid bones": f"{r['data']}, {r['rigid bones']}"},
+        )
+        title = r["bone_model"]
+        if r["compared at"] == "equal bytes":
+            title += ", equal bytes"
+        line[title] = f"{r['E']:.3f}" + (
+            f" ({r['bones']} bones)" if r["compared at"] == "equal bytes" else ""
+        )
+        if r["author's affine"]:
+            line["the 2012 author's affine"] = r["author's affine"]
+    columns = ["sequence, rigid bones", "rigid", "similarity", "affine", "similarity, equal bytes",
+               "affine, equal bytes", "the 2012 author's affine"]  # fmt: skip
+    return table(list(found.values()), columns)
+
+
 def choose_influences() -> str:
     rows = [
         {
@@ -283,6 +306,7 @@ def smoothness() -> str:
 PARTS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
+    "bone_models": bone_models,
     "race_errors": race_errors, "race_times": race_times, "race_apart": race_apart,
     "race_history": race_history, "sizes": sizes, "scaling": scaling, "rest_poses": rest_poses,
     "smoothness": smoothness,
