@@ -12,7 +12,7 @@ import pytest
 import ssdr
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGES = ["decompose.md", "sequence.md", "skinning.md", "rigid.md", "parallel.md"]
+PAGES = ["decompose.md", "parsimony.md", "sequence.md", "skinning.md", "rigid.md", "parallel.md"]
 _ROW = re.compile(r"^\| `([^`]+)` \| (.*) \|$", re.MULTILINE)
 
 
