@@ -9,10 +9,13 @@ where it was stopped.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
+import io
 import json
 import logging
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,11 +26,12 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import atomic_path, write_bytes
+from ssdr.io.registry import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from .clips import MIRRORED, Clip, ClipStore, SimulationParameters
 from .configs import BoneOptions
+from .files import write_file, writing
 from .network import Subject, mesh_identity
 
 __all__ = ["ClipBones", "VirtualBones", "parameter_roles", "virtual_bones"]
@@ -123,16 +127,31 @@ class VirtualBones:
         original = clip if not clip.is_mirrored else self.store.clip(str(clip.mirrored_of))
         base = self.folder / "clips"
         files = {k: base / f"{original.name}.{k}.npy" for k in ("low", "high", "transforms")}
-        if not all(f.is_file() for f in files.values()):
+        statement = base / f"{original.name}.json"
+        if not all(f.is_file() for f in (*files.values(), statement)):
             self._make(original, files)
         v, b = self.store.n_vertices, self.skinning.n_bones
         shapes = {"low": (v, 3), "high": (v, 3), "transforms": (b, 3, 4)}
-        arrays = {k: _map(f, (original.n_frames, *shapes[k])) for k, f in files.items()}
-        error = float(json.loads(_text(base / f"{original.name}.json"))["rmse"])
+        stated = self._statement(original.name)
+        arrays = {
+            k: _map(f, (original.n_frames, *shapes[k]), stated.get("checksums", {}).get(k))
+            for k, f in files.items()
+        }
         return ClipBones(
-            **arrays, rmse=error,
+            **arrays, rmse=stated["rmse"],
             permutation=self.store.mirror_vertices if clip.is_mirrored else None,
         )  # fmt: skip
+
+    def _statement(self, name: str) -> dict[str, Any]:
+        stated = _document(self.folder / "clips" / f"{name}.json", ("rmse", "high_rms"))
+        if stated.get("source", "") not in ("", _digest(self.store, [name])):
+            raise InputError(
+                "store",
+                f"the clip {name} that its bones were fitted to (remove {self.folder} to fit them "
+                "again)",
+                "another of that name",
+            )
+        return stated
 
     def _make(self, clip: Clip, files: dict[str, Path]) -> None:
         vertices = np.asarray(clip.sequence.frames(slice(None)), np.float32)
@@ -142,12 +161,19 @@ class VirtualBones:
             low, self.store.faces, rest=s.rest, joints=s.joints, weights=s.weights,
             bones=s.n_bones, tolerance=1e-4, max_sweeps=30,
         )  # fmt: skip
-        stated = json.dumps({"rmse": fit.rmse, "high_rms": _rms(vertices - low)})
-        write_bytes(self.folder / "clips" / f"{clip.name}.json", stated.encode())
         parts = {"low": low, "high": vertices - low, "transforms": fit.transforms}
+        stated: dict[str, Any] = {
+            "rmse": fit.rmse,
+            "high_rms": _rms(parts["high"]),
+            "source": _digest(self.store, [clip.name]),
+            "checksums": {},
+        }
         for key, values in parts.items():
-            with atomic_path(files[key]) as temporary, temporary.open("wb") as file:
-                np.save(file, np.asarray(values, np.float32), allow_pickle=False)
+            packed = io.BytesIO()
+            np.save(packed, np.asarray(values, np.float32), allow_pickle=False)
+            stated["checksums"][key] = zlib.crc32(packed.getbuffer())
+            write_file(files[key], packed.getvalue())
+        write_file(self.folder / "clips" / f"{clip.name}.json", json.dumps(stated).encode())
 
     def prepare(self, names: Sequence[str], progress: Progress | None = None) -> dict[str, Any]:
         """Make what is missing of the named clips.
@@ -163,7 +189,7 @@ class VirtualBones:
         for k, name in enumerate(names):
             plain = name.removesuffix(MIRRORED)
             count = self.clip(plain).low.shape[0]
-            stated = json.loads(_text(self.folder / "clips" / f"{plain}.json"))
+            stated = self._statement(plain)
             frames += count
             for key in squares:
                 squares[key] += count * float(stated[key]) ** 2
@@ -215,12 +241,21 @@ def virtual_bones(
     skinning_file, report_file = place / "bones.npz", place / "bones.json"
     if not (skinning_file.is_file() and report_file.is_file()):
         skinning, report = _decompose(store, names, options, time_limit, progress)
-        ssdr.save(skinning, skinning_file)
-        write_bytes(report_file, json.dumps(stated | report, indent=1).encode())
+        with writing(skinning_file):
+            ssdr.save(skinning, skinning_file)
+        made = stated | report | {"source": _digest(store, names)}
+        write_file(report_file, json.dumps(made, indent=1).encode())
     skinning = ssdr.load_skinning(skinning_file)
     if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
         raise FormatError(f"{skinning_file}: bones of another garment, {skinning!r}")
-    return VirtualBones(place, store, skinning, options, json.loads(_text(report_file)))
+    known = _document(report_file, ("rmse", "high_rms"))
+    if known.get("source", "") not in ("", _digest(store, names)):
+        raise InputError(
+            "store",
+            f"the clips that its virtual bones were made from (remove {place} to make them again)",
+            "others of the same names",
+        )
+    return VirtualBones(place, store, skinning, options, known)
 
 
 def _decompose(
@@ -283,7 +318,32 @@ def _text(path: Path) -> str:
         raise FormatError(f"{path}: missing or not text ({error})") from error
 
 
-def _map(path: Path, shape: tuple[int, ...]) -> NDArray[np.float32]:
+def _document(path: Path, keys: Sequence[str]) -> dict[str, Any]:
+    with reading(path):
+        found = json.loads(_text(path))
+        for key in keys:
+            found[key] = float(found[key])
+        return dict(found)
+
+
+def _digest(store: ClipStore, names: Sequence[str]) -> str:
+    # What a clip states holds all that it was made from, and measures of what came out.
+    h = hashlib.sha256()
+    for name in names:
+        h.update((store.path / "clips" / name / "zarr.json").read_bytes())
+    return h.hexdigest()[:16]
+
+
+@functools.lru_cache(maxsize=4096)
+def _checksum(path: Path, size: int, changed: int) -> int:
+    # Once for every state of the file; its arguments are what tells states apart.
+    return zlib.crc32(path.read_bytes())
+
+
+def _map(path: Path, shape: tuple[int, ...], checksum: int | None) -> NDArray[np.float32]:
+    status = path.stat()
+    if checksum not in (None, _checksum(path, status.st_size, status.st_mtime_ns)):
+        raise FormatError(f"{path}: damaged (its checksum differs); without it, it is made again")
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:

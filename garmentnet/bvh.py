@@ -306,6 +306,13 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
                 taken.add(j)
                 break
     needed = {*_NEEDED, *(n[:-1] + "r" for n in _NEEDED if n.endswith("_l"))}
+    absent = sorted(needed - set(skeleton.names))
+    if absent:
+        raise InputError(
+            "skeleton",
+            f"joints {', '.join(absent)}, to which a BVH's motion can be carried over",
+            f"joints {', '.join(skeleton.names)}",
+        )
     missing = sorted(n for n in needed if n not in found)
     if missing:
         raise InputError(

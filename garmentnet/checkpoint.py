@@ -21,13 +21,13 @@ from torch import Tensor
 
 from ssdr import Skinning
 from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import reading, require
 
 from .clips import ClipStore, SimulationParameters
 from .configs import Config
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
+from .files import atomic_file
 from .network import Motion, MotionNetwork, Subject, mesh_identity
 from .skeleton import Skeleton
 
@@ -252,8 +252,12 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, An
     text = json.dumps(documents, sort_keys=True)
     # Tensors may share memory; the format has no word for that.
     plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-    with atomic_path(path) as temporary:
+    with atomic_file(path) as temporary:
+        temporary.touch()
+        mode = temporary.stat().st_mode
         safetensors.save_file(plain, str(temporary), metadata={"garmentnet": text})
+        # It leaves the file readable by its owner alone.
+        temporary.chmod(mode)
     return path
 
 

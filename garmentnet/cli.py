@@ -6,13 +6,18 @@ needs an extra does not stand in the way of the others.
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ssdr.errors import SsdrError
+from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError
 
 from . import learning_cli
 
@@ -73,14 +78,84 @@ for _command in (
     app.command()(_command)
 
 
-def main(arguments: list[str] | None = None) -> Any:
-    """Run the command; errors of this package become one line and exit status 1."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Errors of this package and of the disk become one line: 2 for an argument, 3 for a file, 4
+    for a package that is missing, 1 for the rest, 130 for what was stopped.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process by default.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    with _terminate_as_interrupt():
+        try:
+            code = app(given, prog_name="garmentnet", standalone_mode=False)
+            # The parser turns an interrupt into this code and says nothing.
+            return _stopped() if code == 130 else code if isinstance(code, int) else 0
+        except (KeyboardInterrupt, typer.Abort):
+            return _stopped()
+        except MissingDependencyError as error:
+            return _fail(4, error)
+        except FormatError as error:
+            return _fail(3, error)
+        except InputError as error:
+            return _fail(2, error)
+        except BrokenPipeError:
+            # The reader of stdout has gone; Python would complain again when it exits.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 1
+        except (SsdrError, OSError, MemoryError) as error:
+            return _fail(1, error)
+        except Exception as error:
+            if not hasattr(error, "format_message"):
+                raise
+            return _usage(error)
+
+
+def _stopped() -> int:
+    _say("stopped; the same command again goes on where it was")
+    return 130
+
+
+def _fail(code: int, error: BaseException) -> int:
+    text = str(error) or type(error).__name__
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    _say(f"error: {text}")
+    return code
+
+
+def _usage(error: Any) -> int:
+    # What the parser of the command line raises; the help, where nothing was asked for.
+    text, context = error.format_message(), getattr(error, "ctx", None)
+    if context is not None and text == context.get_help():
+        print(text, file=sys.stderr)
+        return 2
+    if context is not None:
+        print(context.get_usage(), file=sys.stderr)
+    _say(f"error: {text}")
+    return 2
+
+
+def _say(text: str) -> None:
+    print(f"garmentnet: {' '.join(text.split())}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM unwind like Ctrl-C, so that no half-written file stays behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        return app(args=arguments)
-    except SsdrError as error:
-        print(f"garmentnet: {error}", file=sys.stderr)
-        raise SystemExit(1) from None
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, old)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -171,6 +171,8 @@ class ClipStore:
         target = Path(path)
         if not target.is_dir():
             raise FormatError(f"{target}: no such folder")
+        if not (target / "zarr.json").is_file():
+            raise FormatError(f"{target}: not a store of clips (no zarr.json)")
         with reading(target):
             group = zarr().open_group(str(target), mode="r")
             attributes = dict(group.attrs)

@@ -52,6 +52,9 @@ class SimulationParameters:
                 raise InputError(field.name, "a positive number", repr(value))
             object.__setattr__(self, field.name, float(value))
 
+    def __str__(self) -> str:
+        return f"bending {self.bending:g}, density {self.density:g}, time scale {self.time_scale:g}"
+
     def normalised(self) -> NDArray[np.float64]:
         """``(3,)`` logarithms of bending, density and time scale, [-1, 1] over :data:`RANGES`.
 

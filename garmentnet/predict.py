@@ -15,15 +15,26 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import FormatError, InputError, SsdrWarning
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import FORMATS, reading, require
 
 from .checkpoint import Checkpoint
-from .parameters import SimulationParameters
+from .features import check_joints
+from .files import writing
+from .parameters import RANGES, SimulationParameters
 
-__all__ = ["Prediction", "follow", "predict", "read_joints", "save_prediction", "trained_range"]
+__all__ = [
+    "Prediction",
+    "check_output",
+    "follow",
+    "predict",
+    "read_joints",
+    "save_prediction",
+    "trained_range",
+]
 
 _FILMS = (".mp4", ".gif", ".webp")
 _PICTURES = (".png", ".jpg", ".jpeg")
+_BONES = (".glb", ".gltf", ".fbx")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -130,9 +141,12 @@ def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:
 
 def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
     limits = trained_range(checkpoint)
-    if not limits:  # a network that reads them states the range that they are meant for
-        return tuple(f"{n} outside its range" for n in parameters.outside())
     found = []
+    if not limits:  # a network that reads them does not know its sets: what they are meant for
+        for key in parameters.outside():
+            low, high = RANGES[key]
+            found.append(f"{key} {getattr(parameters, key):g}, meant for {low:g} to {high:g}")
+        return tuple(found)
     for key, value in dataclasses.asdict(parameters).items():
         low, high = limits[key]
         if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
@@ -181,7 +195,33 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
         wanted = subject.skeleton.n_joints
         if joints.ndim != 4 or joints.shape[1:] != (wanted, 3, 4):
             raise FormatError(f"joints: expected (F, {wanted}, 3, 4), got {joints.shape}")
-        return joints
+        return check_joints(joints, wanted)
+
+
+def check_output(path: Path | str) -> None:
+    """Raise unless :func:`save_prediction` can write a file of this name.
+
+    Raises
+    ------
+    InputError
+        If there is no such folder or format.
+    MissingDependencyError
+        If the format needs a package that is not installed.
+    """
+    file = Path(path)
+    if not file.parent.is_dir():
+        raise InputError("output", "a file in a folder that exists", str(file))
+    suffix = file.suffix.lower()
+    meshes = [s for s, f in FORMATS.items() if f.write_sequence] + list(_BONES)
+    known = sorted({*_FILMS, *_PICTURES, *meshes})
+    if suffix not in known:
+        raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
+    if suffix == ".mp4":
+        require("av", "garmentnet", "an .mp4 file")
+    if suffix.startswith(".usd"):
+        require("pxr", "usd", f"a {suffix} file")
+    if suffix == ".fbx":
+        require("bpy", "blender", "an .fbx file")
 
 
 def save_prediction(
@@ -209,9 +249,20 @@ def save_prediction(
     progress : callable, optional
         Told the share of a film that is drawn.
     """
+    file = Path(path)
+    with writing(file):
+        return _save(prediction, file, size, frames, progress)
+
+
+def _save(
+    prediction: Prediction,
+    file: Path,
+    size: int,
+    frames: int,
+    progress: Callable[[float], None] | None,
+) -> str:
     from ssdr.render import animate, contact_sheet, write_picture
 
-    file = Path(path)
     suffix = file.suffix.lower()
     if suffix in _FILMS:
         scene = prediction.scene()
@@ -223,7 +274,7 @@ def save_prediction(
     if suffix in _PICTURES:
         write_picture(contact_sheet(prediction.scene(), frames=frames), file)
         return f"{frames} frames"
-    if suffix in (".glb", ".gltf", ".fbx"):
+    if suffix in _BONES:
         ssdr.save(_rigid(prediction.skinning), file)
         gap = prediction.cloth.vertices - prediction.skinning.skin(dtype=np.float32)
         rms = 1e3 * float(np.sqrt((gap.astype(np.float64) ** 2).sum(-1).mean()))

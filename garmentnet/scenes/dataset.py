@@ -124,8 +124,7 @@ def make_data_set(
     """
     require("newton", "scenes", "a simulation")
     require("warp", "scenes", "a simulation")
-    count = workers or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
-    count = workers or count
+    count = _cores() if workers is None else workers
     if count < 1:
         raise InputError("workers", "at least 1", workers)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -141,6 +140,11 @@ def make_data_set(
         if todo:
             Run(store, scenes, todo, progress).go(min(count, len(todo)))
     return store
+
+
+def _cores() -> int:
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else (os.cpu_count() or 1)
 
 
 def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool:
@@ -186,7 +190,9 @@ def _writing(store: ClipStore) -> Iterator[None]:
             text = path.read_text(errors="replace").strip() if path.exists() else ""
             if text.isdigit() and _alive(int(text)):
                 raise InputError(
-                    "path", "a store that nobody writes to", f"process {text} does"
+                    "path",
+                    "a store that nobody writes to",
+                    f"process {text} does (if that is no garmentnet, remove {path})",
                 ) from None
             path.unlink(missing_ok=True)
     os.write(handle, str(os.getpid()).encode())
@@ -200,6 +206,8 @@ def _writing(store: ClipStore) -> Iterator[None]:
 def _alive(process: int) -> bool:
     if process == os.getpid():
         return False
+    if os.name == "nt":
+        return True  # there, asking by a signal ends the process
     try:
         os.kill(process, 0)
     except ProcessLookupError:

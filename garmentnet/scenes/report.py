@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,8 @@ def run(
 ) -> ClipStore:
     """Make a data set and tell about it."""
     require("newton", "scenes", "a simulation")
-    console = Console(stderr=True)
+    # A log has no width of its own: the table is not to be cut off there.
+    console = Console(stderr=True, width=None if sys.stderr.isatty() else 120)
     data_set = load_data_set(source)
     if motion is not None:
         data_set = data_set.with_motions(dataset.recorded_motions(motion, data_set))

@@ -11,6 +11,7 @@ import os
 import queue
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import numpy as np
@@ -88,7 +89,22 @@ class Run:
         self._begun = time.monotonic()
 
     def go(self, workers: int) -> None:
-        """Make them, in so many processes."""
+        """Make them, in so many processes.
+
+        Raises
+        ------
+        SsdrError
+            If a process was killed or a clip could not be written.
+        """
+        try:
+            self._go(workers)
+        except BrokenProcessPool as error:
+            raise SsdrError(
+                "a process that simulates was killed (for want of memory?); "
+                "the same command again goes on where it was"
+            ) from error
+
+    def _go(self, workers: int) -> None:
         context = multiprocessing.get_context("spawn")
         news: Any = context.Queue()
         with (
@@ -110,8 +126,7 @@ class Run:
                         scene = waiting.pop(future)
                         self._finished(scene, *future.result())
             except BaseException:
-                for future in waiting:
-                    future.cancel()
+                # Not cancelled one by one: the pool, once broken, answers them all itself.
                 for process in list((pool._processes or {}).values()):
                     process.terminate()
                 raise

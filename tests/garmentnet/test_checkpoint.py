@@ -22,7 +22,7 @@ from garmentnet.clips import ClipStore
 from garmentnet.ensemble import Kernel
 from garmentnet.parameters import SimulationParameters
 from garmentnet.skeleton import Skeleton
-from ssdr.errors import FormatError, InputError
+from ssdr.errors import FormatError, InputError, SsdrError
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +164,7 @@ def test_full_disk_leaves_the_old_file(file, toy_network, tmp_path, monkeypatch)
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(safetensors.torch, "save_file", full)
-    with pytest.raises(OSError, match="space"):
+    with pytest.raises(SsdrError, match=r"kept\.safetensors: could not be written: No space left"):
         save_checkpoint(dataclasses.replace(toy_network), path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["kept.safetensors"]
