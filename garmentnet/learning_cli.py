@@ -128,12 +128,11 @@ def predict(
 
     from .checkpoint import load_checkpoint
     from .parameters import SimulationParameters
+    from .predict import check_output, read_joints, save_prediction
     from .predict import predict as run
-    from .predict import read_joints, save_prediction
 
     for path in output:
-        if not path.parent.is_dir():
-            raise InputError("--output", "a file in a folder that exists", str(path))
+        check_output(path)
     model = load_checkpoint(checkpoint)
     given = {"bending": bending, "density": density, "time_scale": time_scale}
     stated = {k: v for k, v in given.items() if v is not None}
@@ -155,7 +154,9 @@ def predict(
             )
     seconds = time.perf_counter() - began
     rate = 1e3 * seconds / len(joints)
-    typer.echo(f"{len(joints)} frames in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
+    shown = parameters or own
+    of = f" of {shown}" if shown else ""
+    typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
     for path in output:
         with _bar() as show:
             text = save_prediction(
