@@ -26,7 +26,7 @@ from garmentnet.features import PoseFeatures
 from garmentnet.parameters import SimulationParameters
 from garmentnet.predict import follow
 from garmentnet.scenes.dance import dance
-from garmentnet.scenes.scene import load_data_set
+from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulate import simulate
 from ssdr.laplacian import LaplacianSmoother
 from ssdr.render import render_frame

@@ -11,7 +11,8 @@ from .baselines import MeanShape, Ridge
 from .bones import virtual_bones
 from .checkpoint import load_checkpoint
 from .configs import load_config
-from .evaluate import evaluate, network_method, picture, plain_method, table
+from .evaluate import evaluate, network_method, plain_method, table
+from .pictures import draw_clip
 from .predict import predict, save_prediction
 from .train import choose_clips, train
 
@@ -82,7 +83,7 @@ def run_demo(
     rows = evaluate(bones, methods, seen, progress=tell)
     lap("evaluate")
     clip = store.clip(seen[0])
-    sheet = picture(bones, clip, network(clip), folder / "truth-prediction-error.png")
+    sheet = draw_clip(bones, clip, network(clip), folder / "truth-prediction-error.png")
     film = folder / "prediction.gif"
     result = predict(checkpoint, clip.joints, name=clip.name)
     save_prediction(result, film, size=360, progress=lambda share: tell("drawing", share))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -335,32 +334,3 @@ def _detail(motion: Motion) -> Array:
         return np.zeros(motion.low.shape, np.float32)
     turned = motion.high.double().cpu().numpy() @ motion.frame[..., :3].transpose(0, 2, 1)
     return np.asarray(turned, np.float32)
-
-
-def picture(
-    bones: VirtualBones, clip: Clip, answer: Answer, path: Path, *, frames: Any = 5
-) -> Path:
-    """Truth, prediction and error map of a clip, row by row, as a PNG.
-
-    Body and cloth are one mesh in it; the camera follows the root.
-    """
-    from ssdr.render import contact_sheet, write_picture
-
-    root = clip.store.skeleton.positions(clip.joints)[:, :1]
-    body = clip.body()
-    kept = bones.clip(clip.name)
-    offset = np.concatenate(
-        [bones.store.body.faces, bones.store.faces + bones.store.body.n_vertices]
-    )
-
-    def scene(cloth: Array, name: str) -> ssdr.MeshSequence:
-        both = np.concatenate([body, cloth], axis=1) - root
-        return ssdr.MeshSequence(both.astype(np.float32), offset, clip.fps, name=name)
-
-    truth = scene(kept.read("low") + kept.read("high"), "simulated")
-    predicted = scene(answer.low + answer.high, "predicted")
-    sheet = contact_sheet(
-        predicted, reference=truth, frames=frames, styles=["plain", "error"], title=clip.name
-    )
-    write_picture(sheet, path)
-    return path

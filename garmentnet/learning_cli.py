@@ -41,7 +41,8 @@ def train(
         bool, typer.Option("--ensemble", help="A network for every training set, and the kernel.")
     ] = False,
     start: Annotated[
-        Path | None, typer.Option("--start", help="Checkpoint whose weights to start from.")
+        Path | None,
+        typer.Option("--start", help="Checkpoint to start from; the base of --ensemble."),
     ] = None,
     settings: Annotated[
         list[str] | None,
@@ -68,7 +69,7 @@ def train(
     with _bar() as show:
         if ensemble:
             path = train_ensemble(
-                clips, chosen, folder,
+                clips, chosen, folder, base=load_checkpoint(start) if start else None,
                 callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction, p.time_left),
                 progress=lambda text, share: show(text, share, None),
             )  # fmt: skip

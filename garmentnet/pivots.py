@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import InputError
-from ssdr.io.atomic import write_bytes
 
 from .bones import VirtualBones, parameter_roles, virtual_bones
 from .checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -30,6 +29,7 @@ from .ensemble import (
     select_pivots,
     smallest_good,
 )
+from .files import write_file
 from .network import MotionNetwork
 from .parameters import SimulationParameters
 from .train import Progress, train
@@ -73,6 +73,7 @@ def train_ensemble(
     config: Config,
     folder: Path | str,
     *,
+    base: Checkpoint | None = None,
     bones_folder: Path | str | None = None,
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -86,6 +87,8 @@ def train_ensemble(
     folder : path
         One folder a network, ``ensemble.safetensors`` and ``ensemble.json`` with
         the sweep over K.
+    base : Checkpoint, optional
+        The base network, where it is trained already.
     bones_folder, progress
         As in :func:`~garmentnet.train.train`.
     callback : callable, optional
@@ -108,11 +111,16 @@ def train_ensemble(
         raise InputError("store", "two or more training sets of parameters", len(sets))
     if config.data.condition:
         raise InputError("data.condition", "false: an ensemble's networks read no parameters", True)
-    base, stopped = sets[0], False
+    stopped = False
     checkpoints: list[Checkpoint] = []
+    if base is not None:
+        base.check_fits(store)
+        if base.kernel is not None or base.parameters[0] != sets[0]:
+            raise InputError("base", f"a network of {sets[0]}", base.parameters)
+        checkpoints.append(base)
     o = config.ensemble
-    for k, parameters in enumerate(sets):
-        name = "base" if parameters == base else f"set-{k}"
+    for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
+        name = f"set-{k}" if k else "base"
         data = dataclasses.replace(config.data, parameters=_text(parameters))
         own = dataclasses.replace(config, data=data)
         start = None
@@ -144,9 +152,8 @@ def train_ensemble(
     sweep = sweep_pivots(store, bones, networks, sets, config, progress=progress)
     count = o.pivots or smallest_good([s.score for s in sweep])
     chosen = sweep[min(count, len(sweep)) - 1]
-    write_bytes(
-        folder / "ensemble.json", json.dumps(_report(sets, sweep, chosen), indent=1).encode()
-    )
+    text = json.dumps(_report(sets, sweep, chosen), indent=1)
+    write_file(folder / "ensemble.json", text.encode())
     return save_checkpoint(
         Checkpoint(
             tuple(networks[i] for i in chosen.pivots),

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from ssdr.errors import InputError
-from ssdr.io.atomic import write_bytes
 
 from .baselines import BodySkinned, MeanShape, Ridge, train_santesteban
 from .bones import VirtualBones, parameter_roles, virtual_bones
@@ -25,11 +24,12 @@ from .evaluate import (
     evaluate,
     looseness,
     network_method,
-    picture,
     plain_method,
     table,
 )
+from .files import write_file, writing
 from .parameters import SimulationParameters
+from .pictures import draw_clip, draw_moments
 
 __all__ = ["report"]
 
@@ -70,7 +70,8 @@ def report(
         If a checkpoint is of another garment or body, or the store lacks test clips.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     models = {_name(p, paths): load_checkpoint(p) for p in paths}
     for model in models.values():
         model.check_fits(store)
@@ -119,10 +120,16 @@ def report(
     for key, method in ((k, network_method(m)) for k, m in models.items()):
         for name in seen[:pictures]:
             clip = store.clip(name)
-            picture(bones, clip, method(clip), folder / f"{key}-{name}.png")
+            file = folder / f"{key}-{name}.png"
+            with writing(file):
+                draw_clip(bones, clip, method(clip), file)
+        if pictures:
+            file = folder / f"{key}-moments.png"
+            with writing(file):
+                document.setdefault("moments", {})[key] = draw_moments(bones, method, seen, file)
     text = "\n".join(lines) + "\n"
-    write_bytes(folder / "report.json", json.dumps(document).encode())
-    write_bytes(folder / "report.txt", text.encode())
+    write_file(folder / "report.json", json.dumps(document).encode())
+    write_file(folder / "report.txt", text.encode())
     return text
 
 

@@ -104,13 +104,14 @@ class LowTask:
         return loss, state
 
     def validate(self) -> float:
+        """RMSE of the low part, metres; NaN without validation clips."""
         square, count = 0.0, 0
         for track in self.validation:
             z = self.module(track.inputs[None].to(self.network.device))[0][0]
             position, _ = self._norms(z, _extra(track))
             square += float(position.double().sum())
             count += track.n_frames
-        return math.sqrt(square / count)
+        return math.sqrt(square / count) if count else math.nan
 
 
 class HighTask:
@@ -182,7 +183,7 @@ class HighTask:
                 gap = (low + high)[0].cpu() - truth
                 square += float(gap.double().square().sum())
                 count += gap.shape[0] * gap.shape[1]
-        return math.sqrt(square / count)
+        return math.sqrt(square / count) if count else math.nan
 
     def fit_statistics(self) -> None:
         """Mean of every vertex's detail and one deviation, over the training clips."""

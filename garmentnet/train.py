@@ -87,7 +87,7 @@ class Task(Protocol):
         """Loss of a window and the new state."""
 
     def validate(self) -> float:
-        """Error on the validation clips, metres."""
+        """Error on the validation clips, metres; NaN where there are none."""
 
 
 def fit(
@@ -101,6 +101,8 @@ def fit(
     callback: Callable[[Progress], bool | None] | None = None,
 ) -> list[Epoch]:
     """Train a task until validation no longer improves; it ends with its best weights.
+
+    Without validation clips it runs through all epochs and ends with the last weights.
 
     Parameters
     ----------
@@ -157,7 +159,9 @@ def fit(
                 module.eval()
                 with torch.no_grad():
                     rmse = task.validate()
-                if rmse < best:
+                if math.isnan(rmse):
+                    kept, rmse = _copy(module), None
+                elif rmse < best:
                     best, waited, kept = rmse, 0, _copy(module)
                 else:
                     waited += 1
@@ -180,14 +184,14 @@ def fit(
 
 
 def choose_clips(
-    store: ClipStore, config: Config, split: str = "train"
+    store: ClipStore, config: Config, split: str = "train", *, needed: bool = True
 ) -> tuple[list[str], SimulationParameters | None]:
     """Names of the clips that a configuration learns from, without mirrored ones.
 
     Raises
     ------
     InputError
-        If the store has no such clips.
+        If the store has no such clips, and they are needed.
     """
     roles = parameter_roles(store)
     stated, chosen = config.data.parameters, None
@@ -205,7 +209,7 @@ def choose_clips(
         for c in store.clips(split)
         if (c.parameters == chosen if chosen else roles[c.parameters] == "train")
     ]
-    if not names:
+    if needed and not names:
         raise InputError("store", f"{split} clips of {chosen or 'training sets'}", str(store.path))
     return names, chosen
 
@@ -273,7 +277,8 @@ def train(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names, parameters = choose_clips(store, config)
-    held, _ = choose_clips(store, config, "validation")
+    # What starts from a trained network and has few clips of its own may have none to spare.
+    held = choose_clips(store, config, "validation", needed=start is None)[0]
     mirror = config.data.mirror and store.mirror_vertices is not None
     learned = names + ([n + MIRRORED for n in names] if mirror else [])
     _claim(folder, config, learned)

@@ -1,6 +1,7 @@
 # ruff: noqa: E402
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -226,3 +227,12 @@ def test_from_store_to_ensemble(toy_store, toy_config, tmp_path):
         loaded.predict(clip.joints[:10])
     first = path.read_bytes()
     assert train_ensemble(toy_store, config, tmp_path).read_bytes() == first
+    # A base that is trained already is taken as it is.
+    base = load_checkpoint(tmp_path / "base" / "checkpoint.safetensors")
+    for k in range(1, 5):
+        shutil.copytree(tmp_path / f"set-{k}", tmp_path / "again" / f"set-{k}")
+    again = train_ensemble(toy_store, config, tmp_path / "again", base=base)
+    assert again.read_bytes() == first
+    assert not (tmp_path / "again" / "base").exists()
+    with pytest.raises(InputError, match="base"):
+        train_ensemble(toy_store, config, tmp_path / "again", base=loaded)

@@ -193,6 +193,9 @@ def test_which_clips(toy_store, toy_config):
         config, data=dataclasses.replace(config.data, parameters="2.0, 0.2, 1")
     )
     assert choose_clips(toy_store, own)[0] == ["set1-train-0"]
+    with pytest.raises(InputError, match="validation clips"):
+        choose_clips(toy_store, own, "validation")
+    assert choose_clips(toy_store, own, "validation", needed=False)[0] == []
     for wrong in ("2.0,0.2", "a,b,c", "-1,1,1"):
         own = dataclasses.replace(config, data=dataclasses.replace(config.data, parameters=wrong))
         with pytest.raises(InputError):
