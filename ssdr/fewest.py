@@ -255,15 +255,16 @@ class Search:
             wide = held.copy()
             wide.widen()
             model, error = self._try(bones, plan, wide, "merged", 0.25, 0.4)
-            if self.fits(bones):
-                continue
-            low = bones
-            if held.n_bones - bones == 1:
+            if not self.fits(bones):
+                if held.n_bones - bones > 1:
+                    low = bones
+                    continue
                 self._insist(bones, model, error)
                 if not self.fits(bones):
                     return
+            if self.held.n_bones <= low + 1:
                 # what failed before was not tried as hard
-                low = max(self.least - 1, bones - 1 - self._guess(self.held))
+                low = max(self.least - 1, self.held.n_bones - 1 - self._guess(self.held))
 
     def _guess(self, model: Model) -> int:
         """Bones whose joint removal may still hold after a polish, by what each would cost."""

@@ -7,6 +7,7 @@ import itertools
 import json
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import motions
@@ -18,7 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from ssdr import cli, parsimony, streaming
-from ssdr.fewest import grow_bone, rank_bound, reduced
+from ssdr.fewest import Attempt, Search, grow_bone, rank_bound, reduced
 from ssdr.given import Given
 from ssdr.io.rig import build_rig
 from ssdr.model import Fixed, Model
@@ -625,3 +626,45 @@ def test_no_warning_where_the_tolerance_is_held() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ssdr.decompose(wavy(), tolerance="5%", effort="fast")
+
+
+class _Oracle(Search):
+    """The search over numbers of bones alone: tries hold or fail as they are told."""
+
+    def __init__(self, least: int, held: int, failed: set[int], luck: Any) -> None:
+        self.least, self.luck, self.tries = least, luck, 0
+        self.held: Any = SimpleNamespace(n_bones=held, copy=lambda: SimpleNamespace(widen=int))
+        self.attempts = [Attempt(b, 2.0, 0, "start") for b in failed]
+        self.given_up: list[int] = []
+
+    def _guess(self, model: Any) -> int:
+        return int(self.luck(1, 4))
+
+    def _outcome(self, bones: int, holds: bool) -> None:
+        self.tries += 1
+        assert self.tries < 500
+        assert self.least <= bones < self.held.n_bones
+        if holds:
+            self.held = SimpleNamespace(n_bones=bones, copy=self.held.copy)
+
+    def _try(self, bones: int, *_: Any) -> Any:
+        self._outcome(bones, self.luck(0, 1) == 1)
+        return None, 2.0
+
+    def _insist(self, bones: int, *_: Any) -> None:
+        self._outcome(bones, self.luck(0, 2) == 2)
+        if self.held.n_bones > bones:
+            self.given_up.append(bones)
+
+    zeal = SimpleNamespace(polish=1)  # type: ignore[assignment]
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data(), least=st.integers(1, 4), held=st.integers(5, 30))
+def test_merging_down_ends_one_above_what_was_given_up(data: Any, least: int, held: int) -> None:
+    """Whatever fails or holds, also where what failed once holds later."""
+    failed = data.draw(st.sets(st.integers(least, held - 1)))
+    search = _Oracle(least, held, failed, lambda a, b: data.draw(st.integers(a, b)))
+    search._shrink()
+    end = search.held.n_bones
+    assert end == least or search.given_up == [end - 1]
