@@ -47,7 +47,7 @@ BONES, INFLUENCES, EFFORTS = (5, 10, 20, 40), (1, 2, 4, 8), ("fast", "balanced",
 SWEEPS = {"F": (25, 50, 100, 200, 400), "V": (500, 1000, 2000, 4000, 8000), "B": (5, 10, 20, 40)}
 SHORT_CASES = [("ea_bone", 10), ("cow_elastic", 24), ("horse_gallop", 20)]
 SHORT_SWEEPS = {"F": (25, 50, 100), "V": (500, 1000, 2000), "B": (5, 10, 20)}
-SMOOTH = (0.0, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # shares of the diagonal
+SMOOTH = (0.0, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # shares of the diagonal
 WAIT = 900.0  # seconds without a word after which a solver is taken to hang
 TOGETHER = 8  # processes at a time
 

@@ -177,6 +177,21 @@ def words(case: str) -> str:
     return case.replace("-", ", ")
 
 
+def race_run() -> str:
+    results = read("race")
+    rows = [r for r in results["rows"] if r["load"] is not None]
+    clock = {"cpu": "CPU seconds", "wall": "seconds"}[results["clock"]]
+    threads = " and ".join(str(n) for n in sorted({r["threads"] for r in rows}))
+    loads = sorted(r["load"] for r in rows)
+    rates = sorted(r["gemm_1"] for r in rows)
+    return (
+        f"The run shown: {len(results['summary'])} sequences and {len(results['apart'])} apart, on "
+        f"{threads} thread{'s' * (threads != '1')}; charts in {clock}; load {loads[0]} to "
+        f"{loads[-1]}; GEMM float64 in one thread {rates[0]} to {rates[-1]} GFLOP/s. "
+        "What has no figure was not run."
+    )
+
+
 def race_errors() -> str:
     rows = [
         {
@@ -265,10 +280,9 @@ def scaling() -> str:
                "over": {"F": "frames", "V": "vertices", "B": "bones"}[r["over"]],
                "exponent": f"{r['exponent']:.2f}"}  # fmt: skip
         if not rows or any(rows[-1][k] != v for k, v in key.items()):
-            rows.append(key | {"size: seconds": ""})
-        rows[-1]["size: seconds"] += f"{r['size']}: {r['seconds']:.1f}   "
-    for row in rows:
-        row["size: seconds"] = ", ".join(row["size: seconds"].split("   "))[:-2]
+            rows.append(key | {"size: seconds (E)": ""})
+        mark = ", " if rows[-1]["size: seconds (E)"] else ""
+        rows[-1]["size: seconds (E)"] += f"{mark}{r['size']}: {r['seconds']:.1f} ({r['E']:.1f})"
     clock = {"cpu": "CPU seconds", "wall": "Seconds"}[results["clock"]]
     return f"{clock} of one call.\n\n{table(rows, list(rows[0]))}\n\n{rates(results['rows'][-1])}"
 
@@ -307,7 +321,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
     "bone_models": bone_models,
-    "race_errors": race_errors, "race_times": race_times, "race_apart": race_apart,
+    "race_run": race_run, "race_errors": race_errors, "race_times": race_times, "race_apart": race_apart,
     "race_history": race_history, "sizes": sizes, "scaling": scaling, "rest_poses": rest_poses,
     "smoothness": smoothness,
 }  # fmt: skip
