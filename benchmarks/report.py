@@ -321,7 +321,8 @@ PARTS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
     "bone_models": bone_models,
-    "race_run": race_run, "race_errors": race_errors, "race_times": race_times, "race_apart": race_apart,
+    "race_run": race_run, "race_errors": race_errors, "race_times": race_times,
+    "race_apart": race_apart,
     "race_history": race_history, "sizes": sizes, "scaling": scaling, "rest_poses": rest_poses,
     "smoothness": smoothness,
 }  # fmt: skip
