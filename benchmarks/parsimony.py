@@ -104,7 +104,7 @@ SCENES: dict[str, tuple[Callable[[], np.ndarray], str, int | None]] = {
     "static mesh": (static, "0.5%", 1),
     "two boxes": (lambda: boxes(2), "0.01%", 2),
     "five boxes": (lambda: boxes(5), "0.01%", 5),
-    "chain of 5, exact": (lambda: chain(5, 24, 3)[:, ::4], "0.01%", 5),
+    "chain of 5, exact": (lambda: chain(5, 24, 3)[:, ::4], "0.1%", 5),
     "6 overlapping, exact": (overlapping, "0.01%", 6),
     "chain of 5, noise": (noisy, "0.4%", 5),
     "waving sheet": (sheet, "1%", None),
