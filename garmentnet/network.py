@@ -202,6 +202,7 @@ class MotionNetwork(nn.Module):
         *,
         parameters: Any = None,
         detail: bool = True,
+        frames: Any = None,
     ) -> tuple[Motion, NetworkState]:
         """Continue from a state over consecutive frames.
 
@@ -215,6 +216,8 @@ class MotionNetwork(nn.Module):
             Normalised; only for a network that reads them.
         detail : bool
             Whether to run the high-frequency module.
+        frames : (f,) int array, optional
+            The only frames whose mesh is wanted; the memory goes through all.
 
         Raises
         ------
@@ -225,29 +228,42 @@ class MotionNetwork(nn.Module):
         features, frame, pose = self.features(joints, state.pose)
         x = self.inputs(features, parameters).to(self.device)[None]
         z, low_state = self.low(x, state.low)
-        transforms = self.low.code(z)[0]
+        index = None
+        if frames is not None:
+            index = torch.as_tensor(np.asarray(frames, np.int64), device=self.device)
+            frame = frame[np.asarray(frames, np.int64)]
+        transforms = self.low.code(z if index is None else z[:, index])[0]
         low = self.lbs(transforms)
         high, high_state = None, state.high
         if detail and self.high is not None:
-            out, high_state = self.high(self.high_inputs(x, z), low[None], state.high)
+            chosen = None if index is None else index[None]
+            out, high_state = self.high(self.high_inputs(x, z), low[None], state.high, chosen)
             high = out[0]
         return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)
 
     def predict(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True
+        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
     ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` of a whole motion."""
-        return np.concatenate(
-            [m.vertices() for m in self.motions(joints, parameters=parameters, detail=detail)]
-        )
+        """World positions ``(F, V, 3)`` of a whole motion, or of the named frames, ascending."""
+        parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
+        return np.concatenate([m.vertices() for m in parts])
 
-    def motions(self, joints: Any, *, parameters: Any = None, detail: bool = True) -> list[Motion]:
-        """The motion in pieces of bounded length, in order."""
+    def motions(
+        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+    ) -> list[Motion]:
+        """The motion, or the named frames of it, in pieces of bounded length, in order."""
         joints, state, out = np.asarray(joints), None, []
+        wanted = None if frames is None else np.asarray(frames, np.int64)
         for start in range(0, max(1, len(joints)), _CHUNK):
             part = joints[start : start + _CHUNK]
-            motion, state = self.run(part, state, parameters=parameters, detail=detail)
-            out.append(motion)
+            own = None
+            if wanted is not None:
+                own = wanted[(wanted >= start) & (wanted < start + len(part))] - start
+            # One frame at least: a mesh of none has no shape; the memory goes on either way.
+            some = own if own is None or len(own) else [0]
+            motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)
+            if own is None or len(own):
+                out.append(motion)
         return out
 
     def step(
