@@ -121,7 +121,8 @@ def train_ensemble(
         checkpoints.append(base)
     o = config.ensemble
     for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
-        name = f"set-{k}" if k else "base"
+        # By its parameters: numbers would change as the store grows.
+        name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters)) if k else "base"
         data = dataclasses.replace(config.data, parameters=_text(parameters))
         own = dataclasses.replace(config, data=data)
         start = None

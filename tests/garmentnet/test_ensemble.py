@@ -229,8 +229,8 @@ def test_from_store_to_ensemble(toy_store, toy_config, tmp_path):
     assert train_ensemble(toy_store, config, tmp_path).read_bytes() == first
     # A base that is trained already is taken as it is.
     base = load_checkpoint(tmp_path / "base" / "checkpoint.safetensors")
-    for k in range(1, 5):
-        shutil.copytree(tmp_path / f"set-{k}", tmp_path / "again" / f"set-{k}")
+    for place in tmp_path.glob("set-*"):
+        shutil.copytree(place, tmp_path / "again" / place.name)
     again = train_ensemble(toy_store, config, tmp_path / "again", base=base)
     assert again.read_bytes() == first
     assert not (tmp_path / "again" / "base").exists()
