@@ -104,13 +104,18 @@ def report(
             lines += [f"unseen parameters, {split} motions, {count} frames", table(found), ""]
             document[f"unseen_parameters_{split}"] = [r.as_dict() for r in found]
     lines += _classes(rows)
-    floor = chaos_floor(bones)
-    document["chaos_floor"] = floor
-    for key, value in floor.items():
-        lines.append(
-            f"chaos floor, {key}: {value['overall']:.2f} mm, low {value['low']:.2f} mm "
-            f"({value['frames']:.0f} frames)"
-        )
+    pairs: dict[SimulationParameters, list[tuple[str, str]]] = {}
+    for pair in store.pairs():
+        pairs.setdefault(store.clip(pair[0]).parameters, []).append(pair)
+    # Soft cloth has a higher floor than stiff cloth: each parameter set is quoted by itself.
+    document["chaos_floor"] = chaos_floor(bones, pairs.get(base, []))
+    for key, value in document["chaos_floor"].items():
+        lines.append(f"chaos floor, {key}: {_floor(value)}")
+    document["chaos_floor_of_sets"] = {}
+    for parameters, own in pairs.items():
+        value = chaos_floor(bones, own)["all"]
+        document["chaos_floor_of_sets"][str(parameters)] = value
+        lines.append(f"chaos floor, {parameters} ({roles[parameters]}): {_floor(value)}")
     mean, deviation = looseness(bones, seen)
     document["looseness"] = {"mean_mm": mean.tolist(), "deviation_mm": deviation.tolist()}
     lines += ["", "mean error (mm) by distance to the body, quarters of the vertices"]
@@ -131,6 +136,10 @@ def report(
     write_file(folder / "report.json", json.dumps(document).encode())
     write_file(folder / "report.txt", text.encode())
     return text
+
+
+def _floor(value: dict[str, float]) -> str:
+    return f"{value['overall']:.2f} mm, low {value['low']:.2f} mm ({value['frames']:.0f} frames)"
 
 
 def _baselines(

@@ -129,7 +129,7 @@ def test_report(toy_run, toy_store, tmp_path):
     assert "bones themselves" in text
     assert "chaos floor, all" in text
     assert (tmp_path / "report.json").is_file()
-    assert len(list(tmp_path.glob("*.png"))) == 1
+    assert len(list(tmp_path.glob("*.png"))) == 2  # a clip, and the hard moments
 
 
 def test_report_refuses_another_garment(toy_run, tmp_path):
