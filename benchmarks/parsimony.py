@@ -187,6 +187,8 @@ def chart(rows: list[dict[str, Any]], curves: dict[str, Any], path: Path) -> Non
         xscale="log", yscale="log", xlabel="kB, every frame a key", ylabel="RMSE, % of diagonal",
         title="error against size, knee marked",
     )  # fmt: skip
+    left.set_xticks([6, 10, 20, 40], ["6", "10", "20", "40"])
+    left.set_xticks([], minor=True)
     left.legend()
     place = np.arange(len(rows))[::-1]
     for y, row in zip(place, rows, strict=True):

@@ -25,7 +25,16 @@ from .plan import Op, Run
 from .reseeding import alternate, with_patch
 from .trajectories import Trajectories
 
-__all__ = ["Attempt", "Measure", "Search", "Stopped", "grow_bone", "rank_bound", "reduced"]
+__all__ = [
+    "Attempt",
+    "Measure",
+    "Search",
+    "Stopped",
+    "grow_bone",
+    "rank_bound",
+    "rank_of",
+    "reduced",
+]
 
 Measure = Literal["rmse", "max"]
 _logger = logging.getLogger(__name__)
@@ -83,14 +92,18 @@ def rank_bound(data: Trajectories, allowed: float) -> int:
     weights sum to 1.  By Eckart and Young (1936) the error is at least the energy
     beyond that rank.  1 where the spectrum is too large to be computed.
     """
+    return max(1, -(-(rank_of(data, allowed) + 1) // 4))
+
+
+def rank_of(data: Trajectories, allowed: float) -> int:
+    """Rank that leaves so little squared error; 0 where it is too large to be computed."""
     if min(data.z.shape) > _SPECTRUM:
-        return 1
+        return 0
     x = data.z
     values = np.linalg.eigvalsh(x @ x.T if x.shape[1] > x.shape[0] else x.T @ x)[::-1]
     energy = float(values.sum())
     tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
-    rank = int(np.argmax(tail <= max(allowed, _NOISE * energy)))
-    return max(1, -(-(rank + 1) // 4))
+    return int(np.argmax(tail <= max(allowed, _NOISE * energy)))
 
 
 def reduced(data: Trajectories, allowed: float) -> Trajectories:
@@ -153,8 +166,8 @@ class Search:
     least, most : int
         Bounds on the number of bones; `least` is a proven one.
     exact : int
-        Where the motion's rank ends: it may be exact skinning by so many bones.
-        0 where that is far above `least`.
+        Where the motion's rank ends it may be exact skinning, by at most so many
+        bones if they hang together by joints; 0 where that is far above `least`.
     effort : {"fast", "balanced", "best"}
     step : callable
         Hears phase, iteration and an estimate of the share that is done after
@@ -315,7 +328,8 @@ class Search:
         self._try(bones, plan, best, "kicked", 0.7, 0.9)
 
     def _hopeless(self, bones: int, error: float) -> bool:
-        near = self.least > 1 and bones < _NEAR_RANK * self.least + 1
+        # exact skinning has no slope that tells how far there is to go
+        near = self.exact > 0 or (self.least > 1 and bones < _NEAR_RANK * self.least + 1)
         return not near and error > self.zeal.give_up * self.tolerance
 
     def _begin(self, factor: float) -> list[Op]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .bones import true_squared_error
 from .errors import Cancelled, InputError, SsdrWarning
-from .fewest import Measure, Search, Stopped, rank_bound, reduced
+from .fewest import Measure, Search, Stopped, rank_bound, rank_of, reduced
 from .given import Parts, fingerprint, normalise
 from .model import Fixed, Model
 from .parallel import serial_blas
@@ -139,7 +139,8 @@ class _Task:
         plain = importance is None and frame_importance is None and self.found is None
         with serial_blas():
             self.least = rank_bound(data, allowed) if plain else 1
-            exact = rank_bound(data, 0.0) if plain else 0
+            # a joint that two bones share takes one from 4B − 1: at least 3B is left
+            exact = -(-rank_of(data, 0.0) // 3) if plain else 0
         if exact > 2 * self.least + 1:
             exact = 0
         self.data: Trajectories = reduced(data, allowed)
