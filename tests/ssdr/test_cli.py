@@ -128,9 +128,10 @@ def test_help_version_and_usage(run):
     code, out, err = run("decompose", "a.npz", "--bones", "0", "-o", "b.npz")
     assert (code, out) == (2, "")
     assert "--bones" in err
-    code, _, err = run("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "affine")
+    code, _, err = run("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "rubber")
     assert code == 2
     assert "'rigid'" in err
+    assert "'affine'" in err
     assert "Traceback" not in err
 
 
