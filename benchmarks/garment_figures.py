@@ -43,7 +43,7 @@ def curves(runs: Path, out: Path) -> None:
 def errors(report: Any, out: Path) -> None:
     """Overall RMSE of every method, and error over the distance to the body."""
     plt = common.pyplot()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(14, 4))
     rows = report["unseen_motions"]
     names = [r["name"] for r in rows]
     left.barh(names, [r["overall"]["rmse"] for r in rows], color="#5b8db8")
@@ -60,10 +60,11 @@ def errors(report: Any, out: Path) -> None:
     for r in rows:
         error = np.array(r["per_vertex"])
         at = [mean[p].mean() for p in parts]
-        right.plot(at, [error[p].mean() for p in parts], label=r["name"], linewidth=1.6)
+        style = ":" if r["name"] == "bones themselves" else "-"
+        right.plot(at, [error[p].mean() for p in parts], style, label=r["name"], linewidth=1.6)
     right.set_xlabel("mean distance to the body, mm")
     right.set_ylabel("mean error, mm")
-    right.legend(fontsize=7)
+    right.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))
     common.save_figure(figure, out / "garment_errors.png")
 
 

@@ -112,7 +112,9 @@ def draw_weights(model: Any, sweeps: dict[str, Any], path: Path) -> None:
         axis.set_xlabel(key.replace("_", " "))
         if key != "time_scale":
             axis.set_xscale("log")
-            common.plain_log_ticks(axis)
+            marks = [0.2, 0.5, 1, 2] if key == "bending" else [0.1, 0.15, 0.2, 0.3]
+            axis.set_xticks(marks, [f"{m:g}" for m in marks])
+            axis.minorticks_off()
     axes[0].set_ylabel("weight of the pivot")
     axes[-1].legend(
         title="pivot: bending, density, time", fontsize=7, title_fontsize=8, loc="upper left",
