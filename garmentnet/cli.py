@@ -6,18 +6,16 @@ needs an extra does not stand in the way of the others.
 
 from __future__ import annotations
 
-import contextlib
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError
+from ssdr.process import error_text, terminate_as_interrupt
 
 from . import learning_cli
 
@@ -90,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Those of the process by default.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    with _terminate_as_interrupt():
+    with terminate_as_interrupt():
         try:
             code = app(given, prog_name="garmentnet", standalone_mode=False)
             # The parser turns an interrupt into this code and says nothing.
@@ -121,10 +119,7 @@ def _stopped() -> int:
 
 
 def _fail(code: int, error: BaseException) -> int:
-    text = str(error) or type(error).__name__
-    if isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    _say(f"error: {text}")
+    _say(f"error: {error_text(error)}")
     return code
 
 
@@ -142,19 +137,6 @@ def _usage(error: Any) -> int:
 
 def _say(text: str) -> None:
     print(f"garmentnet: {' '.join(text.split())}", file=sys.stderr)
-
-
-@contextlib.contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM unwind like Ctrl-C, so that no half-written file stays behind."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    old = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, old)
 
 
 if __name__ == "__main__":

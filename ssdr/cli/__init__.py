@@ -6,20 +6,18 @@ read as what it claims to be, 4 a missing optional package, 130 interrupted.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import os
-import signal
 import sys
-import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
 
 from ..errors import Cancelled, FormatError, InputError, MissingDependencyError, SsdrError
+from ..process import error_text, terminate_as_interrupt
 from .comparing import compare
 from .converting import convert
 from .decomposing import decompose
@@ -72,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in given
     output = Output.current = Output(arguments=given)
-    with warnings.catch_warnings(), _terminate_as_interrupt():
+    with warnings.catch_warnings(), terminate_as_interrupt():
         warnings.showwarning = output.warn
         try:
             code = app(given, prog_name="ssdr", standalone_mode=False)
@@ -84,38 +82,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except FormatError as error:
             return _fail(3, error, str(error), as_json)
         except (InputError, FileNotFoundError, PermissionError, IsADirectoryError) as error:
-            return _fail(2, error, _text(error), as_json)
+            return _fail(2, error, error_text(error), as_json)
         except BrokenPipeError:
             # The reader of stdout has gone; Python would complain again when it exits.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
         except (SsdrError, OSError, MemoryError) as error:
-            return _fail(1, error, _text(error), as_json)
+            return _fail(1, error, error_text(error), as_json)
         except Exception as error:
             if hasattr(error, "format_message"):  # what the parser of the command line raises
                 return _fail(2, error, error.format_message(), as_json, usage=error)
             logging.getLogger("ssdr").debug("traceback", exc_info=True)
             text = f"unexpected {type(error).__name__}: {error} (-vv shows where)"
             return _fail(1, error, text, as_json)
-
-
-@contextlib.contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM unwind like Ctrl-C, so that no half-written file stays behind."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    old = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, old)
-
-
-def _text(error: BaseException) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    return str(error) or type(error).__name__
 
 
 def _fail(
