@@ -108,14 +108,11 @@ def report(
     for pair in store.pairs():
         pairs.setdefault(store.clip(pair[0]).parameters, []).append(pair)
     # Soft cloth has a higher floor than stiff cloth: each parameter set is quoted by itself.
-    document["chaos_floor"] = chaos_floor(bones, pairs.get(base, []))
-    for key, value in document["chaos_floor"].items():
-        lines.append(f"chaos floor, {key}: {_floor(value)}")
-    document["chaos_floor_of_sets"] = {}
-    for parameters, own in pairs.items():
-        value = chaos_floor(bones, own)["all"]
-        document["chaos_floor_of_sets"][str(parameters)] = value
-        lines.append(f"chaos floor, {parameters} ({roles[parameters]}): {_floor(value)}")
+    floors = {p: chaos_floor(bones, own) for p, own in pairs.items()}
+    document["chaos_floor"] = floors.get(base, {})
+    document["chaos_floor_of_sets"] = {str(p): floor["all"] for p, floor in floors.items()}
+    lines += [f"chaos floor, {key}: {_floor(v)}" for key, v in document["chaos_floor"].items()]
+    lines += [f"chaos floor, {p} ({roles[p]}): {_floor(f['all'])}" for p, f in floors.items()]
     mean, deviation = looseness(bones, seen)
     document["looseness"] = {"mean_mm": mean.tolist(), "deviation_mm": deviation.tolist()}
     lines += ["", "mean error (mm) by distance to the body, quarters of the vertices"]
