@@ -97,7 +97,8 @@ class Model:
         return Model(
             transforms=np.ascontiguousarray(self.transforms[:, keep]), rest=self.rest.copy(),
             support=np.ascontiguousarray(support, dtype=np.int32), share=share, count=count,
-            joints=np.ascontiguousarray(support[:, :k], dtype=np.int32), weights=weights,
+            # a copy also where all of the support is kept: steps write to both
+            joints=np.array(support[:, :k], dtype=np.int32, order="C"), weights=weights,
             error=self.error.copy(),
         )  # fmt: skip
 
