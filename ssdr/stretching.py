@@ -84,7 +84,11 @@ class AffinePolish(Polish):
         damping[index, index] = self.damping * metric
         own = np.zeros_like(u)
         own[index, index] = 1e-9 * metric
-        inverse = np.linalg.inv(flat_blocks(u + damping + own))
+        matrix = flat_blocks(u + damping + own)
+        try:
+            inverse = np.linalg.inv(matrix)
+        except np.linalg.LinAlgError:  # a bone that moves one point, far from the origin
+            inverse = np.linalg.pinv(matrix, hermitian=True)
         inverse = 0.5 * (inverse + inverse.T)
         damped = flat_blocks(damping)
         weight = self.data.frame_scale[:, None, None] ** 2

@@ -303,7 +303,8 @@ def invert(a, n, scale, out):
             for k in range(j):
                 s -= a[i, k] * a[j, k]
             if i == j:
-                a[i, i] = np.sqrt(max(s, 1e-12))
+                # what rounding leaves of a dependent variable is no curvature: it stays put
+                a[i, i] = np.sqrt(s) if s > 1e-12 else 1e100
             else:
                 a[i, j] = s / a[j, j]
     for c in range(n):
