@@ -1,0 +1,505 @@
+"""Random small problems for an hour: nothing may hang, crash, lie or leak.
+
+    python benchmarks/soak.py --hours 1 --out out/soak
+    python benchmarks/soak.py --case 1234            # one problem again, and what is wrong with it
+
+Each seed is a problem: shape and motion (degenerate ones among them), precision, bones,
+influences, bone model, effort, fixed parts, importance, smoothness, tolerance, limits, threads,
+and for some a stop at a random point and a resumption from a file.  Every result is checked by
+plain NumPy.  A process does the work and a second one watches it: a case that takes too long
+leaves all its stacks behind and is counted as a hang, a crash as a crash, and the next case
+follows.  cases.jsonl has a line a case, summary.json the counts and the memory; a run that was
+stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import faulthandler
+import gc
+import itertools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import motions
+from common import defects, reskin, revision, write_json
+
+import ssdr
+
+CPU_LIMIT = 240.0  # seconds of one case: many times what the slowest takes
+WALL_LIMIT = 3600.0  # for what waits for ever without computing
+WARM = 150  # cases after which memory is first measured
+
+
+# problems
+
+
+def draw(seed: int) -> dict[str, Any]:
+    """Arguments of a call, and what else is done with it, from a seed."""
+    rng = np.random.default_rng(seed)
+    v = (
+        int(np.exp(rng.uniform(0, np.log(90))))
+        if rng.random() < 0.9
+        else int(rng.integers(90, 1100))
+    )
+    f = int(np.exp(rng.uniform(0, np.log(40))))
+    rest, shape = draw_shape(rng, v)
+    frames, motion = draw_motion(rng, rest, f)
+    frames, changes = disturb(rng, frames)
+    kind = {"V": v, "F": f, "shape": shape, "motion": motion, "changes": changes}
+    faces = draw_faces(rng, v)
+    options = draw_options(rng, frames, faces)
+    shots = sorted({0, f, *(rng.integers(0, f, 2).tolist() if rng.random() < 0.1 else [])})
+    return {
+        "seed": seed, "kind": kind, "frames": frames, "faces": faces, "options": options,
+        "shots": shots,
+        "stops": [float(x) for x in rng.random(int(rng.integers(1, 3)))] * (rng.random() < 0.25),
+        "threads": 2 if rng.random() < 0.1 else 1,
+    }  # fmt: skip
+
+
+def draw_shape(rng: np.random.Generator, v: int) -> tuple[np.ndarray, str]:
+    shape = rng.choice(
+        ["ball", "ball", "ball", "plane", "line", "nearly a line", "point", "copies", "clusters"]
+    )
+    p = rng.standard_normal((v, 3))
+    if shape == "plane":
+        p[:, rng.integers(3)] = 0
+    elif shape == "line":
+        p = p[:, :1] * rng.standard_normal(3)
+    elif shape == "nearly a line":
+        p = p[:, :1] * rng.standard_normal(3) + 1e-9 * rng.standard_normal((v, 3))
+    elif shape == "point":
+        p[:] = p[0]
+    elif shape == "copies":
+        p = p[rng.integers(0, max(1, v // 5), v)]
+    elif shape == "clusters":
+        p += 30 * rng.standard_normal((4, 3))[rng.integers(0, 4, v)]
+    return p, str(shape)
+
+
+def draw_motion(rng: np.random.Generator, rest: np.ndarray, f: int) -> tuple[np.ndarray, str]:
+    v = len(rest)
+    motion = str(
+        rng.choice(["bodies", "blend", "blend and noise", "waves", "noise", "one body", "still"],
+                   p=[0.2, 0.25, 0.2, 0.15, 0.1, 0.05, 0.05])
+    )  # fmt: skip
+    if motion == "noise":
+        return rng.standard_normal((f, v, 3)), motion
+    if motion == "still":
+        return np.repeat(rest[None], f, axis=0), motion
+    b = 1 if motion == "one body" else int(rng.integers(1, 9))
+    moves = motions.motions(rng, f, b, turn=float(rng.choice([1e-4, 0.3, 1.0, 3.0])))
+    joints, weights = motions.weights_of(rng, v, b, 1 if motion == "bodies" else 4)
+    frames = motions.blend(rest, joints, weights, moves)
+    if motion == "waves":
+        t = np.arange(f)[:, None, None]
+        frames = rest + np.sin(0.5 * t + rest @ rng.standard_normal((3, 3)))
+    if motion == "blend and noise":
+        frames = frames + 10 ** rng.uniform(-6, -0.5) * rng.standard_normal(frames.shape)
+    return frames, motion
+
+
+def disturb(rng: np.random.Generator, frames: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    f, v = frames.shape[:2]
+    done = []
+
+    def also(name: str, probability: float) -> bool:
+        if rng.random() < probability:
+            done.append(name)
+            return True
+        return False
+
+    t, i = int(rng.integers(f)), int(rng.integers(v))
+    if also("mirrored from a frame on", 0.08):
+        frames[t:] *= [-1, 1, 1]
+    if also("a frame far away", 0.06):
+        frames[t] += 10 ** rng.uniform(2, 6) * rng.standard_normal(3)
+    if also("a frame in a point", 0.05):
+        frames[t] = frames[t, i]
+    if also("a vertex far away", 0.06):
+        frames[:, i] += 10 ** rng.uniform(1, 5)
+    if also("a vertex that jumps", 0.05):
+        frames[t, i] += 10 ** rng.uniform(0, 4)
+    if also("frames repeated", 0.06):
+        frames[t:] = frames[t]
+    if also("from the origin", 0.1):
+        frames += 10 ** rng.uniform(0, 6) * rng.standard_normal(3)
+    if also("scaled", 0.12):
+        frames *= 10.0 ** rng.uniform(-9, 9)
+    kind = rng.choice(["f8", "f4", "f2", ">f8", "column order", "every other"],
+                      p=[0.5, 0.3, 0.03, 0.05, 0.06, 0.06])  # fmt: skip
+    if kind == "f2" and np.abs(frames).max() > 6e4:
+        kind = "f4"
+    if kind == "column order":
+        frames = np.asfortranarray(frames)
+    elif kind == "every other":
+        frames = np.repeat(frames, 2, axis=1)[:, ::2]
+    else:
+        frames = frames.astype(kind)
+    return frames, [*done, str(kind)]
+
+
+def draw_faces(rng: np.random.Generator, v: int) -> np.ndarray | None:
+    if rng.random() < 0.4:
+        return None
+    if rng.random() < 0.5:
+        return rng.integers(0, v, (int(rng.integers(1, 2 * v + 2)), 3)).astype(np.int32)
+    i = np.arange(max(v - 2, 0), dtype=np.int32)
+    return np.stack([i, i + 1, i + 2], axis=1) if v > 2 else np.zeros((1, 3), dtype=np.int32)
+
+
+def draw_options(
+    rng: np.random.Generator, frames: np.ndarray, faces: np.ndarray | None
+) -> dict[str, Any]:
+    f, v = frames.shape[:2]
+    most = min(v, 14)
+    bones = (
+        int(rng.integers(1, most + 1)) if rng.random() < 0.9 else max(1, v - int(rng.integers(3)))
+    )
+    bones = min(bones, 40)
+    out: dict[str, Any] = {
+        "bones": bones,
+        "influences": int(rng.choice([1, 2, 3, 4, 4, 4, 4, 5, 8, 13, 20])),
+        "bone_model": str(rng.choice(["rigid", "similarity", "affine"], p=[0.6, 0.2, 0.2])),
+        "effort": str(rng.choice(["fast", "balanced", "best"], p=[0.6, 0.3, 0.1])),
+        "rng": int(rng.integers(1000)), "rest_frame": int(rng.integers(f)),
+    }  # fmt: skip
+    if out["effort"] == "best" or rng.random() < 0.2:
+        out["max_iterations"] = int(rng.integers(1, 120))
+    if rng.random() < 0.04:
+        out["time_limit"] = float(10 ** rng.uniform(-3, 0))
+    if rng.random() < 0.15:
+        out["vertex_importance"] = rng.random(v) * (rng.random(v) < rng.choice([0.5, 1.0]))
+        out["vertex_importance"][rng.integers(v)] = 1.0
+    if rng.random() < 0.1:
+        out["frame_importance"] = 10 ** rng.uniform(-2, 2, f)
+    size = float(np.abs(np.asarray(frames, dtype=np.float64)).max()) or 1.0
+    if rng.random() < 0.15:
+        first = np.array(frames[int(rng.integers(f))], dtype=np.float64)
+        out["rest"] = first if rng.random() < 0.7 else size * rng.standard_normal((v, 3))
+    if rng.random() < 0.08:
+        out["tolerance"] = str(rng.choice(["0.01%", "0.3%", "2%", "30%"]))
+        out["tolerance_of"] = str(rng.choice(["rmse", "max"]))
+        out["bones"] = min(bones, 8)
+        if out["effort"] == "best":
+            out["effort"] = "fast"
+        return out
+    if rng.random() < 0.1:
+        joints, weights = motions.weights_of(rng, v, bones, min(out["influences"], 4))
+        out["joints"], out["weights"] = joints, weights
+        if rng.random() < 0.5:
+            out["locked_vertices"] = rng.random(v) < 0.4
+    if rng.random() < 0.1:
+        count = bones if "weights" in out else int(rng.integers(1, bones + 1))
+        given = motions.motions(rng, f, count)
+        given[..., 3] *= size
+        out["transforms"] = given
+        if rng.random() < 0.5:
+            out["locked_bones"] = np.flatnonzero(rng.random(count) < 0.5)
+    if faces is not None and rng.random() < 0.12:
+        out["smoothness"] = size * float(10 ** rng.uniform(-6, 0))
+    return out
+
+
+# one case
+
+
+def solve(problem: dict[str, Any], folder: Path) -> tuple[ssdr.Decomposition, list[str]]:
+    """The result, and what was wrong on the way."""
+    frames, faces, options = problem["frames"], problem["faces"], problem["options"]
+    cuts = problem["shots"]
+    given: Any = [ssdr.MeshSequence(frames[a:b], faces) for a, b in itertools.pairwise(cuts)]
+    wrong = []
+    ssdr.set_threads(problem["threads"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", ssdr.SsdrWarning)
+        whole = ssdr.decompose(given, **options)
+        if not problem["stops"] or "time_limit" in options:
+            return whole, wrong
+        state: Any = None
+        last = whole.state.progress["iteration"]
+        for k, share in enumerate(sorted(problem["stops"])):
+            at = 1 + int(share * max(last, 1))
+
+            def enough(progress: ssdr.Progress, at: int = at) -> bool:
+                return progress.iteration >= at and np.isfinite(progress.rmse)
+
+            part = ssdr.decompose(given, callback=enough, resume=state, **options)
+            path = folder / "state.npz"
+            part.state.save(path)
+            state = path if k else ssdr.SolverState.load(path)
+            wrong += [f"stopped: {fault}" for fault in faults(part, problem)]
+        again = ssdr.decompose(given, resume=state, **options)
+        if "tolerance" not in options and _bits(again) != _bits(whole):
+            wrong.append("resumed: other bits")
+    return whole, wrong
+
+
+def _bits(result: ssdr.Decomposition) -> list[bytes]:
+    s = result.skinning
+    return [a.tobytes() for a in (s.rest, s.joints, s.weights, s.transforms)]
+
+
+def faults(result: ssdr.Decomposition, problem: dict[str, Any]) -> list[str]:
+    """What is wrong with a result; by plain NumPy."""
+    options, s = problem["options"], result.skinning
+    frames = np.array(problem["frames"], dtype=np.float64)
+    f, v = frames.shape[:2]
+    searched = "tolerance" in options
+    bones = s.transforms.shape[1] if searched else options["bones"]
+    wrong = defects(s, bones, options["influences"])
+    if searched and not 1 <= bones <= options["bones"]:
+        wrong.append(f"{bones} bones, at most {options['bones']} were asked for")
+    if s.transforms.shape[0] != f or s.rest.shape != (v, 3) or len(s.weights) != v:
+        return [*wrong, "wrong shapes"]
+    if s.joints.min() < 0 or s.joints.max() >= bones:
+        return [*wrong, "joints out of range"]
+    difference = reskin(s.rest, s.joints, s.weights, s.transforms) - frames
+    squared = (difference**2).sum(axis=-1)
+    rmse = float(np.sqrt(squared.mean()))
+    size = float(np.abs(frames).max())
+    if not abs(rmse - result.rmse) <= 1e-6 * rmse + 1e-12 * size:
+        wrong.append(f"says rmse {result.rmse:.6g}, is {rmse:.6g}")
+    errors = [record.rmse for record in result.history]
+    # a search tells of models of several sizes; with smoothness the penalty may fall instead
+    if "smoothness" not in options and not searched and (np.diff(errors) > 0).any():
+        wrong.append("history rises")
+    if errors[-1] != result.rmse:
+        wrong.append("history does not end at the result")
+    if searched:
+        found = result.parsimony
+        worst = float(np.sqrt(squared.max())) if options["tolerance_of"] == "max" else rmse
+        if found is None or (found.held and worst > found.tolerance * (1 + 1e-6) + 1e-12 * size):
+            wrong.append("the tolerance is not held")
+        return wrong
+    if "transforms" in options:
+        count = options["transforms"].shape[1]
+        locked = np.asarray(options.get("locked_bones", np.arange(count)), dtype=int)
+        moved = np.abs(s.transforms[:, locked] - options["transforms"][:, locked])
+        if moved.size and moved.max() > 1e-7 * max(size, 1.0):
+            wrong.append("locked bones moved")
+    elif rmse > 1.001 * (bound := one_motion(frames, options)) + 1e-7 * size:
+        wrong.append(f"rmse {rmse:.6g}, one motion for all has {bound:.6g}")
+    if "rest" in options and np.abs(s.rest - options["rest"]).max() > 1e-9 * size:
+        wrong.append("the given rest pose moved")
+    if "weights" in options:
+        kept = options.get("locked_vertices", np.ones(v, dtype=bool))
+        a, b = np.zeros((2, v, bones))
+        np.add.at(a, (np.arange(v)[:, None], s.joints), s.weights)
+        np.add.at(b, (np.arange(v)[:, None], options["joints"]), options["weights"])
+        if kept.any() and np.abs(a - b)[kept].max() > 1e-9:
+            wrong.append("locked weights changed")
+    return wrong
+
+
+def one_motion(frames: np.ndarray, options: dict[str, Any]) -> float:
+    """RMSE of the best rigid motion of the whole mesh, which every model contains.
+
+    Where importances or a penalty weigh the two differently they are not compared; an affine
+    bone that must not turn inside out may stop at a wall that a rigid one never meets.
+    """
+    weighed = {"vertex_importance", "frame_importance", "smoothness"} & set(options)
+    if weighed or options["bone_model"] == "affine":
+        return np.inf
+    rest = options.get("rest", frames[options["rest_frame"]])
+    p = rest - rest.mean(axis=0)
+    total = 0.0
+    for frame in frames:
+        x = frame - frame.mean(axis=0)
+        u, _, vt = np.linalg.svd(p.T @ x)
+        u[:, 2] *= np.sign(np.linalg.det(u @ vt))
+        total += float(((p @ u @ vt - x) ** 2).sum())
+    return float(np.sqrt(total / (len(frames) * len(rest))))
+
+
+def run_case(seed: int) -> dict[str, Any]:
+    problem = draw(seed)
+    plain = {
+        key: value if isinstance(value, (int, float, str)) else "given"
+        for key, value in problem["options"].items()
+    }
+    line: dict[str, Any] = {
+        "seed": seed, **problem["kind"], "options": plain, "stops": len(problem["stops"]),
+        "threads": problem["threads"],
+    }  # fmt: skip
+    began = time.process_time()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            result, wrong = solve(problem, Path(folder))
+        wrong += faults(result, problem)
+        line |= {"iterations": result.state.progress.get("iteration"), "rmse": result.rmse}
+    except Exception as error:
+        import traceback
+
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        wrong = [f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"]
+    line |= {"cpu": round(time.process_time() - began, 3), "wrong": wrong}
+    return line
+
+
+# the worker and its watcher
+
+
+def resident() -> float:
+    """MiB of this process that are in memory, what the allocator could give back given back."""
+    gc.collect()
+    with contextlib.suppress(OSError, AttributeError):  # where it is not glibc
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def work(out: Path, first: int, seconds: float) -> None:
+    """Case after case until the time is over."""
+    stacks = (out / "stacks.txt").open("a")
+    here: dict[str, float] = {}
+
+    def watch() -> None:
+        while True:
+            time.sleep(2)
+            if here and time.process_time() - here["cpu"] > CPU_LIMIT:
+                print(f"case {here['seed']:.0f} takes too long", file=stacks, flush=True)
+                faulthandler.dump_traceback(stacks)
+                os._exit(75)
+
+    threading.Thread(target=watch, daemon=True).start()
+    end = time.monotonic() + seconds
+    seed = first
+    with (out / "cases.jsonl").open("a") as log:
+        while time.monotonic() < end:
+            (out / "running").write_text(str(seed))
+            # this one needs no lock of the interpreter, and so sees even what holds it for ever
+            faulthandler.dump_traceback_later(WALL_LIMIT, exit=True, file=stacks)
+            here |= {"seed": seed, "cpu": time.process_time()}
+            line = run_case(seed)
+            here.clear()
+            faulthandler.cancel_dump_traceback_later()
+            if (seed - first) % 25 == 24:
+                line |= {
+                    "process": os.getpid(),
+                    "done": seed - first + 1,
+                    "MiB": round(resident(), 1),
+                }
+            log.write(json.dumps(line) + "\n")
+            log.flush()
+            seed += 1
+
+
+def watch_over(out: Path, seconds: float, first: int) -> None:
+    """Workers, one after the other, each from the case after the last."""
+    out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    before = (
+        json.loads((out / "summary.json").read_text()) if (out / "summary.json").exists() else {}
+    )
+    while (left := seconds - (time.monotonic() - began)) > 0:
+        done = [json.loads(line)["seed"] for line in _lines(out)]
+        seed = max(done, default=first - 1) + 1
+        child = subprocess.Popen(
+            [sys.executable, __file__, "--out", str(out), "--work", str(seed), str(left)]
+        )
+        try:
+            while child.poll() is None:
+                time.sleep(min(20, max(1.0, seconds / 50)))
+                summarise(out, before, time.monotonic() - began)
+        except KeyboardInterrupt:
+            child.terminate()
+            child.wait()
+            break
+        if child.returncode:
+            seed = int((out / "running").read_text())
+            what = "hang" if child.returncode in (75, 1) else f"crash ({child.returncode})"
+            with (out / "cases.jsonl").open("a") as log:
+                log.write(json.dumps({"seed": seed, "cpu": None, "wrong": [what]}) + "\n")
+    summary = summarise(out, before, time.monotonic() - began)
+    print(json.dumps({k: v for k, v in summary.items() if k != "counts"}, indent=1))
+
+
+def _lines(out: Path) -> list[str]:
+    path = out / "cases.jsonl"
+    return [x for x in path.read_text().splitlines() if x] if path.exists() else []
+
+
+def summarise(out: Path, before: dict[str, Any], seconds: float) -> dict[str, Any]:
+    cases = [json.loads(line) for line in _lines(out)]
+    counts: dict[str, Counter[str]] = {}
+    for case in cases:
+        for key in ("shape", "motion", "threads"):
+            counts.setdefault(key, Counter())[str(case.get(key))] += 1
+        counts.setdefault("changes", Counter()).update(case.get("changes", []))
+        for key, value in case.get("options", {}).items():
+            named = key in ("bone_model", "effort", "influences", "tolerance", "tolerance_of")
+            if named or value == "given" or key in ("smoothness", "max_iterations", "time_limit"):
+                name = f"{key} {value}" if named else key
+                counts.setdefault("options", Counter())[name] += 1
+        counts.setdefault("resumed", Counter())[str(case.get("stops", 0))] += 1
+    measured: dict[int, list[tuple[int, float]]] = {}
+    for case in cases:
+        if "MiB" in case:
+            measured.setdefault(case["process"], []).append((case["done"], case["MiB"]))
+    memory = []
+    for points in measured.values():
+        warm = [m for n, m in points if n >= WARM]
+        if len(warm) >= 8:
+            quarter = len(warm) // 4
+            memory.append({
+                "cases": points[-1][0], "first MiB": points[0][1], "warm MiB": warm[0],
+                "median of the first quarter": float(np.median(warm[:quarter])),
+                "median of the last quarter": float(np.median(warm[-quarter:])),
+                "most MiB": max(warm), "end MiB": warm[-1],
+            })  # fmt: skip
+    cpu = [case["cpu"] for case in cases if case["cpu"] is not None]
+    summary = {
+        "revision": before.get("revision") or revision(),
+        "seconds": round(before.get("seconds", 0.0) + seconds, 1), "cases": len(cases),
+        "cpu seconds": round(sum(cpu), 1), "slowest case, cpu seconds": max(cpu, default=0.0),
+        "iterations": sum(case.get("iterations") or 0 for case in cases),
+        "failures": [case for case in cases if case["wrong"]],
+        "hangs": sum("hang" in case["wrong"] for case in cases),
+        "crashes": sum(any(w.startswith("crash") for w in case["wrong"]) for case in cases),
+        "memory": memory,
+        "counts": {key: dict(counter.most_common()) for key, counter in counts.items()},
+    }  # fmt: skip
+    write_json(out / "summary.part", summary)
+    (out / "summary.part").replace(out / "summary.json")
+    return summary
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--out", type=Path, default=Path("out/soak"))
+    parser.add_argument("--first", type=int, default=0, help="first seed of a new run")
+    parser.add_argument("--case", type=int, metavar="SEED", help="one case again")
+    parser.add_argument("--work", nargs=2, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.case is not None:
+        line = run_case(args.case)
+        print(json.dumps(line, indent=1))
+        return 1 if line["wrong"] else 0
+    if args.work:
+        work(args.out, int(args.work[0]), float(args.work[1]))
+        return 0
+    watch_over(args.out, 3600 * args.hours, args.first)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
