@@ -14,9 +14,11 @@ approximation that drops second derivatives).
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .affine import flat_blocks
 from .kernels.polish import polish_vertices
@@ -54,6 +56,51 @@ class _Eliminated:
     inverse: Array  # (V, D, D) of the vertices' Gauss–Newton matrices
     gradient: Array  # (V, D) half gradients
     hat: Array  # (3F, 4B) transforms
+    grouped: _Grouped | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Grouped:
+    """Vertices ordered by the set of bones that move them, which a group shares.
+
+    One block of the cross products serves a group, and the passes of the
+    conjugate gradients read memory from front to back.
+    """
+
+    order: NDArray[np.intp]  # (V,)
+    start: NDArray[np.intp]  # (G + 1,)
+    bones: NDArray[np.intp]  # (G, K) ascending, padded with B
+    count: NDArray[np.intp]  # (G,)
+    slot: NDArray[np.intp]  # (V, K) of the model's columns, the one of each of the group's bones
+    rest: Array
+    weights: Array  # (V, K)
+    importance: Array
+    free: NDArray[np.bool_]
+    inverse: Array
+    gradient: Array
+
+    @staticmethod
+    def build(
+        data: Trajectories, model: Model, left: _Eliminated, keep: NDArray[np.bool_]
+    ) -> _Grouped:
+        n_bones = model.n_bones
+        bones = np.where(model.weights > 0, model.joints, n_bones)
+        slot = bones.argsort(axis=1, kind="stable")
+        bones = np.take_along_axis(bones, slot, axis=1)
+        # Should two sets share a code they only make more groups.
+        code = np.zeros(len(bones), dtype=np.uint64)
+        for column in bones.T:
+            code = code * np.uint64(n_bones + 1) + column.astype(np.uint64)
+        order = code.argsort(kind="stable")
+        bones, slot = bones[order], slot[order]
+        first = np.flatnonzero(np.append(True, (bones[1:] != bones[:-1]).any(axis=1)))
+        return _Grouped(
+            order=order, start=np.append(first, len(bones)), bones=bones[first],
+            count=(bones[first] < n_bones).sum(axis=1), slot=slot, rest=model.rest[order],
+            weights=np.take_along_axis(model.weights[order], slot, axis=1),
+            importance=data.importance[order], free=~keep[order],
+            inverse=left.inverse[order], gradient=left.gradient[order],
+        )  # fmt: skip
 
 
 class Polish:
@@ -279,21 +326,29 @@ class Polish:
         return out
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
-        data, model, left = self.data, self.model, self._left
+        """What the vertices answer to a change of the transforms, and its image.
+
+        The first (V, D) is in the order of the groups.
+        """
+        model, left = self.model, self._left
         n_bones = model.n_bones
-        step = np.empty((data.n_vertices, model.n_influences + 2))
+        if left.grouped is None:
+            left.grouped = _Grouped.build(self.data, model, left, self._keep)
+        own = left.grouped
+        step = np.empty((len(own.order), model.n_influences + 2))
         move_rest = not self.fixed.rest
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
             schur_vertices(
-                cross, model.rest[i:k], model.joints[i:k], model.weights[i:k],
-                data.importance[i:k], self._keep[i:k], left.inverse[i:k], left.gradient[i:k],
-                share, step[i:k], total, move_rest, 0, k - i,
+                cross, own.start, own.bones, own.count, own.slot, own.rest, own.weights,
+                own.importance, own.free, own.inverse, own.gradient, share, step, total,
+                move_rest, i, k,
             )  # fmt: skip
             return total
 
-        parts = run_chunks(work, self._vertices)
+        cuts = np.searchsorted(own.start, [0, *(k for _, k in self._vertices)])
+        parts = run_chunks(work, list(itertools.pairwise(cuts.tolist())))
         total = parts[0]
         for part in parts[1:]:
             total += part
@@ -304,5 +359,8 @@ class Polish:
         with serial_blas():
             image = self._image(x)
             cross = (self._left.hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
-            step, _ = self._eliminate(np.ascontiguousarray(cross), 1.0)
+            grouped, _ = self._eliminate(np.ascontiguousarray(cross), 1.0)
+        assert self._left.grouped is not None
+        step = np.empty_like(grouped)
+        step[self._left.grouped.order] = grouped
         return step

@@ -9,80 +9,118 @@ import numpy as np
 
 from .frames import quaternion_matrix
 from .policy import kernel
-from .vertices import against, store
+from .vertices import store
 
 
 @kernel
 def schur_vertices(
-    cross, rest, joints, weights, importance, keep_weights, inverse, gradient, share,
+    cross, start, bones, count, slot, rest, weights, importance, free, inverse, gradient, share,
     step, total, move_rest, first, last,
 ):  # fmt: skip
-    """Eliminate vertices first..last from the normal equations.
+    """Eliminate the vertices of groups first..last from the normal equations.
 
-    cross (B, B, 4, 4) is Mᵀ δM summed over frames.  Writes ``step`` (V, D), the
-    inverse times (H_vm δM + share·gradient), and adds to ``total`` (B, B, 4, 4) its image
-    Σ δa aᵀ.
+    Group g is the vertices ``start[g]`` to ``start[g + 1]``, which share the ``count[g]`` bones
+    ``bones[g]``; weights (V, K) follow these, ``slot`` says which weight each was in the vertex's
+    own order, that of `inverse` and `gradient`.  cross (B, B, 4, 4) is Mᵀ δM summed over frames.
+    Writes ``step`` (V, D), the inverse times (H_vm δM + share·gradient), and adds to ``total``
+    (B, B, 4, 4) its image Σ δa aᵀ.
     """
-    n_keep = joints.shape[1]
-    image = np.empty((n_keep, 4))
-    p4 = np.empty(4)
-    d4 = np.empty(4)
+    n_keep = bones.shape[1]
+    # Rows of whole vectors: what is beyond 4·count holds anything finite, and nothing reads it.
+    width = 16 * ((4 * n_keep + 15) // 16)
+    block = np.zeros((4 * n_keep, width))
+    sums = np.zeros((4 * n_keep, width))
+    a = np.zeros((4, 4 * n_keep))
+    delta = np.zeros((4, width))
+    image = np.empty(width)
+    along = np.empty(n_keep)
     b = np.empty(n_keep + 2)
-    p4[3] = 1.0
-    for i in range(first, last):
-        n = 0
-        while n < n_keep and weights[i, n] > 0.0:
-            n += 1
-        for c in range(3):
-            p4[c] = rest[i, c]
-        for q in range(n):
-            for d in range(4):
-                image[q, d] = 0.0
-            for s in range(n):
-                block = cross[joints[i, q], joints[i, s]]
-                w = weights[i, s]
+    for g in range(first, last):
+        n = count[g]
+        width = 16 * ((4 * n + 15) // 16)
+        for s in range(n):
+            for q in range(n):
+                m = cross[bones[g, q], bones[g, s]]
                 for d in range(4):
-                    image[q, d] += w * against(block, d, p4)
-        k = 0 if keep_weights[i] else n - 1
-        base = against(image, 0, p4)
-        for q in range(k):
-            b[q] = against(image, q + 1, p4) - base
-        size = k
-        if move_rest:
-            size = k + 3
-            for c in range(3):
-                b[k + c] = 0.0
-                for q in range(n):
-                    b[k + c] += weights[i, q] * image[q, c]
-        for q in range(size):
-            b[q] += share * gradient[i, q]
-        sum_w = 0.0
-        for q in range(size):
-            value = 0.0
-            for s in range(size):
-                value += inverse[i, q, s] * b[s]
-            step[i, q] = value
-            if q < k:
-                sum_w += value
-        for q in range(size, n_keep + 2):
-            step[i, q] = 0.0
-        for q in range(n):
-            dw = 0.0
-            if k > 0:
-                dw = -sum_w if q == 0 else step[i, q - 1]
-            w = weights[i, q]
-            for d in range(3):
-                d4[d] = dw * p4[d]
-                if move_rest:
-                    d4[d] += w * step[i, k + d]
-            d4[3] = dw
-            for s in range(n):
-                c = importance[i] * weights[i, s]
-                block = total[joints[i, q], joints[i, s]]
-                for d in range(4):
-                    v = c * d4[d]
                     for e in range(4):
-                        block[d, e] += v * p4[e]
+                        block[4 * s + e, 4 * q + d] = m[d, e]
+        for u in range(4 * n):
+            for t in range(width):
+                sums[u, t] = 0.0
+        held = 0
+        for i in range(start[g], start[g + 1]):
+            p0, p1, p2 = rest[i, 0], rest[i, 1], rest[i, 2]
+            for t in range(width):
+                image[t] = 0.0
+            for s in range(n):
+                w = weights[i, s]
+                v0, v1, v2 = w * p0, w * p1, w * p2
+                u = 4 * s
+                a[held, u], a[held, u + 1], a[held, u + 2], a[held, u + 3] = v0, v1, v2, w
+                for t in range(width):
+                    image[t] += (
+                        v0 * block[u, t] + v1 * block[u + 1, t]
+                        + v2 * block[u + 2, t] + w * block[u + 3, t]
+                    )  # fmt: skip
+            g0 = g1 = g2 = 0.0
+            for q in range(n):
+                w = weights[i, q]
+                v0, v1, v2 = image[4 * q], image[4 * q + 1], image[4 * q + 2]
+                g0 += w * v0
+                g1 += w * v1
+                g2 += w * v2
+                along[slot[i, q]] = v0 * p0 + v1 * p1 + v2 * p2 + image[4 * q + 3]
+            k = n - 1 if free[i] else 0
+            for q in range(k):
+                b[q] = along[q + 1] - along[0]
+            size = k
+            if move_rest:
+                size = k + 3
+                b[k], b[k + 1], b[k + 2] = g0, g1, g2
+            for q in range(size):
+                b[q] += share * gradient[i, q]
+            sum_w = 0.0
+            for q in range(size):
+                value = 0.0
+                for s in range(size):
+                    value += inverse[i, q, s] * b[s]
+                step[i, q] = value
+                if q < k:
+                    sum_w += value
+            for q in range(size, n_keep + 2):
+                step[i, q] = 0.0
+            c = importance[i]
+            g0 = g1 = g2 = 0.0
+            if move_rest:
+                g0, g1, g2 = c * step[i, k], c * step[i, k + 1], c * step[i, k + 2]
+            for q in range(n):
+                dw = 0.0
+                if k > 0:
+                    s = slot[i, q]
+                    dw = -c * sum_w if s == 0 else c * step[i, s - 1]
+                w = weights[i, q]
+                delta[held, 4 * q] = dw * p0 + w * g0
+                delta[held, 4 * q + 1] = dw * p1 + w * g1
+                delta[held, 4 * q + 2] = dw * p2 + w * g2
+                delta[held, 4 * q + 3] = dw
+            held += 1
+            # four vertices at once: each pass over the sums is a read and a write of all of them
+            if held == 4 or i + 1 == start[g + 1]:
+                for u in range(4 * n):
+                    for v in range(held, 4):
+                        a[v, u] = 0.0
+                    v0, v1, v2, w = a[0, u], a[1, u], a[2, u], a[3, u]
+                    for t in range(width):
+                        sums[u, t] += (
+                            v0 * delta[0, t] + v1 * delta[1, t] + v2 * delta[2, t] + w * delta[3, t]
+                        )
+                held = 0
+        for q in range(n):
+            for s in range(n):
+                m = total[bones[g, q], bones[g, s]]
+                for d in range(4):
+                    for e in range(4):
+                        m[d, e] += sums[4 * s + e, 4 * q + d]
 
 
 @kernel
