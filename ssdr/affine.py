@@ -79,8 +79,7 @@ def solve_affine(
     new = old.copy()
     with serial_blas():
         slope = (c.reshape(old.shape) - old @ flat)[:, free]
-        factor = cho_factor(metric[np.ix_(free, free)], lower=True)
-        new[:, free] += cho_solve(factor, slope.T).T
+        new[:, free] += _solved(metric[np.ix_(free, free)], slope.T).T
     found = new.reshape(n_frames, 3, 4, n_bones).transpose(0, 3, 1, 2)
     bad = ~admissible(transforms, found).all(axis=1)
     transforms[~bad] = found[~bad]
@@ -88,6 +87,14 @@ def solve_affine(
         some = np.ascontiguousarray(transforms[bad])
         _sweep_guarded(some, flat, metric, c[bad], locked)
         transforms[bad] = some
+
+
+def _solved(metric: Array, slope: Array) -> Array:
+    try:
+        return np.asarray(cho_solve(cho_factor(metric, lower=True), slope))
+    except np.linalg.LinAlgError:
+        # bones as far away as numbers reach: what is lost in rounding stays as it is
+        return np.asarray(np.linalg.pinv(metric, hermitian=True) @ slope)
 
 
 def _sweep_guarded(
@@ -100,7 +107,7 @@ def _sweep_guarded(
         for j in np.flatnonzero(~locked):
             mine = np.arange(4) * n_bones + j
             slope = target[..., mine] - hat @ flat[:, mine]
-            step = np.linalg.solve(metric[np.ix_(mine, mine)], slope.reshape(-1, 4).T).T
+            step = _solved(metric[np.ix_(mine, mine)], slope.reshape(-1, 4).T).T
             step = step.reshape(n_frames, 3, 4)
             now = hat[..., mine]
             for _ in range(_HALVINGS):

@@ -8,6 +8,7 @@ from .policy import inline, kernel
 from .vertices import monomials
 
 SPECK = 1e-6  # squared radius, of a mesh of unit size, below which a bone's scale is not trusted
+POINT = 1e-12  # squared radius below which rounding alone would turn a bone
 SMALLEST, LARGEST = 0.05, 20.0  # scale of a bone, unless it starts beyond
 
 
@@ -234,13 +235,17 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, firs
                     for f in range(3):
                         s[e, f] = d[e, f] - d[e, 3] * own[3, f] / mass
                         r[e, f] = m[e, f] / size
-                rotate_toward(s, r, a, turn, new)
+                extent = 0.0
+                for e in range(3):
+                    extent += own[e, e] - own[e, 3] * own[3, e] / mass
+                if extent > POINT * mass:
+                    rotate_toward(s, r, a, turn, new)
                 if scaled:
                     # a speck of the present size: a bone without extent keeps it
                     spread = SPECK * mass
                     pull = spread * size
+                    spread += extent
                     for e in range(3):
-                        spread += own[e, e] - own[e, 3] * own[3, e] / mass
                         for f in range(3):
                             pull += r[e, f] * s[e, f]
                     size = min(max(pull / spread, min(size, SMALLEST)), max(size, LARGEST))
