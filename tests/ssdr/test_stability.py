@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stability_cases import CASES, Case, Problem, invalid, run
+from stability_cases import CASES, GROUPS, Case, Problem, invalid, plain, run
 
 import ssdr
 
@@ -14,6 +14,12 @@ def test_case(case: Case) -> None:
     outcome = run(case)
     assert outcome.passed, outcome
     assert (case.refused is None) == (outcome.outcome == "solved"), outcome
+
+
+def test_no_case_of_the_design_is_missing() -> None:
+    assert [group.number for group in GROUPS] == list(range(1, 22))
+    assert all(group.cases and group.catches for group in GROUPS)
+    assert len({case.name for case in CASES}) == len(CASES)
 
 
 def test_error_names_argument_expectation_and_finding() -> None:
@@ -33,6 +39,11 @@ def test_the_suite_itself_can_fail() -> None:
     frames = np.random.default_rng(0).standard_normal((5, 30, 3))
     noise = Case("noise", lambda: Problem(frames, 1.0, None, {"bones": 2}))
     assert not run(noise).passed
+    wrong = Case("wrong", plain, check=lambda problem: "all of it")
+    assert not run(wrong).passed
+    assert not run(Case("not refused", plain, refused="vertices")).passed
+    refused = Case("refused for another reason", lambda: plain(bones=0), refused="vertices")
+    assert not run(refused).passed
     good = Problem(frames, 1.0, None, {"bones": 2}).solve().skinning
     assert invalid(good, frames, 2) == ""
     mirrored = good.transforms * np.array([1, 1, -1, 1.0])
