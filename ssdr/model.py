@@ -166,13 +166,14 @@ def vertex_step(
     n_bones = model.n_bones
     keep = fixed.keep_weights(data.n_vertices)
     with serial_blas():
-        _, gram, gram4, reduced = transform_sums(data, model.transforms)
+        _, gram, _, reduced = transform_sums(data, model.transforms)
+        pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
         none, none1 = np.zeros((0, 0)), np.zeros(0)
 
         def work(_: int, i: int, k: int) -> None:
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             solve_vertices(
-                y, data.x2[i:k], gram, gram4,
+                y, data.x2[i:k], gram, pairs,
                 none if pull is None else pull[i:k], none1 if stiff is None else stiff[i:k],
                 model.rest[i:k], model.support[i:k], model.share[i:k], model.count[i:k],
                 model.joints[i:k], model.weights[i:k], model.error[i:k],

@@ -24,62 +24,71 @@ from .vertices import (
 
 
 @inline
-def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, moved, a, g):
+def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turned, a, g):
     """Gauss–Newton matrix and half gradient of one vertex's error; returns their size.
 
-    moved (n, 4) receives Σ_s w_s G_qs p̃.
+    h (n, n) receives p̃ᵀ G_qs p̃, moved (n, 4) Σ_s w_s G_qs p̃ and turned (n, 3) the first rows
+    of Σ_s w_s G_sq p̃.
     """
+    p0, p1, p2 = p[0], p[1], p[2]
+    k = n - 1 if with_weights else 0
+    a00 = a10 = a11 = a20 = a21 = a22 = 0.0
     for q in range(n):
         for d in range(4):
             moved[q, d] = 0.0
+        for d in range(3):
+            turned[q, d] = 0.0
+    for q in range(n):
+        wq = w[q]
         for s in range(n):
-            block = gram4[ids[q], ids[s]]
-            c = w[s]
-            for d in range(4):
-                moved[q, d] += c * against(block, d, p)
-    k = n - 1 if with_weights else 0
-    size = k + (3 if with_rest else 0)
-    j0 = ids[0]
-    f0 = pulled(y, j0, p)
-    g0 = against(moved, 0, p) - f0
+            m = gram4[ids[q], ids[s]]
+            ws = w[s]
+            t0 = m[0, 0] * p0 + m[0, 1] * p1 + m[0, 2] * p2 + m[0, 3]
+            t1 = m[1, 0] * p0 + m[1, 1] * p1 + m[1, 2] * p2 + m[1, 3]
+            t2 = m[2, 0] * p0 + m[2, 1] * p1 + m[2, 2] * p2 + m[2, 3]
+            t3 = m[3, 0] * p0 + m[3, 1] * p1 + m[3, 2] * p2 + m[3, 3]
+            h[q, s] = t0 * p0 + t1 * p1 + t2 * p2 + t3
+            moved[q, 0] += ws * t0
+            moved[q, 1] += ws * t1
+            moved[q, 2] += ws * t2
+            moved[q, 3] += ws * t3
+            turned[s, 0] += wq * t0
+            turned[s, 1] += wq * t1
+            turned[s, 2] += wq * t2
+            ws *= wq
+            a00 += ws * m[0, 0]
+            a10 += ws * m[1, 0]
+            a11 += ws * m[1, 1]
+            a20 += ws * m[2, 0]
+            a21 += ws * m[2, 1]
+            a22 += ws * m[2, 2]
+    g0 = against(moved, 0, p) - pulled(y, ids[0], p)
     for q in range(1, k + 1):
-        j = ids[q]
-        f = pulled(y, j, p)
-        g[q - 1] = against(moved, q, p) - f - g0
+        g[q - 1] = against(moved, q, p) - pulled(y, ids[q], p) - g0
         for s in range(1, q + 1):
-            i = ids[s]
-            value = 0.0
-            for d in range(4):
-                left = p[d] if d < 3 else 1.0
-                value += left * (against(gram4[j, i], d, p) - against(gram4[j0, i], d, p))
-                value -= left * (against(gram4[j, j0], d, p) - against(gram4[j0, j0], d, p))
-            a[q - 1, s - 1] = value
-    if with_rest:
-        for c in range(3):
-            g[k + c] = 0.0
-            for d in range(c + 1):
-                a[k + c, k + d] = 0.0
+            a[q - 1, s - 1] = h[q, s] - h[0, s] - h[q, 0] + h[0, 0]
+    if not with_rest:
+        return k
+    for c in range(3):
+        value = 0.0
         for q in range(n):
-            j = ids[q]
-            for c in range(3):
-                g[k + c] += w[q] * (moved[q, c] - y[c, j])
-            for s in range(n):
-                block = gram4[j, ids[s]]
-                ww = w[q] * w[s]
-                for c in range(3):
-                    for d in range(c + 1):
-                        a[k + c, k + d] += ww * block[c, d]
+            value += w[q] * (moved[q, c] - y[c, ids[q]])
+        g[k + c] = value
         for q in range(1, k + 1):
-            for c in range(3):
-                value = 0.0
-                for s in range(n):
-                    b0 = gram4[ids[q], ids[s]]
-                    b1 = gram4[j0, ids[s]]
-                    for d in range(4):
-                        left = p[d] if d < 3 else 1.0
-                        value += w[s] * left * (b0[d, c] - b1[d, c])
-                a[k + c, q - 1] = value
-    return size
+            a[k + c, q - 1] = turned[q, c] - turned[0, c]
+    a[k, k] = a00
+    a[k + 1, k], a[k + 1, k + 1] = a10, a11
+    a[k + 2, k], a[k + 2, k + 1], a[k + 2, k + 2] = a20, a21, a22
+    return k + 3
+
+
+@inline
+def error_of(x2, y, ids, w, n, p, moved):
+    """Squared error where :func:`joint_system` was set up."""
+    e = x2
+    for q in range(n):
+        e += w[q] * (against(moved, q, p) - 2.0 * pulled(y, ids[q], p))
+    return e
 
 
 @inline
@@ -120,13 +129,14 @@ def polish_vertices(
     w = np.empty(slots)
     trial = np.empty(slots)
     best_w = np.empty(slots)
-    ids = np.empty(slots, dtype=np.int32)
-    alive = np.empty(slots, dtype=np.int32)
+    ids = np.empty(slots, dtype=np.uint32)
+    alive = np.empty(slots, dtype=np.uint32)
     a = np.empty((size_max + 1, size_max + 1))
     b = np.empty(size_max + 1)
     g = np.empty(size_max + 1)
     scale = np.empty(size_max + 1)
     moved = np.empty((slots, 4))
+    turned = np.empty((slots, 3))
     p_new = np.empty(3)
     for i in range(first, last):
         p = rest[i]
@@ -227,11 +237,15 @@ def polish_vertices(
                     ids[n] = joints[i, q]
                     w[n] = weights[i, q]
                     n += 1
-        e = squared_error(x2[i], gram4, y[i], ids, w, n, p)
-        for _ in range(rounds):
-            size = joint_system(gram4, y[i], ids, w, n, p, with_weights, move_rest, moved, a, g)
+        e = 0.0
+        for turn in range(rounds):
+            size = joint_system(
+                gram4, y[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
+            )
             if size == 0:
                 break
+            if turn == 0:
+                e = error_of(x2[i], y[i], ids, w, n, p, moved)
             equilibrate(a, size, scale)
             for q in range(size):
                 b[q] = -g[q] * scale[q]
@@ -282,8 +296,10 @@ def polish_vertices(
                     ids[n] = joints[i, q]
                     w[n] = weights[i, q]
                     n += 1
-        error[i] = max(squared_error(x2[i], gram4, y[i], ids, w, n, p), 0.0)
-        size = joint_system(gram4, y[i], ids, w, n, p, with_weights, move_rest, moved, a, g)
+        size = joint_system(
+            gram4, y[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
+        )
+        error[i] = max(error_of(x2[i], y[i], ids, w, n, p, moved), 0.0)
         for q in range(size_max):
             gradient[i, q] = g[q] if q < size else 0.0
             for s in range(size_max):

@@ -18,13 +18,22 @@ RIDGE = 1e-13  # of the trace: keeps bones that move alike from a division by ze
 @inline
 def hessian_row(gram, j, m, row):
     """Row j of H for the monomials m of one vertex."""
-    n = gram.shape[2]
-    for k in range(n):
-        row[k] = gram[j, 9, k]
-    for a in range(9):
-        s = m[a]
-        for k in range(n):
-            row[k] += s * gram[j, a, k]
+    for k in range(gram.shape[2]):
+        row[k] = (
+            gram[j, 9, k]
+            + m[0] * gram[j, 0, k]
+            + m[1] * gram[j, 1, k]
+            + m[2] * gram[j, 2, k]
+            + m[3] * gram[j, 3, k]
+        )
+    for k in range(gram.shape[2]):
+        row[k] += (
+            m[4] * gram[j, 4, k]
+            + m[5] * gram[j, 5, k]
+            + m[6] * gram[j, 6, k]
+            + m[7] * gram[j, 7, k]
+            + m[8] * gram[j, 8, k]
+        )
 
 
 @inline
@@ -89,34 +98,29 @@ def monomials(p, m):
 
 @inline
 def cholesky_solve(a, b, n):
-    """Solve a x = b in place; a is overwritten by its factor. False if not positive definite."""
+    """Solve a x = b in place, a overwritten by its LDLᵀ; False if not positive definite."""
     trace = 0.0
     for i in range(n):
         trace += a[i, i]
     floor = RIDGE * trace / max(n, 1)
     for i in range(n):
         a[i, i] += floor
-    for i in range(n):
-        for j in range(i + 1):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            if i == j:
-                if not s > 0.0:
-                    return False
-                a[i, i] = np.sqrt(s)
-            else:
-                a[i, j] = s / a[j, j]
-    for i in range(n):
+    for j in range(n):
+        if not a[j, j] > 0.0:
+            return False
+        scale = 1.0 / a[j, j]
+        for i in range(j + 1, n):
+            s = a[i, j] * scale
+            for k in range(j + 1, i + 1):
+                a[i, k] -= s * a[k, j]
+            b[i] -= s * b[j]
+        for i in range(j + 1, n):
+            a[i, j] *= scale
+        b[j] *= scale
+    for i in range(n - 1, 0, -1):
         s = b[i]
         for k in range(i):
-            s -= a[i, k] * b[k]
-        b[i] = s / a[i, i]
-    for i in range(n - 1, -1, -1):
-        s = b[i]
-        for k in range(i + 1, n):
-            s -= a[k, i] * b[k]
-        b[i] = s / a[i, i]
+            b[k] -= s * a[i, k]
     return True
 
 
@@ -135,18 +139,20 @@ def simplex_qp(h, f, w, alive, n, a, b):
         r = alive[top]
         alive[top] = alive[n - 1]
         alive[n - 1] = r
+        h_rr = h[r, r]
         g_r = -f[r]
         for q in range(n):
             g_r += h[r, alive[q]] * w[alive[q]]
         for q in range(n - 1):
             c = alive[q]
             g = -f[c]
+            h_cr = h[c, r]
             for s in range(n):
                 g += h[c, alive[s]] * w[alive[s]]
             b[q] = g_r - g
             for s in range(q + 1):
                 d = alive[s]
-                a[q, s] = h[c, d] - h[c, r] - h[r, d] + h[r, r]
+                a[q, s] = h[c, d] - h_cr - h[r, d] + h_rr
         if not cholesky_solve(a, b, n - 1):
             return n
         step = 1.0
@@ -182,23 +188,28 @@ def simplex_qp(h, f, w, alive, n, a, b):
 
 
 @inline
-def rest_step(gram4, y, joints, w, n, p, a, b):
-    """Move p to the least-squares rest position under the n weights; gram4 is ``(B, B, 4, 4)``."""
-    for c in range(3):
-        b[c] = 0.0
-        for d in range(3):
-            a[c, d] = 0.0
+def form_of(pairs, joints, w, n, form):
+    """The ten coefficients of Σ w_j w_k p̃ᵀ G_jk p̃; pairs is ``(B, B, 10)``."""
+    for d in range(10):
+        form[d] = 0.0
     for q in range(n):
-        j = joints[q]
-        for c in range(3):
-            b[c] += w[q] * y[c, j]
-        for s in range(n):
-            g = gram4[j, joints[s]]
-            ww = w[q] * w[s]
-            for c in range(3):
-                b[c] -= ww * against(g, c, p)
-                for d in range(3):
-                    a[c, d] += ww * g[c, d]
+        for s in range(q + 1):
+            c = w[q] * w[s]
+            if s < q:
+                c *= 2.0
+            for d in range(10):
+                form[d] += c * pairs[joints[q], joints[s], d]
+
+
+@inline
+def rest_step(form, g, p, a, b):
+    """Move p to the least-squares rest position of a quadratic form; g is Σ w_j y_j."""
+    x, y, z = p[0], p[1], p[2]
+    a[0, 0], a[1, 1], a[2, 2] = form[0], form[1], form[2]
+    a[1, 0], a[2, 0], a[2, 1] = 0.5 * form[3], 0.5 * form[4], 0.5 * form[5]
+    b[0] = g[0] - (form[0] * x + a[1, 0] * y + a[2, 0] * z + 0.5 * form[6])
+    b[1] = g[1] - (a[1, 0] * x + form[1] * y + a[2, 1] * z + 0.5 * form[7])
+    b[2] = g[2] - (a[2, 0] * x + a[2, 1] * y + form[2] * z + 0.5 * form[8])
     if cholesky_solve(a, b, 3):
         for c in range(3):
             p[c] += b[c]
@@ -212,19 +223,19 @@ def squared_error(x2, gram4, y, joints, w, n, p):
         j = joints[q]
         f = pulled(y, j, p)
         e -= 2.0 * w[q] * f
-        for s in range(n):
+        for s in range(q + 1):
             g = gram4[j, joints[s]]
             h = 0.0
             for c in range(4):
                 left = p[c] if c < 3 else 1.0
                 h += left * against(g, c, p)
-            e += w[q] * w[s] * h
+            e += w[q] * w[s] * (h if s == q else 2.0 * h)
     return e
 
 
 @kernel
 def solve_vertices(
-    y, x2, gram, gram4, pull, stiff, rest, support, share, count,
+    y, x2, gram, pairs, pull, stiff, rest, support, share, count,
     joints, weights, error, keep_weights, move_rest, first, last,
 ):  # fmt: skip
     """One alternation's vertex step for vertices first..last.
@@ -239,14 +250,16 @@ def solve_vertices(
     n_slots = support.shape[1]
     n_keep = joints.shape[1]
     m = np.empty(10)
+    form = np.empty(10)
+    g = np.empty(4)
     rows = np.empty((n_slots, n_bones))
     h = np.empty((n_slots, n_slots))
     f = np.empty(n_slots)
     f_all = np.empty(n_bones)
     grad = np.empty(n_bones)
     w = np.empty(n_slots)
-    ids = np.empty(n_slots, dtype=np.int32)
-    alive = np.empty(n_slots, dtype=np.int32)
+    ids = np.empty(n_slots, dtype=np.uint32)
+    alive = np.empty(n_slots, dtype=np.uint32)
     size = max(n_slots, 3)
     a = np.empty((size, size))
     b = np.empty(size)
@@ -263,7 +276,7 @@ def solve_vertices(
         else:
             monomials(p, m)
             for j in range(n_bones):
-                f_all[j] = pulled(y[i], j, p)
+                f_all[j] = y[i, 3, j] + p[0] * y[i, 0, j] + p[1] * y[i, 1, j] + p[2] * y[i, 2, j]
             alpha = 0.0
             if smooth:
                 alpha = stiff[i]
@@ -354,9 +367,21 @@ def solve_vertices(
                 for q in range(n):
                     alive[q] = q
                 simplex_qp(h, f, w, alive, n, a, b)
+        form_of(pairs, ids, w, n, form)
+        for c in range(4):
+            value = 0.0
+            for q in range(n):
+                value += w[q] * y[i, c, ids[q]]
+            g[c] = value
         if move_rest:
-            rest_step(gram4, y[i], ids, w, n, p, a, b)
-        error[i] = squared_error(x2[i], gram4, y[i], ids, w, n, p)
+            rest_step(form, g, p, a, b)
+        e = x2[i] - 2.0 * g[3]
+        for c in range(3):
+            e -= 2.0 * g[c] * p[c]
+        monomials(p, m)
+        for d in range(10):
+            e += form[d] * m[d]
+        error[i] = e
         if not keep_weights[i]:
             store(ids, w, n, joints[i], weights[i])
 
@@ -392,7 +417,7 @@ def removal_cost(y, x2, gram, rest, support, share, count, importance, cost, fir
     h = np.empty((n_slots, n_slots))
     f = np.empty(n_slots)
     w = np.empty(n_slots)
-    alive = np.empty(n_slots, dtype=np.int32)
+    alive = np.empty(n_slots, dtype=np.uint32)
     a = np.empty((n_slots, n_slots))
     b = np.empty(n_slots)
     diagonal = np.empty(n_bones)
