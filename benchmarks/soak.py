@@ -27,6 +27,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -346,8 +347,6 @@ def run_case(seed: int) -> dict[str, Any]:
         wrong += faults(result, problem)
         line |= {"iterations": result.state.progress.get("iteration"), "rmse": result.rmse}
     except Exception as error:
-        import traceback
-
         place = traceback.extract_tb(error.__traceback__)[-1]
         wrong = [f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"]
     line |= {"cpu": round(time.process_time() - began, 3), "wrong": wrong}
@@ -423,6 +422,8 @@ def watch_over(out: Path, seconds: float, first: int) -> None:
             child.terminate()
             child.wait()
             break
+        if child.returncode == 70:
+            raise SystemExit(70)
         if child.returncode:
             seed = int((out / "running").read_text())
             what = "hang" if child.returncode in (75, 1) else f"crash ({child.returncode})"
@@ -495,7 +496,11 @@ def main() -> int:
         print(json.dumps(line, indent=1))
         return 1 if line["wrong"] else 0
     if args.work:
-        work(args.out, int(args.work[0]), float(args.work[1]))
+        try:
+            work(args.out, int(args.work[0]), float(args.work[1]))
+        except Exception:
+            traceback.print_exc()
+            return 70  # a fault of this program, not of the solver
         return 0
     watch_over(args.out, 3600 * args.hours, args.first)
     return 0
