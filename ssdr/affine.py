@@ -12,14 +12,16 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from .kernels.frames import LARGEST, SMALLEST, SPECK
-from .parallel import serial_blas
+from .parallel import chunk_bounds, run_chunks, serial_blas
+from .rigid import nearest_rotation
 
-__all__ = ["PATCH_RIDGE", "admissible", "flat_blocks", "ridge_blocks", "solve_affine"]
+__all__ = ["PATCH_RIDGE", "admissible", "flat_blocks", "leap_rigid", "ridge_blocks", "solve_affine"]
 
 Array = NDArray[np.float64]
 
 PATCH_RIDGE = 0.1  # for a first guess: few vertices, and they may lie in a plane
 _RIDGE = 1e-4  # of a bone's own spread
+_LEAP_RIDGE, _LEAPS = 1e-3, 2
 _SWEEPS = 2
 _HALVINGS = 10
 
@@ -87,6 +89,50 @@ def solve_affine(
         some = np.ascontiguousarray(transforms[bad])
         _sweep_guarded(some, flat, metric, c[bad], locked)
         transforms[bad] = some
+
+
+def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
+    """The rotations nearest to the affine optimum, frame by frame where they pay (in place).
+
+    Sweeps take many rounds to carry a bone far along with its neighbours; this goes
+    there at once, from sums as in :func:`solve_affine`.  What it leaves to rotations
+    is for sweeps to settle.
+    """
+    n_frames, n_bones = transforms.shape[:2]
+    free = np.tile(~locked, 4)
+    if not free.any():
+        return
+    index = np.arange(n_bones)
+    flat = flat_blocks(u)
+    extra = np.zeros_like(u)
+    extra[index, index] = ridge_blocks(u, _LEAP_RIDGE)
+    metric = (flat + flat_blocks(extra))[np.ix_(free, free)]
+    mass = np.maximum(u[index, index, 3, 3], 1e-300)
+    centre = u[index, index, :3, 3] / mass[:, None]
+
+    def stacked(m: Array) -> Array:
+        return np.ascontiguousarray(m.transpose(0, 2, 3, 1)).reshape(3 * len(m), 4 * n_bones)
+
+    def work(_: int, i: int, k: int) -> None:
+        for _round in range(_LEAPS):
+            old, target = stacked(transforms[i:k]), c[i:k].reshape(-1, 4 * n_bones)
+            pulled = old @ flat
+            new = old.copy()
+            new[:, free] += _solved(metric, (target - pulled)[:, free].T).T
+            found = new.reshape(k - i, 3, 4, n_bones).transpose(0, 3, 1, 2)
+            near = transforms[i:k].copy()
+            rotation = nearest_rotation(found[:, ~locked, :, :3])
+            moved = found[:, ~locked] - np.pad(rotation, [(0, 0), (0, 0), (0, 0), (0, 1)])
+            shift = np.einsum("tjab,jb->tja", moved[..., :3], centre[~locked]) + moved[..., 3]
+            near[:, ~locked] = np.concatenate([rotation, shift[..., None]], axis=-1)
+            hat = stacked(near)
+            before = (old * (pulled - 2 * target)).reshape(k - i, -1).sum(axis=1)
+            after = (hat * (hat @ flat - 2 * target)).reshape(k - i, -1).sum(axis=1)
+            better = after < before
+            transforms[i:k][better] = near[better]
+
+    with serial_blas():
+        run_chunks(work, chunk_bounds(n_frames, 32))
 
 
 def _solved(metric: Array, slope: Array) -> Array:

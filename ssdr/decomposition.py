@@ -13,7 +13,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from .bones import true_squared_error
 from .checks import (
     as_sequences,
     check_bone_model,
@@ -24,30 +23,30 @@ from .checks import (
     check_nonnegative,
     check_rng,
 )
+from .chunked import Executor, executor_for
 from .errors import Cancelled, InputError, SsdrWarning
 from .fewest import Measure
-from .given import Given, check_parts, fingerprint, normalise
+from .given import check_parts, fingerprint, normalise
 from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
+from .passes import SCANNED, SOLVED, Checkpoint, Passes, scan_progress
 from .plan import Run, make_plan
 from .result import Decomposition, Progress, Record
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
 from .smoothness import WeightSmoothness
 from .state import SolverState
-from .streaming import AllFrames, needs_streaming, scan, subset
+from .streaming import AllFrames, Scan, needs_streaming, scan, squared_error, subset
 from .stretching import normalise_gauge
 from .tolerance import MOST_BONES, decompose_within
 from .trajectories import Alignment, gather
+from .warmup import compile_kernels
 from .weights import pad_influences
 
 __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 
 Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
-_compile_seconds: float | None = None
-_PASSES = {"fast": 1, "balanced": 3, "best": 8}  # over all frames, where they are streamed
-_PASS_GAIN = 2e-3  # of the objective, below which another pass is not made
 _REAL = (int, float, np.integer, np.floating)
 _NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
@@ -65,6 +64,7 @@ def decompose(
     time_limit: float | None = None,
     callback: Callable[[Progress], bool | None] | None = None,
     resume: SolverState | str | Path | None = None,
+    checkpoint: str | Path | None = None,
     rest: Any = None,
     rest_frame: int = 0,
     joints: Any = None,
@@ -88,6 +88,8 @@ def decompose(
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
         A list holds several shots of one mesh: they share rest pose and weights.
+        Arrays may be memory maps, zarr or dask arrays: what is too large to be held
+        at once is read by chunks, on the workers of a Dask client where one is active.
     faces : (T, 3) int array, optional
         With plain arrays.
     bones : int
@@ -110,8 +112,13 @@ def decompose(
         far is returned; at least one model is always made.
     callback : callable, optional
         Called with a :class:`Progress` after every step; returning True stops.
+        A walk over streamed frames is finished first.
     resume : SolverState or path, optional
         State of an earlier call with the same input and arguments.
+    checkpoint : path, optional
+        An ``.npz`` to which the state is saved about every minute, after each pass
+        over frames that are streamed, and at the end (with a tolerance at the end
+        only): what `resume` takes up after the process was killed.
     rest : (V, 3) array, optional
         A rest pose to keep.
     rest_frame : int
@@ -197,23 +204,34 @@ def decompose(
     if frame_weights is not None and not (frame_weights > 0).all():
         raise InputError("frame_importance", "numbers > 0", float(frame_weights.min()))
     state = SolverState.load(resume) if isinstance(resume, (str, Path)) else resume
+    saver = None if checkpoint is None else Checkpoint(checkpoint)
 
     if tolerance is not None:
-        return decompose_within(
+        result = decompose_within(
             sequences, parts, tolerance=tolerance, measure=tolerance_of, bones=bones,
             influences=influences, effort=effort, bone_model=bone_model, rng=generator,
             rest_frame=int(rest_frame), smoothness=smoothness, importance=importance,
             frame_importance=frame_weights, max_iterations=max_iterations,
             time_limit=time_limit, callback=callback, state=state,
-            ready=_compile,
+            ready=compile_kernels,
         )  # fmt: skip
-    compile_seconds = _compile()
+        if saver is not None:
+            saver.save(result.state)
+        return result
+    compile_seconds = compile_kernels()
     began = time.perf_counter()
-    found = None
+    found = executor = None
     solved, solved_parts, solved_weights, start_frame = sequences, parts, frame_weights, rest_frame
     if needs_streaming(sequences):
-        found = scan(sequences, importance, keep=[rest_frame])
-        solved, solved_weights = [subset(sequences, found.chosen)], found.importance(frame_weights)
+        executor = executor_for(sequences)
+        found = None if state is None else state.scan
+        if found is None or found.alignment.n_frames != n_frames:
+            found = scan(
+                sequences, importance, [rest_frame], executor=executor,
+                told=scan_progress(callback, began),
+            )  # fmt: skip
+        solved = [subset(sequences, found.chosen, executor=executor)]
+        solved_weights = found.importance(frame_weights)
         start_frame = int(np.searchsorted(found.chosen, rest_frame))
         if parts.transforms is not None:
             some = np.ascontiguousarray(parts.transforms[found.chosen])
@@ -244,30 +262,49 @@ def decompose(
     )  # fmt: skip
     if state is not None:
         _restore(run, state, settings)
-    # passes over all frames are taken for half of the work
-    reason = _walk(run, max_iterations, time_limit, callback, 1.0 if found is None else 0.5)
-    if found is None:
-        outcome = _Outcome(data, _best(run), run.records)
-    else:
+
+    def now(whole: Passes | None = None) -> SolverState:
+        return _state(run, settings, found, whole)
+
+    # passes go on where they were only under a model that is not going to change
+    earlier = state if run.finished else None
+    done = None
+    ends = (0.0, 1.0) if found is None else (SCANNED, SOLVED)
+    reason = _walk(
+        run,
+        max_iterations,
+        time_limit,
+        callback,
+        ends,
+        None if saver is None else lambda: saver.offer(now),
+    )
+    alignment: Alignment = run.data
+    model, records = _best(run), run.records
+    if found is not None:
         if smooth is not None:
             # a pass knows nothing of the penalty: weights stay as the run left them
             fixed = dataclasses.replace(fixed, weights=np.ones(n, dtype=bool))
         frames = AllFrames(
-            sequences, found, data, _best(run), fixed=fixed, importance=frame_weights,
-            given=normalise(found.alignment, parts, 0).transforms,
+            sequences, found, run.data, model, fixed=fixed, importance=frame_weights,
+            given=normalise(found.alignment, parts, 0).transforms, executor=executor,
         )  # fmt: skip
-        outcome, stopped = _finish(run, frames, effort, time_limit, callback)
+        done = Passes(frames, earlier)
+        stopped = done.finish(
+            run,
+            effort,
+            time_limit,
+            callback,
+            None if saver is None else lambda: saver.save(now(done)),
+        )
         reason = "cancelled" if stopped else reason
-    return _result(run, outcome, sequences, settings, reason, influences, compile_seconds)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Outcome:
-    """The model to hand out, with the way back to the input's space and its history."""
-
-    alignment: Alignment
-    model: Model
-    records: list[tuple[int, float, float, str]]
+        alignment, model, records = frames.alignment, done.best, done.records
+    result = _result(
+        run, alignment, model, records, sequences, now(done), reason, influences,
+        compile_seconds, executor,
+    )  # fmt: skip
+    if saver is not None:
+        saver.save(result.state)
+    return result
 
 
 def _best(run: Run) -> Model:
@@ -275,55 +312,13 @@ def _best(run: Run) -> Model:
     return run.best
 
 
-def _finish(
-    run: Run,
-    frames: AllFrames,
-    effort: str,
-    time_limit: float | None,
-    callback: Callable[[Progress], bool | None] | None,
-) -> tuple[_Outcome, bool]:
-    """Exact alternations over all frames while they pay; whether the caller stopped them."""
-    passes = _PASSES[effort]
-    scale = frames.alignment.scale / math.sqrt(len(frames.frame_scale) * run.data.n_vertices)
-    records: list[tuple[int, float, float, str]] = []
-    best: Model | None = None
-    stopped = False
-    for k in range(passes):
-
-        def told(share: float, k: int = k) -> None:
-            nonlocal stopped
-            if callback is None:
-                return
-            value = records[-1][2] if records else math.inf
-            fraction = 0.5 + 0.5 * (k + share) / passes
-            stopped |= bool(
-                callback(
-                    Progress(
-                        phase="all frames", iteration=run.iteration + k, elapsed=run.elapsed,
-                        rmse=scale * math.sqrt(value), fraction=fraction,
-                        time_left=run.here * (1 - fraction) / max(fraction, 1e-3),
-                    )
-                )
-            )  # fmt: skip
-
-        value = frames.pass_over(entering=0 if run.smooth else 3, told=told)
-        if records and value >= records[-1][2]:
-            break
-        gain = 1.0 - value / records[-1][2] if records else 1.0
-        records.append((run.iteration + k + 1, run.elapsed, value, "all frames"))
-        best = frames.model.copy()
-        if stopped or gain < _PASS_GAIN or (time_limit is not None and run.here >= time_limit):
-            break
-    assert best is not None
-    return _Outcome(frames.alignment, best, records), stopped
-
-
 def _walk(
     run: Run,
     max_iterations: int | None,
     time_limit: float | None,
     callback: Callable[[Progress], bool | None] | None,
-    whole: float,
+    ends: tuple[float, float],
+    keep: Callable[[], None] | None,
 ) -> str:
     """Steps until the plan, a limit or the caller ends it; says why."""
     scale = run.data.scale / math.sqrt(run.data.n_frames * run.data.n_vertices)
@@ -340,9 +335,11 @@ def _walk(
                 "%s, iteration %d, rmse %.6g", phase, run.iteration,
                 scale * math.sqrt(run.best_value),
             )  # fmt: skip
+            if keep is not None:
+                keep()
             if callback is None:
                 continue
-            fraction = whole * run.fraction
+            fraction = ends[0] + (ends[1] - ends[0]) * run.fraction
             left = run.elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
             if time_limit is not None:
                 left = min(left, max(0.0, time_limit - run.here))
@@ -359,20 +356,22 @@ def _walk(
 
 def _result(
     run: Run,
-    outcome: _Outcome,
+    data: Alignment,
+    model: Model,
+    records: list[tuple[int, float, float, str]],
     sequences: list[MeshSequence],
-    settings: dict[str, Any],
+    state: SolverState,
     reason: str,
     influences: int,
     compile_seconds: float,
+    executor: Executor | None,
 ) -> Decomposition:
-    data, model = outcome.alignment, outcome.model
     joints, weights = pad_influences(model, influences)
     if run.fixed.bone_model != "rigid":
         model = model.copy()  # the state keeps its own, so that resuming goes on to the same bits
         normalise_gauge(model, run.data.importance, run.fixed)
     rest, transforms = data.to_world(model.rest, model.transforms)
-    squared = true_squared_error(sequences, rest, joints, weights, transforms)
+    squared = squared_error(sequences, rest, joints, weights, transforms, executor=executor)
     count = data.n_frames * len(rest)
     rmse = math.sqrt(float(squared.sum()) / count)
     first = sequences[0]
@@ -381,7 +380,7 @@ def _result(
         bone_model=run.fixed.bone_model, surface=first.surface, vertex_map=first.vertex_map,
         name=first.name,
     )  # fmt: skip
-    values = np.array([r[2] for r in outcome.records])
+    values = np.array([r[2] for r in records])
     errors = data.scale * np.sqrt(np.maximum(values, 0.0) / count)
     # the reduced basis and importance change the objective, not which model is better: the
     # last record is measured on the frames, the others keep their ratio to it
@@ -390,7 +389,7 @@ def _result(
     errors = errors * (rmse / last) if last > 0 else np.maximum(errors, rmse)
     history = tuple(
         Record(iteration=r[0], elapsed=r[1], rmse=float(e), phase=r[3])
-        for r, e in zip(outcome.records, errors, strict=True)
+        for r, e in zip(records, errors, strict=True)
     )
     history = (*history[:-1], dataclasses.replace(history[-1], rmse=rmse))
     notes = []
@@ -402,15 +401,22 @@ def _result(
         notes.append(f"{spare} of {run.bones} bones could each go at no loss: fewer bones would do")
     for note in notes:
         warnings.warn(note, SsdrWarning, stacklevel=3)
-    state = SolverState(
-        settings=settings, progress=run.progress(),
-        history=np.array([r[:3] for r in run.records], dtype=np.float64).reshape(-1, 3),
-        phases=tuple(r[3] for r in run.records), current=run.model, best=run.best,
-    )  # fmt: skip
     return Decomposition(
         skinning=skinning, rmse=rmse, converged=reason == "converged", stop_reason=reason,
         history=history, offsets=np.cumsum([0, *[len(s) for s in sequences]]), state=state,
         compile_seconds=compile_seconds, warnings=tuple(notes),
+    )  # fmt: skip
+
+
+def _state(
+    run: Run, settings: dict[str, Any], found: Scan | None, done: Passes | None
+) -> SolverState:
+    return SolverState(
+        settings=settings,
+        progress=run.progress() | ({} if done is None else done.progress()),
+        history=np.array([r[:3] for r in run.records], dtype=np.float64).reshape(-1, 3),
+        phases=tuple(r[3] for r in run.records), current=run.model, best=run.best,
+        scan=found, whole=None if done is None or not done.records else done.best,
     )  # fmt: skip
 
 
@@ -444,30 +450,3 @@ def _restore(run: Run, state: SolverState, settings: dict[str, Any]) -> None:
         None if state.best is None else state.best.copy(),
         records,
     )
-
-
-def _compile() -> float:
-    """Load or compile every kernel on a toy problem, once a process; seconds that it took."""
-    global _compile_seconds
-    if _compile_seconds is not None:
-        return 0.0
-    began = time.perf_counter()
-    rng = np.random.default_rng(0)
-    data = gather([MeshSequence(rng.standard_normal((3, 8, 3)))], bones=2)
-    run = Run(
-        data, make_plan("best", fixed=Fixed(), bones=2, given=Given(), smooth=False, size=0),
-        bones=2, influences=2, rng=rng, fixed=Fixed(), given=Given(), smooth=None,
-    )  # fmt: skip
-    for phase in ("start", "merge", "alternate", "reseed", "polish"):
-        run.position = next(k for k, op in enumerate(run.plan) if op.phase == phase)
-        run.count = 0
-        run._polish = None
-        run.advance()
-    assert isinstance(run.model, Model)
-    true_squared_error(
-        [MeshSequence(np.zeros((1, 8, 3)))], np.zeros((8, 3)), run.model.joints,
-        run.model.weights, np.zeros((1, 2, 3, 4)),
-    )  # fmt: skip
-    _compile_seconds = time.perf_counter() - began
-    _logger.info("kernels ready after %.2f s", _compile_seconds)
-    return _compile_seconds

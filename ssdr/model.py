@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from .affine import solve_affine
+from .affine import leap_rigid, solve_affine
 from .kernels.frames import bone_moments, sweep_bones
 from .kernels.vertices import removal_cost, solve_vertices
 from .parallel import chunk_bounds, run_chunks, serial_blas
@@ -226,18 +226,21 @@ def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 def bone_step(
-    data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE
+    data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE, leap: bool = False
 ) -> tuple[Array, Array]:
     """Transforms of every frame under the weights and rest pose (in place); returns the sums.
 
     Gauss–Seidel sweeps over the bones where they are rotations, scaled or not;
-    one linear solve for all bones of all frames where they are affine.
+    one linear solve for all bones of all frames where they are affine.  `leap` is
+    for rigid bones that may be far from where they belong.
     """
     u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
     locked = fixed.locked(model.n_bones)
     if fixed.bone_model == "affine":
         solve_affine(model.transforms, u, c, locked)
         return u, c
+    if leap and fixed.bone_model == "rigid":
+        leap_rigid(model.transforms, u, c, locked)
     start, neighbour = neighbours(u)
     scaled = fixed.bone_model == "similarity"
     work_size = max(1, -(-data.n_frames // 16))

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from .errors import InputError
 
-__all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
+__all__ = ["Material", "MeshSequence", "Surface", "WeldReport", "native"]
 
 _CHUNK_BYTES = 64 << 20
 
@@ -176,13 +176,13 @@ class MeshSequence:
     def frames(self, index: int | slice | ArrayLike) -> NDArray[np.floating]:
         """Read the named frames into memory, ``(n, V, 3)`` or ``(V, 3)``."""
         if isinstance(index, (int, np.integer, slice)):
-            return _native(self.vertices[index])
+            return native(self.vertices[index])
         order = np.asarray(index)
         if order.dtype == bool:
             order = np.flatnonzero(order)
         if not self.is_lazy:
             return np.asarray(self.vertices[order])
-        return np.stack([_native(self.vertices[int(t)]) for t in order])
+        return np.stack([native(self.vertices[int(t)]) for t in order])
 
     def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
         """Walk over the frames in order, as ``(first frame, (n, V, 3) array)``."""
@@ -278,11 +278,11 @@ def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.flo
     n_frames, n_vertices = int(vertices.shape[0]), int(vertices.shape[1])
     step = max(1, max_bytes // max(1, n_vertices * 3 * vertices.dtype.itemsize))
     for start in range(0, n_frames, step):
-        yield start, _native(vertices[start : start + step])
+        yield start, native(vertices[start : start + step])
 
 
-def _native(block: Any) -> NDArray[np.floating]:
-    # A memory map may have the byte order of its file, which compiled code does not take.
+def native(block: Any) -> NDArray[np.floating]:
+    """A block read into memory; a map may have the byte order of its file, kernels take none."""
     array = np.asarray(block)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
@@ -317,6 +317,10 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
     shape = tuple(vertices.shape)
     if len(shape) != 3 or shape[2] != 3:
         raise InputError(argument, "an array of shape (F, V, 3)", f"shape {shape}")
+    if any(size != size for size in shape):
+        raise InputError(
+            argument, "a known number of frames (dask: compute_chunk_sizes())", f"shape {shape}"
+        )
     if shape[0] < 1 or shape[1] < 1:
         raise InputError(argument, "at least one frame and one vertex", f"shape {shape}")
     kind = np.dtype(vertices.dtype).kind
@@ -330,7 +334,7 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
         )
     if type(vertices) is np.ndarray and not vertices.dtype.isnative:
         vertices = vertices.astype(vertices.dtype.newbyteorder("="))
-    if validate:
+    if validate and not _finite_by_dask(vertices):
         for start, block in _chunks(vertices, _CHUNK_BYTES):
             bad = ~np.isfinite(block)
             if bad.any():
@@ -343,6 +347,13 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
                     f"{start} to {start + len(block) - 1})",
                 )
     return vertices
+
+
+def _finite_by_dask(vertices: Any) -> bool:
+    """True where Dask says that all is well: it looks where the chunks are."""
+    if not hasattr(vertices, "__dask_graph__"):
+        return False
+    return bool(np.isfinite(vertices).all().compute())
 
 
 def _check_faces(faces: Any, n_vertices: int, argument: str) -> NDArray[np.int32]:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from .errors import FormatError, InputError
 from .model import Model
+from .streaming import Scan
+from .trajectories import Alignment
 
 __all__ = ["SolverState"]
 
@@ -37,6 +39,11 @@ class SolverState:
     phases : tuple of str
         Phase of each accepted model.
     current, best : Model or None
+        Of the frames that are solved in memory.
+    scan : Scan or None
+        Where frames are streamed: what the first walk over them found.
+    whole : Model or None
+        Of all streamed frames, once a pass over them has been made.
     """
 
     settings: dict[str, Any]
@@ -45,6 +52,13 @@ class SolverState:
     phases: tuple[str, ...]
     current: Model | None
     best: Model | None
+    scan: Scan | None = None
+    whole: Model | None = None
+
+    @property
+    def passes(self) -> list[list[float]]:
+        """Iteration, elapsed seconds and objective of each pass over streamed frames."""
+        return list(self.progress.get("passes", []))
 
     def __repr__(self) -> str:
         s, model = self.settings, "none yet" if self.best is None else "one"
@@ -70,7 +84,14 @@ class SolverState:
             "ssdr_state": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
             "history": self.history,
         }
-        for prefix, model in (("current", self.current), ("best", self.best)):
+        if self.scan is not None:
+            a = self.scan.alignment
+            arrays |= {
+                "scan_centre": a.centre, "scan_turn": a.turn, "scan_scale": np.array(a.scale),
+                "scan_chosen": self.scan.chosen, "scan_nearest": self.scan.nearest,
+            }  # fmt: skip
+        models = (("current", self.current), ("best", self.best), ("whole", self.whole))
+        for prefix, model in models:
             if model is not None:
                 arrays |= {f"{prefix}_{name}": getattr(model, name) for name in _MODEL}
         write_arrays(path, arrays, compress=False)
@@ -89,22 +110,62 @@ class SolverState:
 
         path = Path(path)
         arrays = read_arrays(
-            path, required=("ssdr_state", "history"), optional=("current_*", "best_*")
+            path,
+            required=("ssdr_state", "history"),
+            optional=("current_*", "best_*", "whole_*", "scan_*"),
         )
         try:
             header = json.loads(bytes(arrays["ssdr_state"]).decode())
             if header["version"] != _VERSION:
                 raise FormatError(f"{path}: state of version {header['version']}, not {_VERSION}")
-            models = [_model(arrays, prefix) for prefix in ("current", "best")]
-            return SolverState(
+            models = [_model(arrays, prefix) for prefix in ("current", "best", "whole")]
+            found = _scan(arrays)
+            state = SolverState(
                 settings=dict(header["settings"]), progress=dict(header["progress"]),
                 history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 3),
                 phases=tuple(header["phases"]), current=models[0], best=models[1],
+                scan=found, whole=models[2],
             )  # fmt: skip
+            passes = np.asarray(state.passes, dtype=np.float64).reshape(-1, 3)
+            if not np.isfinite(passes).all() or (models[2] is not None) != (len(passes) > 0):
+                raise ValueError("passes and their model do not fit")
+            if models[2] is not None and (
+                found is None or len(models[2].transforms) != found.alignment.n_frames
+            ):
+                raise ValueError("whole_transforms does not fit the scan")
+            return state
         except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: not a saved state of ssdr.decompose ({error})") from error
+
+
+def _scan(arrays: dict[str, Any]) -> Scan | None:
+    if "scan_centre" not in arrays:
+        return None
+    centre, turn = (
+        np.ascontiguousarray(arrays[f"scan_{name}"], dtype=np.float64)
+        for name in ("centre", "turn")
+    )
+    scale = float(np.asarray(arrays["scan_scale"]).item())
+    chosen, nearest = (
+        np.ascontiguousarray(arrays[f"scan_{name}"], dtype=np.int64)
+        for name in ("chosen", "nearest")
+    )
+    n = len(centre)
+    if centre.shape != (n, 3) or turn.shape != (n, 3, 3) or nearest.shape != (n,):
+        raise ValueError(f"scan_centre has shape {centre.shape}")
+    if not (np.isfinite(centre).all() and np.isfinite(turn).all() and 0 < scale < np.inf):
+        raise ValueError("scan holds NaN or Inf")
+    if chosen.ndim != 1 or len(chosen) == 0 or (np.diff(chosen) <= 0).any():
+        raise ValueError("scan_chosen is not ascending")
+    if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
+        raise ValueError("scan names a frame that is not there")
+    return Scan(
+        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        chosen=chosen,
+        nearest=nearest,
+    )
 
 
 def _model(arrays: dict[str, Any], prefix: str) -> Model | None:

@@ -4,33 +4,39 @@
          -> passes over all frames, each an exact alternation: bones of every
             frame, then weights and rest pose from the sums that the pass gathers
 
-A pass keeps a chunk of frames, the transforms and two (V, 4B) matrices; what it
-states is the error over all frames, not an estimate from a part of them.
+Each walk over the frames is a function of a span of them, called here or by the
+workers of a cluster (`chunked`), and a sum in the order of the spans.  A pass
+keeps a block of frames, the transforms and two (V, 4B) matrices; what it states is
+the error over all frames, not an estimate from a part of them.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .chunked import Executor, Frames, Local, spans_of
 from .initialization import farthest_points
+from .kernels.lbs import squared_error_range
 from .kernels.polish import polish_vertices
 from .model import CHUNK, Fixed, Model, bone_step, gram_tables
 from .parallel import chunk_bounds, run_chunks, serial_blas
 from .sequence import MeshSequence
 from .trajectories import Alignment, Array, Trajectories, centred, turn_onto
 
-__all__ = ["AllFrames", "Scan", "needs_streaming", "scan"]
+__all__ = ["AllFrames", "Scan", "needs_streaming", "scan", "squared_error", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
-_SUBSET = 1 << 29  # bytes of those of the telling frames
-_FEWEST, _MOST = 200, 1000  # telling frames
-_BLOCK = 32 << 20  # bytes of a chunk in a pass
+_SUBSET = 100 << 20  # bytes of those of the telling frames
+_FEWEST, _MOST = 120, 1000  # telling frames
 _PROBES = 64  # vertices by which frames are compared
-_SWEEPS = 4
+_SWEEPS = 6  # of a pass
+
+Told = Callable[[float], Any]
 
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
@@ -47,8 +53,6 @@ class Scan:
     ----------
     alignment : Alignment
         Of all frames.
-    x2 : (V,) float64
-        Squared length of each vertex's trajectory in the solver's space.
     chosen : (S,) int64
         Telling frames, ascending; the first frame is one of them.
     nearest : (F,) int64
@@ -56,7 +60,6 @@ class Scan:
     """
 
     alignment: Alignment
-    x2: Array
     chosen: NDArray[np.int64]
     nearest: NDArray[np.int64]
 
@@ -72,50 +75,102 @@ def scan(
     sequences: Sequence[MeshSequence],
     importance: Array | None,
     keep: Sequence[int] = (),
+    *,
+    executor: Executor | None = None,
+    told: Told | None = None,
 ) -> Scan:
     """Walk over all frames once: alignment, size, and which frames tell most.
 
     Frames are compared by a few vertices after alignment and chosen by
     farthest-point sampling, so that rare poses are among them; `keep` are chosen
-    in any case.
+    in any case.  `told` hears the share of the frames that are done.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     share = None if importance is None else importance / importance.sum()
     probes = np.linspace(0, n - 1, min(n, _PROBES)).astype(np.int64)
-    centre, turn = np.empty((n_frames, 3)), np.empty((n_frames, 3, 3))
-    features = np.empty((n_frames, 3 * len(probes)))
-    x2 = np.zeros(n)
-    first = None
-    for t, frame in _frames(sequences):
-        here, centre[t] = centred(frame, share)
-        if first is None:
-            first = here
-        turn[t] = turn_onto(here, first, share) if t else np.eye(3)
-        x2 += np.einsum("ic,ic->i", here, here)
-        features[t] = (here[probes] @ turn[t]).ravel()
-    scale = float(np.sqrt(x2.sum() / (n * n_frames))) or 1.0
-    count = int(np.clip(_SUBSET // (24 * n), _FEWEST, _MOST))
-    seeds, nearest = farthest_points(features, min(count, n_frames), 0)
+    first, _ = centred(sequences[0].frames(0), share)
+    spans = spans_of(n_frames)
+    parts = []
+    walk = (executor or Local()).map(
+        _scan_span, sequences, spans, lambda _: (), (first, share, probes)
+    )
+    for (_, stop), part in zip(spans, walk, strict=True):
+        parts.append(part)
+        if told is not None:
+            told(stop / n_frames)
+    centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
+    turn[0] = np.eye(3)
+    size = sum(p[3] for p in parts)
+    seeds, nearest = farthest_points(features, min(_telling(n), n_frames), 0)
     chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
     where = np.searchsorted(chosen, seeds)[nearest]
     where[chosen] = np.arange(len(chosen))
+    scale = float(np.sqrt(size / (n * n_frames))) or 1.0
     return Scan(
         alignment=Alignment(centre=centre, turn=turn, scale=scale),
-        x2=x2 / scale**2,
         chosen=chosen,
         nearest=where.astype(np.int64),
     )
 
 
-def subset(sequences: Sequence[MeshSequence], frames: NDArray[np.int64]) -> MeshSequence:
+def _telling(n_vertices: int) -> int:
+    return int(np.clip(_SUBSET // (24 * n_vertices), _FEWEST, _MOST))
+
+
+@serial_blas()
+def _scan_span(
+    frames: Frames, first: Array, share: Array | None, probes: NDArray[np.int64]
+) -> tuple[Array, Array, Array, float]:
+    centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
+    features = np.empty((len(frames), 3 * len(probes)))
+    sizes = np.empty(len(frames))
+    for start, block in frames.blocks():
+
+        def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
+            here, centre[start + i : start + k] = centred(block[i:k], share)
+            turned = turn_onto(here, first, share)
+            turn[start + i : start + k] = turned
+            seen = np.matmul(here[:, probes], turned)
+            features[start + i : start + k] = seen.reshape(k - i, -1)
+            sizes[start + i : start + k] = np.einsum("tic,tic->t", here, here)
+
+        run_chunks(work, chunk_bounds(len(block), 8))
+    return centre, turn, features, float(sizes.sum())
+
+
+def subset(
+    sequences: Sequence[MeshSequence],
+    frames: NDArray[np.int64],
+    *,
+    executor: Executor | None = None,
+) -> MeshSequence:
     """The named frames, ascending, as one sequence in memory."""
     first = sequences[0]
-    out = np.empty((len(frames), first.n_vertices, 3), dtype=first.vertices.dtype)
-    wanted = {int(t): k for k, t in enumerate(frames)}
-    for t, frame in _frames(sequences):
-        if t in wanted:
-            out[wanted[t]] = frame
-    return dataclasses.replace(first, vertices=out, validate=False)
+    spans = spans_of(sum(len(s) for s in sequences))
+    bounds = [np.searchsorted(frames, span) for span in spans]
+    used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
+    used = [u for u in used if len(u[1])]
+    walk = (executor or Local()).map(
+        _pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],)
+    )
+    vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
+    return dataclasses.replace(first, vertices=vertices, validate=False)
+
+
+def _pick_span(frames: Frames, wanted: NDArray[np.int64]) -> NDArray[np.floating]:
+    out, offset = [], 0
+    for array, first, last in frames.pieces:
+        here = wanted[(wanted >= offset) & (wanted < offset + last - first)] - offset + first
+        if len(here):
+            source = dataclasses.replace(frames, pieces=((array, int(here[0]), int(here[-1]) + 1),))
+            if isinstance(array, np.ndarray):
+                out.append(np.asarray(array[here]))
+            else:  # chunks of a store are read whole in any case
+                for start, block in source.blocks():
+                    mine = here - here[0] - start
+                    out.append(block[mine[(mine >= 0) & (mine < len(block))]])
+        offset += last - first
+    return np.concatenate(out)
 
 
 class AllFrames:
@@ -129,10 +184,13 @@ class AllFrames:
         Of the telling frames.
     model : Model
         Found on them; copied.
+    fixed : Fixed
     given : (F, B0, 3, 4) array or None
         Transforms handed over, in the solver's space of all frames.
     importance : (F,) array or None
         Of the frames.
+    executor : Executor, optional
+        Who walks over the frames; this process by default.
     """
 
     def __init__(
@@ -145,61 +203,64 @@ class AllFrames:
         fixed: Fixed,
         given: Array | None,
         importance: Array | None,
+        executor: Executor | None = None,
     ) -> None:
         self.sequences, self.found, self.fixed = sequences, found, fixed
+        self.executor = executor or Local()
         self.alignment = found.alignment
+        self.passes = 0
         ratio = data.scale / self.alignment.scale
-        # only telling frames are copied, one chunk at a time: F transforms are large enough
         transforms = model.transforms[found.nearest]
         transforms[..., 3] *= ratio
         if given is not None:
             transforms[:, : given.shape[1]] = given
-        self.model = model.copy()
-        self.model.transforms = transforms
-        self.model.rest = model.rest * ratio
+        self.model = dataclasses.replace(model.copy(), transforms=transforms)
+        self.model.rest *= ratio
         self.vertex_importance = data.importance
         mean = 1.0 if importance is None else float(importance.mean())
         self.frame_scale = (
             np.ones(len(transforms)) if importance is None else np.sqrt(importance / mean)
         )
 
-    def pass_over(self, *, entering: int, told: Callable[[float], None] | None = None) -> float:
+    def restore(self, model: Model, passes: int) -> None:
+        """Go on with a model of all frames after so many passes."""
+        self.model, self.passes = model, passes
+
+    def pass_over(self, *, entering: int, told: Told | None = None) -> float:
         """One exact alternation; returns the objective in the solver's space.
 
         `told` hears the share of the frames that are done.
         """
         model, n_frames = self.model, len(self.frame_scale)
         n, n_bones = len(model.rest), model.n_bones
-        y = np.zeros((n, 4 * n_bones))
-        g = np.zeros((4 * n_bones, 4 * n_bones))
-        x2 = np.zeros(n)
-        with serial_blas():
-            for start, block in _blocks(self.sequences, n):
-                stop = start + len(block)
-                x = self.alignment.inward(block, start)
-                x *= self.frame_scale[start:stop, None]
-                flat = x.reshape(n, -1)
-                x2 += np.einsum("ij,ij->i", flat, flat)
-                part = Trajectories(
-                    z=flat, q=None, x2=x2, importance=self.vertex_importance,
-                    frame_scale=self.frame_scale[start:stop],
-                    centre=self.alignment.centre[start:stop],
-                    turn=self.alignment.turn[start:stop], scale=self.alignment.scale, lost=0.0,
-                )  # fmt: skip
-                piece = dataclasses.replace(model, transforms=model.transforms[start:stop])
-                bone_step(part, piece, sweeps=_SWEEPS, fixed=self.fixed)
-                hat = part.hat(piece.transforms)
-                g += hat.T @ hat
+        y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
+        spans = spans_of(n_frames)
+        known = _Known(
+            rest=model.rest, joints=model.joints, weights=model.weights,
+            importance=self.vertex_importance, scale=self.alignment.scale, fixed=self.fixed,
+            leap=True,
+        )  # fmt: skip
 
-                def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:
-                    y[i:k] += flat[i:k] @ hat
+        def own(k: int) -> tuple[Array, ...]:
+            span = slice(*spans[k])
+            return (
+                self.alignment.centre[span], self.alignment.turn[span], self.frame_scale[span],
+                model.transforms[span],
+            )  # fmt: skip
 
-                run_chunks(add, chunk_bounds(n, 2 * CHUNK))
-                if told is not None:
-                    told(stop / n_frames)
-            self._vertices(y, g, x2, entering)
+        walk = self.executor.map(_pass_span, self.sequences, spans, own, (known,))
+        for (start, stop), part in zip(spans, walk, strict=True):
+            model.transforms[start:stop] = part[0]
+            y += part[1]
+            g += part[2]
+            x2 += part[3]
+            if told is not None:
+                told(stop / n_frames)
+        self._vertices(y, g, x2, entering)
+        self.passes += 1
         return float(self.vertex_importance @ model.error)
 
+    @serial_blas()
     def _vertices(self, y: Array, g: Array, x2: Array, entering: int) -> None:
         model, fixed = self.model, self.fixed
         n, n_bones, size = len(model.rest), model.n_bones, model.n_influences + 2
@@ -217,23 +278,86 @@ class AllFrames:
         run_chunks(work, chunk_bounds(n, CHUNK))
 
 
-def _frames(sequences: Sequence[MeshSequence]) -> Iterator[tuple[int, NDArray[np.floating]]]:
-    offset = 0
-    for sequence in sequences:
-        for start, block in sequence.chunks():
-            for k, frame in enumerate(block):
-                yield offset + start + k, frame
-        offset += len(sequence)
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Known:
+    """What the bones of every frame are fitted under."""
+
+    rest: Array
+    joints: NDArray[np.int32]
+    weights: Array
+    importance: Array
+    scale: float
+    fixed: Fixed
+    leap: bool
 
 
-def _blocks(
-    sequences: Sequence[MeshSequence], n_vertices: int
-) -> Iterator[tuple[int, NDArray[np.floating]]]:
-    """Chunks of all shots that are a few dozen MiB in float64."""
-    step = max(1, _BLOCK // (24 * n_vertices))
-    offset = 0
-    for sequence in sequences:
-        for start, block in sequence.chunks():
-            for i, k in chunk_bounds(len(block), step):
-                yield offset + start + i, block[i:k]
-        offset += len(sequence)
+@serial_blas()
+def _pass_span(
+    frames: Frames, centre: Array, turn: Array, frame_scale: Array, transforms: Array, known: _Known
+) -> tuple[Array, Array, Array, Array]:
+    """Bones of a span, and its share of Y, G and Σ|x|²."""
+    n, n_bones = len(known.rest), transforms.shape[1]
+    transforms = transforms.copy()
+    y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
+    alignment = Alignment(centre=centre, turn=turn, scale=known.scale)
+    for start, block in frames.blocks():
+        stop = start + len(block)
+        x = alignment.inward(block, start)
+        x *= frame_scale[start:stop, None]
+        flat = x.reshape(n, -1)
+        x2 += np.einsum("ij,ij->i", flat, flat)
+        part = Trajectories(
+            z=flat, q=None, x2=x2, importance=known.importance,
+            frame_scale=frame_scale[start:stop], centre=centre[start:stop],
+            turn=turn[start:stop], scale=known.scale, lost=0.0,
+        )  # fmt: skip
+        piece = Model(
+            transforms=transforms[start:stop], rest=known.rest, joints=known.joints,
+            weights=known.weights, support=known.joints, share=known.weights,
+            count=known.joints[:, 0], error=x2,
+        )  # fmt: skip
+        bone_step(part, piece, sweeps=_SWEEPS, fixed=known.fixed, leap=known.leap)
+        hat = part.hat(piece.transforms)
+        g += hat.T @ hat
+
+        def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:
+            y[i:k] += flat[i:k] @ hat
+
+        run_chunks(add, chunk_bounds(n, 2 * CHUNK))
+    return transforms, y, g, x2
+
+
+def squared_error(
+    sequences: Sequence[MeshSequence],
+    rest: Array,
+    joints: NDArray[np.int32],
+    weights: Array,
+    transforms: Array,
+    *,
+    executor: Executor | None = None,
+) -> Array:
+    """(V,) Σ_t |d|² against the frames themselves, in one walk over all of them."""
+    spans = spans_of(len(transforms))
+    walk = (executor or Local()).map(
+        _error_span, sequences, spans, lambda k: (transforms[slice(*spans[k])],),
+        (rest, joints, weights),
+    )  # fmt: skip
+    total = np.zeros(len(rest))
+    for part in walk:
+        total += part
+    return total
+
+
+def _error_span(
+    frames: Frames, transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array
+) -> Array:
+    total = np.zeros(len(rest))
+    for start, block in frames.blocks():
+        target = np.ascontiguousarray(block, dtype=np.float64)
+        moves = np.ascontiguousarray(transforms[start : start + len(block)])
+
+        def work(_: int, i: int, k: int, target: Array = target, moves: Array = moves) -> None:
+            squared_error_range(rest, joints, weights, moves, target, i, k, total)
+
+        run_chunks(work, chunk_bounds(len(rest), CHUNK))
+    return total

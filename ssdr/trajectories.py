@@ -23,6 +23,7 @@ __all__ = ["Alignment", "Trajectories", "centred", "gather", "turn_onto"]
 Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
+_AT_ONCE = 64  # frames that are aligned together
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 
@@ -121,6 +122,38 @@ class Trajectories(Alignment):
         out = full.reshape(self.n_frames, 3, four, b)
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
+    def some(self, frames: NDArray[np.intp]) -> Trajectories:
+        """The chosen frames alone; for what is not compressed."""
+        assert self.q is None
+        z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
+        flat = z.reshape(self.n_vertices, -1)
+        return dataclasses.replace(
+            self, z=flat, x2=np.einsum("ij,ij->i", flat, flat), centre=self.centre[frames],
+            turn=self.turn[frames], frame_scale=self.frame_scale[frames],
+        )  # fmt: skip
+
+    @serial_blas()
+    def compressed(self, bones: int) -> Trajectories:
+        """In the fewest columns that hold what a model of `bones` needs; itself if all of them do.
+
+        The basis loses at most a ten-thousandth of the energy that no model of
+        rank 4B can reach (Eckart–Young), so that its error hides in no result.
+        """
+        x = self.z
+        if self.q is not None:
+            return self
+        if (self.importance == self.importance[0]).all():
+            z, q = _reduce(x, float(self.x2.sum()), 4 * bones)
+        else:
+            # what has no importance shall not decide what the basis holds
+            root = np.sqrt(self.importance)
+            _, q = _reduce(x * root[:, None], float(self.importance @ self.x2), 4 * bones)
+            z = x if q is None else np.ascontiguousarray(x @ q)
+        if q is None:
+            return self
+        lost = max(0.0, float(self.x2.sum() - np.einsum("ij,ij->", z, z)))
+        return dataclasses.replace(self, z=z, q=q, lost=lost)
+
     def frame(self, t: int) -> Array:
         """Normalised positions (V, 3) of one frame."""
         columns = slice(3 * t, 3 * t + 3)
@@ -135,12 +168,9 @@ def gather(
     bones: int,
     vertex_importance: Array | None = None,
     frame_importance: Array | None = None,
+    compress: bool = True,
 ) -> Trajectories:
-    """Read all frames of all shots and reduce them.
-
-    The basis loses at most a ten-thousandth of the energy that no model of
-    rank 4B can reach (Eckart–Young), so that its error hides in no result.
-    """
+    """Read all frames of all shots and, unless told otherwise, compress them for `bones`."""
     n_vertices = sequences[0].n_vertices
     n_frames = sum(len(s) for s in sequences)
     importance = np.ones(n_vertices)
@@ -149,7 +179,7 @@ def gather(
     frame_scale = np.ones(n_frames)
     if frame_importance is not None:
         frame_scale = np.sqrt(frame_importance / frame_importance.mean())
-    # what has no importance shall not decide where the origin is and what the basis holds
+    # what has no importance shall not decide where the origin is
     share = None if vertex_importance is None else importance / n_vertices
     x = np.empty((n_vertices, n_frames, 3))
     centre = np.empty((n_frames, 3))
@@ -157,50 +187,47 @@ def gather(
     first = None
     t = 0
     for sequence in sequences:
-        for _, block in sequence.chunks():
-            for frame in block:
-                here, centre[t] = centred(frame, share)
+        for _, chunk in sequence.chunks():
+            for start in range(0, len(chunk), _AT_ONCE):
+                block = chunk[start : start + _AT_ONCE]
+                last = t + len(block)
+                here, centre[t:last] = centred(block, share)
                 if first is None:
-                    first = here
-                turn[t] = turn_onto(here, first, share) if t else np.eye(3)
-                x[:, t] = here @ turn[t]
-                t += 1
-    size = float(np.sqrt((x * x).sum() / (n_vertices * n_frames)))
+                    first = here[0]
+                turn[t:last] = turn_onto(here, first, share)
+                if t == 0:
+                    turn[0] = np.eye(3)
+                x[:, t:last] = np.matmul(here, turn[t:last]).transpose(1, 0, 2)
+                t = last
+    size = float(np.sqrt(np.vdot(x, x) / (n_vertices * n_frames)))
     scale = size if size > 0 else 1.0
     x *= (frame_scale / scale)[None, :, None]
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
-    with serial_blas():
-        if share is None:
-            z, q = _reduce(flat, float(x2.sum()), 4 * bones)
-        else:
-            root = np.sqrt(importance)
-            _, q = _reduce(flat * root[:, None], float(importance @ x2), 4 * bones)
-            z = flat if q is None else np.ascontiguousarray(flat @ q)
-    lost = 0.0 if q is None else max(0.0, float(x2.sum() - np.einsum("ij,ij->", z, z)))
-    return Trajectories(
-        z=z, q=q, x2=x2, importance=importance, frame_scale=frame_scale,
-        centre=centre, turn=turn, scale=scale, lost=lost,
+    data = Trajectories(
+        z=flat, q=None, x2=x2, importance=importance, frame_scale=frame_scale,
+        centre=centre, turn=turn, scale=scale, lost=0.0,
     )  # fmt: skip
+    return data.compressed(bones) if compress else data
 
 
-def centred(frame: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
-    """Positions relative to their (weighted) centroid, and that."""
+def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
+    """Positions (..., V, 3) relative to their (weighted) centroids, and those."""
     # in C order: sums over the same numbers laid out otherwise differ in their last bits
-    here = frame.astype(np.float64, order="C")
+    here = frames.astype(np.float64, order="C")
     # the first vertex is taken out before the mean: far from the origin a
     # sum of positions loses what the positions themselves still hold
-    anchor = here[0].copy()
+    anchor = here[..., :1, :].copy()
     here -= anchor
-    mean = here.mean(axis=0) if share is None else share @ here
+    mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
     here -= mean
-    return here, anchor + mean
+    return here, (anchor + mean)[..., 0, :]
 
 
 def turn_onto(here: Array, first: Array, share: Array | None) -> Array:
-    """Rotation that, applied from the right, turns a centred frame onto the first."""
-    known = here if share is None else here * share[:, None]
-    return nearest_rotation(known.T @ first)
+    """Rotations that, applied from the right, turn centred frames onto the first."""
+    known = first if share is None else first * share[:, None]
+    return nearest_rotation(np.swapaxes(here, -1, -2) @ known)
 
 
 def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:

@@ -121,8 +121,8 @@ def decompose(
         typer.Option(
             "--checkpoint",
             metavar="STATE",
-            help="Save the state here at the end, too; by default only when interrupted, "
-            "as OUT.state.npz.",
+            help="Save the state here every minute and at the end; by default only when "
+            "interrupted, as OUT.state.npz.",
         ),
     ] = None,
     picture: Annotated[
@@ -212,6 +212,7 @@ def decompose(
                 max_iterations=max_iterations,
                 smoothness=smoothness,
                 resume=start,
+                checkpoint=checkpoint,
                 callback=follow,
                 **wanted,
             )
@@ -230,8 +231,6 @@ def decompose(
 
             sheet = contact_sheet(result.skinning, reference=sequence, title=source.stem, up=up)
             write_picture(sheet, picture)
-        if checkpoint is not None:
-            result.state.save(checkpoint)
     except KeyboardInterrupt:
         raise _interrupted(result, state_path, output) from None
     except Exception:

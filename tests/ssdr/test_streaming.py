@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import motions
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr import streaming
+from ssdr import chunked, streaming
 from ssdr.initialization import start_model
 from ssdr.model import Fixed, vertex_step
 from ssdr.trajectories import gather
@@ -21,7 +22,8 @@ def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "_IN_MEMORY", 1)
     monkeypatch.setattr(streaming, "_FEWEST", 40)
     monkeypatch.setattr(streaming, "_MOST", 40)
-    monkeypatch.setattr(streaming, "_BLOCK", 24 * 200 * 7)
+    monkeypatch.setattr(chunked, "_BLOCK", 24 * 200 * 7)
+    monkeypatch.setattr(chunked, "_SPANS", 4)
 
 
 def wobbly(n_frames: int = 120) -> np.ndarray:
@@ -134,3 +136,131 @@ def test_progress_and_cancel() -> None:
     shares = [share for phase, share in seen if phase == "all frames"]
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
+
+
+def same(a: ssdr.Skinning, b: ssdr.Skinning) -> None:
+    for name in ("rest", "joints", "weights", "transforms"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+@pytest.mark.parametrize(("phase", "nth"), [("polish", 3), ("all frames", 1), ("all frames", 6)])
+def test_stopped_saved_and_resumed_it_ends_with_the_same_bits(
+    tmp_path: Path, phase: str, nth: int
+) -> None:
+    frames, count = wobbly(), 0
+
+    def stop(progress) -> bool:
+        nonlocal count
+        count += progress.phase == phase
+        return progress.phase == phase and count == nth
+
+    whole = ssdr.decompose(frames, bones=4)
+    assert len(whole.history) > 1
+    part = ssdr.decompose(frames, bones=4, callback=stop)
+    assert part.stop_reason == "cancelled"
+    path = part.state.save(tmp_path / "state.npz")
+    again = ssdr.decompose(frames, bones=4, resume=path)
+    same(whole.skinning, again.skinning)
+    assert [r.rmse for r in again.history] == [r.rmse for r in whole.history]
+    # nothing is left to do: nothing changes
+    same(whole.skinning, ssdr.decompose(frames, bones=4, resume=again.state).skinning)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_killed_run_goes_on_from_its_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What an exception at any moment leaves on disk is what SIGKILL leaves."""
+    from ssdr import passes
+
+    monkeypatch.setattr(passes, "_EVERY", 0.0)
+    frames, path, seen = wobbly(), tmp_path / "run.npz", 0
+
+    def die(progress) -> bool:
+        nonlocal seen
+        seen += progress.phase == "all frames"
+        if seen == 6:  # in the second pass
+            raise KeyboardInterrupt
+        return False
+
+    with pytest.raises(KeyboardInterrupt):
+        ssdr.decompose(frames, bones=4, callback=die, checkpoint=path)
+    state = ssdr.SolverState.load(path)
+    assert len(state.passes) == 1
+    assert state.whole is not None
+    monkeypatch.setattr(streaming, "_scan_span", None)  # the first walk is not made again
+    again = ssdr.decompose(frames, bones=4, resume=path, checkpoint=path)
+    monkeypatch.undo()
+    assert len(ssdr.SolverState.load(path).passes) == len(again.history)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_state_of_other_frames_is_refused() -> None:
+    state = ssdr.decompose(wobbly(), bones=4, effort="fast").state
+    for other in (wobbly(120) * 1.5, wobbly(90)):
+        with pytest.raises(ssdr.InputError, match="resume"):
+            ssdr.decompose(other, bones=4, effort="fast", resume=state)
+
+
+def test_a_checkpoint_must_have_a_place(tmp_path: Path) -> None:
+    for path in (tmp_path / "a.txt", tmp_path / "none" / "a.npz", 3):
+        with pytest.raises(ssdr.InputError, match="checkpoint"):
+            ssdr.decompose(np.zeros((2, 4, 3)), bones=1, checkpoint=path)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_full_disk_does_not_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self, path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(ssdr.SolverState, "save", full)
+    with pytest.warns(ssdr.SsdrWarning, match="no checkpoint"):
+        result = ssdr.decompose(wobbly(), bones=4, effort="fast", checkpoint=tmp_path / "state.npz")
+    assert result.stop_reason != "cancelled"
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_the_scan_can_be_stopped() -> None:
+    seen = []
+    with pytest.raises(ssdr.Cancelled):
+        ssdr.decompose(wobbly(), bones=4, callback=lambda p: seen.append(p.phase) or True)
+    assert seen == ["scan"]
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_many_short_shots_are_what_one_long_one_is() -> None:
+    """Spans and blocks do not care where shots end."""
+    frames = wobbly()
+    cuts = [0, 1, 4, 30, 31, 33, 90, 120]
+    shots = [ssdr.MeshSequence(frames[a:b]) for a, b in itertools.pairwise(cuts)]
+    one = ssdr.decompose(frames, bones=4, effort="fast")
+    many = ssdr.decompose(shots, bones=4, effort="fast")
+    same(one.skinning, many.skinning)
+    assert many.offsets.tolist() == cuts
+
+
+def test_rotations_leap_to_where_they_belong() -> None:
+    """Far from the start, the error falls at once below what many sweeps reach."""
+    from ssdr.model import bone_step
+
+    rig = motions.chain(3, bones=4, frames=60)
+    data = gather([ssdr.MeshSequence(rig.frames)], bones=4, compress=False)
+    rest, exact = data.from_world(rig.rest, rig.transforms)
+    assert exact is not None
+    errors = []
+    for leap, sweeps in ((False, 6), (False, 12), (True, 6)):
+        start = np.repeat(exact[:1], 60, axis=0)
+        model = ssdr.model.Model.start(start, rest, rig.joints[:, 0], rig.joints.shape[1])
+        model.joints[:], model.weights[:] = rig.joints, rig.weights
+        bone_step(data, model, sweeps=sweeps, fixed=Fixed(), leap=leap)
+        r = model.transforms[..., :3]
+        np.testing.assert_allclose(np.linalg.det(r), 1.0, atol=1e-9)
+        np.testing.assert_allclose(
+            r @ np.swapaxes(r, -1, -2), np.eye(3)[None, None] + 0 * r, atol=1e-9
+        )
+        shown = motions.blend(rest, model.joints, model.weights, model.transforms)
+        errors.append(
+            float(((shown - data.z.reshape(len(rest), 60, 3).transpose(1, 0, 2)) ** 2).sum())
+        )
+    assert errors[2] < errors[1] < errors[0]
