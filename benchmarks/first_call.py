@@ -4,8 +4,8 @@
 
 Each figure is from a process of its own, from its start to its end: `import ssdr`; the first
 `decompose` with an empty cache of kernels; the same with that cache filled.  Then the time that
-each kernel takes to compile, from Numba's own events; what a kernel calls is compiled with the
-first kernel that needs it.
+each kernel takes to compile in one process, from Numba's own events; what a kernel calls is
+compiled with the first kernel that needs it.
 """
 
 from __future__ import annotations
@@ -54,17 +54,17 @@ class Listener(event.Listener):
 listener = Listener()
 event.register("numba:compile", listener)
 import ssdr
-from ssdr.decomposition import _compile
-seconds = _compile()
+from ssdr.warmup import compile_kernels
+seconds = compile_kernels()
 print(json.dumps({"found": listener.found, "all": seconds}))
 """
 SAMPLE = "dancer_small, 12 bones, effort fast"
 
 
-def run(program: str, cache: str) -> tuple[float, dict[str, Any]]:
+def run(program: str, cache: str, **extra: str) -> tuple[float, dict[str, Any]]:
     """Wall time of a process that runs the program, and what it printed last."""
     environment = {
-        **os.environ, "NUMBA_CACHE_DIR": cache,
+        **os.environ, **extra, "NUMBA_CACHE_DIR": cache,
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
     }  # fmt: skip
     began = time.perf_counter()
@@ -86,7 +86,7 @@ def middle(program: str, cache: str, repeats: int) -> dict[str, float]:
 
 
 def kernels(cache: str) -> tuple[list[dict[str, Any]], float]:
-    _, said = run(KERNELS, cache)
+    _, said = run(KERNELS, cache, SSDR_NUM_THREADS="1")
     rows = []
     for module, name, depth, seconds in said["found"]:
         if depth == 0 and module.startswith("ssdr."):
@@ -114,11 +114,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as cache:
         bare = statistics.median(run("pass", cache)[0] for _ in range(args.repeats))
         imports = statistics.median(run(IMPORT, cache)[0] for _ in range(args.repeats))
+        with tempfile.TemporaryDirectory() as other:
+            alone, said_alone = run(FIRST, other, SSDR_NUM_THREADS="1")
         wall, said = run(FIRST, cache)
         rows = [
             {"what": "python alone", "process": bare},
             {"what": "import ssdr", "process": imports},
             {"what": "first call, nothing compiled", "process": wall, **said},
+            {"what": "first call, nothing compiled, one thread", "process": alone, **said_alone},
             {"what": "first call, kernels cached", **middle(FIRST, cache, args.repeats)},
         ]
     with tempfile.TemporaryDirectory() as cache:

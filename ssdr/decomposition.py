@@ -26,7 +26,7 @@ from .checks import (
 from .chunked import Executor, executor_for
 from .errors import Cancelled, InputError, SsdrWarning
 from .fewest import Measure
-from .given import Given, check_parts, fingerprint, normalise
+from .given import check_parts, fingerprint, normalise
 from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
 from .passes import SCANNED, SOLVED, Checkpoint, Passes, scan_progress
@@ -40,13 +40,13 @@ from .streaming import AllFrames, Scan, needs_streaming, scan, squared_error, su
 from .stretching import normalise_gauge
 from .tolerance import MOST_BONES, decompose_within
 from .trajectories import Alignment, gather
+from .warmup import compile_kernels
 from .weights import pad_influences
 
 __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 
 Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
-_compile_seconds: float | None = None
 _REAL = (int, float, np.integer, np.floating)
 _NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
@@ -213,12 +213,12 @@ def decompose(
             rest_frame=int(rest_frame), smoothness=smoothness, importance=importance,
             frame_importance=frame_weights, max_iterations=max_iterations,
             time_limit=time_limit, callback=callback, state=state,
-            ready=_compile,
+            ready=compile_kernels,
         )  # fmt: skip
         if saver is not None:
             saver.save(result.state)
         return result
-    compile_seconds = _compile()
+    compile_seconds = compile_kernels()
     began = time.perf_counter()
     found = executor = None
     solved, solved_parts, solved_weights, start_frame = sequences, parts, frame_weights, rest_frame
@@ -450,30 +450,3 @@ def _restore(run: Run, state: SolverState, settings: dict[str, Any]) -> None:
         None if state.best is None else state.best.copy(),
         records,
     )
-
-
-def _compile() -> float:
-    """Load or compile every kernel on a toy problem, once a process; seconds that it took."""
-    global _compile_seconds
-    if _compile_seconds is not None:
-        return 0.0
-    began = time.perf_counter()
-    rng = np.random.default_rng(0)
-    data = gather([MeshSequence(rng.standard_normal((3, 8, 3)))], bones=2)
-    run = Run(
-        data, make_plan("best", fixed=Fixed(), bones=2, given=Given(), smooth=False, size=0),
-        bones=2, influences=2, rng=rng, fixed=Fixed(), given=Given(), smooth=None,
-    )  # fmt: skip
-    for phase in ("start", "merge", "alternate", "reseed", "polish"):
-        run.position = next(k for k, op in enumerate(run.plan) if op.phase == phase)
-        run.count = 0
-        run._polish = None
-        run.advance()
-    assert isinstance(run.model, Model)
-    squared_error(
-        [MeshSequence(np.zeros((1, 8, 3)))], np.zeros((8, 3)), run.model.joints,
-        run.model.weights, np.zeros((1, 2, 3, 4)),
-    )  # fmt: skip
-    _compile_seconds = time.perf_counter() - began
-    _logger.info("kernels ready after %.2f s", _compile_seconds)
-    return _compile_seconds

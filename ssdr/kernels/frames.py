@@ -45,57 +45,55 @@ def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
 
 @inline
 def horn(s, r):
-    """Rotation that maximises tr(Rᵀs): largest eigenvector of Horn's 4×4 matrix, by Jacobi."""
+    """Rotation that maximises tr(Rᵀs): largest eigenvector of Horn's 4×4 matrix K.
+
+    By squaring K + cI, c making all eigenvalues positive: what grows fastest is
+    the projection onto that eigenvector.
+    """
     k = np.empty((4, 4))
-    v = np.zeros((4, 4))
-    for a in range(4):
-        v[a, a] = 1.0
+    square = np.empty((4, 4))
     k[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
     k[1, 1] = s[0, 0] - s[1, 1] - s[2, 2]
     k[2, 2] = s[1, 1] - s[0, 0] - s[2, 2]
     k[3, 3] = s[2, 2] - s[0, 0] - s[1, 1]
-    k[0, 1] = k[1, 0] = s[2, 1] - s[1, 2]
-    k[0, 2] = k[2, 0] = s[0, 2] - s[2, 0]
-    k[0, 3] = k[3, 0] = s[1, 0] - s[0, 1]
-    k[1, 2] = k[2, 1] = s[0, 1] + s[1, 0]
-    k[1, 3] = k[3, 1] = s[0, 2] + s[2, 0]
-    k[2, 3] = k[3, 2] = s[1, 2] + s[2, 1]
-    for _ in range(30):
-        off = 0.0
-        size = 0.0
+    k[1, 0] = s[2, 1] - s[1, 2]
+    k[2, 0] = s[0, 2] - s[2, 0]
+    k[3, 0] = s[1, 0] - s[0, 1]
+    k[2, 1] = s[0, 1] + s[1, 0]
+    k[3, 1] = s[0, 2] + s[2, 0]
+    k[3, 2] = s[1, 2] + s[2, 1]
+    size = 0.0
+    for a in range(4):
+        for b in range(a + 1):
+            k[b, a] = k[a, b]
+            size += k[a, b] * k[a, b]
+    size = np.sqrt(2.0 * size)
+    for a in range(4):
+        k[a, a] += size
+    trace = 4.0 * size
+    for _ in range(60):
         for a in range(4):
-            size += k[a, a] * k[a, a]
-            for b in range(a):
-                off += k[a, b] * k[a, b]
-        if off <= 1e-32 * size:
+            for b in range(4):
+                k[a, b] /= trace
+        trace = 0.0
+        for a in range(4):
+            for b in range(4):
+                value = 0.0
+                for c in range(4):
+                    value += k[a, c] * k[c, b]
+                square[a, b] = value
+            trace += square[a, a]
+        for a in range(4):
+            for b in range(4):
+                k[a, b] = square[a, b]
+        # a projection onto one direction is its own square
+        if trace > 1.0 - 4e-16:
             break
-        for a in range(3):
-            for b in range(a + 1, 4):
-                if k[a, b] == 0.0:
-                    continue
-                theta = (k[b, b] - k[a, a]) / (2.0 * k[a, b])
-                t = 1.0 / (abs(theta) + np.sqrt(theta * theta + 1.0))
-                if theta < 0.0:
-                    t = -t
-                c = 1.0 / np.sqrt(t * t + 1.0)
-                q = t * c
-                for d in range(4):
-                    x, y = k[d, a], k[d, b]
-                    k[d, a] = c * x - q * y
-                    k[d, b] = q * x + c * y
-                for d in range(4):
-                    x, y = k[a, d], k[b, d]
-                    k[a, d] = c * x - q * y
-                    k[b, d] = q * x + c * y
-                for d in range(4):
-                    x, y = v[d, a], v[d, b]
-                    v[d, a] = c * x - q * y
-                    v[d, b] = q * x + c * y
     top = 0
     for a in range(1, 4):
         if k[a, a] > k[top, top]:
             top = a
-    quaternion_matrix(v[0, top], v[1, top], v[2, top], v[3, top], r)
+    quaternion_matrix(k[0, top], k[1, top], k[2, top], k[3, top], r)
 
 
 @inline
@@ -141,29 +139,22 @@ def rotate_toward(s, r, a, turn, new):
         gx, gy, gz = a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1]
         # LDLᵀ of the 3×3 Hessian; a flat direction (collinear points) is damped, not turned
         floor = 1e-9 * size
-        if h00 < -floor:
-            horn(s, r)
-            return
-        h00 = max(h00, floor)
-        l10, l20 = h01 / h00, h02 / h00
+        d0 = max(h00, floor)
+        l10, l20 = h01 / d0, h02 / d0
         d1 = h11 - l10 * h01
-        if d1 < -floor:
-            horn(s, r)
-            return
-        d1 = max(d1, floor)
         t12 = h12 - l20 * h01
+        lost = h00 < -floor or d1 < -floor
+        d1 = max(d1, floor)
         l21 = t12 / d1
         d2 = h22 - l20 * h02 - l21 * t12
-        if d2 < -floor:
-            horn(s, r)
-            return
+        lost = lost or d2 < -floor
         d2 = max(d2, floor)
         y1 = gy - l10 * gx
         wz = (gz - l20 * gx - l21 * y1) / d2
         wy = y1 / d1 - l21 * wz
-        wx = gx / h00 - l10 * wy - l20 * wz
+        wx = gx / d0 - l10 * wy - l20 * wz
         angle2 = wx * wx + wy * wy + wz * wz
-        if angle2 > 1.0:
+        if lost or angle2 > 1.0:
             horn(s, r)
             return
         # R ← R·exp(ω), exp by the quaternion (1, ω/2), exact to the order that Newton has

@@ -17,9 +17,18 @@ def kernel(function: Function) -> Function:
 
 
 def inline(function: Function) -> Function:
-    """Compile a helper that only kernels call; it is cached as part of them."""
+    """Compile a helper of kernels, cached as part of them; its integers have 64 bits."""
     njit: Any = numba.njit  # its stubs do not know the last two options
     compiled: Any = njit(
         nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
     )(function)
+    resolve = getattr(compiled, "get_call_template", None)
+    if resolve is not None:
+        # Else it is compiled once for each kind of integer and, while Numba is still guessing
+        # the types of a kernel, for literals: half of the time that all kernels take.
+        compiled.get_call_template = lambda args, kws: resolve(tuple(map(_wide, args)), kws)
     return compiled  # type: ignore[no-any-return]
+
+
+def _wide(kind: Any) -> Any:
+    return numba.types.int64 if isinstance(kind, numba.types.Integer) else kind

@@ -128,7 +128,7 @@ def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest
     """Move weights and rest position by −size·step, weights back onto the simplex."""
     n_keep = joints.shape[1]
     w = np.empty(n_keep)
-    ids = np.empty(n_keep, dtype=np.int32)
+    ids = np.empty(n_keep, dtype=np.uint32)
     for i in range(first, last):
         n = 0
         while n < n_keep and weights[i, n] > 0.0:
