@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import faulthandler
 import importlib.util
 import io
 import json
@@ -40,12 +39,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import motions
 from common import revision, write_json
+from soak import Watchdog
 
 import ssdr
 from ssdr.io import read_weights
 
 MEMORY = 3 << 30  # bytes of address space beyond what is there before the first file
-SECONDS = 30.0  # of one file; every one of them is read in milliseconds
+CPU_LIMIT = 60.0  # seconds of one file; nearly all of them are read in milliseconds
+WALL_LIMIT = 1800.0  # for what waits for ever without computing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -297,12 +298,10 @@ def work(out: Path, first: int, seconds: float) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         end = time.monotonic() + seconds
         seed = first
-        stacks = (out / "stacks.txt").open("a")
+        watchdog = Watchdog(out, CPU_LIMIT, WALL_LIMIT)
         while time.monotonic() < end:
-            (out / "running").write_text(str(seed))
-            faulthandler.dump_traceback_later(SECONDS, exit=True, file=stacks)
-            line = try_case(seed, kinds, Path(folder) / "case")
-            faulthandler.cancel_dump_traceback_later()
+            with watchdog.over(seed):
+                line = try_case(seed, kinds, Path(folder) / "case")
             log.write(json.dumps(line) + "\n")
             seed += 1
 

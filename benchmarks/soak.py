@@ -30,6 +30,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -365,31 +366,48 @@ def resident() -> float:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def work(out: Path, first: int, seconds: float) -> None:
-    """Case after case until the time is over."""
-    stacks = (out / "stacks.txt").open("a")
-    here: dict[str, float] = {}
+class Watchdog:
+    """Ends this process, its stacks written down, where a case takes too long.
 
-    def watch() -> None:
+    By CPU time, since a busy machine is no fault; by the clock only what waits for ever.
+    """
+
+    def __init__(self, out: Path, cpu: float, wall: float) -> None:
+        self.out, self.cpu, self.wall = out, cpu, wall
+        self.stacks = (out / "stacks.txt").open("a")
+        self.began: float | None = None
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
         while True:
             time.sleep(2)
-            if here and time.process_time() - here["cpu"] > CPU_LIMIT:
-                print(f"case {here['seed']:.0f} takes too long", file=stacks, flush=True)
-                faulthandler.dump_traceback(stacks)
-                os._exit(75)
+            began = self.began
+            if began is not None and time.process_time() - began > self.cpu:
+                faulthandler.dump_traceback(self.stacks)
+                os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+    @contextlib.contextmanager
+    def over(self, seed: int) -> Iterator[None]:
+        (self.out / "running").write_text(str(seed))
+        # this one needs no lock of the interpreter, and so sees even what holds it for ever
+        faulthandler.dump_traceback_later(self.wall, exit=True, file=self.stacks)
+        self.began = time.process_time()
+        try:
+            yield
+        finally:
+            self.began = None
+            faulthandler.cancel_dump_traceback_later()
+
+
+def work(out: Path, first: int, seconds: float) -> None:
+    """Case after case until the time is over."""
+    watchdog = Watchdog(out, CPU_LIMIT, WALL_LIMIT)
     end = time.monotonic() + seconds
     seed = first
     with (out / "cases.jsonl").open("a") as log:
         while time.monotonic() < end:
-            (out / "running").write_text(str(seed))
-            # this one needs no lock of the interpreter, and so sees even what holds it for ever
-            faulthandler.dump_traceback_later(WALL_LIMIT, exit=True, file=stacks)
-            here |= {"seed": seed, "cpu": time.process_time()}
-            line = run_case(seed)
-            here.clear()
-            faulthandler.cancel_dump_traceback_later()
+            with watchdog.over(seed):
+                line = run_case(seed)
             if (seed - first) % 25 == 24:
                 line |= {
                     "process": os.getpid(),
@@ -426,7 +444,7 @@ def watch_over(out: Path, seconds: float, first: int) -> None:
             raise SystemExit(70)
         if child.returncode:
             seed = int((out / "running").read_text())
-            what = "hang" if child.returncode in (75, 1) else f"crash ({child.returncode})"
+            what = "hang" if child.returncode == 1 else f"crash ({child.returncode})"
             with (out / "cases.jsonl").open("a") as log:
                 log.write(json.dumps({"seed": seed, "cpu": None, "wrong": [what]}) + "\n")
     summary = summarise(out, before, time.monotonic() - began)
