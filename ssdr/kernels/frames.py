@@ -10,6 +10,7 @@ from .vertices import monomials
 SPECK = 1e-6  # squared radius, of a mesh of unit size, below which a bone's scale is not trusted
 POINT = 1e-12  # squared radius below which rounding alone would turn a bone
 SMALLEST, LARGEST = 0.05, 20.0  # scale of a bone, unless it starts beyond
+COLUMNS = 512  # of the trajectories that are summed at once
 
 
 @kernel
@@ -19,28 +20,55 @@ def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
     u (B, B, 10) receives Σ w_j w_k p̃p̃ᵀ in the ten monomials, for j <= k;
     az (4, B, r) receives Σ w_j p̃ z_i.
     """
+    n_bones = az.shape[1]
     r = z.shape[1]
     m = np.empty(10)
+    start = np.zeros(n_bones + 1, dtype=np.int64)
     for i in range(first, last):
-        c = importance[i]
         monomials(rest[i], m)
         for q in range(joints.shape[1]):
-            w = weights[i, q]
+            w = importance[i] * weights[i, q]
             if w == 0.0:
                 continue
             j = joints[i, q]
+            start[j + 1] += 1
             for s in range(joints.shape[1]):
                 k = joints[i, s]
                 if k < j or weights[i, s] == 0.0:
                     continue
-                ww = c * w * weights[i, s]
+                ww = w * weights[i, s]
                 for d in range(10):
                     u[j, k, d] += ww * m[d]
-            w *= c
-            for d in range(4):
-                s = w * m[6 + d]
-                for e in range(r):
-                    az[d, j, e] += s * z[i, e]
+    # Bone by bone, three of its vertices at once and columns that stay in the cache: else each
+    # weight would read and write four whole rows of az.
+    for j in range(n_bones):
+        start[j + 1] = start[j] + 3 * ((start[j + 1] + 2) // 3)
+    who = np.full(start[n_bones], first)
+    a = np.zeros((4, start[n_bones]))
+    place = start.copy()
+    for i in range(first, last):
+        for q in range(joints.shape[1]):
+            w = importance[i] * weights[i, q]
+            if w == 0.0:
+                continue
+            k = place[joints[i, q]]
+            place[joints[i, q]] += 1
+            who[k] = i
+            for d in range(3):
+                a[d, k] = w * rest[i, d]
+            a[3, k] = w
+    for e in range(0, r, COLUMNS):
+        f = min(r, e + COLUMNS)
+        for j in range(n_bones):
+            for k in range(start[j], start[j + 1], 3):
+                z0, z1, z2 = z[who[k], e:f], z[who[k + 1], e:f], z[who[k + 2], e:f]
+                for d in range(0, 4, 2):
+                    one, two = az[d, j, e:f], az[d + 1, j, e:f]
+                    a0, a1, a2 = a[d, k], a[d, k + 1], a[d, k + 2]
+                    b0, b1, b2 = a[d + 1, k], a[d + 1, k + 1], a[d + 1, k + 2]
+                    for c in range(f - e):
+                        one[c] += a0 * z0[c] + a1 * z1[c] + a2 * z2[c]
+                        two[c] += b0 * z0[c] + b1 * z1[c] + b2 * z2[c]
 
 
 @inline
