@@ -18,7 +18,10 @@ from common import RESULTS, ROOT, table, tell
 
 PAGES = [
     ROOT / "benchmarks" / "README.md",
-    *(ROOT / "docs" / f"{name}.md" for name in ("decompose", "benchmarks", "how-to-choose")),
+    *(
+        ROOT / "docs" / f"{name}.md"
+        for name in ("decompose", "benchmarks", "how-to-choose", "stability")
+    ),
 ]
 
 
@@ -317,6 +320,55 @@ def smoothness() -> str:
     return table(rows, list(rows[0]))
 
 
+def stability() -> str:
+    rows = []
+    seen = None
+    results = read("stability")["rows"]
+    for r in results:
+        mine = re.sub(r" \(\d+ such.*", "", r["outcome"]).replace("|", "/")
+        if r["outcome"] == "solved":
+            mine = "passes" if r["figure"] is None else f"error {r['figure']:.1e}"
+            if r["bound"] is not None and r["figure"] is not None:
+                mine += f" (may be {r['bound']:.1e})"
+        theirs = r.get("Dem Bones", "not run")
+        rows.append({
+            "": r["number"] if r["number"] != seen else None,
+            "case": r["case"], "ssdr": ("" if r["passed"] else "FAILS: ") + mine,
+            "right, ssdr": "yes" if r["passed"] else "no",
+            "Dem Bones": theirs,
+            "right, Dem Bones": {True: "yes", False: "no"}.get(r.get("Dem Bones right")),
+            "what the test would have caught": r["catches"] if r["number"] != seen else None,
+        })  # fmt: skip
+        seen = r["number"]
+    others = [r for r in results if "Dem Bones right" in r]
+    told = (
+        f"`ssdr`: {sum(r['passed'] for r in results)} of {len(results)} right. "
+        f"Dem Bones: {sum(r['Dem Bones right'] for r in others)} of {len(others)}."
+    )
+    return f"{told}\n\n{table(rows, list(rows[0]))}"
+
+
+def soak() -> str:
+    if not all((RESULTS / f"{name}.json").is_file() for name in ("soak", "fuzz")):
+        return "None is shown."
+    long, files = read("soak"), read("fuzz")
+    memory = long["memory"][-1] if long["memory"] else None
+    grown = "" if memory is None else (
+        f" Memory of the process: {memory['median of the first quarter']:.0f} MiB in the first "
+        f"quarter after warm-up, {memory['median of the last quarter']:.0f} MiB in the last "
+        f"(medians; {memory['cases']} cases)."
+    )  # fmt: skip
+    return (
+        f"The soak shown: {long['seconds'] / 3600:.1f} h, {long['cases']} problems, "
+        f"{long['cpu seconds']:.0f} CPU seconds, {long['iterations']} iterations; hangs "
+        f"{long['hangs']}, crashes {long['crashes']}, other faults "
+        f"{len(long['failures']) - long['hangs'] - long['crashes']}; revision "
+        f"{long['revision']}.{grown}\n\nThe fuzz shown: {files['files']} files of "
+        f"{len(files['formats'])} kinds, {files['refused']} refused, faults "
+        f"{len(files['failures'])}; revision {files['revision']}."
+    )
+
+
 PARTS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
@@ -324,7 +376,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "race_run": race_run, "race_errors": race_errors, "race_times": race_times,
     "race_apart": race_apart,
     "race_history": race_history, "sizes": sizes, "scaling": scaling, "rest_poses": rest_poses,
-    "smoothness": smoothness,
+    "smoothness": smoothness, "stability": stability, "soak": soak,
 }  # fmt: skip
 
 
