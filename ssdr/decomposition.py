@@ -48,6 +48,7 @@ __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
 _REAL = (int, float, np.integer, np.floating)
+_MOST_RATIO = 10.0  # of the true error to the objective's, beyond which they tell different things
 _NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
 
@@ -237,8 +238,9 @@ def decompose(
             some = np.ascontiguousarray(parts.transforms[found.chosen])
             solved_parts = dataclasses.replace(parts, transforms=some)
     data = gather(
-        solved, bones=bones, vertex_importance=importance, frame_importance=solved_weights
-    )
+        solved, bones=bones, vertex_importance=importance, frame_importance=solved_weights,
+        compress=False,
+    )  # fmt: skip
     settings = {
         "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
         "rest_frame": int(rest_frame), "smoothness": float(smoothness),
@@ -260,6 +262,7 @@ def decompose(
         bones=bones, influences=min(influences, bones), rng=generator, fixed=fixed,
         given=inner, smooth=smooth, began=began,
     )  # fmt: skip
+    del data  # what the run compresses needs not be held here as well
     if state is not None:
         _restore(run, state, settings)
 
@@ -386,7 +389,8 @@ def _result(
     # last record is measured on the frames, the others keep their ratio to it
     # (where what counts is exact there is no ratio: the error is of what does not count)
     last = errors[-1]
-    errors = errors * (rmse / last) if last > 0 else np.maximum(errors, rmse)
+    told = 0 < last and rmse < _MOST_RATIO * last
+    errors = errors * (rmse / last) if told else np.maximum(errors, rmse)
     history = tuple(
         Record(iteration=r[0], elapsed=r[1], rmse=float(e), phase=r[3])
         for r, e in zip(records, errors, strict=True)

@@ -323,7 +323,7 @@ class Search:
             return
         plan = [
             Op("recall"), _reseed(zeal.reseeds), _polish(30),
-            *[Op("recall"), Op("kick", count=2), _polish(10, 0.0)] * zeal.rounds,
+            Op("recall"), Op("search", count=zeal.rounds, patience=zeal.rounds, cost=60),
         ]  # fmt: skip
         self._try(bones, plan, best, "kicked", 0.7, 0.9)
 

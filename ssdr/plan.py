@@ -1,10 +1,11 @@
 """The order of the solver's steps, and the run that walks through it.
 
-    start -> alternate -> merge -> alternate -> re-seed -> polish (-> kick -> polish)*
+    start -> alternate                                      a first model, soon
+    start -> alternate -> merge -> alternate -> re-seed -> polish | search
 
 A run is at all times between two small steps: it can be stopped, saved and
 resumed there.  The best model of exactly the bones asked for is kept apart;
-what a kick or a re-seed made worse is never handed out.
+what a change made worse is never handed out.
 """
 
 from __future__ import annotations
@@ -19,18 +20,22 @@ from .given import Given
 from .initialization import single_bone_errors, start_model
 from .model import Fixed, Model, bone_step, vertex_step
 from .projection import Polish
-from .reseeding import merge_step, reseed_step
+from .reseeding import alternate, grow_and_shed, kick, merge_step, polish_steps, reseed_step
 from .smoothness import WeightSmoothness
 from .stretching import normalise_gauge, polish_of
 from .trajectories import Trajectories
 
 __all__ = ["EFFORTS", "Op", "Run", "make_plan"]
 
-Phase = Literal["start", "alternate", "merge", "reseed", "polish", "kick", "recall"]
+Phase = Literal[
+    "quick", "compress", "start", "alternate", "merge", "reseed", "search", "polish", "recall"
+]
 
 _WINDOW = 8  # polish steps over which the stopping test looks
 _ENTERING = 3  # every third polish step tries bones that could enter
-_PLATEAU = 1e-5  # relative gain of an alternation below which it hands over
+_FEW_FRAMES, _FEW_STEPS = 64, 16  # of the first model, where there are many frames
+_FIRST_SWEEPS = 6  # where a frame's bones start from those of another frame
+_PLATEAU = 1e-5  # relative gain of an alternation that does not count
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,8 +44,9 @@ class Op:
 
     `count` steps at most; `amount` is the bones to start with relative to those
     asked for (start), alternations a step (merge, reseed), failures in a row at
-    which to stop (reseed: `patience`), relative gain over eight steps at which
-    to stop (polish: `tolerance`); `cost` in alternations a step, for the time left.
+    which to stop (reseed: `patience`), relative gain at which to stop (`tolerance`:
+    of three alternations, of eight polish steps); `cost` in alternations a step,
+    for the time left.
     """
 
     phase: Phase
@@ -49,6 +55,11 @@ class Op:
     patience: int = 0
     tolerance: float = 0.0
     cost: float = 1.0
+
+
+# On the frames as they are and without a bone too many: what it finds is soon there to be
+# had, and now and then stays the best.
+_FIRST = [Op("quick", cost=8), Op("alternate", count=20, tolerance=0.01), Op("compress", cost=4)]
 
 
 def _begin(factor: float, first: int, second: int) -> list[Op]:
@@ -64,25 +75,26 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
-_ROUND = [Op("recall"), Op("kick", count=2), _polish(10, 0.0)]
-_MORE_ROUNDS = 12  # "best" on what is small enough to be done with them in two minutes
-_SMALL = 12.5e6  # vertices × frames × bones
+_SEARCH = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 140}  # tries of "best", by vertices × frames × bones
+_SETTLE = 8  # polish steps after which a try is judged
+_CLOSE = 1.02  # ratio of objectives at which it gets as many again
 EFFORTS: dict[str, list[Op]] = {
-    "fast": [*_begin(1.6, 6, 4), _polish(6, 0.02)],
+    "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.02)],
     "balanced": [
+        *_FIRST,
         *_begin(1.6, 12, 6),
+        Op("recall", cost=0),
         Op("reseed", count=16, amount=4, patience=4, cost=6),
         _polish(40, 0.01),
     ],
     "best": [
+        *_FIRST,
         *_begin(1.6, 12, 6), _polish(8, 0.0),
         *_begin(2.2, 12, 6), _polish(8, 0.0),
         *_begin(3.0, 12, 6), _polish(8, 0.0),
-        Op("recall"),
-        Op("reseed", count=60, amount=4, patience=10, cost=6),
-        _polish(40, 0.005),
-        *_ROUND * 20,
-        Op("recall"),
+        Op("recall", cost=0),
+        Op("search", count=30, patience=16, cost=60),
+        Op("recall", cost=0),
         _polish(60, 0.002),
     ],
 }  # fmt: skip
@@ -96,19 +108,20 @@ def make_plan(
     `size` is vertices × frames × bones.
     """
     plan = list(EFFORTS[effort])
-    if effort == "best" and size < _SMALL:
-        plan[-2:-2] = _ROUND * _MORE_ROUNDS
+    tries = next(count for least, count in _SEARCH.items() if size >= least)
+    plan = [dataclasses.replace(op, count=tries) if op.phase == "search" else op for op in plan]
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     if given.weights is not None or all_bones:
         # nothing to place: one start, then down to the nearest minimum
         steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
-        plan = [Op("start", amount=1.0, cost=8), Op("alternate", count=10), _polish(steps, 1e-3)]
+        plan = [
+            Op("compress", cost=4), Op("start", amount=1.0, cost=8),
+            Op("alternate", count=10), _polish(steps, 1e-3),
+        ]  # fmt: skip
     if smooth:
         # the polish does not know the penalty: alternate until it settles
         steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        plan = [
-            op for op in plan if op.phase in ("start", "alternate", "merge", "reseed", "recall")
-        ]
+        plan = [op for op in plan if op.phase not in ("polish", "search")]
         plan.append(Op("alternate", count=steps))
     return plan
 
@@ -219,6 +232,32 @@ class Run:
         self.recent = []
         self._polish, self.damping = None, None
 
+    def _do_compress(self, _: Op) -> bool:
+        self.data = self.data.compressed(self.bones)
+        return True
+
+    def _do_quick(self, op: Op) -> bool:
+        """Start and settle on a few frames where there are many, then on to all of them."""
+        data = self.data
+        if data.n_frames < 2 * _FEW_FRAMES or self.given.transforms is not None:
+            return self._do_start(op)
+        chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
+        few = data.some(chosen)
+        rest = data.frame(self.given.rest_frame) if self.given.rest is None else self.given.rest
+        model = start_model(
+            few, rest, self.bones, self.influences, self.rng, None, self.fixed.bone_model,
+            quick=True,
+        )  # fmt: skip
+        vertex_step(few, model, fixed=self.fixed)
+        alternate(few, model, _FEW_STEPS, self.fixed)
+        between = 0.5 * (chosen[1:] + chosen[:-1])
+        near = np.searchsorted(between, np.arange(data.n_frames))
+        model.transforms = np.ascontiguousarray(model.transforms[near])
+        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=self.fixed)
+        vertex_step(data, model, fixed=self.fixed)
+        self.model = model
+        return True
+
     def _do_start(self, op: Op) -> bool:
         data, given, rng = self.data, self.given, self.rng
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
@@ -246,8 +285,9 @@ class Run:
             most = data.n_vertices
             count = min(most, max(self.bones, round(self.bones * op.amount)))
             model = start_model(
-                data, rest, count, self.influences, rng, given.transforms, self.fixed.bone_model
-            )
+                data, rest, count, self.influences, rng, given.transforms, self.fixed.bone_model,
+                quick=op.phase == "quick",
+            )  # fmt: skip
         vertex_step(data, model, fixed=self.fixed)
         self.model = model
         return True
@@ -263,7 +303,7 @@ class Run:
         normalise_gauge(model, self.data.importance, self.fixed)
         self.iteration += 1
         after = self.value(model)
-        still = before - after < _PLATEAU * before
+        still = before - after < max(op.tolerance, _PLATEAU) * before
         self.failures = self.failures + 1 if still else 0
         self.settled = self.failures >= 3
         return self.settled
@@ -304,16 +344,22 @@ class Run:
         self.settled = full and gain < op.tolerance
         return self.settled
 
-    def _do_kick(self, op: Op) -> bool:
-        """An alternation keeps the largest weights whether or not that pays: out of the minimum."""
-        model = self._current()
-        if self.count == 0:
-            model.widen()
-        bone_step(self.data, model, fixed=self.fixed)
-        vertex_step(self.data, model, fixed=self.fixed)
-        normalise_gauge(model, self.data.importance, self.fixed)
-        self.iteration += 1
-        return False
+    def _do_search(self, op: Op) -> bool:
+        """Change the best model by turns in two ways, polish, and keep what is better."""
+        assert self.best is not None
+        data, base = self.data, self.best_value
+        change = grow_and_shed if self.count % 2 else kick
+        trial = change(data, self.best, self.rng, self.fixed)
+        polish_steps(data, trial, _SETTLE, self.fixed)
+        value = self.value(trial)
+        if base <= value < _CLOSE * base:
+            polish_steps(data, trial, _SETTLE, self.fixed)
+            value = self.value(trial)
+        self.iteration += _SETTLE
+        self.model = trial
+        self.failures = 0 if value < base else self.failures + 1
+        self.settled = self.failures >= op.patience
+        return self.settled
 
     def _do_recall(self, op: Op) -> bool:
         assert self.best is not None
@@ -349,3 +395,5 @@ class Run:
         self.recent, self.settled = list(progress["recent"]), bool(progress["settled"])
         self.best_value, self._before = float(progress["best_value"]), float(progress["elapsed"])
         self.rng.bit_generator.state = progress["rng"]
+        if any(op.phase == "compress" for op in self.plan[: self.position]):
+            self.data = self.data.compressed(self.bones)

@@ -1,4 +1,4 @@
-"""Fewer bones, and bones in better places: merging down and re-seeding."""
+"""Fewer bones, and bones in better places: merging down, re-seeding, search around a model."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from scipy.spatial import cKDTree
 from .initialization import fit_patches
 from .model import Fixed, Model, bone_costs, bone_step, vertex_step
 from .skinning import BoneModel
+from .stretching import normalise_gauge, polish_of
 from .trajectories import Array, Trajectories
 
-__all__ = ["alternate", "merge_step", "reseed_step"]
+__all__ = ["alternate", "grow_and_shed", "kick", "merge_step", "polish_steps", "reseed_step"]
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
 _CHEAPEST = 3  # bones that may be given up
+_MOST_KICKS, _MOST_GROWN = 5, 3
+_PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
 
 
 def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
@@ -49,25 +52,83 @@ def reseed_step(
     The new bone is the Kabsch fit of the neighbourhood, of V/2B vertices, that
     holds the most error.  The caller keeps the outcome only if it is better.
     """
-    n, bones = data.n_vertices, model.n_bones
-    error = model.error * data.importance
-    total = float(error.sum())
+    if not float(data.importance @ model.error) > 0:
+        return None
     cost = _costs(data, model, fixed)
     order = np.argsort(cost, kind="stable")
     free = order[np.isfinite(cost[order])]
-    if not total > 0 or len(free) == 0:
+    if len(free) == 0:
         return None
     drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
-    seeds = rng.choice(n, size=min(_CANDIDATES, n), p=error / total)
-    size = min(n, max(4, n // (2 * bones)))
-    _, near = cKDTree(model.rest).query(model.rest[seeds], k=size)
-    near = np.asarray(near).reshape(len(seeds), size)
-    members = near[error[near].sum(axis=1).argmax()]
+    members = _worst_patch(data, model, rng, 0.5)
     smaller = model.without(np.array([drop]))
     grown = with_patch(data, smaller, members, fixed.bone_model)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     return grown
+
+
+def kick(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """A copy after a few alternations, which keep the largest weights whether that pays or not."""
+    moved = model.copy()
+    moved.widen()
+    for _ in range(int(rng.integers(1, _MOST_KICKS + 1))):
+        bone_step(data, moved, fixed=fixed)
+        vertex_step(data, moved, fixed=fixed)
+        normalise_gauge(moved, data.importance, fixed)
+    return moved
+
+
+def grow_and_shed(
+    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+) -> Model:
+    """A copy that got up to three bones more, settled, and gave up as many again.
+
+    Bones change places so that a single exchange would not find: the new ones
+    have taken over what they can before it is asked which can go.
+    """
+    grown = model.copy()
+    grown.widen()
+    count = int(rng.integers(1, _MOST_GROWN + 1))
+    for _ in range(count):
+        members = _worst_patch(data, grown, rng, float(rng.choice(_PATCH_SIZES)))
+        grown = with_patch(data, grown, members, fixed.bone_model)
+        vertex_step(data, grown, fixed=fixed)
+    alternate(data, grown, 3, fixed)
+    polish_steps(data, grown, 3, fixed)
+    for _ in range(count):
+        grown.widen()
+        vertex_step(data, grown, fixed=fixed)
+        cost = _costs(data, grown, fixed)
+        grown = grown.without(np.argsort(cost, kind="stable")[:1])
+        vertex_step(data, grown, fixed=fixed)
+        alternate(data, grown, 2, fixed)
+    return grown
+
+
+def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
+    """`count` steps of the polish (in place), every third of which lets bones enter."""
+    polish = polish_of(data, model, fixed=fixed)
+    for k in range(count):
+        polish.step(entering=3 if k % 3 == 0 else 0)
+    normalise_gauge(model, data.importance, fixed)
+
+
+def _worst_patch(
+    data: Trajectories, model: Model, rng: np.random.Generator, share: float
+) -> NDArray[np.intp]:
+    """The neighbourhood of `share`·V/B vertices that holds the most error, of some drawn by it."""
+    n = data.n_vertices
+    # drawn by their place in the order of motion, so that numbering plays no part
+    order = np.argsort(data.x2, kind="stable")
+    error = model.error * data.importance
+    total = float(error.sum())
+    chance = None if not total > 0 else error[order] / total
+    seeds = order[rng.choice(n, size=min(_CANDIDATES, n), p=chance)]
+    size = min(n, max(4, int(share * n / model.n_bones)))
+    _, near = cKDTree(model.rest).query(model.rest[seeds], k=size)
+    near = np.asarray(near).reshape(len(seeds), size)
+    return np.asarray(near[error[near].sum(axis=1).argmax()])
 
 
 def with_patch(

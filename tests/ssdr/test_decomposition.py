@@ -204,7 +204,7 @@ def test_plain_alternation_is_beaten() -> None:
 def test_history_is_what_a_run_stopped_there_gives() -> None:
     """Every record's error is that of the model which a run stopped there hands out."""
     whole = check(ssdr.decompose(frames(), bones=4), frames(), 4)
-    for record in whole.history[:: max(1, len(whole.history) // 6)]:
+    for record in whole.history[1 :: max(1, len(whole.history) // 6)]:
         part = ssdr.decompose(frames(), bones=4, max_iterations=record.iteration)
         assert rmse_of(part.skinning, frames()) == pytest.approx(record.rmse, rel=0.01)
         assert part.history[-1].iteration == record.iteration
@@ -213,7 +213,7 @@ def test_history_is_what_a_run_stopped_there_gives() -> None:
 def test_history_with_smoothness_is_the_error_without_the_penalty() -> None:
     options = {"faces": rig().faces, "bones": 4, "smoothness": 0.1, "effort": "fast"}
     whole = ssdr.decompose(frames(), **options)
-    for record in whole.history[:: max(1, len(whole.history) // 4)]:
+    for record in whole.history[1 :: max(1, len(whole.history) // 4)]:
         part = ssdr.decompose(frames(), **options, max_iterations=record.iteration)
         assert rmse_of(part.skinning, frames()) == pytest.approx(record.rmse, rel=0.01)
 
@@ -221,14 +221,14 @@ def test_history_with_smoothness_is_the_error_without_the_penalty() -> None:
 def test_progress_agrees_with_the_result() -> None:
     seen = []
     result = ssdr.decompose(frames(), bones=4, callback=lambda p: seen.append(p))
-    assert seen[0].rmse == np.inf
     assert seen[-1].rmse == pytest.approx(result.rmse, rel=0.01)
-    assert (np.diff([p.rmse for p in seen if np.isfinite(p.rmse)]) <= 0).all()
+    assert (np.diff([p.rmse for p in seen]) <= 0).all()
     assert (np.diff([p.elapsed for p in seen]) >= 0).all()
     assert (np.diff([p.fraction for p in seen]) >= 0).all()
     assert all(0 <= p.fraction <= 1 for p in seen)
     assert all(p.time_left >= 0 for p in seen)
-    assert {"start", "merge", "alternate", "reseed", "polish"} <= {p.phase for p in seen}
+    phases = {"quick", "compress", "start", "merge", "alternate", "reseed", "polish"}
+    assert phases <= {p.phase for p in seen}
 
 
 # limits
@@ -236,14 +236,11 @@ def test_progress_agrees_with_the_result() -> None:
 
 def test_iterations_are_limited() -> None:
     full = ssdr.decompose(frames(), bones=4)
-    first = full.history[0].iteration
-    for limit in (first, first + 5, first + 20):
+    for limit in (1, 6, full.history[-1].iteration // 2):
         part = check(ssdr.decompose(frames(), bones=4, max_iterations=limit), frames(), 4)
         assert part.stop_reason == "iterations"
         # a re-seed is one step of several alternations
         assert limit <= part.state.progress["iteration"] < limit + 4
-    tiny = check(ssdr.decompose(frames(), bones=4, max_iterations=1), frames(), 4)
-    assert tiny.state.progress["iteration"] <= first
 
 
 def test_time_is_limited() -> None:
@@ -255,14 +252,14 @@ def test_time_is_limited() -> None:
 
 
 def test_cancel_before_any_model() -> None:
+    # where all bones are locked and there is nothing to start from, compression comes first
+    given = np.tile(np.eye(3, 4), (len(frames()), 4, 1, 1))
     with pytest.raises(ssdr.Cancelled, match="before"):
-        ssdr.decompose(frames(), bones=4, callback=lambda p: True)
+        ssdr.decompose(frames(), bones=4, transforms=given, callback=lambda p: True)
 
 
 def test_cancel_afterwards() -> None:
-    result = check(
-        ssdr.decompose(frames(), bones=4, callback=lambda p: np.isfinite(p.rmse)), frames(), 4
-    )
+    result = check(ssdr.decompose(frames(), bones=4, callback=lambda p: True), frames(), 4)
     assert result.stop_reason == "cancelled"
     assert len(result.history) == 1
 
@@ -304,7 +301,7 @@ def test_same_bits_for_any_number_of_threads(effort: str) -> None:
 
 def test_seed_decides() -> None:
     def run(rng: object) -> list[bytes]:
-        return bits(ssdr.decompose(frames(), bones=3, rng=rng, effort="fast"))
+        return bits(ssdr.decompose(frames(), bones=5, rng=rng))
 
     assert run(3) == run(3) == run(np.int64(3))
     assert run(np.random.default_rng(8)) == run(np.random.default_rng(8))
@@ -703,10 +700,11 @@ def test_refuses_a_callback_that_is_none() -> None:
 
 
 def test_history_never_rises_where_all_that_counts_is_exact() -> None:
-    array = np.random.default_rng(1).standard_normal((2, 7, 3))
-    counts = np.arange(7) < 2
+    array = np.random.default_rng(1).standard_normal((3, 9, 3))
+    counts = np.arange(9) < 3
     result = ssdr.decompose(array, bones=2, effort="fast", vertex_importance=counts)
     values = [record.rmse for record in result.history]
     assert len(values) > 1
     assert values == sorted(values, reverse=True)
     assert values[-1] == result.rmse > 0.1
+    assert values[0] < 10 * values[-1]  # no ratio of an error to nothing
