@@ -69,10 +69,12 @@ def steps() -> str:
     for step in ("outer iteration", "polish step"):
         one = [r for r in results["steps"] if r["step"] == step and r["threads"] == 1]
         parts = [
-            {"part": name} | {r["case"]: f"{r['parts ms'][name]:.1f}" for r in one}
+            {"part": name} | {r["case"]: part_beside_bound(r, name) for r in one}
             for name in one[0]["parts ms"]
         ]
-        out.append(f"Parts of one {step}, one thread, ms:\n\n" + table(parts, list(parts[0])))
+        beside = " (the part's own bound)" if one[0].get("bounds ms") else ""
+        title = f"Parts of one {step}, one thread, ms{beside}:"
+        out.append(title + "\n\n" + table(parts, list(parts[0])))
     memory = [
         {
             "case": r["case"], "input as float64, MiB": f"{r['float64 MiB']:.0f}",
@@ -83,6 +85,11 @@ def steps() -> str:
     out.append("Peak memory of the process:\n\n" + table(memory, list(memory[0])))
     out.append(tell(results["steps"][-1]))
     return "\n\n".join(out)
+
+
+def part_beside_bound(row: dict[str, Any], part: str) -> str:
+    bound = row.get("bounds ms", {}).get(part)
+    return f"{row['parts ms'][part]:.1f}" + ("" if bound is None else f" ({bound:.1f})")
 
 
 def first_call() -> str:

@@ -6,6 +6,8 @@ An outer iteration is a bone step and a vertex step; a polish step has its own p
 timed from outside, by functions put in the place of the solver's own, in one thread, where their
 times add up; whole steps also in two.  "floor" is the time that the step's dense and sparse
 products would take at the rate of a large float64 matrix product, measured in the same run.
+A part's own "bound" is the longer of its operations at that rate and of the bytes that it must
+read or write once at the rate of a copy.
 Times are the lowest of several iterations: the machine may be busy with other work.
 Peak memory is that of a process of its own (--memory runs that process).
 """
@@ -26,6 +28,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import paper_size
 from common import IMAGES, RESULTS, load, machine, pyplot, save_figure, table, tell, write_json
 
 import ssdr
@@ -36,6 +39,8 @@ from ssdr.parallel import serial_blas
 from ssdr.trajectories import Trajectories, gather
 
 CASES = [("horse_gallop", 20), ("samba", 60)]
+PAPER = ("paper_size", 80)  # 2,000 of its frames, of full rank; only alternations
+PAPER_FRAMES = 2000
 INFLUENCES, SWEEPS = 4, 3
 
 
@@ -74,8 +79,7 @@ BONE = [
     ("sweeps", steps, "sweep_bones"),
 ]
 VERTEX = [
-    ("tables", steps, "gram_tables"),
-    ("reduction", Trajectories, "reduce"),
+    ("sums", steps, "transform_sums"),
     ("chunks", steps, "run_chunks"),
     ("kernel", steps, "solve_vertices"),
 ]
@@ -106,6 +110,8 @@ def fastest(run: Callable[[Watch], None], targets: list[tuple[str, Any, str]], r
 
 def prepare(name: str, bones: int) -> tuple[Trajectories, steps.Model]:
     """A model some alternations after its start, as most iterations find it."""
+    if name == PAPER[0]:
+        return prepare_paper()
     frames, faces = load(name)
     data = gather([ssdr.MeshSequence(frames, faces)], bones=bones)
     rng = np.random.default_rng(0)
@@ -115,6 +121,51 @@ def prepare(name: str, bones: int) -> tuple[Trajectories, steps.Model]:
         steps.bone_step(data, model, sweeps=SWEEPS)
     steps.vertex_step(data, model)
     return data, model
+
+
+def prepare_paper() -> tuple[Trajectories, steps.Model]:
+    """The paper's size, some alternations after each vertex had the largest of its own bones."""
+    source = paper_size.Source()
+    frames = np.concatenate([source.block(k, 250)[0] for k in range(0, PAPER_FRAMES, 250)])
+    # noise has full rank: a basis would be looked for in vain
+    data = gather([ssdr.MeshSequence(frames, source.faces)], bones=source.bones, compress=False)
+    del frames
+    rest, bones = data.from_world(source.rest, source.transforms(np.arange(PAPER_FRAMES)))
+    assert bones is not None
+    largest = source.joints[np.arange(len(rest)), source.weights.argmax(axis=1)]
+    model = steps.Model.start(bones, rest, largest.astype(np.intp), paper_size.INFLUENCES)
+    for _ in range(2):
+        steps.vertex_step(data, model)
+        steps.bone_step(data, model, sweeps=SWEEPS)
+    steps.vertex_step(data, model)
+    return data, model
+
+
+def bounds(
+    data: Trajectories, model: steps.Model, flop: dict[str, float], rates: dict[str, Any]
+) -> dict[str, float]:
+    """Seconds by part of an outer iteration that its operations or its bytes need."""
+    f, b, v, r = data.n_frames, model.n_bones, data.n_vertices, data.z.shape[1]
+    shared = np.zeros((b, b), dtype=bool)
+    for q in range(model.n_influences):
+        for s in range(model.n_influences):
+            both = (model.weights[:, q] > 0) & (model.weights[:, s] > 0)
+            shared[model.joints[both, q], model.joints[both, s]] = True
+    np.fill_diagonal(shared, False)
+    z, y, per_frame = 8.0 * v * r, 8.0 * v * 4 * b, 8.0 * 12 * f * b
+    support = float(model.count.sum())
+    need = {
+        "bones: sums U, AᵀZ": (flop["C"], z),
+        "bones: expansion to C": (flop["Q(AᵀZ)ᵀ"], 8.0 * 4 * b * r + per_frame),
+        "bones: sweeps": (SWEEPS * f * 96.0 * shared.sum(), 3 * per_frame),
+        "vertices: G and QᵀM": (flop["G"] + flop["QᵀM"], 2 * per_frame),
+        "vertices: Y": (flop["Y"], z + y),
+        "vertices: kernel": (20.0 * support * b, y),
+    }
+    return {
+        part: max(1e-9 * ops / rates["gemm_1"], 1e-9 * size / rates["memory"])
+        for part, (ops, size) in need.items()
+    }
 
 
 def products(data: Trajectories, model: steps.Model) -> dict[str, float]:
@@ -154,7 +205,7 @@ def alternation(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
                 "bones: sums U, AᵀZ": b.seconds["sums"],
                 "bones: expansion to C": b.seconds["expansion"],
                 "bones: sweeps": b.seconds["sweeps"],
-                "vertices: G and QᵀM": v.seconds["tables"] + v.seconds["reduction"],
+                "vertices: G and QᵀM": v.seconds["sums"],
                 "vertices: Y": v.seconds["chunks"] - v.seconds["kernel"],
                 "vertices: kernel": v.seconds["kernel"],
             }
@@ -165,6 +216,7 @@ def alternation(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
             "ms": 1e3 * whole, "bone step ms": 1e3 * b.seconds["all"],
             "vertex step ms": 1e3 * v.seconds["all"],
             "parts ms": {k: 1e3 * s for k, s in parts.items()},
+            "bounds ms": {k: 1e3 * s for k, s in bounds(data, model, flop, rates).items()},
             "GFLOP": 1e-9 * needed, "floor ms": 1e-6 * needed / rate,
             "times floor": whole / (1e-9 * needed / rate), **rates,
         })  # fmt: skip
@@ -244,8 +296,10 @@ def memory_apart(name: str, bones: int) -> dict[str, Any]:
 def chart(rows: list[dict[str, Any]], path: Path) -> None:
     plt = pyplot()
     shown = [row for row in rows if row["threads"] == 1]
-    figure, axes = plt.subplots(2, 2, figsize=(11, 5.5))
-    for axis, row in zip(axes.flat, shown, strict=True):
+    figure, axes = plt.subplots(-(-len(shown) // 2), 2, figsize=(11, 8))
+    for axis in axes.flat[len(shown) :]:
+        axis.axis("off")
+    for axis, row in zip(axes.flat, shown, strict=False):
         names = list(row["parts ms"])
         axis.barh(names, [row["parts ms"][n] for n in names], color="#0072b2")
         axis.barh(["all products, at the GEMM rate"], [row["floor ms"]], color="#e69f00")
@@ -258,6 +312,7 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=8)
+    parser.add_argument("--short", action="store_true", help="without the paper's size")
     parser.add_argument("--memory", nargs=2, metavar=("DATA", "BONES"), help="of this one alone")
     parser.add_argument("--out", type=Path, default=RESULTS / "steps.json")
     parser.add_argument("--chart", type=Path, default=IMAGES / "steps.png")
@@ -271,6 +326,8 @@ def main() -> None:
     with serial_blas():
         for name, bones in CASES:
             rows += alternation(name, bones, args.repeats)
+        if not args.short:
+            rows += alternation(*PAPER, max(2, args.repeats // 4))
         for name, bones in CASES:
             rows += polish(name, bones, max(3, args.repeats // 2))
     peaks = [memory_apart(name, bones) for name, bones in CASES]
@@ -285,7 +342,11 @@ def main() -> None:
         if row["parts ms"]:
             print(f"\n{row['case']}, {row['step']}, one thread:")
             for part, ms in row["parts ms"].items():
-                print(f"  {part:28} {ms:8.2f} ms  {100 * ms / row['ms']:5.1f} %")
+                bound = row.get("bounds ms", {}).get(part)
+                beside = ""
+                if bound is not None:
+                    beside = f"  bound {bound:8.2f} ms, {ms / bound:5.1f} times"
+                print(f"  {part:28} {ms:8.2f} ms  {100 * ms / row['ms']:5.1f} %{beside}")
     print("\n" + table(peaks, list(peaks[0])))
     print(tell(rows[-1]))
 
