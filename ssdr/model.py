@@ -226,21 +226,19 @@ def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
 
 
 def bone_step(
-    data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE, leap: bool = False
+    data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE, leaps: int = 0
 ) -> tuple[Array, Array]:
     """Transforms of every frame under the weights and rest pose (in place); returns the sums.
 
     Gauss–Seidel sweeps over the bones where they are rotations, scaled or not;
-    one linear solve for all bones of all frames where they are affine.  `leap` is
-    for rigid bones that may be far from where they belong.
+    one linear solve for all bones of all frames where they are affine.  `leaps`,
+    each with its sweeps, are for rigid bones that may be far from where they belong.
     """
     u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
     locked = fixed.locked(model.n_bones)
     if fixed.bone_model == "affine":
         solve_affine(model.transforms, u, c, locked)
         return u, c
-    if leap and fixed.bone_model == "rigid":
-        leap_rigid(model.transforms, u, c, locked)
     start, neighbour = neighbours(u)
     scaled = fixed.bone_model == "similarity"
     work_size = max(1, -(-data.n_frames // 16))
@@ -250,7 +248,10 @@ def bone_step(
             model.transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps, 0, k - i
         )
 
-    run_chunks(work, chunk_bounds(data.n_frames, work_size))
+    for k in range(max(1, leaps)):
+        if k < leaps and not scaled:
+            leap_rigid(model.transforms, u, c, locked)
+        run_chunks(work, chunk_bounds(data.n_frames, work_size))
     return u, c
 
 

@@ -133,6 +133,12 @@ class SolverState:
                 found is None or len(models[2].transforms) != found.alignment.n_frames
             ):
                 raise ValueError("whole_transforms does not fit the scan")
+            if models[2] is not None and (
+                models[1] is None
+                or models[1].transforms.shape[1:] != models[2].transforms.shape[1:]
+                or models[1].joints.shape != models[2].joints.shape
+            ):
+                raise ValueError("whole_joints does not fit best_joints")
             return state
         except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
             if isinstance(error, FormatError):

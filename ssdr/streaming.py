@@ -31,10 +31,11 @@ from .trajectories import Alignment, Array, Trajectories, centred, turn_onto
 __all__ = ["AllFrames", "Scan", "needs_streaming", "scan", "squared_error", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
-_SUBSET = 100 << 20  # bytes of those of the telling frames
+_SUBSET = 64 << 20  # bytes of those of the telling frames
 _FEWEST, _MOST = 120, 1000  # telling frames
 _PROBES = 64  # vertices by which frames are compared
-_SWEEPS = 6  # of a pass
+_SWEEPS = 6  # after a leap of the bones
+_LEAPS, _FIRST_LEAPS = 2, 4  # of a pass; of the first, where bones start from another frame's
 
 Told = Callable[[float], Any]
 
@@ -238,7 +239,7 @@ class AllFrames:
         known = _Known(
             rest=model.rest, joints=model.joints, weights=model.weights,
             importance=self.vertex_importance, scale=self.alignment.scale, fixed=self.fixed,
-            leap=True,
+            leaps=_LEAPS if self.passes else _FIRST_LEAPS,
         )  # fmt: skip
 
         def own(k: int) -> tuple[Array, ...]:
@@ -288,7 +289,7 @@ class _Known:
     importance: Array
     scale: float
     fixed: Fixed
-    leap: bool
+    leaps: int
 
 
 @serial_blas()
@@ -316,7 +317,7 @@ def _pass_span(
             weights=known.weights, support=known.joints, share=known.weights,
             count=known.joints[:, 0], error=x2,
         )  # fmt: skip
-        bone_step(part, piece, sweeps=_SWEEPS, fixed=known.fixed, leap=known.leap)
+        bone_step(part, piece, sweeps=_SWEEPS, fixed=known.fixed, leaps=known.leaps)
         hat = part.hat(piece.transforms)
         g += hat.T @ hat
 

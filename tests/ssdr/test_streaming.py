@@ -203,6 +203,27 @@ def test_a_state_of_other_frames_is_refused() -> None:
             ssdr.decompose(other, bones=4, effort="fast", resume=state)
 
 
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_damaged_state_is_refused(tmp_path: Path) -> None:
+    path = ssdr.decompose(wobbly(), bones=3, effort="fast").state.save(tmp_path / "good.npz")
+    assert ssdr.SolverState.load(path).whole is not None
+    with np.load(path) as archive:
+        good = dict(archive)
+    bad: dict[str, np.ndarray | None] = {
+        "scan_nearest": good["scan_nearest"] + 10**6, "scan_chosen": good["scan_chosen"][::-1],
+        "scan_turn": good["scan_turn"] * np.nan, "scan_scale": np.array(0.0),
+        "scan_centre": good["scan_centre"][1:], "whole_transforms": good["whole_transforms"][1:],
+        "whole_weights": good["whole_weights"][:, :1], "whole_rest": None,
+    }  # fmt: skip
+    for name, value in bad.items():
+        arrays = {k: v for k, v in good.items() if k != name}
+        if value is not None:
+            arrays[name] = value
+        np.savez(tmp_path / "bad.npz", **arrays)
+        with pytest.raises(ssdr.FormatError, match=r"bad\.npz"):
+            ssdr.SolverState.load(tmp_path / "bad.npz")
+
+
 def test_a_checkpoint_must_have_a_place(tmp_path: Path) -> None:
     for path in (tmp_path / "a.txt", tmp_path / "none" / "a.npz", 3):
         with pytest.raises(ssdr.InputError, match="checkpoint"):
@@ -249,11 +270,11 @@ def test_rotations_leap_to_where_they_belong() -> None:
     rest, exact = data.from_world(rig.rest, rig.transforms)
     assert exact is not None
     errors = []
-    for leap, sweeps in ((False, 6), (False, 12), (True, 6)):
+    for leaps, sweeps in ((0, 6), (0, 12), (1, 6)):
         start = np.repeat(exact[:1], 60, axis=0)
         model = ssdr.model.Model.start(start, rest, rig.joints[:, 0], rig.joints.shape[1])
         model.joints[:], model.weights[:] = rig.joints, rig.weights
-        bone_step(data, model, sweeps=sweeps, fixed=Fixed(), leap=leap)
+        bone_step(data, model, sweeps=sweeps, fixed=Fixed(), leaps=leaps)
         r = model.transforms[..., :3]
         np.testing.assert_allclose(np.linalg.det(r), 1.0, atol=1e-9)
         np.testing.assert_allclose(
