@@ -303,6 +303,7 @@ def work(out: Path, first: int, seconds: float) -> None:
             with watchdog.over(seed):
                 line = try_case(seed, kinds, Path(folder) / "case")
             log.write(json.dumps(line) + "\n")
+            log.flush()
             seed += 1
 
 

@@ -356,24 +356,35 @@ def stability() -> str:
 
 
 def soak() -> str:
-    if not all((RESULTS / f"{name}.json").is_file() for name in ("soak", "fuzz")):
-        return "None is shown."
-    long, files = read("soak"), read("fuzz")
-    memory = long["memory"][-1] if long["memory"] else None
-    grown = "" if memory is None else (
-        f" Memory of the process: {memory['median of the first quarter']:.0f} MiB in the first "
-        f"quarter after warm-up, {memory['median of the last quarter']:.0f} MiB in the last "
-        f"(medians; {memory['cases']} cases)."
-    )  # fmt: skip
-    return (
-        f"The soak shown: {long['seconds'] / 3600:.1f} h, {long['cases']} problems, "
-        f"{long['cpu seconds']:.0f} CPU seconds, {long['iterations']} iterations; hangs "
-        f"{long['hangs']}, crashes {long['crashes']}, other faults "
-        f"{len(long['failures']) - long['hangs'] - long['crashes']}; revision "
-        f"{long['revision']}.{grown}\n\nThe fuzz shown: {files['files']} files of "
-        f"{len(files['formats'])} kinds, {files['refused']} refused, faults "
-        f"{len(files['failures'])}; revision {files['revision']}."
-    )
+    """Of each what it found, if it was run."""
+    told = []
+    if (RESULTS / "soak.json").is_file():
+        long = read("soak")
+        others = len(long["failures"]) - long["hangs"] - long["crashes"]
+        text = (
+            f"The soak shown: {long['seconds'] / 3600:.1f} h, {long['cases']} problems, "
+            f"{long['cpu seconds']:.0f} CPU seconds, {long['iterations']} iterations; hangs "
+            f"{long['hangs']}, crashes {long['crashes']}, other faults {others}; revision "
+            f"{long['revision']}."
+        )
+        for part in long["memory"][-1:]:
+            text += (
+                f" Memory of the process: {part['median of the first quarter']:.0f} MiB in the "
+                f"first quarter after warm-up, {part['median of the last quarter']:.0f} MiB in "
+                f"the last (medians)."
+            )
+        told.append(text)
+    if (RESULTS / "fuzz.json").is_file():
+        files = read("fuzz")
+        text = (
+            f"The fuzz shown: {files['files']} files of {len(files['formats'])} kinds, "
+            f"{files['refused']} refused, faults {len(files['failures'])}; revision "
+            f"{files['revision']}."
+        )
+        for fault in files["failures"]:
+            text += f" Seed {fault['seed']}: {fault['fault']}."
+        told.append(text)
+    return "\n\n".join(told) or "None is shown."
 
 
 PARTS: dict[str, Callable[[], str]] = {
