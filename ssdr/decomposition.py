@@ -389,7 +389,7 @@ def _result(
     # last record is measured on the frames, the others keep their ratio to it
     # (where what counts is exact there is no ratio: the error is of what does not count)
     last = errors[-1]
-    told = 0 < last and rmse < _MOST_RATIO * last
+    told = last > 0 and rmse < _MOST_RATIO * last
     errors = errors * (rmse / last) if told else np.maximum(errors, rmse)
     history = tuple(
         Record(iteration=r[0], elapsed=r[1], rmse=float(e), phase=r[3])

@@ -75,9 +75,15 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
-_SEARCH = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 140}  # tries of "best", by vertices × frames × bones
+_TRIES = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 160}  # of "best", by vertices × frames × bones
 _SETTLE = 8  # polish steps after which a try is judged
 _CLOSE = 1.02  # ratio of objectives at which it gets as many again
+
+
+def _search(count: int, patience: int) -> Op:
+    return Op("search", count=count, patience=patience, cost=60)
+
+
 EFFORTS: dict[str, list[Op]] = {
     "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.02)],
     "balanced": [
@@ -93,7 +99,7 @@ EFFORTS: dict[str, list[Op]] = {
         *_begin(2.2, 12, 6), _polish(8, 0.0),
         *_begin(3.0, 12, 6), _polish(8, 0.0),
         Op("recall", cost=0),
-        Op("search", count=30, patience=16, cost=60),
+        _search(30, 24),
         Op("recall", cost=0),
         _polish(60, 0.002),
     ],
@@ -108,7 +114,7 @@ def make_plan(
     `size` is vertices × frames × bones.
     """
     plan = list(EFFORTS[effort])
-    tries = next(count for least, count in _SEARCH.items() if size >= least)
+    tries = next(count for least, count in _TRIES.items() if size >= least)
     plan = [dataclasses.replace(op, count=tries) if op.phase == "search" else op for op in plan]
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     if given.weights is not None or all_bones:
@@ -345,19 +351,21 @@ class Run:
         return self.settled
 
     def _do_search(self, op: Op) -> bool:
-        """Change the best model by turns in two ways, polish, and keep what is better."""
-        assert self.best is not None
-        data, base = self.data, self.best_value
+        """Change the model by turns in two ways, polish, and keep what is better."""
+        model = self._current()
+        data, base = self.data, self.value(model)
         change = grow_and_shed if self.count % 2 else kick
-        trial = change(data, self.best, self.rng, self.fixed)
+        trial = change(data, model, self.rng, self.fixed)
         polish_steps(data, trial, _SETTLE, self.fixed)
         value = self.value(trial)
         if base <= value < _CLOSE * base:
             polish_steps(data, trial, _SETTLE, self.fixed)
             value = self.value(trial)
         self.iteration += _SETTLE
-        self.model = trial
-        self.failures = 0 if value < base else self.failures + 1
+        if value < base:
+            self.model, self.failures = trial, 0
+        else:
+            self.failures += 1
         self.settled = self.failures >= op.patience
         return self.settled
 
