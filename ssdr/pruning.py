@@ -195,7 +195,10 @@ class Tracks:
     def _between(self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array) -> Array:
         """Features (n, B, 12) at a share of the way between keys at frames (n, B)."""
         linear, place = self._mix(first, last, share)
-        return self._features(linear, place)
+        out = self._features(linear, place)
+        if self.affine:
+            out[np.linalg.det(linear) <= 0] = np.inf  # on the straight way a bone may turn over
+        return out
 
     def _mix(
         self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array

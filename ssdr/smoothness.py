@@ -69,7 +69,8 @@ class WeightSmoothness:
         """λ Σ_edges |w_i − w_k|²."""
         w = _dense(model)
         around = np.asarray(self.adjacency @ w)
-        return float(self.strength * np.vdot(w, self.degree[:, None] * w - around))
+        jumps = float(np.vdot(w, self.degree[:, None] * w - around))
+        return self.strength * max(jumps, 0.0)  # equal weights: zero to rounding, either side
 
 
 def _dense(model: Model) -> Array:

@@ -21,6 +21,9 @@ import soak
 import ssdr
 from ssdr.kernels.polish import invert
 from ssdr.model import Model
+from ssdr.pruning import Tracks
+from ssdr.smoothness import WeightSmoothness
+from ssdr.trajectories import gather
 
 STEPS = 1e-8  # relative, steps without a choice
 SINGLE = 1e-5  # the same in float32
@@ -356,3 +359,41 @@ def test_an_affine_bone_of_one_vertex_far_away(far: float) -> None:
         kept = ssdr.decompose(frames, bones=1, bone_model="affine", transforms=given)
     assert farthest(result, frames) < 1e-6 * far
     np.testing.assert_allclose(kept.skinning.transforms, given, rtol=1e-9, atol=1e-9 * far)
+
+
+def test_affine_bones_between_keys_do_not_turn_over() -> None:
+    """Half a turn while one side grows and one shrinks: straight from the first matrix to the
+    last det falls below 0, and two keys would do for the place."""
+    rng = np.random.default_rng(0)
+    transforms = np.zeros((9, 2, 3, 4))
+    for t in range(9):
+        grown = np.diag([1 + t / 8, 1, 1 - t / 16])
+        transforms[t, :, :, :3] = motions.rotation(0, np.pi * t / 8, 0) @ grown
+        transforms[t, :, 0, 3] = 100 * t
+    halfway = 0.5 * (transforms[0] + transforms[8])[..., :3]
+    assert np.linalg.det(halfway).max() < 0
+    model = ssdr.Skinning(
+        rng.standard_normal((20, 3)), np.arange(20)[:, None] % 2, np.ones((20, 1)), transforms,
+        bone_model="affine",
+    )  # fmt: skip
+    tracks = Tracks(model, np.array([0, 9]))
+    for price in (1e-3, 1.0, 10.0, 100.0):
+        keys, _ = tracks.choose(price)
+        assert np.linalg.det(tracks.play(keys).transforms[..., :3]).min() > 0
+    assert keys.sum(axis=0).max() < 5
+
+
+def test_the_penalty_of_equal_weights_is_not_below_zero() -> None:
+    """It is a difference of equal sums, and its root is taken."""
+    rng = np.random.default_rng(0)
+    for n in (4, 30, 100):
+        faces = rng.integers(0, n, (2 * n, 3)).astype(np.int32)
+        data = gather([ssdr.MeshSequence(rng.standard_normal((2, n, 3)), faces)], bones=3)
+        smooth = WeightSmoothness.build(data, faces, 1.0)
+        model = Model.start(rng.standard_normal((2, 3, 3, 4)), rng.standard_normal((n, 3)),
+                            np.zeros(n, dtype=int), 3)  # fmt: skip
+        for _ in range(50):
+            shares = np.sort(rng.dirichlet(np.ones(3)))[::-1]
+            model.joints[:], model.weights[:] = np.arange(3), shares
+            assert smooth is not None
+            assert 0 <= smooth.penalty(model) < 1e-9
