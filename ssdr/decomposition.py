@@ -390,7 +390,7 @@ def _result(
     # (where what counts is exact there is no ratio: the error is of what does not count)
     last = errors[-1]
     told = last > 0 and rmse < _MOST_RATIO * last
-    errors = errors * (rmse / last) if told else np.maximum(errors, rmse)
+    errors = np.maximum(errors * (rmse / last) if told else errors, rmse)
     history = tuple(
         Record(iteration=r[0], elapsed=r[1], rmse=float(e), phase=r[3])
         for r, e in zip(records, errors, strict=True)
