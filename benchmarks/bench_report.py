@@ -22,6 +22,7 @@ from bench_tables import (
     race_rows,
     read,
     scaling_rows,
+    seed_rows,
     summary,
 )
 from common import table, write_csv, write_json
@@ -62,6 +63,10 @@ def report(cache: Path, results: Path, images: Path, clock: str) -> None:
             effort_chart(level, images / "effort.png", clock)
         if apart:
             race_chart(apart, images / "race_apart.png", clock)
+    spread = seed_rows(race, read(cache, "seeds"))
+    if spread:
+        write_json(results / "seeds.json", {"rows": spread})
+        print(table(spread, ("case", "runs", "least", "most", "spread", "CPU s")))
     if front:
         pca = {r["sequence"]: r["pca"] for r in front if "pca" in r}
         rows = race_rows(front)

@@ -90,6 +90,22 @@ def summary(case: str, records: list[Record]) -> Record | None:
     return row
 
 
+def seed_rows(race: list[Record], seeds: list[Record]) -> list[Record]:
+    """How far best differs between seeds, with the vertices in another order each time."""
+    rows = []
+    first = [r for r in race if r["solver"] == "ssdr best" and r["threads"] == 1]
+    for case, records in by_case(first + seeds).items():
+        found = {r["seed"]: float(r["E"]) for r in records if r.get("E") is not None}
+        if len(found) > 1:
+            low, high = min(found.values()), max(found.values())
+            rows.append({
+                "case": case, "runs": len(found), "least": low, "most": high,
+                "spread": (high - low) / low, "E": [found[k] for k in sorted(found)],
+                "CPU s": float(np.mean([r["total cpu"] for r in records])),
+            })  # fmt: skip
+    return rows
+
+
 def race_rows(records: list[Record]) -> list[Record]:
     keys = ("solver", "threads", "seed", "bones found", "E", "E8", "bytes8", "E16", "bytes16",
             "total wall", "total cpu", "peak MiB", "failed")  # fmt: skip

@@ -379,6 +379,9 @@ def main() -> None:
     job = json.loads(sys.argv[1])
     waits = ready(job["solver"])
     frames, faces = sequence(job["sequence"])
+    if job.get("part") == "seeds":
+        order = np.random.default_rng(job["seed"]).permutation(frames.shape[1])
+        frames, faces = np.ascontiguousarray(frames[:, order]), np.argsort(order)[faces]
     pace = Pace(job["slice"])
     if "threads" in job and "ssdr" in sys.modules:
         import ssdr

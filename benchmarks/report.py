@@ -239,6 +239,21 @@ def race_times() -> str:
     return table(rows, list(rows[0]))
 
 
+def race_seeds() -> str:
+    path = RESULTS / "seeds.json"
+    if not path.exists():
+        return "Not run."
+    rows = [
+        {
+            "sequence, bones": words(r["case"]), "runs": r["runs"], "least E": figure(r["least"]),
+            "most E": figure(r["most"]), "(most - least) / least": f"{100 * r['spread']:.1f} %",
+            "CPU s a run": f"{r['CPU s']:.0f}",
+        }
+        for r in json.loads(path.read_text(encoding="utf-8"))["rows"]
+    ]  # fmt: skip
+    return table(rows, list(rows[0]))
+
+
 def race_apart() -> str:
     results = read("race")
     cases = {r["case"] for r in results["apart"]}
@@ -392,6 +407,7 @@ PARTS: dict[str, Callable[[], str]] = {
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
     "bone_models": bone_models,
     "race_run": race_run, "race_errors": race_errors, "race_times": race_times,
+    "race_seeds": race_seeds,
     "race_apart": race_apart,
     "race_history": race_history, "sizes": sizes, "scaling": scaling, "rest_poses": rest_poses,
     "smoothness": smoothness, "stability": stability, "soak": soak,
