@@ -16,10 +16,10 @@ from .result import Progress
 from .state import SolverState
 from .streaming import AllFrames, Told
 
-__all__ = ["SCANNED", "SOLVED", "Checkpoint", "Passes", "scan_progress"]
+__all__ = ["PASSES", "SCANNED", "SOLVED", "Checkpoint", "Passes", "scan_progress"]
 
 SCANNED, SOLVED = 0.05, 0.5  # share of the work that is done after the scan, before the passes
-_PASSES = {"fast": 1, "balanced": 3, "best": 8}
+PASSES = {"fast": 1, "balanced": 4, "best": 8}  # over all frames, at most
 _GAIN = 2e-3  # of the objective, below which another pass is not made
 _EVERY = 60.0  # seconds between two checkpoints
 
@@ -84,7 +84,7 @@ class Passes:
         keep: Callable[[], None] | None,
     ) -> bool:
         """Passes until they do not pay; whether the caller stopped them."""
-        count, frames = _PASSES[effort], self.frames
+        count, frames = PASSES[effort], self.frames
         scale = frames.alignment.scale / math.sqrt(len(frames.frame_scale) * run.data.n_vertices)
         stopped = False
         while not (self.over or stopped):

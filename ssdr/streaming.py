@@ -31,7 +31,7 @@ from .trajectories import Alignment, Array, Trajectories, centred, turn_onto
 __all__ = ["AllFrames", "Scan", "needs_streaming", "scan", "squared_error", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
-_SUBSET = 64 << 20  # bytes of those of the telling frames
+_SUBSET = 128 << 20  # bytes of those of the telling frames
 _FEWEST, _MOST = 120, 1000  # telling frames
 _PROBES = 64  # vertices by which frames are compared
 _SWEEPS = 6  # after a leap of the bones

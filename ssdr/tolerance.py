@@ -19,6 +19,7 @@ from .given import Parts, fingerprint, normalise
 from .model import Fixed, Model
 from .parallel import serial_blas
 from .parsimony import Parsimony, Pruning, bytes_of, influence_bytes, size
+from .passes import PASSES
 from .pruning import Nested, Tracks, nest
 from .result import Decomposition, Progress, Record
 from .sequence import MeshSequence
@@ -36,7 +37,6 @@ _EXPECTED = 'a length > 0 in the mesh\'s units, or a share of the diagonal such 
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
-_PASSES = {"fast": 1, "balanced": 3, "best": 8}
 _RETRIES = 4
 _PRICES = 12  # of a byte that are tried
 _SETTLE = 6  # polish steps after influences are dropped
@@ -391,7 +391,7 @@ def decompose_within(
 def _solve(task: _Task, start: Model | None) -> Skinning | None:
     """The search; where it saw a part of the frames, again until all of them hold."""
     search = task.search
-    passes = _PASSES[task.effort]
+    passes = PASSES[task.effort]
     whole = None
     for _ in range(_RETRIES):
         search.run(start)
