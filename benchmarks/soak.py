@@ -2,6 +2,7 @@
 
     python benchmarks/soak.py --hours 1 --out out/soak
     python benchmarks/soak.py --case 1234            # one problem again, and what is wrong with it
+    python benchmarks/soak.py --leak                 # the same problems again and again: memory
 
 Each seed is a problem: shape and motion (degenerate ones among them), precision, bones,
 influences, bone model, effort, fixed parts, importance, smoothness, tolerance, limits, threads,
@@ -454,6 +455,16 @@ def watch_over(out: Path, seconds: float, first: int) -> None:
     print(json.dumps({k: v for k, v in summary.items() if k != "counts"}, indent=1))
 
 
+def leak(cases: int = 12, rounds: int = 25) -> list[float]:
+    """MiB after each round of the same cases: what new kinds of problems load plays no part."""
+    found = []
+    for _ in range(rounds):
+        for seed in range(cases):
+            run_case(seed)
+        found.append(round(resident(), 1))
+    return found
+
+
 def recheck(out: Path) -> int:
     """The failed cases again, after a fix; those that still fail are counted."""
     lines = [json.loads(line) for line in _lines(out)]
@@ -527,6 +538,7 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="first seed of a new run")
     parser.add_argument("--case", type=int, metavar="SEED", help="one case again")
     parser.add_argument("--recheck", action="store_true", help="failed cases of --out again")
+    parser.add_argument("--leak", action="store_true", help="memory over the same cases again")
     parser.add_argument("--work", nargs=2, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.case is not None:
@@ -539,6 +551,9 @@ def main() -> int:
         except Exception:
             traceback.print_exc()
             return 70  # a fault of this program, not of the solver
+        return 0
+    if args.leak:
+        print(*leak())
         return 0
     if args.recheck:
         return 1 if recheck(args.out) else 0
