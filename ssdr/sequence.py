@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from .errors import InputError
 
-__all__ = ["Material", "MeshSequence", "Surface", "WeldReport", "native"]
+__all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
 _CHUNK_BYTES = 64 << 20
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssdr
-from ssdr import cli, streaming
+from ssdr import chunked, cli, streaming
 from ssdr.affine import solve_affine
 from ssdr.model import FREE, Fixed, Model, bone_sums, vertex_step
 from ssdr.stretching import AffinePolish, SimilarityPolish, normalise_gauge, polish_of
@@ -521,7 +521,7 @@ def test_streamed(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "_IN_MEMORY", 1)
     monkeypatch.setattr(streaming, "_FEWEST", 20)
     monkeypatch.setattr(streaming, "_MOST", 20)
-    monkeypatch.setattr(streaming, "_BLOCK", 24 * 120 * 7)
+    monkeypatch.setattr(chunked, "_BLOCK", 24 * 120 * 7)
     truth = rig(kind, bones=3, frames=50)
     frames = truth.frames
     result = ssdr.decompose(frames, bones=3, bone_model=kind)

@@ -155,7 +155,7 @@ def test_decompose_writes_all_outputs_and_tells_json(faked, run, clip, wave, tmp
     assert all(o["bytes"] == Path(o["path"]).stat().st_size for o in document["outputs"])
     assert fake_decompose.options == {
         "effort": "fast", "bone_model": "rigid", "rng": 5, "time_limit": 9.0,
-        "max_iterations": None, "smoothness": 0.0,
+        "max_iterations": None, "smoothness": 0.0, "checkpoint": state,
     }  # fmt: skip
     assert ssdr.load_skinning(outputs[0]).n_bones == 3
     assert FakeState.load(state).steps == 3
