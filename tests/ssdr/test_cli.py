@@ -79,6 +79,8 @@ def fake_decompose(sequence, *, bones, influences, callback, resume, steps=3, pa
             sys.stderr.write("asleep\n")
         time.sleep(pause)
     skinning = model_of(sequence, bones, influences)
+    if options.get("checkpoint") is not None:
+        FakeState(step).save(options["checkpoint"])
     return SimpleNamespace(
         skinning=skinning,
         rmse=0.25,
