@@ -14,6 +14,7 @@ from bench_charts import (
     smooth_chart,
 )
 from bench_tables import (
+    APART,
     at_bytes,
     by_case,
     case_of,
@@ -34,7 +35,10 @@ def report(cache: Path, results: Path, images: Path, clock: str) -> None:
     scaling, choices = read(cache, "scaling"), read(cache, "choices")
     if race:
         cases = by_case(race)
-        apart = {case: records for case, records in cases.items() if collapsed(records)}
+        apart = {
+            case: records for case, records in cases.items()
+            if collapsed(records) or case in APART
+        }  # fmt: skip
         level = {
             case: records for case, records in cases.items()
             if case not in apart and any(r["solver"].startswith("ssdr") for r in records)
