@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -63,6 +64,15 @@ def compile_c(folder: str) -> ctypes.CDLL | None:
     options = ["-O3", "-march=native", "-shared", "-fPIC"]
     subprocess.run([compiler, *options, str(source), "-o", str(library)], check=True)
     return ctypes.CDLL(str(library))
+
+
+def with_torch() -> Any:
+    try:
+        import torch
+    except ImportError:
+        return None
+    torch.set_num_threads(1)
+    return torch
 
 
 def measure(n_frames: int, c_loop: ctypes.CDLL | None) -> list[dict[str, float | int | str]]:
@@ -112,6 +122,18 @@ def measure(n_frames: int, c_loop: ctypes.CDLL | None) -> list[dict[str, float |
         "NumPy einsum": with_einsum,
         "SciPy sparse (product alone)": with_sparse,
     }
+    if (torch := with_torch()) is not None:
+        place = [torch.from_numpy(a) for a in (joints.astype(np.int64), weights, homogeneous)]
+
+        def blended() -> np.ndarray:
+            j, w, p = place
+            with torch.inference_mode():
+                for t, m in enumerate(torch.from_numpy(transforms)):
+                    blend = (w[:, :, None] * m.reshape(B, 12)[j]).sum(dim=1).reshape(V, 3, 4)
+                    buffer[t] = torch.einsum("vxy,vy->vx", blend, p).numpy()
+            return buffer
+
+        methods["torch, 1 thread"] = blended
     if c_loop is not None:
         methods = {"C, 1 thread": with_c} | methods
     repeats = 200 if n_frames == 1 else 3
