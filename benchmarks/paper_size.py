@@ -325,9 +325,13 @@ def main() -> None:
     if len(solved) > 1:
         print(f"ssdr: CPU time grows as F^{exponent(solved):.2f}")
     if len(peer) > 1:
-        power, (frames, seconds) = exponent(peer), max(peer)
-        hours = seconds * (FRAMES / frames) ** power / 3600
-        print(f"Dem Bones: F^{power:.2f}; 30 iterations at {FRAMES} frames: {hours:.1f} CPU hours")
+        # a start and weights that cost the same at any F, and a share of each frame: a line
+        slope, constant = np.polyfit(*np.array(sorted(peer), float).T, 1)
+        hours = (constant + slope * FRAMES) / 3600
+        print(
+            f"Dem Bones: {constant:.0f} s + {slope:.3g} s a frame; 30 iterations at {FRAMES} "
+            f"frames: {hours:.1f} CPU hours"
+        )
 
 
 if __name__ == "__main__":
