@@ -21,11 +21,10 @@ from .checks import (
 )
 from .errors import InputError
 from .initialization import fit_patches
-from .kernels.lbs import squared_error_range
 from .model import Fixed, Model, bone_step
-from .parallel import chunk_bounds, run_chunks
 from .sequence import MeshSequence
 from .skinning import BoneModel
+from .streaming import squared_error
 from .trajectories import Array, Trajectories, gather
 
 __all__ = ["BoneFit", "fit_bones"]
@@ -147,7 +146,7 @@ def fit_bones(
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
     out_rest, out = data.to_world(model.rest, model.transforms)
-    squared = true_squared_error(sequences, out_rest, joints, weights, out)
+    squared = squared_error(sequences, out_rest, joints, weights, out)
     return BoneFit(
         transforms=out, rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
         sweeps=sweeps, converged=moved <= tolerance,
@@ -159,28 +158,3 @@ def bones_of_weights(
 ) -> Array:
     """Each bone's own fit to the vertices that it moves most."""
     return fit_patches(data, rest, joints[:, 0].astype(np.intp), count, bone_model)
-
-
-def true_squared_error(
-    sequences: list[MeshSequence],
-    rest: Array,
-    joints: NDArray[np.int32],
-    weights: Array,
-    transforms: Array,
-) -> Array:
-    """(V,) Σ_t |d|² against the frames themselves, in one pass over all of them."""
-    n = len(rest)
-    total = np.zeros(n)
-    offset = 0
-    bounds = chunk_bounds(n, 512)
-    for sequence in sequences:
-        for _, block in sequence.chunks():
-            target = np.ascontiguousarray(block, dtype=np.float64)
-            part = np.ascontiguousarray(transforms[offset : offset + len(target)])
-
-            def work(_: int, i: int, k: int, target: Any = target, part: Any = part) -> None:
-                squared_error_range(rest, joints, weights, part, target, i, k, total)
-
-            run_chunks(work, bounds)
-            offset += len(target)
-    return total

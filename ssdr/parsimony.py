@@ -15,7 +15,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .bones import true_squared_error
 from .checks import as_sequences, check_bones, check_influences, check_rng
 from .errors import Cancelled, InputError
 from .fewest import Attempt, grow_bone
@@ -27,7 +26,7 @@ from .pruning import KEY_BYTES, time_bytes
 from .result import Progress
 from .sequence import MeshSequence
 from .skinning import Skinning
-from .streaming import needs_streaming, scan, subset
+from .streaming import needs_streaming, scan, squared_error, subset
 from .trajectories import gather
 
 __all__ = ["Attempt", "Curve", "Parsimony", "Pruning", "Size", "curve", "size"]
@@ -307,7 +306,7 @@ def curve(
     for i, count in enumerate(ladder):
         model = models[count]
         rest, transforms = data.to_world(model.rest, model.transforms)
-        squared = true_squared_error(sequences, rest, model.joints, model.weights, transforms)
+        squared = squared_error(sequences, rest, model.joints, model.weights, transforms)
         rmse[i] = math.sqrt(float(squared.sum()) / (data.n_frames * n))
         used = int(np.count_nonzero(model.weights))
         stored[i] = bytes_of(n, used, data.n_frames, np.full(count, data.n_frames), "rigid").total

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .bones import true_squared_error
 from .errors import Cancelled, InputError, SsdrWarning
 from .fewest import Measure, Search, Stopped, rank_bound, rank_of, reduced
 from .given import Parts, fingerprint, normalise
@@ -25,7 +24,7 @@ from .result import Decomposition, Progress, Record
 from .sequence import MeshSequence
 from .skinning import Skinning, skin
 from .state import SolverState
-from .streaming import AllFrames, Scan, needs_streaming, scan, subset
+from .streaming import AllFrames, Scan, needs_streaming, scan, squared_error, subset
 from .stretching import polish_of
 from .trajectories import Array, Trajectories, gather
 from .weights import pad_influences
@@ -75,7 +74,7 @@ class _Truth:
         self.count = sum(len(s) for s in sequences) * sequences[0].n_vertices
 
     def rmse(self, s: Skinning) -> float:
-        squared = true_squared_error(self.sequences, s.rest, s.joints, s.weights, s.transforms)
+        squared = squared_error(self.sequences, s.rest, s.joints, s.weights, s.transforms)
         return math.sqrt(float(squared.sum()) / self.count)
 
     def __call__(self, s: Skinning) -> float:

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.bones import true_squared_error
 from ssdr.model import bone_sums
+from ssdr.streaming import squared_error
 from ssdr.trajectories import gather
 
 
@@ -194,7 +194,7 @@ def test_true_error_against_loops(kind: type, rng: np.random.Generator) -> None:
     rig = motions.chain(bones=3, rows=6, frames=7)
     frames = (rig.frames + 0.1 * rng.standard_normal(rig.frames.shape)).astype(kind)
     shots = [ssdr.MeshSequence(frames[:4]), ssdr.MeshSequence(frames[4:])]
-    got = true_squared_error(shots, rig.rest, rig.joints, rig.weights, rig.transforms)
+    got = squared_error(shots, rig.rest, rig.joints, rig.weights, rig.transforms)
     want = naive.squared_error(frames, rig.rest, rig.joints, rig.weights, rig.transforms)
     np.testing.assert_allclose(got, want, rtol=1e-10)
 
