@@ -80,10 +80,6 @@ _SETTLE = 8  # polish steps after which a try is judged
 _CLOSE = 1.02  # ratio of objectives at which it gets as many again
 
 
-def _search(count: int, patience: int) -> Op:
-    return Op("search", count=count, patience=patience, cost=60)
-
-
 EFFORTS: dict[str, list[Op]] = {
     "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.02)],
     "balanced": [
@@ -99,7 +95,7 @@ EFFORTS: dict[str, list[Op]] = {
         *_begin(2.2, 12, 6), _polish(8, 0.0),
         *_begin(3.0, 12, 6), _polish(8, 0.0),
         Op("recall", cost=0),
-        _search(30, 24),
+        Op("search", patience=24, cost=60),  # its count goes by the size
         Op("recall", cost=0),
         _polish(60, 0.002),
     ],
