@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from .parallel import chunk_bounds
 from .sequence import MeshSequence, native
 
-__all__ = ["Executor", "Frames", "Local", "executor_for", "spans_of"]
+__all__ = ["Executor", "Frames", "Local", "Walk", "executor_for", "spans_of"]
 
 _BLOCK = 32 << 20  # bytes of a block in float64
 _FEWEST = 8  # frames a block, whatever their size
@@ -71,21 +71,28 @@ def _cut(
         offset += last - first
 
 
-def _all(sequences: Sequence[MeshSequence]) -> list[tuple[Any, int, int]]:
-    return [(s.vertices, 0, len(s)) for s in sequences]
+@dataclasses.dataclass(frozen=True, eq=False)
+class Walk:
+    """Calls of ``function(frames, *arguments(k), *shared)`` for every span k of some shots."""
+
+    function: Callable[..., Any]
+    sequences: Sequence[MeshSequence]
+    spans: list[tuple[int, int]]
+    arguments: Callable[[int], tuple[Any, ...]] = lambda _: ()
+    shared: tuple[Any, ...] = ()
+
+    @property
+    def n_vertices(self) -> int:
+        return self.sequences[0].n_vertices
+
+    def pieces(self, k: int) -> Iterator[tuple[Any, int, int]]:
+        return _cut(((s.vertices, 0, len(s)) for s in self.sequences), *self.spans[k])
 
 
 class Executor(Protocol):
-    """Calls ``function(frames, *arguments(k), *shared)`` for every span k."""
+    """Makes the calls of a walk."""
 
-    def map(
-        self,
-        function: Callable[..., Any],
-        sequences: Sequence[MeshSequence],
-        spans: list[tuple[int, int]],
-        arguments: Callable[[int], tuple[Any, ...]],
-        shared: tuple[Any, ...] = (),
-    ) -> Iterator[Any]:
+    def map(self, walk: Walk) -> Iterator[Any]:
         """Results in the order of the spans, each made when it is asked for or before."""
         ...
 
@@ -93,17 +100,10 @@ class Executor(Protocol):
 class Local:
     """One span after the other in this process; threads work inside of each."""
 
-    def map(
-        self,
-        function: Callable[..., Any],
-        sequences: Sequence[MeshSequence],
-        spans: list[tuple[int, int]],
-        arguments: Callable[[int], tuple[Any, ...]],
-        shared: tuple[Any, ...] = (),
-    ) -> Iterator[Any]:
-        for k, (first, last) in enumerate(spans):
-            pieces = tuple(_cut(_all(sequences), first, last))
-            yield function(Frames(pieces, sequences[0].n_vertices), *arguments(k), *shared)
+    def map(self, walk: Walk) -> Iterator[Any]:
+        for k in range(len(walk.spans)):
+            frames = Frames(tuple(walk.pieces(k)), walk.n_vertices)
+            yield walk.function(frames, *walk.arguments(k), *walk.shared)
 
 
 class Cluster:
@@ -116,29 +116,21 @@ class Cluster:
     def __init__(self, client: Any) -> None:
         self.client = client
 
-    def map(
-        self,
-        function: Callable[..., Any],
-        sequences: Sequence[MeshSequence],
-        spans: list[tuple[int, int]],
-        arguments: Callable[[int], tuple[Any, ...]],
-        shared: tuple[Any, ...] = (),
-    ) -> Iterator[Any]:
+    def map(self, walk: Walk) -> Iterator[Any]:
         import dask
 
-        n_vertices = sequences[0].n_vertices
         waiting: collections.deque[Any] = collections.deque()
         # as many results as are being made, and no more, wait to be added up
         room = 1 + sum(self.client.nthreads().values())
         quiet = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
         with quiet:
-            common = self.client.submit(_same, shared, pure=False)
-            for k, (first, last) in enumerate(spans):
-                pieces = [self._portable(*p) for p in _cut(_all(sequences), first, last)]
+            common = self.client.submit(_same, walk.shared, pure=False)
+            for k in range(len(walk.spans)):
+                pieces = [self._portable(*p) for p in walk.pieces(k)]
                 waiting.append(
                     self.client.submit(
-                        _remote, function, pieces, n_vertices, arguments(k), common,
-                        pure=False, retries=2,
+                        _remote, walk.function, pieces, walk.n_vertices, walk.arguments(k),
+                        common, pure=False, retries=2,
                     )
                 )  # fmt: skip
                 if len(waiting) >= room:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .chunked import Executor, Frames, Local, spans_of
+from .chunked import Executor, Frames, Local, Walk, spans_of
 from .initialization import farthest_points
 from .kernels.lbs import squared_error_range
 from .kernels.polish import polish_vertices
@@ -93,7 +93,7 @@ def scan(
     spans = spans_of(n_frames)
     parts = []
     walk = (executor or Local()).map(
-        _scan_span, sequences, spans, lambda _: (), (first, share, probes)
+        Walk(_scan_span, sequences, spans, shared=(first, share, probes))
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
@@ -152,7 +152,7 @@ def subset(
     used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
     used = [u for u in used if len(u[1])]
     walk = (executor or Local()).map(
-        _pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],)
+        Walk(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
     )
     vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
     return dataclasses.replace(first, vertices=vertices, validate=False)
@@ -249,7 +249,7 @@ class AllFrames:
                 model.transforms[span],
             )  # fmt: skip
 
-        walk = self.executor.map(_pass_span, self.sequences, spans, own, (known,))
+        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, own, (known,)))
         for (start, stop), part in zip(spans, walk, strict=True):
             model.transforms[start:stop] = part[0]
             y += part[1]
@@ -340,8 +340,10 @@ def squared_error(
     """(V,) Σ_t |d|² against the frames themselves, in one walk over all of them."""
     spans = spans_of(len(transforms))
     walk = (executor or Local()).map(
-        _error_span, sequences, spans, lambda k: (transforms[slice(*spans[k])],),
-        (rest, joints, weights),
+        Walk(
+            _error_span, sequences, spans, lambda k: (transforms[slice(*spans[k])],),
+            (rest, joints, weights),
+        )
     )  # fmt: skip
     total = np.zeros(len(rest))
     for part in walk:
