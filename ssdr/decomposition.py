@@ -26,20 +26,20 @@ from .checks import (
 from .chunked import Executor, executor_for
 from .errors import Cancelled, InputError, SsdrWarning
 from .fewest import Measure
-from .given import check_parts, fingerprint, normalise
+from .given import check_parts
 from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
-from .passes import SCANNED, SOLVED, Checkpoint, Passes, scan_progress
-from .plan import Run, make_plan
+from .passes import Checkpoint, Passes, scan_progress, share_of
+from .plan import Run
 from .result import Decomposition, Progress, Record
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
-from .smoothness import WeightSmoothness
 from .state import SolverState
-from .streaming import AllFrames, Scan, needs_streaming, scan, squared_error, subset
+from .streaming import Scan, needs_streaming, scan, squared_error
 from .stretching import normalise_gauge
+from .task import Task, best_of
 from .tolerance import MOST_BONES, decompose_within
-from .trajectories import Alignment, gather
+from .trajectories import Alignment
 from .warmup import compile_kernels
 from .weights import pad_influences
 
@@ -222,7 +222,6 @@ def decompose(
     compile_seconds = compile_kernels()
     began = time.perf_counter()
     found = executor = None
-    solved, solved_parts, solved_weights, start_frame = sequences, parts, frame_weights, rest_frame
     if needs_streaming(sequences):
         executor = executor_for(sequences)
         found = None if state is None else state.scan
@@ -231,66 +230,47 @@ def decompose(
                 sequences, importance, [rest_frame], executor=executor,
                 told=scan_progress(callback, began),
             )  # fmt: skip
-        solved = [subset(sequences, found.chosen, executor=executor)]
-        solved_weights = found.importance(frame_weights)
-        start_frame = int(np.searchsorted(found.chosen, rest_frame))
-        if parts.transforms is not None:
-            some = np.ascontiguousarray(parts.transforms[found.chosen])
-            solved_parts = dataclasses.replace(parts, transforms=some)
-    data = gather(
-        solved, bones=bones, vertex_importance=importance, frame_importance=solved_weights,
-        compress=False,
-    )  # fmt: skip
-    settings = {
-        "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
-        "rest_frame": int(rest_frame), "smoothness": float(smoothness),
-        "max_iterations": max_iterations,
-        "input": fingerprint(data, solved_parts),
-    }  # fmt: skip
     fixed = Fixed(
         rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones,
         bone_model=bone_model,
     )  # fmt: skip
-    inner = normalise(data, solved_parts, start_frame)
-    smooth = WeightSmoothness.build(data, sequences[0].faces, smoothness)
-    run = Run(
-        data,
-        make_plan(
-            effort, fixed=fixed, bones=bones, given=inner, smooth=smooth is not None,
-            size=float(n) * data.n_frames * bones,
-        ),
-        bones=bones, influences=min(influences, bones), rng=generator, fixed=fixed,
-        given=inner, smooth=smooth, began=began,
+    task = Task(
+        sequences=sequences, bones=bones, influences=influences, effort=effort, rng=generator,
+        parts=parts, fixed=fixed, rest_frame=int(rest_frame), smoothness=smoothness,
+        importance=importance, frame_importance=frame_weights, executor=executor,
     )  # fmt: skip
-    del data  # what the run compresses needs not be held here as well
+    run, print_of_input = task.first(found, began)
+    settings = {
+        "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
+        "rest_frame": int(rest_frame), "smoothness": float(smoothness),
+        "max_iterations": max_iterations, "input": print_of_input,
+    }  # fmt: skip
     if state is not None:
-        _restore(run, state, settings)
+        _check_settings(state, settings)
+    more = None if found is None else found.widened(n)
+    settling = more is not None and state is not None and state.settling
+    if found is not None and more is not None and settling:
+        run = task.second(found, more, run)
+    if state is not None:
+        _restore(run, state)
 
     def now(whole: Passes | None = None) -> SolverState:
-        return _state(run, settings, found, whole)
+        return _state(run, settings, found, settling, whole)
 
     # passes go on where they were only under a model that is not going to change
     earlier = state if run.finished else None
+    keep = None if saver is None else lambda: saver.offer(now)
+    while True:
+        ends = (0.0, 1.0) if found is None else share_of(settling, more is not None)
+        reason = _walk(run, max_iterations, time_limit, callback, ends, keep)
+        if found is None or more is None or settling or not run.finished:
+            break
+        run, settling = task.second(found, more, run), True
     done = None
-    ends = (0.0, 1.0) if found is None else (SCANNED, SOLVED)
-    reason = _walk(
-        run,
-        max_iterations,
-        time_limit,
-        callback,
-        ends,
-        None if saver is None else lambda: saver.offer(now),
-    )
     alignment: Alignment = run.data
-    model, records = _best(run), run.records
+    model, records = best_of(run), run.records
     if found is not None:
-        if smooth is not None:
-            # a pass knows nothing of the penalty: weights stay as the run left them
-            fixed = dataclasses.replace(fixed, weights=np.ones(n, dtype=bool))
-        frames = AllFrames(
-            sequences, found, run.data, model, fixed=fixed, importance=frame_weights,
-            given=normalise(found.alignment, parts, 0).transforms, executor=executor,
-        )  # fmt: skip
+        frames = task.all_frames(more if settling and more is not None else found, run)
         done = Passes(frames, earlier)
         stopped = done.finish(
             run,
@@ -308,11 +288,6 @@ def decompose(
     if saver is not None:
         saver.save(result.state)
     return result
-
-
-def _best(run: Run) -> Model:
-    assert run.best is not None
-    return run.best
 
 
 def _walk(
@@ -397,7 +372,7 @@ def _result(
     )
     history = (*history[:-1], dataclasses.replace(history[-1], rmse=rmse))
     notes = []
-    wide = _best(run).copy()
+    wide = best_of(run).copy()
     wide.widen()
     energy = float(run.data.importance @ run.data.x2)
     spare = int((bone_costs(run.data, wide) <= _NO_LOSS * energy).sum())
@@ -413,18 +388,19 @@ def _result(
 
 
 def _state(
-    run: Run, settings: dict[str, Any], found: Scan | None, done: Passes | None
+    run: Run, settings: dict[str, Any], found: Scan | None, settling: bool, done: Passes | None
 ) -> SolverState:
+    progress = run.progress() | {"settling": settling}
     return SolverState(
         settings=settings,
-        progress=run.progress() | ({} if done is None else done.progress()),
+        progress=progress if done is None else progress | done.progress(),
         history=np.array([r[:3] for r in run.records], dtype=np.float64).reshape(-1, 3),
         phases=tuple(r[3] for r in run.records), current=run.model, best=run.best,
         scan=found, whole=None if done is None or not done.records else done.best,
     )  # fmt: skip
 
 
-def _restore(run: Run, state: SolverState, settings: dict[str, Any]) -> None:
+def _check_settings(state: SolverState, settings: dict[str, Any]) -> None:
     for key, value in settings.items():
         if key == "max_iterations":
             continue
@@ -439,6 +415,9 @@ def _restore(run: Run, state: SolverState, settings: dict[str, Any]) -> None:
         raise InputError(
             "resume", f"a state of a run with {key} = {value!r}", repr(state.settings.get(key))
         )
+
+
+def _restore(run: Run, state: SolverState) -> None:
     for model in (state.current, state.best):
         if model is not None and (
             len(model.rest) != run.data.n_vertices or len(model.transforms) != run.data.n_frames

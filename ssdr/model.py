@@ -75,6 +75,34 @@ class Model:
         self.share[:, :k] = self.weights
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
+    def with_influences(self, count: int) -> Model:
+        """A copy with room for `count` influences a vertex, the largest kept where they were more.
+
+        The error is that of before.
+        """
+        k = self.n_influences
+        joints, weights = self.joints, self.weights
+        if count < k:
+            # in the order they stand, and to the bit where nothing is lost
+            largest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, :count], axis=1)
+            joints = np.take_along_axis(joints, largest, axis=1)
+            weights = np.take_along_axis(weights, largest, axis=1)
+            total = weights.sum(axis=1, keepdims=True)
+            lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
+            weights = np.where(lost[:, None], weights / total, weights)
+        room = ((0, 0), (0, max(0, count - k)))
+        wide = ((0, 0), (0, max(0, count - self.support.shape[1])))
+        model = Model(
+            transforms=self.transforms.copy(), rest=self.rest.copy(),
+            support=np.pad(self.support, wide), share=np.pad(self.share, wide),
+            count=self.count.copy(),
+            joints=np.ascontiguousarray(np.pad(joints, room)),
+            weights=np.ascontiguousarray(np.pad(weights, room)),
+            error=self.error.copy(),
+        )  # fmt: skip
+        model.widen()
+        return model
+
     def without(self, bones: NDArray[np.intp]) -> Model:
         """A copy that has lost some bones; vertices keep what is left of their support."""
         keep = np.setdiff1d(np.arange(self.n_bones), bones)

@@ -16,14 +16,22 @@ from .result import Progress
 from .state import SolverState
 from .streaming import AllFrames, Told
 
-__all__ = ["PASSES", "SCANNED", "SOLVED", "Checkpoint", "Passes", "scan_progress"]
+__all__ = ["PASSES", "Checkpoint", "Passes", "scan_progress", "share_of"]
 
-SCANNED, SOLVED = 0.05, 0.5  # share of the work that is done after the scan, before the passes
+# share of the work that is done after the scan, the run on telling frames, the one on more
+_SCANNED, _FOUND, _SOLVED = 0.05, 0.3, 0.5
 PASSES = {"fast": 1, "balanced": 4, "best": 8}  # over all frames, at most
 _GAIN = 2e-3  # of the objective, below which another pass is not made
 _EVERY = 60.0  # seconds between two checkpoints
 
 Callback = Callable[[Progress], bool | None]
+
+
+def share_of(settling: bool, settles: bool) -> tuple[float, float]:
+    """Share of all the work that is done before and after a run on some frames."""
+    if settling:
+        return _FOUND, _SOLVED
+    return _SCANNED, _FOUND if settles else _SOLVED
 
 
 def scan_progress(callback: Callback | None, began: float) -> Told | None:
@@ -32,7 +40,7 @@ def scan_progress(callback: Callback | None, began: float) -> Told | None:
         return None
 
     def told(share: float) -> None:
-        elapsed, fraction = time.perf_counter() - began, SCANNED * share
+        elapsed, fraction = time.perf_counter() - began, _SCANNED * share
         stop = callback(
             Progress(
                 phase="scan", iteration=0, elapsed=elapsed, rmse=math.inf, fraction=fraction,
@@ -95,7 +103,7 @@ class Passes:
                 if callback is None:
                     return
                 value = self.records[-1][2] if self.records else math.inf
-                fraction = SOLVED + (1 - SOLVED) * (done + share) / count
+                fraction = _SOLVED + (1 - _SOLVED) * (done + share) / count
                 stopped |= bool(
                     callback(
                         Progress(

@@ -2,6 +2,7 @@
 
     start -> alternate                                      a first model, soon
     start -> alternate -> merge -> alternate -> re-seed -> polish | search
+    spread -> polish                                        a model of some frames, on more
 
 A run is at all times between two small steps: it can be stopped, saved and
 resumed there.  The best model of exactly the bones asked for is kept apart;
@@ -20,21 +21,41 @@ from .given import Given
 from .initialization import single_bone_errors, start_model
 from .model import Fixed, Model, bone_step, vertex_step
 from .projection import Polish
-from .reseeding import alternate, grow_and_shed, kick, merge_step, polish_steps, reseed_step
+from .reseeding import (
+    alternate,
+    grow_and_shed,
+    kick,
+    loosen,
+    merge_step,
+    polish_steps,
+    relax,
+    reseed_step,
+)
 from .smoothness import WeightSmoothness
 from .stretching import normalise_gauge, polish_of
 from .trajectories import Trajectories
 
-__all__ = ["EFFORTS", "Op", "Run", "make_plan"]
+__all__ = ["EFFORTS", "Op", "Run", "make_plan", "settling_plan"]
 
 Phase = Literal[
-    "quick", "compress", "start", "alternate", "merge", "reseed", "search", "polish", "recall"
+    "quick",
+    "compress",
+    "start",
+    "alternate",
+    "merge",
+    "reseed",
+    "search",
+    "polish",
+    "recall",
+    "spread",
 ]
 
 _WINDOW = 8  # polish steps over which the stopping test looks
 _ENTERING = 3  # every third polish step tries bones that could enter
 _FEW_FRAMES, _FEW_STEPS = 64, 16  # of the first model, where there are many frames
 _FIRST_SWEEPS = 6  # where a frame's bones start from those of another frame
+_FIRST_LEAPS = 4  # likewise, where that may be far away
+_SETTLING = {"fast": 6, "balanced": 20, "best": 60}  # steps of a polish on more frames
 _PLATEAU = 1e-5  # relative gain of an alternation that does not count
 
 
@@ -75,7 +96,10 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
+# as many influences again for a while, with as many polish steps at each number of them
+_RELAX = [Op("relax", amount=8, cost=150), _polish(8, 0.0)]
 _TRIES = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 160}  # of "best", by vertices × frames × bones
+_CHANGES = (loosen, grow_and_shed, kick)  # of a search, by turns
 _SETTLE = 8  # polish steps after which a try is judged
 _CLOSE = 1.02  # ratio of objectives at which it gets as many again
 
@@ -90,12 +114,12 @@ EFFORTS: dict[str, list[Op]] = {
         _polish(40, 0.01),
     ],
     "best": [
-        *_FIRST,
-        *_begin(1.6, 12, 6), _polish(8, 0.0),
-        *_begin(2.2, 12, 6), _polish(8, 0.0),
-        *_begin(3.0, 12, 6), _polish(8, 0.0),
+        *_FIRST, *_RELAX,
+        *_begin(1.6, 12, 6), *_RELAX,
+        *_begin(2.2, 12, 6), *_RELAX,
+        *_begin(3.0, 12, 6), *_RELAX,
         Op("recall", cost=0),
-        Op("search", patience=24, cost=60),  # its count goes by the size
+        Op("search", patience=24, tolerance=1e-3, cost=60),  # its count goes by the size
         Op("recall", cost=0),
         _polish(60, 0.002),
     ],
@@ -123,9 +147,17 @@ def make_plan(
     if smooth:
         # the polish does not know the penalty: alternate until it settles
         steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        plan = [op for op in plan if op.phase not in ("polish", "search")]
+        plan = [op for op in plan if op.phase not in ("polish", "relax", "search")]
         plan.append(Op("alternate", count=steps))
     return plan
+
+
+def settling_plan(effort: str, smooth: bool) -> list[Op]:
+    """What a model of some frames goes through when it is carried to more of them."""
+    steps = Op(
+        "alternate" if smooth else "polish", count=_SETTLING[effort], tolerance=0.002, cost=6
+    )
+    return [Op("spread", cost=12), steps]
 
 
 class Run:
@@ -260,6 +292,27 @@ class Run:
         self.model = model
         return True
 
+    def followed_by(
+        self, data: Trajectories, plan: list[Op], given: Given, smooth: WeightSmoothness | None
+    ) -> Run:
+        """A run on other frames that counts on from this one's steps and seconds."""
+        run = Run(
+            data, plan, bones=self.bones, influences=self.influences, rng=self.rng,
+            fixed=self.fixed, given=given, smooth=smooth, began=self._began,
+        )  # fmt: skip
+        run.iteration, run._before = self.iteration, self._before
+        return run
+
+    def _do_spread(self, _: Op) -> bool:
+        """Bones of frames that start with those of others, and the error under them."""
+        model = self._current()
+        bone_step(self.data, model, sweeps=_FIRST_SWEEPS, fixed=self.fixed, leaps=_FIRST_LEAPS)
+        asis = np.ones(self.data.n_vertices, dtype=bool)
+        vertex_step(
+            self.data, model, fixed=dataclasses.replace(self.fixed, rest=True, weights=asis)
+        )
+        return True
+
     def _do_start(self, op: Op) -> bool:
         data, given, rng = self.data, self.given, self.rng
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
@@ -346,11 +399,18 @@ class Run:
         self.settled = full and gain < op.tolerance
         return self.settled
 
+    def _do_relax(self, op: Op) -> bool:
+        model, steps = self._current(), int(op.amount)
+        extra = model.n_influences
+        self.model = relax(self.data, model, self.fixed, extra=extra, steps=steps)
+        self.iteration += steps
+        return True
+
     def _do_search(self, op: Op) -> bool:
-        """Change the model by turns in two ways, polish, and keep what is better."""
+        """Change the model by turns in three ways, polish, and keep what is better."""
         model = self._current()
         data, base = self.data, self.value(model)
-        change = grow_and_shed if self.count % 2 else kick
+        change = _CHANGES[self.count % len(_CHANGES)]
         trial = change(data, model, self.rng, self.fixed)
         polish_steps(data, trial, _SETTLE, self.fixed)
         value = self.value(trial)
@@ -359,9 +419,9 @@ class Run:
             value = self.value(trial)
         self.iteration += _SETTLE
         if value < base:
-            self.model, self.failures = trial, 0
-        else:
-            self.failures += 1
+            self.model = trial
+        worth = value < (1.0 - op.tolerance) * base
+        self.failures = 0 if worth else self.failures + 1
         self.settled = self.failures >= op.patience
         return self.settled
 

@@ -12,7 +12,16 @@ from .skinning import BoneModel
 from .stretching import normalise_gauge, polish_of
 from .trajectories import Array, Trajectories
 
-__all__ = ["alternate", "grow_and_shed", "kick", "merge_step", "polish_steps", "reseed_step"]
+__all__ = [
+    "alternate",
+    "grow_and_shed",
+    "kick",
+    "loosen",
+    "merge_step",
+    "polish_steps",
+    "relax",
+    "reseed_step",
+]
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
 _CHEAPEST = 3  # bones that may be given up
@@ -104,6 +113,33 @@ def grow_and_shed(
         vertex_step(data, grown, fixed=fixed)
         alternate(data, grown, 2, fixed)
     return grown
+
+
+def relax(
+    data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int
+) -> Model:
+    """A copy that got `extra` influences more, settled, and gave them up one by one.
+
+    Which bones move a vertex matters more than how, and with few influences each choice
+    bars the others: the objective has many poor minima.  It has fewer with more
+    influences, and the bones that serve those are most of the way to good ones.
+    `steps` of the polish are taken at each number of influences above the model's.
+    """
+    k = model.n_influences
+    most = min(k + extra, model.n_bones)
+    wide = model.with_influences(most)
+    for count in range(most, k, -1):
+        polish_steps(data, wide, steps, fixed)
+        # solved on all bones, of which the largest weights stay
+        wide = wide.with_influences(count - 1)
+        vertex_step(data, wide, fixed=fixed)
+    return wide
+
+
+def loosen(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """A copy after one to K influences more, for a while."""
+    extra = int(rng.integers(1, model.n_influences + 1))
+    return relax(data, model, fixed, extra=extra, steps=int(rng.integers(3, 9)))
 
 
 def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:

@@ -60,6 +60,11 @@ class SolverState:
         """Iteration, elapsed seconds and objective of each pass over streamed frames."""
         return list(self.progress.get("passes", []))
 
+    @property
+    def settling(self) -> bool:
+        """Whether the models are of more frames than the telling ones."""
+        return bool(self.progress.get("settling"))
+
     def __repr__(self) -> str:
         s, model = self.settings, "none yet" if self.best is None else "one"
         return (

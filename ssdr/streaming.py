@@ -1,6 +1,7 @@
 """Sequences that do not fit into memory: solve on telling frames, finish on all of them.
 
     scan (one pass) -> frames that differ most -> the usual run on those
+         -> the polish, on as many as may be held: what few frames leave open
          -> passes over all frames, each an exact alternation: bones of every
             frame, then weights and rest pose from the sums that the pass gathers
 
@@ -28,11 +29,13 @@ from .parallel import chunk_bounds, run_chunks, serial_blas
 from .sequence import MeshSequence
 from .trajectories import Alignment, Array, Trajectories, centred, turn_onto
 
-__all__ = ["AllFrames", "Scan", "needs_streaming", "scan", "squared_error", "subset"]
+__all__ = ["AllFrames", "Scan", "carried", "needs_streaming", "scan", "squared_error", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
 _SUBSET = 128 << 20  # bytes of those of the telling frames
 _FEWEST, _MOST = 120, 1000  # telling frames
+_SETTLED = 512 << 20  # bytes of the trajectories of the frames on which their model settles
+_MOST_SETTLED = 4000
 _PROBES = 64  # vertices by which frames are compared
 _SWEEPS = 6  # after a leap of the bones
 _LEAPS, _FIRST_LEAPS = 2, 4  # of a pass; of the first, where bones start from another frame's
@@ -69,6 +72,21 @@ class Scan:
         whole = np.ones(len(self.nearest)) if frames is None else frames
         counts = np.bincount(self.nearest, weights=whole, minlength=len(self.chosen))
         return counts.astype(np.float64)
+
+    def widened(self, n_vertices: int) -> Scan | None:
+        """As many frames, evenly spread, as may be held, and the telling ones.
+
+        None where that would not be many more.
+        """
+        n_frames = len(self.nearest)
+        count = min(_SETTLED // (24 * n_vertices), _MOST_SETTLED, n_frames)
+        if count < 2 * len(self.chosen):
+            return None
+        spread = np.linspace(0, n_frames - 1, count).round().astype(np.int64)
+        chosen = np.union1d(self.chosen, spread)
+        nearest = np.searchsorted(chosen, self.chosen)[self.nearest]
+        nearest[chosen] = np.arange(len(chosen))
+        return dataclasses.replace(self, chosen=chosen, nearest=nearest)
 
 
 @serial_blas()
@@ -174,6 +192,28 @@ def _pick_span(frames: Frames, wanted: NDArray[np.int64]) -> NDArray[np.floating
     return np.concatenate(out)
 
 
+def carried(model: Model, nearest: NDArray[np.int64], ratio: float, given: Array | None) -> Model:
+    """A copy with the bones that each frame starts with: those of the frame it is most like.
+
+    Parameters
+    ----------
+    model : Model
+    nearest : (F,) int
+        That frame's place among the model's.
+    ratio : float
+        Of the scale of the model's space to the scale of the new one.
+    given : (F, B0, 3, 4) array or None
+        Transforms handed over, in the new space.
+    """
+    transforms = model.transforms[nearest]
+    transforms[..., 3] *= ratio
+    if given is not None:
+        transforms[:, : given.shape[1]] = given
+    moved = dataclasses.replace(model.copy(), transforms=transforms)
+    moved.rest *= ratio
+    return moved
+
+
 class AllFrames:
     """Exact alternations over all frames of a model that was found on some of them.
 
@@ -211,16 +251,11 @@ class AllFrames:
         self.alignment = found.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        transforms = model.transforms[found.nearest]
-        transforms[..., 3] *= ratio
-        if given is not None:
-            transforms[:, : given.shape[1]] = given
-        self.model = dataclasses.replace(model.copy(), transforms=transforms)
-        self.model.rest *= ratio
+        self.model = carried(model, found.nearest, ratio, given)
         self.vertex_importance = data.importance
         mean = 1.0 if importance is None else float(importance.mean())
         self.frame_scale = (
-            np.ones(len(transforms)) if importance is None else np.sqrt(importance / mean)
+            np.ones(len(found.nearest)) if importance is None else np.sqrt(importance / mean)
         )
 
     def restore(self, model: Model, passes: int) -> None:

@@ -18,8 +18,9 @@ from ssdr.trajectories import gather
 
 @pytest.fixture
 def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything counts as too large; forty frames are solved first."""
+    """Everything counts as too large; forty frames are solved first, then some ninety."""
     monkeypatch.setattr(streaming, "_IN_MEMORY", 1)
+    monkeypatch.setattr(streaming, "_MOST_SETTLED", 80)
     monkeypatch.setattr(streaming, "_FEWEST", 40)
     monkeypatch.setattr(streaming, "_MOST", 40)
     monkeypatch.setattr(chunked, "_BLOCK", 24 * 200 * 7)
@@ -122,6 +123,32 @@ def test_a_pass_is_one_exact_alternation() -> None:
 
 
 @pytest.mark.usefixtures("tiny_memory")
+def test_telling_frames_are_among_the_many_on_which_the_model_settles() -> None:
+    found = streaming.scan([ssdr.MeshSequence(wobbly())], None, keep=[7])
+    more = found.widened(200)
+    assert more is not None
+    assert 80 <= len(more.chosen) < 120
+    assert set(found.chosen) < set(more.chosen)
+    np.testing.assert_array_equal(more.chosen[more.nearest[more.chosen]], more.chosen)
+    other = np.setdiff1d(np.arange(120), more.chosen)
+    np.testing.assert_array_equal(
+        more.chosen[more.nearest[other]], found.chosen[found.nearest[other]]
+    )
+    assert found.widened(200_000_000) is None  # not even one could be held
+
+
+@pytest.mark.usefixtures("tiny_memory")
+@pytest.mark.parametrize("smoothness", [0.0, 0.01])
+def test_settling_on_more_frames_pays(monkeypatch: pytest.MonkeyPatch, smoothness: float) -> None:
+    frames, faces = wobbly(), motions.chain(3, bones=4, frames=2).faces
+    settled = ssdr.decompose(frames, faces, bones=5, smoothness=smoothness)
+    monkeypatch.setattr(streaming, "_MOST_SETTLED", 40)
+    hasty = ssdr.decompose(frames, faces, bones=5, smoothness=smoothness)
+    assert settled.history[0].rmse < hasty.history[0].rmse
+    assert settled.rmse < hasty.rmse
+
+
+@pytest.mark.usefixtures("tiny_memory")
 def test_progress_and_cancel() -> None:
     seen = []
 
@@ -144,15 +171,22 @@ def same(a: ssdr.Skinning, b: ssdr.Skinning) -> None:
 
 
 @pytest.mark.usefixtures("tiny_memory")
-@pytest.mark.parametrize(("phase", "nth"), [("polish", 3), ("all frames", 1), ("all frames", 6)])
+@pytest.mark.parametrize(
+    ("after", "phase", "nth"),
+    [
+        ("", "polish", 3), ("", "spread", 1), ("spread", "polish", 2), ("", "all frames", 1),
+        ("", "all frames", 6),
+    ],
+)  # fmt: skip
 def test_stopped_saved_and_resumed_it_ends_with_the_same_bits(
-    tmp_path: Path, phase: str, nth: int
+    tmp_path: Path, after: str, phase: str, nth: int
 ) -> None:
-    frames, count = wobbly(), 0
+    frames, count, due = wobbly(), 0, not after
 
     def stop(progress) -> bool:
-        nonlocal count
-        count += progress.phase == phase
+        nonlocal count, due
+        due |= progress.phase == after
+        count += due and progress.phase == phase
         return progress.phase == phase and count == nth
 
     whole = ssdr.decompose(frames, bones=4)
