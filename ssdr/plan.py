@@ -38,17 +38,9 @@ from .trajectories import Trajectories
 __all__ = ["EFFORTS", "Op", "Run", "make_plan", "settling_plan"]
 
 Phase = Literal[
-    "quick",
-    "compress",
-    "start",
-    "alternate",
-    "merge",
-    "reseed",
-    "search",
-    "polish",
-    "recall",
-    "spread",
-]
+    "quick", "compress", "start", "alternate", "merge", "reseed", "relax", "search", "polish",
+    "recall", "spread",
+]  # fmt: skip
 
 _WINDOW = 8  # polish steps over which the stopping test looks
 _ENTERING = 3  # every third polish step tries bones that could enter
@@ -64,10 +56,11 @@ class Op:
     """One entry of the plan.
 
     `count` steps at most; `amount` is the bones to start with relative to those
-    asked for (start), alternations a step (merge, reseed), failures in a row at
-    which to stop (reseed: `patience`), relative gain at which to stop (`tolerance`:
-    of three alternations, of eight polish steps); `cost` in alternations a step,
-    for the time left.
+    asked for (start), alternations a step (merge, reseed), polish steps at each
+    number of influences (relax), failures in a row at which to stop (`patience`:
+    reseed, search), relative gain at which to stop (`tolerance`: of three
+    alternations, of eight polish steps) or that makes a try a success (of the
+    objective, search); `cost` in alternations a step, for the time left.
     """
 
     phase: Phase
@@ -96,8 +89,8 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
-# as many influences again for a while, with as many polish steps at each number of them
 _RELAX = [Op("relax", amount=8, cost=150), _polish(8, 0.0)]
+_MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _TRIES = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 160}  # of "best", by vertices × frames × bones
 _CHANGES = (loosen, grow_and_shed, kick)  # of a search, by turns
 _SETTLE = 8  # polish steps after which a try is judged
@@ -307,10 +300,9 @@ class Run:
         """Bones of frames that start with those of others, and the error under them."""
         model = self._current()
         bone_step(self.data, model, sweeps=_FIRST_SWEEPS, fixed=self.fixed, leaps=_FIRST_LEAPS)
-        asis = np.ones(self.data.n_vertices, dtype=bool)
-        vertex_step(
-            self.data, model, fixed=dataclasses.replace(self.fixed, rest=True, weights=asis)
-        )
+        every = np.ones(self.data.n_vertices, dtype=bool)
+        as_is = dataclasses.replace(self.fixed, rest=True, weights=every)
+        vertex_step(self.data, model, fixed=as_is)
         return True
 
     def _do_start(self, op: Op) -> bool:
@@ -400,10 +392,12 @@ class Run:
         return self.settled
 
     def _do_relax(self, op: Op) -> bool:
+        """Influences more for a while, as many again as the model has but four at most."""
         model, steps = self._current(), int(op.amount)
-        extra = model.n_influences
+        k = model.n_influences
+        extra = min(k, _MOST_EXTRA, model.n_bones - k)
         self.model = relax(self.data, model, self.fixed, extra=extra, steps=steps)
-        self.iteration += steps
+        self.iteration += steps * extra
         return True
 
     def _do_search(self, op: Op) -> bool:

@@ -25,7 +25,8 @@ __all__ = [
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
 _CHEAPEST = 3  # bones that may be given up
-_MOST_KICKS, _MOST_GROWN = 5, 3
+_MOST_KICKS, _MOST_GROWN, _MOST_EXTRA = 5, 3, 2
+_FEWEST_STEPS = 3  # of the polish at each number of influences
 _PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
 
 
@@ -115,9 +116,7 @@ def grow_and_shed(
     return grown
 
 
-def relax(
-    data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int
-) -> Model:
+def relax(data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int) -> Model:
     """A copy that got `extra` influences more, settled, and gave them up one by one.
 
     Which bones move a vertex matters more than how, and with few influences each choice
@@ -137,9 +136,10 @@ def relax(
 
 
 def loosen(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    """A copy after one to K influences more, for a while."""
-    extra = int(rng.integers(1, model.n_influences + 1))
-    return relax(data, model, fixed, extra=extra, steps=int(rng.integers(3, 9)))
+    """A copy that had one or two influences more for a while."""
+    extra = int(rng.integers(1, _MOST_EXTRA + 1))
+    steps = int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
+    return relax(data, model, fixed, extra=extra, steps=steps)
 
 
 def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:

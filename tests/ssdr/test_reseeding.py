@@ -1,0 +1,108 @@
+"""More influences for a while, and back: what it keeps, what it may change, and that it pays."""
+
+from __future__ import annotations
+
+import motions
+import naive
+import numpy as np
+import pytest
+
+import ssdr
+from ssdr.initialization import start_model
+from ssdr.model import FREE, Fixed, Model, vertex_step
+from ssdr.reseeding import alternate, loosen, polish_steps, relax
+from ssdr.trajectories import Trajectories, gather
+
+BONES, INFLUENCES = 7, 2
+
+
+def problem(seed: int, noise: float = 0.01) -> tuple[Trajectories, Model]:
+    """Blends of three of nine bones, and a first model of seven with two a vertex."""
+    rng = np.random.default_rng(seed)
+    rest = rng.standard_normal((90, 3))
+    joints, weights = motions.weights_of(rng, 90, 9, 3)
+    frames = motions.blend(rest, joints, weights, motions.motions(rng, 8, 9))
+    frames += noise * rng.standard_normal(frames.shape)
+    data = gather([ssdr.MeshSequence(frames)], bones=99)
+    model = start_model(data, data.frame(0), BONES, INFLUENCES, rng)
+    vertex_step(data, model)
+    alternate(data, model, 6, FREE)
+    return data, model
+
+
+def squared_error(data: Trajectories, model: Model) -> float:
+    """Of the model by naive skinning."""
+    skinned = naive.skin(model.rest, model.joints, model.weights, model.transforms)
+    target = np.stack([data.frame(t) for t in range(data.n_frames)])
+    return float(((skinned - target) ** 2).sum())
+
+
+@pytest.mark.parametrize("count", [INFLUENCES, INFLUENCES + 1, 15])
+def test_room_for_influences_and_back_is_the_same_model(count: int) -> None:
+    _, model = problem(0)
+    wide = model.with_influences(count)
+    assert wide.n_influences == count
+    assert wide.support.shape[1] >= count
+    assert (wide.weights[:, INFLUENCES:] == 0).all()
+    back = wide.with_influences(INFLUENCES)
+    for name in ("transforms", "rest", "joints", "weights", "error"):
+        assert np.array_equal(getattr(back, name), getattr(model, name))
+
+
+def test_fewer_influences_keep_the_largest() -> None:
+    _, model = problem(0)
+    rng = np.random.default_rng(0)
+    model = model.with_influences(4)
+    model.joints[:] = np.argsort(rng.random((90, BONES)), axis=1)[:, :4]
+    model.weights[:] = rng.dirichlet(np.ones(4), size=90)
+    small = model.with_influences(2)
+    for i in range(90):
+        largest = sorted(zip(model.weights[i], model.joints[i], strict=True))[-2:]
+        total = sum(w for w, _ in largest)
+        found = {int(j): w for j, w in zip(small.joints[i], small.weights[i], strict=True)}
+        assert found == pytest.approx({int(j): w / total for w, j in largest})
+
+
+@pytest.mark.parametrize("extra", [0, 1, 4, 50])
+def test_relaxed_model_is_one_of_the_same_size(extra: int) -> None:
+    data, model = problem(1)
+    before = model.copy()
+    relaxed = relax(data, model, FREE, extra=extra, steps=2)
+    assert relaxed.n_influences == INFLUENCES
+    assert relaxed.n_bones == BONES
+    assert (relaxed.weights >= 0).all()
+    assert relaxed.weights.sum(axis=1) == pytest.approx(1.0)
+    assert relaxed.objective(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
+    for name in ("transforms", "rest", "joints", "weights", "error"):
+        assert np.array_equal(getattr(before, name), getattr(model, name))
+
+
+def test_relaxing_leaves_locked_weights_and_bones_alone() -> None:
+    data, model = problem(2)
+    keep = np.zeros(90, dtype=bool)
+    keep[::3] = True
+    fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
+    relaxed = relax(data, model, fixed, extra=2, steps=2)
+    assert np.array_equal(relaxed.joints[keep], model.joints[keep])
+    assert np.array_equal(relaxed.weights[keep], model.weights[keep])
+    assert np.array_equal(relaxed.transforms[:, :2], model.transforms[:, :2])
+    assert not np.array_equal(relaxed.transforms[:, 2:], model.transforms[:, 2:])
+
+
+def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
+    gains = []
+    for seed in range(5):
+        data, model = problem(seed)
+        plain = model.copy()
+        polish_steps(data, plain, 40, FREE)
+        relaxed = relax(data, model, FREE, extra=2, steps=8)
+        polish_steps(data, relaxed, 24, FREE)
+        gains.append(relaxed.objective(data) / plain.objective(data))
+    assert np.median(gains) < 0.9
+
+
+def test_loosening_goes_by_the_generator_alone() -> None:
+    data, model = problem(3)
+    one, same, other = (loosen(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
+    assert np.array_equal(one.transforms, same.transforms)
+    assert not np.array_equal(one.transforms, other.transforms)
