@@ -28,8 +28,8 @@ from .reseeding import (
     loosen,
     merge_step,
     polish_steps,
-    relax,
     reseed_step,
+    tighten,
 )
 from .smoothness import WeightSmoothness
 from .stretching import normalise_gauge, polish_of
@@ -89,8 +89,8 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
-_RELAX = [Op("relax", amount=8, cost=150), _polish(8, 0.0)]
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
+_RELAX = [Op("relax", count=_MOST_EXTRA, amount=8, cost=40), _polish(8, 0.0)]
 _TRIES = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 160}  # of "best", by vertices × frames × bones
 _CHANGES = (loosen, grow_and_shed, kick)  # of a search, by turns
 _SETTLE = 8  # polish steps after which a try is judged
@@ -244,7 +244,7 @@ class Run:
 
     def _note(self, phase: str) -> None:
         model = self.model
-        if model is None or model.n_bones != self.bones:
+        if model is None or model.n_bones != self.bones or model.n_influences > self.influences:
             return
         value = self.value(model)
         if value < self.best_value:
@@ -392,13 +392,15 @@ class Run:
         return self.settled
 
     def _do_relax(self, op: Op) -> bool:
-        """Influences more for a while, as many again as the model has but four at most."""
-        model, steps = self._current(), int(op.amount)
-        k = model.n_influences
-        extra = min(k, _MOST_EXTRA, model.n_bones - k)
-        self.model = relax(self.data, model, self.fixed, extra=extra, steps=steps)
-        self.iteration += steps * extra
-        return True
+        """Influences more for a while, as many again but four at most; a step gives up one."""
+        model, steps, k = self._current(), int(op.amount), self.influences
+        if self.count == 0:
+            model = model.with_influences(min(2 * k, k + _MOST_EXTRA, model.n_bones))
+        if model.n_influences > k:
+            model = tighten(self.data, model, self.fixed, steps=steps)
+            self.iteration += steps
+        self.model = model
+        return model.n_influences <= k
 
     def _do_search(self, op: Op) -> bool:
         """Change the model by turns in three ways, polish, and keep what is better."""

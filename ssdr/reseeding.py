@@ -21,6 +21,7 @@ __all__ = [
     "polish_steps",
     "relax",
     "reseed_step",
+    "tighten",
 ]
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
@@ -124,15 +125,20 @@ def relax(data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: 
     influences, and the bones that serve those are most of the way to good ones.
     `steps` of the polish are taken at each number of influences above the model's.
     """
-    k = model.n_influences
-    most = min(k + extra, model.n_bones)
-    wide = model.with_influences(most)
-    for count in range(most, k, -1):
-        polish_steps(data, wide, steps, fixed)
-        # solved on all bones, of which the largest weights stay
-        wide = wide.with_influences(count - 1)
-        vertex_step(data, wide, fixed=fixed)
-    return wide
+    most = min(model.n_influences + extra, model.n_bones)
+    relaxed = model.with_influences(most)
+    for _ in range(most - model.n_influences):
+        relaxed = tighten(data, relaxed, fixed, steps=steps)
+    return relaxed
+
+
+def tighten(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Model:
+    """`steps` of the polish (in place), then a copy with one influence a vertex less."""
+    polish_steps(data, model, steps, fixed)
+    smaller = model.with_influences(model.n_influences - 1)
+    # solved on all bones, of which the largest weights stay
+    vertex_step(data, smaller, fixed=fixed)
+    return smaller
 
 
 def loosen(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
