@@ -1,7 +1,7 @@
 """The order of the solver's steps, and the run that walks through it.
 
     start -> alternate                                      a first model, soon
-    start -> alternate -> merge -> alternate -> re-seed -> polish | search
+    start -> alternate -> merge -> alternate -> re-seed -> relax -> polish | search
     spread -> polish                                        a model of some frames, on more
 
 A run is at all times between two small steps: it can be stopped, saved and
@@ -90,7 +90,7 @@ def _polish(count: int, tolerance: float) -> Op:
 
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
-_RELAX = [Op("relax", count=_MOST_EXTRA, amount=8, cost=40), _polish(8, 0.0)]
+_RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
 _TRIES = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 160}  # of "best", by vertices × frames × bones
 _CHANGES = (loosen, grow_and_shed, kick)  # of a search, by turns
 _SETTLE = 8  # polish steps after which a try is judged
@@ -104,13 +104,14 @@ EFFORTS: dict[str, list[Op]] = {
         *_begin(1.6, 12, 6),
         Op("recall", cost=0),
         Op("reseed", count=16, amount=4, patience=4, cost=6),
+        dataclasses.replace(_RELAX, amount=6, cost=30),
         _polish(40, 0.01),
     ],
     "best": [
-        *_FIRST, *_RELAX,
-        *_begin(1.6, 12, 6), *_RELAX,
-        *_begin(2.2, 12, 6), *_RELAX,
-        *_begin(3.0, 12, 6), *_RELAX,
+        *_FIRST, _RELAX, _polish(8, 0.0),
+        *_begin(1.6, 12, 6), _RELAX, _polish(8, 0.0),
+        *_begin(2.2, 12, 6), _RELAX, _polish(8, 0.0),
+        *_begin(3.0, 12, 6), _RELAX, _polish(8, 0.0),
         Op("recall", cost=0),
         Op("search", patience=24, tolerance=1e-3, cost=60),  # its count goes by the size
         Op("recall", cost=0),

@@ -91,11 +91,10 @@ def test_resumed_from_a_file_at_every_phase_ends_on_the_same_bits(tmp_path: Path
 
 @pytest.mark.slow
 def test_resumed_within_the_best_effort(tmp_path: Path) -> None:
-    """Stopped at the phases that only this effort has."""
+    """Stopped at the phases that are its own, or are longer than the default's."""
     result, steps = whole("best")
-    only_here = {phase for phase, _ in steps} - {phase for phase, _ in whole()[1]}
-    assert only_here == {"relax", "search"}
-    for phase in sorted(only_here):
+    assert {phase for phase, _ in steps} - {phase for phase, _ in whole()[1]} == {"search"}
+    for phase in ("relax", "search"):
         at = [k for k, (name, _) in enumerate(steps) if name == phase]
         # the first one while there are influences to spare
         for step in (at[0] + 1, at[-1] + 1):
