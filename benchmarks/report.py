@@ -20,7 +20,7 @@ PAGES = [
     ROOT / "benchmarks" / "README.md",
     *(
         ROOT / "docs" / f"{name}.md"
-        for name in ("decompose", "benchmarks", "how-to-choose", "stability")
+        for name in ("decompose", "benchmarks", "how-to-choose", "parsimony", "stability")
     ),
 ]
 
@@ -29,9 +29,29 @@ def read(name: str) -> dict[str, Any]:
     return dict(json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8")))
 
 
-def accuracy() -> str:
+def accuracy_rows() -> list[dict[str, Any]]:
+    """Those of accuracy.py; the race makes some of the same calls, and its are taken then."""
+    race = {
+        (r["case"], r["K"], r["solver"]): r
+        for r in read("race")["rows"]
+        if r["threads"] == 1 and not r["failed"]
+    }
     rows = []
     for row in read("accuracy")["rows"]:
+        same = race.get((row["case"], row["K"], f"ssdr {row['effort']}"))
+        if same is not None:
+            row = row | {
+                "E": same["E"], "wall": same["total wall"], "cpu seconds": same["total cpu"],
+                "E / core": same["E"] / row["core"], "load": same["load"],
+                "revision": same["revision"],
+            }  # fmt: skip
+        rows.append(row)
+    return rows
+
+
+def accuracy() -> str:
+    rows = []
+    for row in accuracy_rows():
         rows.append({
             "sequence": row["case"], "K": row["K"], "effort": row["effort"],
             "E": f"{row['E']:.3f}", "s": f"{row['wall']:.1f}", "CPU s": f"{row['cpu seconds']:.1f}",
@@ -46,7 +66,7 @@ def accuracy() -> str:
 def efforts() -> str:
     """One row a sequence."""
     found: dict[str, dict[str, Any]] = {}
-    for row in read("accuracy")["rows"]:
+    for row in accuracy_rows():
         line = found.setdefault(row["case"], {"sequence, bones": row["case"].replace("-", ", ")})
         line[row["effort"]] = f"{row['E']:.2f} in {row['wall']:.1f} s"
         line["plain alternation"] = row["plain"]
@@ -185,6 +205,23 @@ def figure(value: float | None, digits: int = 3) -> str | None:
 
 def words(case: str) -> str:
     return case.replace("-", ", ")
+
+
+def parsimony() -> str:
+    rows = []
+    for r in read("parsimony")["scenes"]:
+        less, times = r["B - 1"], r["times"]
+        rows.append({
+            "scene": r["scene"], "tolerance": r["tolerance"], "made with": r["made with"],
+            "bones": r["B"], "proven least": r["least by rank"], "influences": r["K"],
+            "error": f"{r['error / tolerance']:.2f}",
+            "one bone less, best of all tries": None if less is None else f"{less:.3g}",
+            "effort on it":
+                f"{times:.1f} times" if times else None if less is None else "proven",
+            "bytes before and after pruning": f"{r['bytes with all']:,}, {r['bytes']:,}",
+            "CPU s": f"{r['CPU s']:.1f}",
+        })  # fmt: skip
+    return table(rows, list(rows[0]))
 
 
 def race_run() -> str:
@@ -405,7 +442,7 @@ def soak() -> str:
 PARTS: dict[str, Callable[[], str]] = {
     "accuracy": accuracy, "efforts": efforts, "steps": steps, "first_call": first_call,
     "recovery": recovery, "choose_bones": choose_bones, "choose_influences": choose_influences,
-    "bone_models": bone_models,
+    "bone_models": bone_models, "parsimony": parsimony,
     "race_run": race_run, "race_errors": race_errors, "race_times": race_times,
     "race_seeds": race_seeds,
     "race_apart": race_apart,
