@@ -1,4 +1,4 @@
-"""Fewer bones, and bones in better places: merging down, re-seeding, search around a model."""
+"""Bones in better places: merging down, re-seeding, influences to spare, search around a model."""
 
 from __future__ import annotations
 
