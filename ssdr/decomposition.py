@@ -30,7 +30,7 @@ from .given import check_parts
 from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
 from .passes import Checkpoint, Passes, scan_progress, share_of
-from .plan import Run
+from .plan import Run, plan_print
 from .result import Decomposition, Progress, Record
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
@@ -243,7 +243,7 @@ def decompose(
     settings = {
         "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
         "rest_frame": int(rest_frame), "smoothness": float(smoothness),
-        "max_iterations": max_iterations, "input": print_of_input,
+        "max_iterations": max_iterations, "input": print_of_input, "plan": plan_print(run.plan),
     }  # fmt: skip
     if state is not None:
         _check_settings(state, settings)
@@ -258,32 +258,33 @@ def decompose(
         return _state(run, settings, found, settling, whole)
 
     # passes go on where they were only under a model that is not going to change
-    earlier = state if run.finished else None
+    earlier = state if run.finished and (settling or more is None) else None
     keep = None if saver is None else lambda: saver.offer(now)
     while True:
         ends = (0.0, 1.0) if found is None else share_of(settling, more is not None)
         reason = _walk(run, max_iterations, time_limit, callback, ends, keep)
-        if found is None or more is None or settling or not run.finished:
+        over = settling or not run.finished or reason == "cancelled"
+        if found is None or more is None or over:
             break
         run, settling = task.second(found, more, run), True
+    spare = _spare_bones(run)
     done = None
-    alignment: Alignment = run.data
     model, records = best_of(run), run.records
     if found is not None:
         frames = task.all_frames(more if settling and more is not None else found, run)
+        run.release()
         done = Passes(frames, earlier)
         stopped = done.finish(
-            run,
-            effort,
-            time_limit,
-            callback,
+            run, effort, time_limit, callback,
             None if saver is None else lambda: saver.save(now(done)),
-        )
+            hurried=reason in ("cancelled", "iterations"),
+        )  # fmt: skip
         reason = "cancelled" if stopped else reason
-        alignment, model, records = frames.alignment, done.best, done.records
+        model, records = done.best, done.records
+    alignment: Alignment = run.data if found is None else found.alignment
     result = _result(
         run, alignment, model, records, sequences, now(done), reason, influences,
-        compile_seconds, executor,
+        compile_seconds, executor, spare,
     )  # fmt: skip
     if saver is not None:
         saver.save(result.state)
@@ -343,6 +344,7 @@ def _result(
     influences: int,
     compile_seconds: float,
     executor: Executor | None,
+    spare: int,
 ) -> Decomposition:
     joints, weights = pad_influences(model, influences)
     if run.fixed.bone_model != "rigid":
@@ -372,10 +374,6 @@ def _result(
     )
     history = (*history[:-1], dataclasses.replace(history[-1], rmse=rmse))
     notes = []
-    wide = best_of(run).copy()
-    wide.widen()
-    energy = float(run.data.importance @ run.data.x2)
-    spare = int((bone_costs(run.data, wide) <= _NO_LOSS * energy).sum())
     if spare:
         notes.append(f"{spare} of {run.bones} bones could each go at no loss: fewer bones would do")
     for note in notes:
@@ -385,6 +383,14 @@ def _result(
         history=history, offsets=np.cumsum([0, *[len(s) for s in sequences]]), state=state,
         compile_seconds=compile_seconds, warnings=tuple(notes),
     )  # fmt: skip
+
+
+def _spare_bones(run: Run) -> int:
+    """How many bones could each go at no loss."""
+    wide = best_of(run).copy()
+    wide.widen()
+    energy = float(run.data.importance @ run.data.x2)
+    return int((bone_costs(run.data, wide) <= _NO_LOSS * energy).sum())
 
 
 def _state(
@@ -412,6 +418,8 @@ def _check_settings(state: SolverState, settings: dict[str, Any]) -> None:
                 "a state of a run on these very frames, importances and fixed parts",
                 "one on others",
             )
+        if key == "plan":
+            raise InputError("resume", "a state of this version of ssdr", "one of other steps")
         raise InputError(
             "resume", f"a state of a run with {key} = {value!r}", repr(state.settings.get(key))
         )

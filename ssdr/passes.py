@@ -90,10 +90,13 @@ class Passes:
         time_limit: float | None,
         callback: Callback | None,
         keep: Callable[[], None] | None,
+        *,
+        hurried: bool,
     ) -> bool:
-        """Passes until they do not pay; whether the caller stopped them."""
+        """Passes until they do not pay, one if `hurried`; whether the caller stopped them."""
         count, frames = PASSES[effort], self.frames
-        scale = frames.alignment.scale / math.sqrt(len(frames.frame_scale) * run.data.n_vertices)
+        n = len(frames.model.rest)
+        scale = frames.alignment.scale / math.sqrt(len(frames.frame_scale) * n)
         stopped = False
         while not (self.over or stopped):
             done = len(self.records)
@@ -128,7 +131,7 @@ class Passes:
                     keep()
             else:
                 self.best = frames.model
-            if time_limit is not None and run.here >= time_limit:
+            if hurried or (time_limit is not None and run.here >= time_limit):
                 break
         return stopped
 

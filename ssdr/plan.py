@@ -12,6 +12,7 @@ what a change made worse is never handed out.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import time
 from typing import Any, Literal
 
@@ -35,7 +36,7 @@ from .smoothness import WeightSmoothness
 from .stretching import normalise_gauge, polish_of
 from .trajectories import Trajectories
 
-__all__ = ["EFFORTS", "Op", "Run", "make_plan", "settling_plan"]
+__all__ = ["EFFORTS", "Op", "Run", "make_plan", "plan_print", "settling_plan"]
 
 Phase = Literal[
     "quick", "compress", "start", "alternate", "merge", "reseed", "relax", "search", "polish",
@@ -152,6 +153,11 @@ def settling_plan(effort: str, smooth: bool) -> list[Op]:
         "alternate" if smooth else "polish", count=_SETTLING[effort], tolerance=0.002, cost=6
     )
     return [Op("spread", cost=12), steps]
+
+
+def plan_print(plan: list[Op]) -> str:
+    """Tells the steps of one version of this package from those of another."""
+    return hashlib.sha256(repr([plan, sorted(_SETTLING.items())]).encode()).hexdigest()
 
 
 class Run:
@@ -296,6 +302,11 @@ class Run:
         )  # fmt: skip
         run.iteration, run._before = self.iteration, self._before
         return run
+
+    def release(self) -> None:
+        """Let go of the trajectories; no further step can be made."""
+        self.data = dataclasses.replace(self.data, z=self.data.z[:, :0].copy(), q=None)
+        self._polish = None
 
     def _do_spread(self, _: Op) -> bool:
         """Bones of frames that start with those of others, and the error under them."""

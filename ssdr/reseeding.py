@@ -26,7 +26,7 @@ __all__ = [
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
 _CHEAPEST = 3  # bones that may be given up
-_MOST_KICKS, _MOST_GROWN, _MOST_EXTRA = 5, 3, 2
+_MOST_KICKS, _MOST_GROWN, _MOST_LOOSENED = 5, 3, 2
 _FEWEST_STEPS = 3  # of the polish at each number of influences
 _PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
 
@@ -143,7 +143,7 @@ def tighten(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Mo
 
 def loosen(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
     """A copy that had one or two influences more for a while."""
-    extra = int(rng.integers(1, _MOST_EXTRA + 1))
+    extra = int(rng.integers(1, _MOST_LOOSENED + 1))
     steps = int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
     return relax(data, model, fixed, extra=extra, steps=steps)
 

@@ -17,7 +17,7 @@ from .trajectories import Alignment
 
 __all__ = ["SolverState"]
 
-_VERSION = 1
+_VERSION = 2
 _MODEL = tuple(f.name for f in dataclasses.fields(Model))
 
 

@@ -58,7 +58,8 @@ class Scan:
     alignment : Alignment
         Of all frames.
     chosen : (S,) int64
-        Telling frames, ascending; the first frame is one of them.
+        Telling frames, ascending; the first frame is one of them.  After
+        :meth:`widened` others as well.
     nearest : (F,) int64
         For each frame, the position in `chosen` of the one that it is most like.
     """
@@ -192,7 +193,9 @@ def _pick_span(frames: Frames, wanted: NDArray[np.int64]) -> NDArray[np.floating
     return np.concatenate(out)
 
 
-def carried(model: Model, nearest: NDArray[np.int64], ratio: float, given: Array | None) -> Model:
+def carried(
+    model: Model, nearest: NDArray[np.int64], ratio: float, given: Array | None, fixed: Fixed
+) -> Model:
     """A copy with the bones that each frame starts with: those of the frame it is most like.
 
     Parameters
@@ -203,12 +206,14 @@ def carried(model: Model, nearest: NDArray[np.int64], ratio: float, given: Array
     ratio : float
         Of the scale of the model's space to the scale of the new one.
     given : (F, B0, 3, 4) array or None
-        Transforms handed over, in the new space.
+        Transforms handed over, in the new space, of which locked bones keep theirs.
+    fixed : Fixed
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
     if given is not None:
-        transforms[:, : given.shape[1]] = given
+        locked = np.flatnonzero(fixed.locked(given.shape[1]))
+        transforms[:, locked] = given[:, locked]
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
     return moved
@@ -222,7 +227,7 @@ class AllFrames:
     sequences : list of MeshSequence
     found : Scan
     data : Trajectories
-        Of the telling frames.
+        Of the chosen frames.
     model : Model
         Found on them; copied.
     fixed : Fixed
@@ -251,7 +256,7 @@ class AllFrames:
         self.alignment = found.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, found.nearest, ratio, given)
+        self.model = carried(model, found.nearest, ratio, given, fixed)
         self.vertex_importance = data.importance
         mean = 1.0 if importance is None else float(importance.mean())
         self.frame_scale = (

@@ -75,6 +75,7 @@ class Task:
 
         Telling frames alone, few and extreme, lead weights to follow what only they do.
         """
+        first.release()
         weights = self.frame_importance
         data, _, given = self._frames(
             more.chosen, None if weights is None else weights[more.chosen]
@@ -84,7 +85,7 @@ class Task:
         if first.best is not None:  # else it is restored
             run.model = carried(
                 first.best, few.nearest[more.chosen], first.data.scale / data.scale,
-                given.transforms,
+                given.transforms, self.fixed,
             )  # fmt: skip
         return run
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import io
 import json
@@ -104,6 +105,13 @@ def test_resumed_within_the_best_effort(tmp_path: Path) -> None:
             path = part.state.save(tmp_path / f"{phase}{step}.npz")
             again = ssdr.decompose(frames(), rig().faces, resume=path, effort="best", **OPTIONS)
             assert_same_model(again.skinning, result.skinning)
+
+
+def test_a_state_of_other_steps_is_refused() -> None:
+    state = stopped_after(3).state
+    other = dataclasses.replace(state, settings=state.settings | {"plan": "another"})
+    with pytest.raises(ssdr.InputError, match="this version"):
+        ssdr.decompose(frames(), rig().faces, resume=other, **OPTIONS)
 
 
 def test_stopped_twice(tmp_path: Path) -> None:

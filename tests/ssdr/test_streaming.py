@@ -202,6 +202,42 @@ def test_stopped_saved_and_resumed_it_ends_with_the_same_bits(
 
 
 @pytest.mark.usefixtures("tiny_memory")
+def test_stopped_by_the_last_step_before_it_settles_a_run_makes_one_pass_and_goes_on_later() -> (
+    None
+):
+    phases: list[str] = []
+    whole = ssdr.decompose(wobbly(), bones=4, callback=lambda p: phases.append(p.phase))
+    last = phases.index("spread") - 1
+    count = -1
+
+    def stop_once(_) -> bool:
+        nonlocal count
+        count += 1
+        return count == last
+
+    part = ssdr.decompose(wobbly(), bones=4, callback=stop_once)
+    assert part.stop_reason == "cancelled"
+    assert len(part.history) == 1
+    assert not part.state.settling
+    same(whole.skinning, ssdr.decompose(wobbly(), bones=4, resume=part.state).skinning)
+
+
+def test_of_bones_to_start_from_only_locked_ones_are_given_again() -> None:
+    data = gather([ssdr.MeshSequence(wobbly(12))], bones=4)
+    model = start_model(data, data.frame(0), 4, 2, np.random.default_rng(0))
+    given = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
+    nearest = np.arange(20) % 12
+    fixed = Fixed(bones=np.array([False, True, False]))
+    moved = streaming.carried(model, nearest, 0.5, given, fixed)
+    np.testing.assert_array_equal(moved.transforms[:, 1], given[:, 1])
+    np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
+    for j in (0, 2, 3):
+        np.testing.assert_array_equal(
+            moved.transforms[:, j] / [1, 1, 1, 0.5], model.transforms[nearest, j]
+        )
+
+
+@pytest.mark.usefixtures("tiny_memory")
 def test_a_killed_run_goes_on_from_its_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
