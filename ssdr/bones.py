@@ -21,13 +21,16 @@ from .checks import (
 )
 from .errors import InputError
 from .initialization import fit_patches
-from .model import Fixed, Model, bone_step
+from .model import Fixed, Model, bone_step, vertex_step
 from .sequence import MeshSequence
 from .skinning import BoneModel
 from .streaming import squared_error
+from .stretching import polish_of
 from .trajectories import Array, Trajectories, gather
 
 __all__ = ["BoneFit", "fit_bones"]
+
+_SWEEPS = 5  # between two steps of all bones together
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,9 +72,10 @@ def fit_bones(
     """Transforms that reproduce a sequence under given rest pose and weights.
 
     Each sweep solves one weighted Kabsch a bone and frame with the others held
-    (Gauss–Seidel), for similarity bones with Umeyama's scale; for affine ones a
-    single linear solve finds all of them.  Frames are independent.  Also the way
-    to carry a model over to new motion of the same mesh.
+    (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
+    bones take a Gauss–Newton step together.  For affine ones a single linear solve
+    finds all of them.  Also the way to carry a model over to new motion of the same
+    mesh.
 
     Parameters
     ----------
@@ -137,11 +141,16 @@ def fit_bones(
         start = bones_of_weights(data, inner, joints, count, bone_model)
     model = Model.start(start, inner, joints[:, 0], joints.shape[1])
     model.joints, model.weights = joints.copy(), weights.copy()
-    fixed = Fixed(bones=locked, bone_model=bone_model)
+    fixed = Fixed(
+        rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=bone_model
+    )  # fmt: skip
     sweeps, moved = 0, np.inf
+    damping: float | None = None
     while sweeps < max_sweeps and moved > tolerance:
         before = model.transforms.copy()
-        step = min(5, max_sweeps - sweeps)
+        if sweeps and bone_model != "affine":
+            damping = _step_together(data, model, fixed, damping)
+        step = min(_SWEEPS, max_sweeps - sweeps)
         bone_step(data, model, sweeps=step, fixed=fixed)
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
@@ -151,6 +160,17 @@ def fit_bones(
         transforms=out, rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
         sweeps=sweeps, converged=moved <= tolerance,
     )  # fmt: skip
+
+
+def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: float | None) -> float:
+    """One Gauss–Newton step of all bones (in place); returns the damping for the next.
+
+    Sweeps alone take hundreds of rounds where bones overlap widely.
+    """
+    vertex_step(data, model, fixed=fixed)  # weights and rest pose stay: the error alone
+    polish = polish_of(data, model, fixed=fixed, damping=damping)
+    polish.step()
+    return polish.damping
 
 
 def bones_of_weights(

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import ssdr
+from ssdr import bones
 from ssdr.model import bone_sums
 from ssdr.streaming import squared_error
 from ssdr.trajectories import gather
@@ -95,6 +96,25 @@ def test_every_sweep_descends() -> None:
     ]  # fmt: skip
     assert (np.diff(errors) <= 0).all()
     assert errors[0] > 1.001 * errors[-1]
+
+
+def test_widely_overlapping_bones_settle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside sweeps alone, and a start at the bones that made the frames."""
+    rng = np.random.default_rng(5)
+    rest = rng.standard_normal((200, 3))
+    joints, weights = np.tile(np.arange(6), (200, 1)), rng.dirichlet(np.full(6, 8.0), size=200)
+    truth = motions.motions(rng, 5, 6, turn=0.5)
+    frames = motions.blend(rest, joints, weights, truth)
+    frames += 0.01 * rng.standard_normal(frames.shape)
+    known = {"rest": rest, "joints": joints, "weights": weights}
+    fit = ssdr.fit_bones(frames, **known)
+    assert fit.converged
+    near = ssdr.fit_bones(frames, **known, transforms=truth, locked_bones=[])
+    assert fit.rmse == pytest.approx(near.rmse, rel=1e-4)
+    monkeypatch.setattr(bones, "_step_together", lambda data, model, fixed, damping: damping)
+    swept = ssdr.fit_bones(frames, **known, max_sweeps=fit.sweeps)
+    assert not swept.converged
+    assert swept.rmse > 1.05 * fit.rmse
 
 
 def test_new_motion_of_a_known_model() -> None:
