@@ -330,6 +330,6 @@ def smooth_chart(records: list[Record], path: Path) -> None:
         axis.set_title(name.replace("-", ", ") + " bones")
         axis.set_xlabel("smoothness, share of the diagonal")
         handles = axis.lines + twin.lines
-        axis.legend(handles, [h.get_label() for h in handles], fontsize=7)
+        axis.legend(handles, [h.get_label() for h in handles], fontsize=7, loc="lower left")
     save_figure(figure, path)
     plt.close(figure)
