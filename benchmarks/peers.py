@@ -397,6 +397,8 @@ def main() -> None:
         **job.get("rates", {}), "load": round(load_before, 2),
         "load after": round(os.getloadavg()[0], 2), "peak MiB": round(peak_megabytes()),
         **found, "curve": [point for point in curve if np.isfinite(point[3])],
+        # rounded as those of the curve are, so that its last point is not after the end
+        **{k: round(found[k], 4) for k in ("total wall", "total cpu") if k in found},
     }  # fmt: skip
     record["NaN"] = len(curve) - len(record["curve"])
     out = Path(job["out"])

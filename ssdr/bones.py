@@ -21,7 +21,7 @@ from .checks import (
 )
 from .errors import InputError
 from .initialization import fit_patches
-from .model import Fixed, Model, bone_step, vertex_step
+from .model import Fixed, Model, bone_step
 from .sequence import MeshSequence
 from .skinning import BoneModel
 from .streaming import squared_error
@@ -167,7 +167,6 @@ def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: floa
 
     Sweeps alone take hundreds of rounds where bones overlap widely.
     """
-    vertex_step(data, model, fixed=fixed)  # weights and rest pose stay: the error alone
     polish = polish_of(data, model, fixed=fixed, damping=damping)
     polish.step()
     return polish.damping

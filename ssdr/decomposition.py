@@ -30,8 +30,9 @@ from .given import check_parts
 from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
 from .passes import Checkpoint, Passes, scan_progress, share_of
-from .plan import Run, plan_print
+from .plan import plan_print
 from .result import Decomposition, Progress, Record
+from .run import Run
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
 from .state import SolverState

@@ -3,7 +3,7 @@
     rank bound -> grow until it holds -> merge down while it holds
          -> one bone less, tried ever harder, until no try holds it
 
-A try is a :class:`~ssdr.plan.Run` that may start from the model of another try
+A try is a :class:`~ssdr.run.Run` that may start from the model of another try
 and ends as soon as it holds.
 """
 
@@ -21,8 +21,9 @@ from scipy.spatial import cKDTree
 from .given import Given
 from .model import Fixed, Model, bone_costs, vertex_step
 from .parallel import serial_blas
-from .plan import Op, Run
+from .plan import Op
 from .reseeding import alternate, with_patch
+from .run import Run
 from .trajectories import Trajectories
 
 __all__ = [

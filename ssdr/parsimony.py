@@ -21,9 +21,10 @@ from .fewest import Attempt, grow_bone
 from .given import Given
 from .model import Fixed, Model
 from .parallel import serial_blas
-from .plan import Op, Run
+from .plan import Op
 from .pruning import KEY_BYTES, time_bytes
 from .result import Progress
+from .run import Run
 from .sequence import MeshSequence
 from .skinning import Skinning
 from .streaming import needs_streaming, scan, squared_error, subset

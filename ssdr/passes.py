@@ -11,8 +11,8 @@ from typing import Any
 
 from .errors import Cancelled, InputError, SsdrWarning
 from .model import Model
-from .plan import Run
 from .result import Progress
+from .run import Run
 from .state import SolverState
 from .streaming import AllFrames, Told
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from .chunked import Executor
 from .given import Given, Parts, fingerprint, normalise
 from .model import Fixed, Model
-from .plan import Run, make_plan, settling_plan
+from .plan import make_plan, settling_plan
+from .run import Run
 from .sequence import MeshSequence
 from .smoothness import WeightSmoothness
 from .streaming import AllFrames, Scan, carried, subset

@@ -23,8 +23,9 @@ from ssdr.fewest import Attempt, Search, grow_bone, rank_bound, reduced
 from ssdr.given import Given
 from ssdr.io.rig import build_rig
 from ssdr.model import Fixed, Model
-from ssdr.plan import Op, Run
+from ssdr.plan import Op
 from ssdr.pruning import Tracks, nest
+from ssdr.run import Run
 from ssdr.tolerance import parse_tolerance
 from ssdr.trajectories import Trajectories, gather
 
