@@ -64,7 +64,7 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 30, 1e7: 70, 5e6: 100, 0.0: 160}  # of "best", by vertices × frames × bones
+_TRIES = {2e7: 24, 1e7: 52, 5e6: 80, 0.0: 120}  # of "best", by vertices × frames × bones
 
 
 EFFORTS: dict[str, list[Op]] = {

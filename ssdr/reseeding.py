@@ -7,13 +7,16 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .initialization import fit_patches
-from .model import Fixed, Model, bone_costs, bone_step, vertex_step
+from .kernels.polish import polish_vertices
+from .model import CHUNK, Fixed, Model, bone_costs, bone_step, transform_sums, vertex_step
+from .parallel import chunk_bounds, run_chunks, serial_blas
 from .skinning import BoneModel
 from .stretching import normalise_gauge, polish_of
 from .trajectories import Array, Trajectories
 
 __all__ = [
     "alternate",
+    "drop_influence",
     "grow_and_shed",
     "kick",
     "loosen",
@@ -26,8 +29,9 @@ __all__ = [
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
 _CHEAPEST = 3  # bones that may be given up
-_MOST_KICKS, _MOST_GROWN, _MOST_LOOSENED = 5, 3, 2
+_MOST_KICKS, _MOST_GROWN, _MOST_LOOSENED = 5, 2, 2
 _FEWEST_STEPS = 3  # of the polish at each number of influences
+_ROUNDS = 2  # of Gauss–Newton on a vertex that tries to do without a bone
 _PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
 
 
@@ -93,28 +97,26 @@ def kick(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixe
 def grow_and_shed(
     data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
 ) -> Model:
-    """A copy that got up to three bones more, settled, and gave up as many again.
+    """A copy that got one or two bones more, settled, and gave up as many again.
 
     Bones change places so that a single exchange would not find: the new ones
-    have taken over what they can before it is asked which can go.
+    have taken over what they can before it is asked which can go.  With an influence
+    more all the while, vertices are not torn between the old bones and the new.
     """
-    grown = model.copy()
-    grown.widen()
+    k, _, steps = _loosening(model, rng)
+    grown = model.with_influences(min(k + 1, model.n_bones))
     count = int(rng.integers(1, _MOST_GROWN + 1))
     for _ in range(count):
         members = _worst_patch(data, grown, rng, float(rng.choice(_PATCH_SIZES)))
         grown = with_patch(data, grown, members, fixed.bone_model)
         vertex_step(data, grown, fixed=fixed)
-    alternate(data, grown, 3, fixed)
-    polish_steps(data, grown, 3, fixed)
+    polish_steps(data, grown, steps, fixed)
     for _ in range(count):
         grown.widen()
-        vertex_step(data, grown, fixed=fixed)
         cost = _costs(data, grown, fixed)
         grown = grown.without(np.argsort(cost, kind="stable")[:1])
-        vertex_step(data, grown, fixed=fixed)
-        alternate(data, grown, 2, fixed)
-    return grown
+        polish_steps(data, grown, _FEWEST_STEPS, fixed)
+    return _thinned(data, grown, fixed, influences=k, steps=steps)
 
 
 def relax(data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int) -> Model:
@@ -141,11 +143,76 @@ def tighten(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Mo
     return smaller
 
 
+def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
+    """Take from every vertex that has all its influences the one it misses least (in place).
+
+    Each is tried, with the other weights and the rest position solved anew: the smallest
+    weight is often not the one without which the error rises least.
+    """
+    k, keep = model.n_influences, fixed.keep_weights(data.n_vertices)
+    full = (model.weights > 0).all(axis=1) & ~keep
+    if k < 2 or not full.any():
+        return
+    rows = np.flatnonzero(full)
+    with serial_blas():
+        _, gram, gram4, reduced = transform_sums(data, model.transforms)
+
+        def work(_: int, i: int, j: int) -> None:
+            own = rows[i:j]
+            n = len(own)
+            y = (data.z[own] @ reduced).reshape(n, 4, model.n_bones)
+            scratch, scratch1 = np.empty((n, k + 2, k + 2)), np.empty((n, k + 2))
+            least = np.full(n, np.inf)
+            joints, weights, rest = (a[own] for a in (model.joints, model.weights, model.rest))
+            for q in range(k):
+                t_joints, t_weights, t_rest = joints.copy(), weights.copy(), rest.copy()
+                t_weights[:, q] = 0.0
+                t_weights /= t_weights.sum(axis=1, keepdims=True)
+                error = np.empty(n)
+                polish_vertices(
+                    y, data.x2[own], gram, gram4, t_rest, t_joints, t_weights, error,
+                    keep[own], not fixed.rest, 0, _ROUNDS, scratch, scratch1, 0, n,
+                )  # fmt: skip
+                better = error < least
+                least[better], at = error[better], own[better]
+                model.joints[at], model.weights[at] = t_joints[better], t_weights[better]
+                model.rest[at] = t_rest[better]
+            model.error[own] = np.maximum(least, 0.0)
+
+        run_chunks(work, chunk_bounds(len(rows), CHUNK))
+
+
 def loosen(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
     """A copy that had one or two influences more for a while."""
-    extra = int(rng.integers(1, _MOST_LOOSENED + 1))
-    steps = int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
+    _, extra, steps = _loosening(model, rng)
     return relax(data, model, fixed, extra=extra, steps=steps)
+
+
+def thin(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """As :func:`loosen`, but each vertex gives up the influence that it misses least.
+
+    It stays close to where it came from and is rarely in vain there; where much is
+    still wrong, choosing anew from all bones goes further.
+    """
+    k, extra, steps = _loosening(model, rng)
+    return _thinned(data, model.with_influences(k + extra), fixed, influences=k, steps=steps)
+
+
+def _loosening(model: Model, rng: np.random.Generator) -> tuple[int, int, int]:
+    """Influences of a model, how many more for a while, and polish steps at each number."""
+    k, n_bones = model.n_influences, model.n_bones
+    extra = min(int(rng.integers(1, _MOST_LOOSENED + 1)), max(0, n_bones - k))
+    return k, extra, int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
+
+
+def _thinned(
+    data: Trajectories, model: Model, fixed: Fixed, *, influences: int, steps: int
+) -> Model:
+    while model.n_influences > influences:
+        polish_steps(data, model, steps, fixed)
+        drop_influence(data, model, fixed)
+        model = model.with_influences(model.n_influences - 1)
+    return model
 
 
 def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:

@@ -26,6 +26,7 @@ from .reseeding import (
     merge_step,
     polish_steps,
     reseed_step,
+    thin,
     tighten,
 )
 from .smoothness import WeightSmoothness
@@ -40,7 +41,7 @@ _FEW_FRAMES, _FEW_STEPS = 64, 16  # of the first model, where there are many fra
 _FIRST_SWEEPS = 6  # where a frame's bones start from those of another frame
 _FIRST_LEAPS = 4  # likewise, where that may be far away
 _PLATEAU = 1e-5  # relative gain of an alternation that does not count
-_CHANGES = (loosen, grow_and_shed, kick)  # of a search, by turns
+_CHANGES = (loosen, grow_and_shed, kick, thin)  # of a search, by turns
 _SETTLE = 8  # polish steps after which a try is judged
 _CLOSE = 1.02  # ratio of objectives at which it gets as many again
 
@@ -300,7 +301,7 @@ class Run:
         return model.n_influences <= k
 
     def _do_search(self, op: Op) -> bool:
-        """Change the model by turns in three ways, polish, and keep what is better."""
+        """Change the model by turns in four ways, polish, and keep what is better."""
         model = self._current()
         data, base = self.data, self.value(model)
         change = _CHANGES[self.count % len(_CHANGES)]

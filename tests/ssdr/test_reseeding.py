@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import motions
 import naive
 import numpy as np
@@ -10,10 +12,20 @@ import pytest
 import ssdr
 from ssdr.initialization import start_model
 from ssdr.model import FREE, Fixed, Model, vertex_step
-from ssdr.reseeding import alternate, loosen, polish_steps, relax
+from ssdr.reseeding import (
+    alternate,
+    drop_influence,
+    grow_and_shed,
+    kick,
+    loosen,
+    polish_steps,
+    relax,
+    thin,
+)
 from ssdr.trajectories import Trajectories, gather
 
 BONES, INFLUENCES = 7, 2
+Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
 
 
 def problem(seed: int, noise: float = 0.01) -> tuple[Trajectories, Model]:
@@ -101,8 +113,80 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
     assert np.median(gains) < 0.9
 
 
-def test_loosening_goes_by_the_generator_alone() -> None:
+CHANGES = (loosen, grow_and_shed, kick, thin)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changes_go_by_the_generator_alone(change: Change) -> None:
     data, model = problem(3)
-    one, same, other = (loosen(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
+    before = model.copy()
+    one, same, other = (change(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
     assert np.array_equal(one.transforms, same.transforms)
     assert not np.array_equal(one.transforms, other.transforms)
+    for name in ("transforms", "rest", "joints", "weights", "error"):
+        assert np.array_equal(getattr(before, name), getattr(model, name))
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changed_models_are_of_the_same_size(change: Change) -> None:
+    data, model = problem(4)
+    for seed in range(4):
+        changed = change(data, model, np.random.default_rng(seed), FREE)
+        assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
+        assert (changed.weights >= 0).all()
+        assert changed.weights.sum(axis=1) == pytest.approx(1.0)
+        assert changed.objective(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
+    data, model = problem(2)
+    keep = np.zeros(90, dtype=bool)
+    keep[::3] = True
+    fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
+    changed = change(data, model, np.random.default_rng(0), fixed)
+    assert np.array_equal(changed.transforms[:, :2], model.transforms[:, :2])
+    for i in np.flatnonzero(keep):
+        was, now = np.zeros(BONES), np.zeros(BONES)
+        was[model.joints[i]] += model.weights[i]
+        now[changed.joints[i]] += changed.weights[i]
+        assert np.array_equal(was[:2], now[:2])
+
+
+def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
+    """Against each of them left out in turn, weights and position solved at length."""
+    data, model = problem(5)
+    model = model.with_influences(INFLUENCES + 1)
+    polish_steps(data, model, 10, FREE)
+    full = (model.weights > 0).all(axis=1)
+    assert full.sum() > 20
+    dropped = model.copy()
+    drop_influence(data, dropped, FREE)
+    ratios = []
+    for i in range(90):
+        if not full[i]:
+            assert np.array_equal(dropped.joints[i], model.joints[i])
+            assert np.array_equal(dropped.weights[i], model.weights[i])
+            continue
+        kept = set(dropped.joints[i][dropped.weights[i] > 0].tolist())
+        assert kept < set(model.joints[i].tolist())
+        least = min(without_slot(data, model, i, q) for q in range(INFLUENCES + 1))
+        ratios.append(dropped.error[i] / least)
+    # two rounds of Gauss–Newton, and not as many as it takes
+    assert np.quantile(ratios, 0.9) < 1.001
+    assert max(ratios) < 1.1
+
+
+def without_slot(data: Trajectories, model: Model, i: int, q: int) -> float:
+    """Squared error of vertex i without its q-th bone, by alternating least squares."""
+    bones = np.delete(model.joints[i], q)
+    weights = np.delete(model.weights[i], q)
+    weights = weights / weights.sum()
+    target = np.stack([data.frame(t)[i] for t in range(data.n_frames)])[:, None]
+    transforms = model.transforms[:, bones]
+    every = np.arange(len(bones))[None]
+    for _ in range(30):
+        p = naive.rest_position(target, every, weights[None], transforms)
+        moved = naive.bone_images(p, transforms)[0]
+        _, weights = naive.best_convex(moved, target.ravel(), len(bones))
+    return float(naive.squared_error(target, p, every, weights[None], transforms)[0])
