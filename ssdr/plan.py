@@ -64,7 +64,7 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 24, 1e7: 52, 5e6: 80, 0.0: 120}  # of "best", by vertices × frames × bones
+_TRIES = {2e7: 24, 1e7: 52, 5e6: 96, 0.0: 120}  # of "best", by vertices × frames × bones
 
 
 EFFORTS: dict[str, list[Op]] = {
@@ -83,7 +83,7 @@ EFFORTS: dict[str, list[Op]] = {
         *_begin(2.2, 12, 6), _RELAX, _polish(8, 0.0),
         *_begin(3.0, 12, 6), _RELAX, _polish(8, 0.0),
         Op("recall", cost=0),
-        Op("search", patience=24, tolerance=1e-3, cost=60),  # its count goes by the size
+        Op("search", patience=32, tolerance=1e-3, cost=60),  # its count goes by the size
         Op("recall", cost=0),
         _polish(60, 0.002),
     ],
