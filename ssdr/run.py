@@ -41,7 +41,8 @@ _FEW_FRAMES, _FEW_STEPS = 64, 16  # of the first model, where there are many fra
 _FIRST_SWEEPS = 6  # where a frame's bones start from those of another frame
 _FIRST_LEAPS = 4  # likewise, where that may be far away
 _PLATEAU = 1e-5  # relative gain of an alternation that does not count
-_CHANGES = (loosen, grow_and_shed, kick, thin)  # of a search, by turns
+_CHANGES = (loosen, grow_and_shed, kick, thin)  # of a search
+_MOST_MISSES = 3  # that count against a change
 _SETTLE = 8  # polish steps after which a try is judged
 _CLOSE = 1.02  # ratio of objectives at which it gets as many again
 
@@ -79,11 +80,8 @@ class Run:
         self.best: Model | None = None
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
-        self.position, self.count, self.failures, self.iteration = 0, 0, 0, 0
-        self.damping: float | None = None
-        self.recent: list[float] = []
-        self.settled = False
-        self._polish: Polish | None = None
+        self.position, self.iteration, self.settled = 0, 0, False
+        self._forget()
         self._began = time.perf_counter() if began is None else began
         self._before = 0.0
 
@@ -148,9 +146,17 @@ class Run:
 
     def _next(self) -> None:
         self.position += 1
+        self._forget()
+
+    def _forget(self) -> None:
+        """What one entry of the plan remembers from step to step."""
         self.count = self.failures = 0
-        self.recent = []
-        self._polish, self.damping = None, None
+        self.recent: list[float] = []
+        # of each change of a search: the try at which it had its last turn, failures since it paid
+        self.turns = list(range(-len(_CHANGES), 0))
+        self.misses = [0] * len(_CHANGES)
+        self.damping: float | None = None
+        self._polish: Polish | None = None
 
     def _do_compress(self, _: Op) -> bool:
         self.data = self.data.compressed(self.bones)
@@ -301,11 +307,11 @@ class Run:
         return model.n_influences <= k
 
     def _do_search(self, op: Op) -> bool:
-        """Change the model by turns in four ways, polish, and keep what is better."""
+        """Change the model in one of four ways, polish, and keep what is better."""
         model = self._current()
         data, base = self.data, self.value(model)
-        change = _CHANGES[self.count % len(_CHANGES)]
-        trial = change(data, model, self.rng, self.fixed)
+        kind = self._due()
+        trial = _CHANGES[kind](data, model, self.rng, self.fixed)
         polish_steps(data, trial, _SETTLE, self.fixed)
         value = self.value(trial)
         if base <= value < _CLOSE * base:
@@ -316,8 +322,22 @@ class Run:
             self.model = trial
         worth = value < (1.0 - op.tolerance) * base
         self.failures = 0 if worth else self.failures + 1
+        self.turns[kind] = self.count
+        self.misses[kind] = 0 if worth else min(self.misses[kind] + 1, _MOST_MISSES)
         self.settled = self.failures >= op.patience
         return self.settled
+
+    def _due(self) -> int:
+        """The change that has waited longest for its turn, of those that failed the less so.
+
+        By turns while all pay; which ones do differs from sequence to sequence and
+        from the first rounds to the last.
+        """
+        waited = [
+            (self.count - turn) / (1 + missed)
+            for turn, missed in zip(self.turns, self.misses, strict=True)
+        ]
+        return int(np.argmax(waited))
 
     def _do_recall(self, op: Op) -> bool:
         assert self.best is not None
@@ -334,6 +354,7 @@ class Run:
         return {
             "position": self.position, "count": self.count, "failures": self.failures,
             "iteration": self.iteration, "damping": self.damping, "recent": self.recent,
+            "turns": self.turns, "misses": self.misses,
             "settled": self.settled, "elapsed": self.elapsed, "best_value": self.best_value,
             "rng": self.rng.bit_generator.state,
         }  # fmt: skip
@@ -351,6 +372,7 @@ class Run:
         self.failures, self.iteration = int(progress["failures"]), int(progress["iteration"])
         self.damping = progress["damping"]
         self.recent, self.settled = list(progress["recent"]), bool(progress["settled"])
+        self.turns, self.misses = list(progress["turns"]), list(progress["misses"])
         self.best_value, self._before = float(progress["best_value"]), float(progress["elapsed"])
         self.rng.bit_generator.state = progress["rng"]
         if any(op.phase == "compress" for op in self.plan[: self.position]):

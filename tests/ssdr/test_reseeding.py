@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import ssdr
+from ssdr.given import Given
 from ssdr.initialization import start_model
 from ssdr.model import FREE, Fixed, Model, vertex_step
+from ssdr.plan import Op
 from ssdr.reseeding import (
     alternate,
     drop_influence,
@@ -22,6 +24,7 @@ from ssdr.reseeding import (
     relax,
     thin,
 )
+from ssdr.run import Run
 from ssdr.trajectories import Trajectories, gather
 
 BONES, INFLUENCES = 7, 2
@@ -175,6 +178,29 @@ def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
     # two rounds of Gauss–Newton, and not as many as it takes
     assert np.quantile(ratios, 0.9) < 1.001
     assert max(ratios) < 1.1
+
+
+def test_changes_that_pay_have_more_turns() -> None:
+    data, model = problem(6)
+    plan = [Op("search", count=400, patience=400, tolerance=1e-3)]
+    run = Run(
+        data, plan, bones=BONES, influences=INFLUENCES, rng=np.random.default_rng(0),
+        fixed=FREE, given=Given(), smooth=None,
+    )  # fmt: skip
+    run.model = model
+    for run.count in range(8):
+        kind = run._due()
+        assert kind == run.count % 4
+        run.turns[kind] = run.count
+    drawn = []
+    for run.count in range(8, 400):
+        kind = run._due()
+        run.turns[kind], run.misses[kind] = run.count, 0 if kind == 2 else 3
+        drawn.append(kind)
+    share = np.bincount(drawn, minlength=4) / len(drawn)
+    # three times as many, and none is given up for good
+    assert share[2] == pytest.approx(1 / 2, abs=0.01)
+    assert np.delete(share, 2) == pytest.approx([1 / 6] * 3, abs=0.01)
 
 
 def without_slot(data: Trajectories, model: Model, i: int, q: int) -> float:
