@@ -30,10 +30,11 @@ class Op:
 
     `count` steps at most; `amount` is the bones to start with relative to those
     asked for (start), alternations a step (merge, reseed), polish steps at each
-    number of influences (relax), failures in a row at which to stop (`patience`:
-    reseed, search), relative gain at which to stop (`tolerance`: of three
-    alternations, of eight polish steps) or that makes a try a success (of the
-    objective, search); `cost` in alternations a step, for the time left.
+    number of influences (relax), share of the tries for its size (search); failures
+    in a row at which to stop (`patience`: reseed, search), relative gain at which to
+    stop (`tolerance`: of three alternations, of eight polish steps) or that makes a
+    try a success (of the objective, search); `cost` in alternations a step, for the
+    time left.
     """
 
     phase: Phase
@@ -64,7 +65,11 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 24, 1e7: 52, 5e6: 96, 0.0: 120}  # of "best", by vertices × frames × bones
+_TRIES = {2e7: 28, 1e7: 60, 5e6: 100, 0.0: 130}  # of "best", by vertices × frames × bones
+
+
+def _search(share: float) -> Op:
+    return Op("search", amount=share, patience=32, tolerance=1e-3, cost=60)
 
 
 EFFORTS: dict[str, list[Op]] = {
@@ -77,15 +82,13 @@ EFFORTS: dict[str, list[Op]] = {
         dataclasses.replace(_RELAX, amount=6, cost=30),
         _polish(40, 0.01),
     ],
+    # which start leads furthest shows only after a while
     "best": [
-        *_FIRST, _RELAX, _polish(8, 0.0),
-        *_begin(1.6, 12, 6), _RELAX, _polish(8, 0.0),
-        *_begin(2.2, 12, 6), _RELAX, _polish(8, 0.0),
-        *_begin(3.0, 12, 6), _RELAX, _polish(8, 0.0),
-        Op("recall", cost=0),
-        Op("search", patience=32, tolerance=1e-3, cost=60),  # its count goes by the size
-        Op("recall", cost=0),
-        _polish(60, 0.002),
+        *_FIRST, _RELAX, _polish(8, 0.0), _search(0.15),
+        *_begin(1.6, 12, 6), _RELAX, _polish(8, 0.0), _search(0.15),
+        *_begin(2.2, 12, 6), _RELAX, _polish(8, 0.0), _search(0.15),
+        Op("recall", cost=0), _search(0.55),
+        Op("recall", cost=0), _polish(60, 0.002),
     ],
 }  # fmt: skip
 
@@ -99,7 +102,11 @@ def make_plan(
     """
     plan = list(EFFORTS[effort])
     tries = next(count for least, count in _TRIES.items() if size >= least)
-    plan = [dataclasses.replace(op, count=tries) if op.phase == "search" else op for op in plan]
+    plan = [
+        dataclasses.replace(op, count=max(1, round(op.amount * tries)))
+        if op.phase == "search" else op
+        for op in plan
+    ]  # fmt: skip
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     if given.weights is not None or all_bones:
         # nothing to place: one start, then down to the nearest minimum
