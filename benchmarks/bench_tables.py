@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -93,15 +93,23 @@ def summary(case: str, records: list[Record]) -> Record | None:
 
 
 def seed_rows(race: list[Record], seeds: list[Record]) -> list[Record]:
-    """How far best differs between seeds, with the vertices in another order each time."""
+    """How far best differs between seeds, with the vertices in another order each time.
+
+    Of one revision of the package: that of most runs.
+    """
     rows = []
     first = [r for r in race if r["solver"] == "ssdr best" and r["threads"] == 1]
     for case, records in by_case(first + seeds).items():
-        found = {r["seed"]: float(r["E"]) for r in records if r.get("E") is not None}
+        records = [r for r in records if r.get("E") is not None]
+        counts = Counter(r.get("revision") for r in records)
+        revision = counts.most_common(1)[0][0] if counts else None
+        records = [r for r in records if r.get("revision") == revision]
+        found = {r["seed"]: float(r["E"]) for r in records}
         if len(found) > 1:
             low, high = min(found.values()), max(found.values())
             rows.append({
                 "case": case, "runs": len(found), "least": low, "most": high,
+                "revision": revision,
                 "spread": (high - low) / low, "E": [found[k] for k in sorted(found)],
                 "CPU s": float(np.mean([r["total cpu"] for r in records])),
             })  # fmt: skip

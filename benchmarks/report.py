@@ -284,7 +284,7 @@ def race_seeds() -> str:
         {
             "sequence, bones": words(r["case"]), "runs": r["runs"], "least E": figure(r["least"]),
             "most E": figure(r["most"]), "(most - least) / least": f"{100 * r['spread']:.1f} %",
-            "CPU s a run": f"{r['CPU s']:.0f}",
+            "CPU s a run": f"{r['CPU s']:.0f}", "revision": r.get("revision"),
         }
         for r in json.loads(path.read_text(encoding="utf-8"))["rows"]
     ]  # fmt: skip
