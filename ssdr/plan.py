@@ -72,6 +72,10 @@ def _search(share: float) -> Op:
     return Op("search", amount=share, patience=32, tolerance=1e-3, cost=60)
 
 
+# of a start: which one leads furthest shows only after a while
+_TRIAL = [_RELAX, _polish(8, 0.0), _search(0.15)]
+
+
 EFFORTS: dict[str, list[Op]] = {
     "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.02)],
     "balanced": [
@@ -82,11 +86,8 @@ EFFORTS: dict[str, list[Op]] = {
         dataclasses.replace(_RELAX, amount=6, cost=30),
         _polish(40, 0.01),
     ],
-    # which start leads furthest shows only after a while
     "best": [
-        *_FIRST, _RELAX, _polish(8, 0.0), _search(0.15),
-        *_begin(1.6, 12, 6), _RELAX, _polish(8, 0.0), _search(0.15),
-        *_begin(2.2, 12, 6), _RELAX, _polish(8, 0.0), _search(0.15),
+        *_FIRST, *_TRIAL, *_begin(1.6, 12, 6), *_TRIAL, *_begin(2.2, 12, 6), *_TRIAL,
         Op("recall", cost=0), _search(0.55),
         Op("recall", cost=0), _polish(60, 0.002),
     ],
