@@ -16,32 +16,18 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from .given import Given
 from .model import Fixed, Model, bone_costs, vertex_step
 from .parallel import serial_blas
 from .plan import Op
-from .reseeding import alternate, with_patch
 from .run import Run
 from .trajectories import Trajectories
 
-__all__ = [
-    "Attempt",
-    "Measure",
-    "Search",
-    "Stopped",
-    "grow_bone",
-    "rank_bound",
-    "rank_of",
-    "reduced",
-]
+__all__ = ["Attempt", "Measure", "Search", "Stopped"]
 
 Measure = Literal["rmse", "max"]
 _logger = logging.getLogger(__name__)
-_SPECTRUM = 2000  # largest Gram matrix whose eigenvalues are computed
-_NOISE = 1e-12  # of the energy: eigenvalues below say nothing
-_TAIL = 1e-4  # of the energy that the tolerance leaves: what compression may lose
 _OVERSHOOT = 4.0  # squared error, against the tolerance's, up to which merging guesses
 _NEAR_RANK = 1.5  # below so many times the rank bound, a far miss may still be a bad minimum
 _LEVEL_ROUNDS = 6
@@ -83,75 +69,6 @@ class Stopped(Exception):
     def __init__(self, reason: str) -> None:
         self.reason = reason
         super().__init__(reason)
-
-
-def rank_bound(data: Trajectories, allowed: float) -> int:
-    """Bones below which no rigid, similarity or affine model leaves so little squared error.
-
-    A model of B bones moves V vertices through F frames by a (V, 4B) times a
-    (4B, 3F) matrix; about each frame's centroid its rank is at most 4B − 1, since
-    weights sum to 1.  By Eckart and Young (1936) the error is at least the energy
-    beyond that rank.  1 where the spectrum is too large to be computed.
-    """
-    return max(1, -(-(rank_of(data, allowed) + 1) // 4))
-
-
-def rank_of(data: Trajectories, allowed: float) -> int:
-    """Rank that leaves so little squared error; 0 where it is too large to be computed."""
-    if min(data.z.shape) > _SPECTRUM:
-        return 0
-    x = data.z
-    values = np.linalg.eigvalsh(x @ x.T if x.shape[1] > x.shape[0] else x.T @ x)[::-1]
-    energy = float(values.sum())
-    tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
-    return int(np.argmax(tail <= max(allowed, _NOISE * energy)))
-
-
-def reduced(data: Trajectories, allowed: float) -> Trajectories:
-    """The same with no more basis than a squared error of `allowed` needs."""
-    if min(data.z.shape) > _SPECTRUM:
-        return data
-    x = data.z * np.sqrt(data.importance)[:, None]
-    with serial_blas():
-        wide = x.shape[1] > x.shape[0]
-        values, vectors = np.linalg.eigh(x @ x.T if wide else x.T @ x)
-        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-        tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
-        keep = max(1, int(np.argmax(tail <= max(_TAIL * allowed, 1e-15 * tail[0]))))
-        if keep > 0.8 * x.shape[1]:
-            return data
-        basis = np.ascontiguousarray(vectors[:, :keep])
-        if wide:
-            scaled = basis / np.sqrt(np.maximum(values[:keep], 1e-300))
-            basis = np.ascontiguousarray(np.linalg.qr(x.T @ scaled)[0])
-        z = np.ascontiguousarray(data.z @ basis)
-        q = basis if data.q is None else np.ascontiguousarray(data.q @ basis)
-    lost = max(0.0, float(data.x2.sum() - np.einsum("ij,ij->", z, z)))
-    return dataclasses.replace(data, z=z, q=q, lost=lost)
-
-
-def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixed) -> Model:
-    """A copy with one bone more that never fits worse.
-
-    The bone comes where a neighbourhood has the most error; where that does not
-    pay, it is a bone that nothing uses.
-    """
-    n = data.n_vertices
-    before = model.objective(data)
-    error = np.maximum(model.error, 0.0) * data.importance
-    size = min(n, max(4, n // (2 * model.n_bones)))
-    seeds = np.argsort(-error, kind="stable")[:32]
-    near = np.asarray(cKDTree(model.rest).query(model.rest[seeds], k=size)[1])
-    near = near.reshape(len(seeds), size)
-    members = near[error[near].sum(axis=1).argmax()]
-    base = model.copy()
-    base.widen()
-    grown = with_patch(data, base, members, fixed.bone_model)
-    vertex_step(data, grown, fixed=fixed)
-    alternate(data, grown, alternations, fixed)
-    if grown.objective(data) <= before:
-        return grown
-    return model.with_bone(model.transforms[:, -1])
 
 
 class Search:

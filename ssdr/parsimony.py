@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from .checks import as_sequences, check_bones, check_influences, check_rng
 from .errors import Cancelled, InputError
-from .fewest import Attempt, grow_bone
+from .fewest import Attempt
 from .given import Given
 from .model import Fixed, Model
 from .parallel import serial_blas
 from .plan import Op
 from .pruning import KEY_BYTES, time_bytes
+from .reseeding import grow_bone
 from .result import Progress
 from .run import Run
 from .sequence import MeshSequence

@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import Cancelled, InputError, SsdrWarning
-from .fewest import Measure, Search, Stopped, rank_bound, rank_of, reduced
+from .fewest import Measure, Search, Stopped
 from .given import Parts, fingerprint, normalise
 from .model import Fixed, Model
 from .parallel import serial_blas
-from .parsimony import Parsimony, Pruning, bytes_of, influence_bytes, size
+from .parsimony import Parsimony, Pruning, bytes_of, size
 from .passes import PASSES
-from .pruning import Nested, Tracks, nest
+from .rank import rank_bound, rank_of, reduced
 from .result import Decomposition, Progress, Record
+from .room import Room, Truth
 from .sequence import MeshSequence
-from .skinning import Skinning, skin
+from .skinning import Skinning
 from .state import SolverState
-from .streaming import AllFrames, Scan, needs_streaming, scan, squared_error, subset
-from .stretching import polish_of
+from .streaming import AllFrames, Scan, needs_streaming, scan, subset
 from .trajectories import Array, Trajectories, gather
 from .weights import pad_influences
 
@@ -37,8 +37,6 @@ _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
 _RETRIES = 4
-_PRICES = 12  # of a byte that are tried
-_SETTLE = 6  # polish steps after influences are dropped
 
 
 def parse_tolerance(tolerance: Any, diagonal: float) -> float:
@@ -64,30 +62,6 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
     ):
         raise InputError("tolerance", _EXPECTED, repr(tolerance))
     return float(tolerance)
-
-
-class _Truth:
-    """Errors of models against the frames themselves."""
-
-    def __init__(self, sequences: list[MeshSequence], measure: Measure) -> None:
-        self.sequences, self.measure = sequences, measure
-        self.count = sum(len(s) for s in sequences) * sequences[0].n_vertices
-
-    def rmse(self, s: Skinning) -> float:
-        squared = squared_error(self.sequences, s.rest, s.joints, s.weights, s.transforms)
-        return math.sqrt(float(squared.sum()) / self.count)
-
-    def __call__(self, s: Skinning) -> float:
-        if self.measure == "rmse":
-            return self.rmse(s)
-        largest, offset = 0.0, 0
-        for sequence in self.sequences:
-            for _, block in sequence.chunks():
-                part = s.transforms[offset : offset + len(block)]
-                gone = skin(s.rest, s.joints, s.weights, part, dtype=np.float64) - block
-                largest = max(largest, float(np.einsum("tic,tic->ti", gone, gone).max()))
-                offset += len(block)
-        return math.sqrt(largest)
 
 
 class _Task:
@@ -120,7 +94,7 @@ class _Task:
         self.asked = parse_tolerance(tolerance, self.diagonal)
         self.began, self.before = time.perf_counter(), 0.0
         self.parts = parts
-        self.truth = _Truth(sequences, measure)
+        self.truth = Truth(sequences, measure)
         self.found: Scan | None = None
         solved, weights, start = sequences, frame_importance, rest_frame
         if needs_streaming(sequences):
@@ -128,7 +102,7 @@ class _Task:
             solved = [subset(sequences, self.found.chosen)]
             weights = self.found.importance(frame_importance)
             start = int(np.searchsorted(self.found.chosen, rest_frame))
-        self.solved = _Truth(solved, measure)
+        self.solved = Truth(solved, measure)
         data = gather(solved, bones=bones, vertex_importance=importance, frame_importance=weights)
         self.input = fingerprint(data, parts)
         largest = max(float(np.abs(data.centre).max()), data.scale)
@@ -231,79 +205,6 @@ class _Task:
             last = value
         rest, transforms = frames.alignment.to_world(frames.model.rest, frames.model.transforms)
         return self.named(rest, frames.model, transforms)
-
-    def prune(self, whole: Skinning, error: float) -> tuple[Skinning, Skinning, float, float]:
-        """Fewer influences, then fewer keys as well; both models and their errors.
-
-        One price of a byte decides on both.  It is guessed from what each choice
-        adds by itself, then doubled or halved while models made with it hold.
-        """
-        model = self.search.held
-        assert model is not None
-        best = whole, whole, error, error
-        nested = nest(self.data, model, fixed=self.fixed)
-        price = self._guess(nested, whole)
-        streamed = self.found is not None
-        low = high = None
-        for _ in range(3 if streamed else _PRICES):
-            trial = self._pruned(nested, price)
-            if trial[3] <= self.tolerance and trial[2] <= self.tolerance:
-                low = price
-                if size(trial[1]).total < size(best[1]).total:
-                    best = trial
-                if streamed:
-                    break
-            else:
-                high = price
-            if low is not None and high is not None:
-                if high < 1.2 * low:
-                    break
-                price = math.sqrt(low * high)
-            else:
-                price *= (0.25 if streamed or self.measure == "max" else 0.5) if high else 2.0
-        return best
-
-    def _guess(self, nested: Nested, whole: Skinning) -> float:
-        """The price of a byte at which what choices add, each by itself, uses up the room."""
-        data, unit = self.data, self.data.scale**2
-        frames = len(whole.transforms)
-        room = (self.tolerance**2 - self.truth.rmse(whole) ** 2) * self.truth.count
-        before = float(data.importance @ nested.errors[0])
-        tracks = Tracks(whole, self.offsets)
-        each = influence_bytes(whole.n_bones)
-
-        def added(price: float) -> float:
-            chosen = nested.choose(data.importance, price * each / unit)[1]
-            # telling frames stand for all
-            error = (chosen - before) * unit * frames / data.n_frames
-            return error + tracks.choose(price)[1]
-
-        low, high = 1e-12 * room, room
-        if not room > 0 or added(low) > room:
-            return max(low, 1e-300)
-        for _ in range(20):
-            middle = math.sqrt(low * high)
-            low, high = (middle, high) if added(middle) <= room else (low, middle)
-        return low
-
-    def _pruned(self, nested: Nested, price: float) -> tuple[Skinning, Skinning, float, float]:
-        data = self.data
-        bones = nested.models[0].n_bones
-        each = price * influence_bytes(bones) / data.scale**2
-        model = nested.build(nested.choose(data.importance, each)[0])
-        if self.measure == "rmse":  # a polish lowers the sum of squares, and may raise the largest
-            # a damping handed over: no bone enters, supports stay as they are
-            polish = polish_of(data, model, fixed=self.fixed, damping=1e-3)
-            for _ in range(_SETTLE):
-                polish.step(entering=0)
-        self.search.tell("pruning", 0.95)
-        fewer = self.whole(model, passes=1, entering=0)
-        reached = self.truth(fewer)
-        if reached > self.tolerance:
-            return fewer, fewer, reached, reached
-        tracks = Tracks(fewer, self.offsets)
-        keyed = tracks.play(tracks.choose(price)[0])
-        return fewer, keyed, reached, self.truth(keyed)
 
     @property
     def offsets(self) -> NDArray[np.int64]:
@@ -413,23 +314,18 @@ def _prune(task: _Task, whole: Skinning, prunings: list[Pruning]) -> Skinning:
     assert search.held is not None
     first, last = task.accepted[0], task.accepted[-1]
     prunings.append(Pruning("bones", first[0], last[0], first[2], last[2], first[1], last[1]))
-    error = task.truth(whole)
-    if not error <= task.tolerance:
+    if not task.truth(whole) <= task.tolerance:
         return whole
-    fewer, keyed, reached, final = task.prune(whole, error)
-    prunings.append(_pruning("influences", whole, fewer, error, reached))
-    prunings.append(_pruning("keyframes", fewer, keyed, reached, final))
+    room = Room(
+        task.data, search.held, fixed=task.fixed, tolerance=task.tolerance, truth=task.truth,
+        offsets=task.offsets, streamed=task.found is not None,
+        whole=lambda model: task.whole(model, passes=1, entering=0),
+        told=lambda: search.tell("pruning", 0.95),
+    )  # fmt: skip
+    fewer, keyed, losses = room.use(whole)
+    prunings.extend(losses)
     task.note(task.truth.rmse(fewer), "influences")
     return keyed
-
-
-def _pruning(what: Any, a: Skinning, b: Skinning, before: float, after: float) -> Pruning:
-    def count(s: Skinning) -> int:
-        if what == "influences":
-            return int(np.count_nonzero(s.weights))
-        return s.n_frames * s.n_bones if s.keyframes is None else int(np.sum(s.keyframes))
-
-    return Pruning(what, count(a), count(b), size(a).total, size(b).total, before, after)
 
 
 def _resumed(task: _Task, state: SolverState, settings: dict[str, Any]) -> Model | None:

@@ -19,12 +19,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from ssdr import cli, parsimony, streaming
-from ssdr.fewest import Attempt, Search, grow_bone, rank_bound, reduced
+from ssdr.fewest import Attempt, Search
 from ssdr.given import Given
 from ssdr.io.rig import build_rig
 from ssdr.model import Fixed, Model
 from ssdr.plan import Op
 from ssdr.pruning import Tracks, nest
+from ssdr.rank import rank_bound, reduced
+from ssdr.reseeding import grow_bone
 from ssdr.run import Run
 from ssdr.tolerance import parse_tolerance
 from ssdr.trajectories import Trajectories, gather
