@@ -1,7 +1,7 @@
 """The order of the solver's steps, for every effort.
 
 start -> alternate                                      a first model, soon
-start -> alternate -> merge -> alternate -> re-seed -> relax -> polish | search
+start -> alternate -> merge -> alternate -> re-seed | regrow -> relax -> polish | search
 spread -> polish                                        a model of some frames, on more
 """
 
@@ -17,8 +17,8 @@ from .model import Fixed
 __all__ = ["EFFORTS", "Op", "make_plan", "plan_print", "settling_plan"]
 
 Phase = Literal[
-    "quick", "compress", "start", "alternate", "merge", "reseed", "relax", "search", "polish",
-    "recall", "spread",
+    "quick", "compress", "start", "alternate", "merge", "reseed", "regrow", "relax", "search",
+    "polish", "recall", "spread",
 ]  # fmt: skip
 
 _SETTLING = {"fast": 6, "balanced": 20, "best": 60}  # steps of a polish on more frames
@@ -29,12 +29,12 @@ class Op:
     """One entry of the plan.
 
     `count` steps at most; `amount` is the bones to start with relative to those
-    asked for (start), alternations a step (merge, reseed), polish steps at each
-    number of influences (relax), share of the tries for its size (search); failures
-    in a row at which to stop (`patience`: reseed, search), relative gain at which to
-    stop (`tolerance`: of three alternations, of eight polish steps) or that makes a
-    try a success (of the objective, search); `cost` in alternations a step, for the
-    time left.
+    asked for (start), alternations a step (merge, reseed) or after each change of a step
+    (regrow), polish steps at each number of influences (relax), share of the tries for
+    its size (search); failures in a row at which to stop (`patience`: reseed, regrow,
+    search), relative gain at which to stop (`tolerance`: of three alternations, of eight
+    polish steps) or that makes a try a success (of the objective, search); `cost` in
+    alternations a step, for the time left.
     """
 
     phase: Phase
@@ -65,7 +65,7 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 28, 1e7: 60, 5e6: 100, 0.0: 130}  # of "best", by vertices × frames × bones
+_TRIES = {2e7: 20, 1e7: 40, 5e6: 70, 0.0: 90}  # of "best", by vertices × frames × bones
 
 
 def _search(share: float) -> Op:
@@ -73,7 +73,9 @@ def _search(share: float) -> Op:
 
 
 # of a start: which one leads furthest shows only after a while
-_TRIAL = [_RELAX, _polish(8, 0.0), _search(0.15)]
+_TRIAL = [
+    Op("regrow", count=20, amount=3, patience=8, cost=20), _RELAX, _polish(8, 0.0), _search(0.15),
+]  # fmt: skip
 
 
 EFFORTS: dict[str, list[Op]] = {
@@ -119,7 +121,7 @@ def make_plan(
     if smooth:
         # the polish does not know the penalty: alternate until it settles
         steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        plan = [op for op in plan if op.phase not in ("polish", "relax", "search")]
+        plan = [op for op in plan if op.phase not in ("regrow", "polish", "relax", "search")]
         plan.append(Op("alternate", count=steps))
     return plan
 

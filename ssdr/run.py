@@ -25,6 +25,7 @@ from .reseeding import (
     loosen,
     merge_step,
     polish_steps,
+    regrow_step,
     reseed_step,
     thin,
     tighten,
@@ -272,6 +273,16 @@ class Run:
         self.iteration += int(op.amount)
         if trial is None:
             return True
+        if self.value(trial) < self.value(model):
+            self.model, self.failures = trial, 0
+        else:
+            self.failures += 1
+        return self.failures >= op.patience
+
+    def _do_regrow(self, op: Op) -> bool:
+        model = self._current()
+        trial = regrow_step(self.data, model, self.rng, int(op.amount), self.fixed)
+        self.iteration += int(op.amount)
         if self.value(trial) < self.value(model):
             self.model, self.failures = trial, 0
         else:
