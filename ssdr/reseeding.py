@@ -10,7 +10,6 @@ from .initialization import fit_patches
 from .kernels.polish import polish_vertices
 from .model import CHUNK, Fixed, Model, bone_costs, bone_step, transform_sums, vertex_step
 from .parallel import chunk_bounds, run_chunks, serial_blas
-from .skinning import BoneModel
 from .stretching import normalise_gauge, polish_of
 from .trajectories import Array, Trajectories
 
@@ -80,7 +79,7 @@ def reseed_step(
     drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
     members = _worst_patch(data, model, rng, 0.5)
     smaller = model.without(np.array([drop]))
-    grown = with_patch(data, smaller, members, fixed.bone_model)
+    grown = with_patch(data, smaller, members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     return grown
@@ -248,7 +247,7 @@ def _with_bones(
     """A copy with so many bones more, one after the other where the error is."""
     for _ in range(count):
         members = _worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
-        model = with_patch(data, model, members, fixed.bone_model)
+        model = with_patch(data, model, members, fixed)
         vertex_step(data, model, fixed=fixed)
     return model
 
@@ -270,13 +269,12 @@ def _worst_patch(
     return np.asarray(near[error[near].sum(axis=1).argmax()])
 
 
-def with_patch(
-    data: Trajectories, model: Model, members: NDArray[np.intp], bone_model: BoneModel = "rigid"
-) -> Model:
+def with_patch(data: Trajectories, model: Model, members: NDArray[np.intp], fixed: Fixed) -> Model:
     """A copy with one bone more, that moves `members` as they move themselves."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
-    grown = model.with_bone(fit_patches(data, model.rest, label, 1, bone_model)[:, 0])
+    grown = model.with_bone(fit_patches(data, model.rest, label, 1, fixed.bone_model)[:, 0])
+    members = members[~fixed.keep_weights(data.n_vertices)[members]]
     grown.support[members] = 0
     grown.share[members] = 0.0
     grown.support[members, 0] = grown.n_bones - 1
@@ -301,7 +299,7 @@ def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fix
     members = near[error[near].sum(axis=1).argmax()]
     base = model.copy()
     base.widen()
-    grown = with_patch(data, base, members, fixed.bone_model)
+    grown = with_patch(data, base, members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     if grown.objective(data) <= before:
@@ -314,4 +312,6 @@ def _costs(data: Trajectories, model: Model, fixed: Fixed) -> Array:
     if fixed.bones is not None:
         # all bones that the caller gave: locked ones are known by their place among them
         cost[: len(fixed.bones)] = np.inf
+    keep = fixed.keep_weights(data.n_vertices)
+    cost[model.joints[keep][model.weights[keep] > 0]] = np.inf
     return cost

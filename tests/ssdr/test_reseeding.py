@@ -21,7 +21,9 @@ from ssdr.reseeding import (
     kick,
     loosen,
     polish_steps,
+    regrow_step,
     relax,
+    reseed_step,
     thin,
 )
 from ssdr.run import Run
@@ -116,7 +118,11 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
     assert np.median(gains) < 0.9
 
 
-CHANGES = (loosen, grow_and_shed, kick, thin)
+def regrow(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    return regrow_step(data, model, rng, 3, fixed)
+
+
+CHANGES = (loosen, grow_and_shed, kick, thin, regrow)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -154,6 +160,25 @@ def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
         was[model.joints[i]] += model.weights[i]
         now[changed.joints[i]] += changed.weights[i]
         assert np.array_equal(was[:2], now[:2])
+
+
+def test_regrowing_finds_what_exchanges_of_one_bone_do_not() -> None:
+    ratios = []
+    for seed in range(5):
+        data, model = problem(seed)
+        exchanged, regrown = model.copy(), model.copy()
+        rng = np.random.default_rng(seed)
+        for _ in range(40):
+            trial = reseed_step(data, exchanged, rng, 4, FREE)
+            assert trial is not None
+            if trial.objective(data) < exchanged.objective(data):
+                exchanged = trial
+        for _ in range(10):
+            trial = regrow(data, regrown, rng, FREE)
+            if trial.objective(data) < regrown.objective(data):
+                regrown = trial
+        ratios.append(regrown.objective(data) / exchanged.objective(data))
+    assert np.median(ratios) < 0.9
 
 
 def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
