@@ -65,7 +65,7 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 20, 1e7: 40, 5e6: 70, 0.0: 90}  # of "best", by vertices × frames × bones
+_TRIES = {2e7: 20, 1e7: 40, 5e6: 70, 0.0: 110}  # of "best", by vertices × frames × bones
 
 
 def _search(share: float) -> Op:
@@ -73,8 +73,10 @@ def _search(share: float) -> Op:
 
 
 # of a start: which one leads furthest shows only after a while
-_TRIAL = [
-    Op("regrow", count=20, amount=3, patience=8, cost=20), _RELAX, _polish(8, 0.0), _search(0.15),
+_TRIAL = [_RELAX, _polish(8, 0.0), _search(0.15)]
+_REGROWN = [
+    Op("start", amount=1.0, cost=8), Op("alternate", count=12),
+    Op("regrow", count=20, amount=3, patience=8, cost=20), *_TRIAL,
 ]  # fmt: skip
 
 
@@ -89,11 +91,12 @@ EFFORTS: dict[str, list[Op]] = {
         _polish(40, 0.01),
     ],
     "best": [
-        *_FIRST, *_TRIAL, *_begin(1.6, 12, 6), *_TRIAL, *_begin(2.2, 12, 6), *_TRIAL,
-        Op("recall", cost=0), _search(0.55),
+        *_FIRST, *_TRIAL, *_REGROWN, *_REGROWN, Op("recall", cost=0), _search(0.55),
         Op("recall", cost=0), _polish(60, 0.002),
     ],
 }  # fmt: skip
+# where there is a penalty, of which the changes that follow a start know nothing
+_SMOOTH_BEST = [*_FIRST, *_begin(1.6, 12, 6), *_begin(2.2, 12, 6), Op("recall", cost=0)]
 
 
 def make_plan(
@@ -103,7 +106,7 @@ def make_plan(
 
     `size` is vertices × frames × bones.
     """
-    plan = list(EFFORTS[effort])
+    plan = list(_SMOOTH_BEST if smooth and effort == "best" else EFFORTS[effort])
     tries = next(count for least, count in _TRIES.items() if size >= least)
     plan = [
         dataclasses.replace(op, count=max(1, round(op.amount * tries)))
@@ -121,7 +124,7 @@ def make_plan(
     if smooth:
         # the polish does not know the penalty: alternate until it settles
         steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        plan = [op for op in plan if op.phase not in ("regrow", "polish", "relax", "search")]
+        plan = [op for op in plan if op.phase not in ("polish", "relax", "search")]
         plan.append(Op("alternate", count=steps))
     return plan
 

@@ -31,7 +31,7 @@ __all__ = [
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
 _CHEAPEST = 3  # bones that may be given up
 _MOST_KICKS, _MOST_GROWN, _MOST_LOOSENED = 5, 2, 2
-_FEWEST_REGROWN = 2
+_REGROWN = (2, 6)  # bones at once, a quarter of them at most
 _FEWEST_STEPS = 3  # of the polish at each number of influences
 _ROUNDS = 2  # of Gauss–Newton on a vertex that tries to do without a bone
 _PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
@@ -88,13 +88,14 @@ def reseed_step(
 def regrow_step(
     data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, fixed: Fixed
 ) -> Model:
-    """A copy that got up to a quarter more bones where the error is and was merged down again.
+    """A copy that got two to six bones more where the error is and was merged down again.
 
     Alternations alone, `alternations` after each change: a tenth of the time of a change
     that polishes.  Several bones at once find new places that none would keep by itself.
     """
-    most = max(_FEWEST_REGROWN + 1, model.n_bones // 4)
-    count = int(rng.integers(_FEWEST_REGROWN, most + 1))
+    least, most = _REGROWN
+    most = max(least + 1, min(most, model.n_bones // 4))
+    count = int(rng.integers(least, most + 1))
     wide = model.copy()
     wide.widen()
     regrown = _with_bones(data, wide, count, rng, fixed)
