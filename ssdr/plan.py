@@ -65,7 +65,7 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 20, 1e7: 40, 5e6: 70, 0.0: 150}  # of "best", by vertices × frames × bones
+_TRIES = {2e7: 20, 1e7: 40, 7e6: 70, 0.0: 130}  # of "best", by vertices × frames × bones
 
 
 def _search(share: float) -> Op:
