@@ -25,6 +25,7 @@ __all__ = [
     "regrow_step",
     "relax",
     "reseed_step",
+    "thin",
     "tighten",
 ]
 
@@ -79,7 +80,7 @@ def reseed_step(
     drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
     members = _worst_patch(data, model, rng, 0.5)
     smaller = model.without(np.array([drop]))
-    grown = with_patch(data, smaller, members, fixed)
+    grown = _with_patch(data, smaller, members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     return grown
@@ -248,7 +249,7 @@ def _with_bones(
     """A copy with so many bones more, one after the other where the error is."""
     for _ in range(count):
         members = _worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
-        model = with_patch(data, model, members, fixed)
+        model = _with_patch(data, model, members, fixed)
         vertex_step(data, model, fixed=fixed)
     return model
 
@@ -264,13 +265,21 @@ def _worst_patch(
     total = float(error.sum())
     chance = None if not total > 0 else error[order] / total
     seeds = order[rng.choice(n, size=min(_CANDIDATES, n), p=chance)]
-    size = min(n, max(4, int(share * n / model.n_bones)))
+    return _heaviest(model, error, seeds, int(share * n / model.n_bones))
+
+
+def _heaviest(model: Model, error: Array, seeds: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    """Of the neighbourhoods of `size` vertices around the seeds the one that holds the most error.
+
+    Four vertices at least, where there are as many.
+    """
+    size = min(len(error), max(4, size))
     _, near = cKDTree(model.rest).query(model.rest[seeds], k=size)
     near = np.asarray(near).reshape(len(seeds), size)
     return np.asarray(near[error[near].sum(axis=1).argmax()])
 
 
-def with_patch(data: Trajectories, model: Model, members: NDArray[np.intp], fixed: Fixed) -> Model:
+def _with_patch(data: Trajectories, model: Model, members: NDArray[np.intp], fixed: Fixed) -> Model:
     """A copy with one bone more, that moves `members` as they move themselves."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
@@ -290,17 +299,13 @@ def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fix
     The bone comes where a neighbourhood has the most error; where that does not
     pay, it is a bone that nothing uses.
     """
-    n = data.n_vertices
     before = model.objective(data)
     error = np.maximum(model.error, 0.0) * data.importance
-    size = min(n, max(4, n // (2 * model.n_bones)))
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
-    near = np.asarray(cKDTree(model.rest).query(model.rest[seeds], k=size)[1])
-    near = near.reshape(len(seeds), size)
-    members = near[error[near].sum(axis=1).argmax()]
+    members = _heaviest(model, error, seeds, data.n_vertices // (2 * model.n_bones))
     base = model.copy()
     base.widen()
-    grown = with_patch(data, base, members, fixed)
+    grown = _with_patch(data, base, members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     if grown.objective(data) <= before:

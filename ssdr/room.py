@@ -87,13 +87,16 @@ class Room:
         self.offsets, self.streamed, self.whole, self.told = offsets, streamed, whole, told
         self.nested = nest(data, model, fixed=fixed)
 
-    def use(self, whole: Skinning) -> tuple[Skinning, Skinning, tuple[Pruning, Pruning]]:
+    def use(
+        self, whole: Skinning, error: float
+    ) -> tuple[Skinning, Skinning, tuple[Pruning, Pruning]]:
         """Fewer influences, then fewer keys as well; both models, and what each cost.
+
+        `error` is that of `whole` over all frames.
 
         One price of a byte decides on both.  It is guessed from what each choice
         adds by itself, then doubled or halved while models made with it hold.
         """
-        error = self.truth(whole)
         best = whole, whole, error, error
         price = self._guess(whole)
         low = high = None

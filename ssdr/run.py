@@ -268,22 +268,18 @@ class Run:
         return self._current().n_bones <= self.bones
 
     def _do_reseed(self, op: Op) -> bool:
-        model = self._current()
-        trial = reseed_step(self.data, model, self.rng, int(op.amount), self.fixed)
+        trial = reseed_step(self.data, self._current(), self.rng, int(op.amount), self.fixed)
         self.iteration += int(op.amount)
-        if trial is None:
-            return True
-        if self.value(trial) < self.value(model):
-            self.model, self.failures = trial, 0
-        else:
-            self.failures += 1
-        return self.failures >= op.patience
+        return True if trial is None else self._better(trial, op)
 
     def _do_regrow(self, op: Op) -> bool:
-        model = self._current()
-        trial = regrow_step(self.data, model, self.rng, int(op.amount), self.fixed)
+        trial = regrow_step(self.data, self._current(), self.rng, int(op.amount), self.fixed)
         self.iteration += int(op.amount)
-        if self.value(trial) < self.value(model):
+        return self._better(trial, op)
+
+    def _better(self, trial: Model, op: Op) -> bool:
+        """Go on from the trial if it is better; whether too many in a row were not."""
+        if self.value(trial) < self.value(self._current()):
             self.model, self.failures = trial, 0
         else:
             self.failures += 1

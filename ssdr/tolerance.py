@@ -314,7 +314,8 @@ def _prune(task: _Task, whole: Skinning, prunings: list[Pruning]) -> Skinning:
     assert search.held is not None
     first, last = task.accepted[0], task.accepted[-1]
     prunings.append(Pruning("bones", first[0], last[0], first[2], last[2], first[1], last[1]))
-    if not task.truth(whole) <= task.tolerance:
+    error = task.truth(whole)
+    if not error <= task.tolerance:
         return whole
     room = Room(
         task.data, search.held, fixed=task.fixed, tolerance=task.tolerance, truth=task.truth,
@@ -322,7 +323,7 @@ def _prune(task: _Task, whole: Skinning, prunings: list[Pruning]) -> Skinning:
         whole=lambda model: task.whole(model, passes=1, entering=0),
         told=lambda: search.tell("pruning", 0.95),
     )  # fmt: skip
-    fewer, keyed, losses = room.use(whole)
+    fewer, keyed, losses = room.use(whole, error)
     prunings.extend(losses)
     task.note(task.truth.rmse(fewer), "influences")
     return keyed
