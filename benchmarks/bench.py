@@ -19,7 +19,6 @@ import argparse
 import dataclasses
 import json
 import os
-import re
 import selectors
 import subprocess
 import sys
@@ -28,7 +27,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from bench_report import report
+from bench_report import file_of, report, restore
 from bench_tables import APART, BASE
 from common import IMAGES, RESULTS, ROOT, data_folder, machine, revision, tell, write_json
 
@@ -70,8 +69,7 @@ class Job:
 
     @property
     def file(self) -> str:
-        name = f"{self.solver} t{self.threads} s{self.seed}"
-        return "/".join(re.sub(r"[^\w.-]+", "_", p) for p in (self.part, self.case, name)) + ".json"
+        return file_of(dataclasses.asdict(self))
 
 
 def races(args: argparse.Namespace) -> Iterable[Job]:
@@ -258,6 +256,10 @@ def main() -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--short", action="store_true", help="less of everything")
     parser.add_argument("--report", action="store_true", help="no runs")
+    parser.add_argument(
+        "--restore", action="store_true",
+        help="begin with the records of the tables, where the cache has none",
+    )  # fmt: skip
     parser.add_argument("--only", nargs="+", metavar="SEQUENCE-BONES")
     parser.add_argument("--solvers", nargs="+")
     parser.add_argument("--threads", nargs="+", type=int, default=[1, 2])
@@ -280,6 +282,8 @@ def main() -> None:
     results = args.results or (args.cache / "results" if args.short else RESULTS)
     images = args.images or (args.cache / "images" if args.short else IMAGES)
     data_folder()
+    if args.restore:
+        print(f"{restore(results, args.cache)} records of {results.name}/")
     began = time.perf_counter()
     left: list[str] = []
     if not args.report:

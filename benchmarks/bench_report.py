@@ -1,8 +1,11 @@
-"""All tables and charts that the records of bench.py allow."""
+"""All tables and charts that the records of bench.py allow, and records from the tables again."""
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
+from typing import Any
 
 from bench_charts import (
     bones_chart,
@@ -15,6 +18,7 @@ from bench_charts import (
 )
 from bench_tables import (
     APART,
+    Record,
     at_bytes,
     by_case,
     case_of,
@@ -27,6 +31,62 @@ from bench_tables import (
     summary,
 )
 from common import table, write_csv, write_json
+
+
+def file_of(record: Record) -> str:
+    """Where a run's record lies in the cache."""
+    case = f"{record['sequence']}-{record['bones']}-{record['influences']}"
+    name = f"{record['solver']} t{record['threads']} s{record['seed']}"
+    return "/".join(re.sub(r"[^\w.-]+", "_", p) for p in (record["part"], case, name)) + ".json"
+
+
+def run_of(case: str, record: Record) -> str:
+    """A run's name in the tables of curves and waits."""
+    return f"{case} {record['solver']} t{record['threads']} s{record['seed']}"
+
+
+def restore(results: Path, cache: Path) -> int:
+    """Give a cache that was lost the records that the tables of race and front hold; how many.
+
+    So that some runs can be made again where there are none of the others.  What is
+    in the cache already stays.
+    """
+    records: list[Record] = []
+    for part in ("race", "front"):
+        path = results / f"{part}.json"
+        if not path.exists():
+            continue
+        tables = json.loads(path.read_text(encoding="utf-8"))
+        records += [_record(part, row, tables) for row in tables["rows"]]
+        for sequence, line in tables.get("pca", {}).items():
+            records.append({
+                "part": part, "solver": "pca", "sequence": sequence, "bones": 0, "influences": 0,
+                "threads": 1, "seed": 0, "pca": line,
+            })  # fmt: skip
+    missing = [r for r in records if not (cache / file_of(r)).exists()]
+    for record in missing:
+        (cache / file_of(record)).parent.mkdir(parents=True, exist_ok=True)
+        write_json(cache / file_of(record), record)
+    return len(missing)
+
+
+def _record(part: str, row: Record, tables: dict[str, Any]) -> Record:
+    sequence, bones = row["case"].rsplit("-", 1)
+    run = run_of(row["case"], row)
+    record = {key: value for key, value in row.items() if value is not None}
+    record |= {
+        "part": part, "sequence": sequence, "bones": int(bones), "influences": row["K"],
+        "curve": tables.get("curves", {}).get(run, []),
+    }  # fmt: skip
+    if run in tables.get("waits", {}):
+        record["waits"] = tables["waits"][run]
+    if row["solver"] == "ssdr balanced" and row["threads"] == 1:  # with those of two threads
+        record["walk"] = [
+            {key: value for key, value in stop.items() if key != "case"}
+            for stop in tables.get("walks", [])
+            if stop["case"] == row["case"]
+        ]
+    return record
 
 
 def report(cache: Path, results: Path, images: Path, clock: str) -> None:
@@ -51,9 +111,8 @@ def report(cache: Path, results: Path, images: Path, clock: str) -> None:
         ]  # fmt: skip
         write_json(results / "race.json", {
             "clock": clock, "summary": ours, "apart": theirs, "rows": rows, "walks": walks,
-            "curves": {
-                f"{case_of(r)} {r['solver']} t{r['threads']} s{r['seed']}": r["curve"] for r in race
-            },
+            "curves": {run_of(case_of(r), r): r["curve"] for r in race},
+            "waits": {run_of(case_of(r), r): r["waits"] for r in race if "waits" in r},
         })  # fmt: skip
         write_csv(results / "race.csv", rows)
         if ours:

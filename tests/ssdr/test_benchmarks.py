@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import bench_report
 import bench_tables as tables
 import common
 import model_size as size
@@ -122,6 +123,32 @@ def test_exponent_of_a_sweep() -> None:
     rows = tables.scaling_rows(runs, "wall")
     assert {r["over"] for r in rows} == {"V"}
     assert rows[0]["exponent"] == pytest.approx(1.5)
+
+
+def test_a_lost_cache_comes_back_from_the_tables(tmp_path: Path) -> None:
+    curve = [[0, 1.0, 0.9, 8.0], [1, 10.0, 8.0, 4.0]]
+    common_keys = {"part": "race", "sequence": "horse", "influences": 4, "seed": 0, "threads": 1,
+                   "revision": "abc", "total wall": 10.0, "total cpu": 8.0}  # fmt: skip
+    records = [
+        _run("dembones 0", curve) | common_keys | {"waits": {"import": 0.2, "import cpu": 0.1}},
+        _run("ssdr balanced", curve) | common_keys | {"walk": [{"iteration": 3, "E": 5.0}]},
+        _run("ssdr best fixed", curve) | common_keys,
+    ]
+    cache, results = tmp_path / "cache", tmp_path / "results"
+    for record in records:
+        file = cache / bench_report.file_of(record)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(record))
+    bench_report.report(cache, results, tmp_path / "images", "wall")
+    fresh = tmp_path / "fresh"
+    kept = fresh / bench_report.file_of(records[2])
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps(records[2]))
+    assert bench_report.restore(results, fresh) == 2
+    bench_report.report(fresh, tmp_path / "again", tmp_path / "images", "wall")
+    for table in ("race.json", "race.csv", "race_summary.csv"):
+        assert (results / table).read_bytes() == (tmp_path / "again" / table).read_bytes(), table
+    assert bench_report.restore(results, fresh) == 0
 
 
 @pytest.mark.slow
