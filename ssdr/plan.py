@@ -1,7 +1,8 @@
 """The order of the solver's steps, for every effort.
 
 start -> alternate                                      a first model, soon
-start -> alternate -> merge -> alternate -> re-seed | regrow -> relax -> polish | search
+start -> alternate -> merge -> alternate -> re-seed -> relax -> polish
+start -> alternate -> relax -> search, then time and again regrow -> relax -> search
 spread -> polish                                        a model of some frames, on more
 """
 
@@ -30,11 +31,12 @@ class Op:
 
     `count` steps at most; `amount` is the bones to start with relative to those
     asked for (start), alternations a step (merge, reseed) or after each change of a step
-    (regrow), polish steps at each number of influences (relax), share of the tries for
-    its size (search); failures in a row at which to stop (`patience`: reseed, regrow,
-    search), relative gain at which to stop (`tolerance`: of three alternations, of eight
-    polish steps) or that makes a try a success (of the objective, search); `cost` in
-    alternations a step, for the time left.
+    (regrow), polish steps at each number of influences (relax); failures in a row at
+    which to stop (`patience`: reseed, search, regrow, where 0 is one step whatever comes
+    of it), relative gain at which to stop (`tolerance`: of three alternations, of eight
+    polish steps) or that makes a try a success (of the objective, search); ratio to the
+    objective of the search that ended lowest, after as many tries, at which a search
+    gives up (`race`; 0, never); `cost` in alternations a step, for the time left.
     """
 
     phase: Phase
@@ -43,6 +45,7 @@ class Op:
     patience: int = 0
     tolerance: float = 0.0
     cost: float = 1.0
+    race: float = 0.0
 
 
 # On the frames as they are and without a bone too many: what it finds is soon there to be
@@ -65,19 +68,35 @@ def _polish(count: int, tolerance: float) -> Op:
 
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-_TRIES = {2e7: 20, 1e7: 40, 7e6: 70, 0.0: 130}  # of "best", by vertices × frames × bones
 
 
-def _search(share: float) -> Op:
-    return Op("search", amount=share, patience=32, tolerance=1e-3, cost=60)
+def _search(count: int, race: float = 0.0) -> Op:
+    return Op("search", count=count, patience=32, tolerance=1e-3, cost=60, race=race)
 
 
-# of a start: which one leads furthest shows only after a while
-_TRIAL = [_RELAX, _polish(8, 0.0), _search(0.15)]
-_REGROWN = [
-    Op("start", amount=1.0, cost=8), Op("alternate", count=12),
-    Op("regrow", count=20, amount=3, patience=8, cost=20), *_TRIAL,
-]  # fmt: skip
+# "best", by vertices × frames × bones: tries at first, rebuilt so many times, tries in the end
+_BEST = {2e7: (3, 3, 4), 1e7: (6, 4, 6), 7e6: (8, 5, 8), 0.0: (10, 6, 10)}
+_MOST_TRIES, _RACE = 6, 1.02  # of what was rebuilt
+_MANY_BONES = 24  # from here on alternations alone put many of them in better places
+
+
+def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
+    """The first model relaxed and searched; then the best one rebuilt time and again.
+
+    What bones in other places are worth shows only once influences and weights have
+    followed them: each change is relaxed, polished and searched before it is judged.
+    """
+
+    def judged(tries: int) -> list[Op]:
+        return [_RELAX, _polish(8, 0.0), _search(tries, _RACE)]
+
+    regrown = [Op("regrow", count=20, amount=3, patience=8, cost=20)]
+    rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
+    return [
+        *_FIRST, *(many_bones * regrown), *judged(tries),
+        *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],
+        Op("recall", cost=0), _search(last), Op("recall", cost=0), _polish(60, 0.002),
+    ]  # fmt: skip
 
 
 EFFORTS: dict[str, list[Op]] = {
@@ -90,11 +109,7 @@ EFFORTS: dict[str, list[Op]] = {
         dataclasses.replace(_RELAX, amount=6, cost=30),
         _polish(40, 0.01),
     ],
-    "best": [
-        *_FIRST, *_TRIAL, *_REGROWN, *_REGROWN, Op("recall", cost=0), _search(0.55),
-        Op("recall", cost=0), _polish(60, 0.002),
-    ],
-}  # fmt: skip
+}
 # where there is a penalty, of which the changes that follow a start know nothing
 _SMOOTH_BEST = [*_FIRST, *_begin(1.6, 12, 6), *_begin(2.2, 12, 6), Op("recall", cost=0)]
 
@@ -106,13 +121,13 @@ def make_plan(
 
     `size` is vertices × frames × bones.
     """
-    plan = list(_SMOOTH_BEST if smooth and effort == "best" else EFFORTS[effort])
-    tries = next(count for least, count in _TRIES.items() if size >= least)
-    plan = [
-        dataclasses.replace(op, count=max(1, round(op.amount * tries)))
-        if op.phase == "search" else op
-        for op in plan
-    ]  # fmt: skip
+    if effort != "best":
+        plan = list(EFFORTS[effort])
+    elif smooth:
+        plan = list(_SMOOTH_BEST)
+    else:
+        counts = next(counts for least, counts in _BEST.items() if size >= least)
+        plan = _best(*counts, many_bones=bones >= _MANY_BONES)
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     if given.weights is not None or all_bones:
         # nothing to place: one start, then down to the nearest minimum

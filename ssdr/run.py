@@ -43,7 +43,7 @@ _FIRST_SWEEPS = 6  # where a frame's bones start from those of another frame
 _FIRST_LEAPS = 4  # likewise, where that may be far away
 _PLATEAU = 1e-5  # relative gain of an alternation that does not count
 _CHANGES = (loosen, grow_and_shed, kick, thin)  # of a search
-_MOST_MISSES = 3  # that count against a change
+_MOST_MISSES = 8  # that count against a change
 _SETTLE = 8  # polish steps after which a try is judged
 _CLOSE = 1.02  # ratio of objectives at which it gets as many again
 
@@ -82,6 +82,7 @@ class Run:
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
         self.position, self.iteration, self.settled = 0, 0, False
+        self.lead: list[float] = []  # after each try of the search that ended lowest
         self._forget()
         self._began = time.perf_counter() if began is None else began
         self._before = 0.0
@@ -146,6 +147,8 @@ class Run:
             self.records.append((self.iteration, self.elapsed, error, phase))
 
     def _next(self) -> None:
+        if self.track and (not self.lead or self.track[-1] < self.lead[-1]):
+            self.lead = self.track
         self.position += 1
         self._forget()
 
@@ -153,6 +156,7 @@ class Run:
         """What one entry of the plan remembers from step to step."""
         self.count = self.failures = 0
         self.recent: list[float] = []
+        self.track: list[float] = []  # the objective after each try of a search
         # of each change of a search: the try at which it had its last turn, failures since it paid
         self.turns = list(range(-len(_CHANGES), 0))
         self.misses = [0] * len(_CHANGES)
@@ -275,7 +279,10 @@ class Run:
     def _do_regrow(self, op: Op) -> bool:
         trial = regrow_step(self.data, self._current(), self.rng, int(op.amount), self.fixed)
         self.iteration += int(op.amount)
-        return self._better(trial, op)
+        if op.patience:
+            return self._better(trial, op)
+        self.model = trial  # to be judged only once it has been relaxed and searched
+        return True
 
     def _better(self, trial: Model, op: Op) -> bool:
         """Go on from the trial if it is better; whether too many in a row were not."""
@@ -331,8 +338,15 @@ class Run:
         self.failures = 0 if worth else self.failures + 1
         self.turns[kind] = self.count
         self.misses[kind] = 0 if worth else min(self.misses[kind] + 1, _MOST_MISSES)
+        self.track = [*self.track, min(value, base)]
         self.settled = self.failures >= op.patience
-        return self.settled
+        return self.settled or self._behind(op.race)
+
+    def _behind(self, ratio: float) -> bool:
+        """Whether the search that ended lowest was well ahead after as many tries."""
+        tries = len(self.track)
+        known = len(_CHANGES) <= tries <= len(self.lead)
+        return ratio > 0 and known and self.track[-1] > ratio * self.lead[tries - 1]
 
     def _due(self) -> int:
         """The change that has waited longest for its turn, of those that failed the less so.
@@ -361,7 +375,7 @@ class Run:
         return {
             "position": self.position, "count": self.count, "failures": self.failures,
             "iteration": self.iteration, "damping": self.damping, "recent": self.recent,
-            "turns": self.turns, "misses": self.misses,
+            "turns": self.turns, "misses": self.misses, "track": self.track, "lead": self.lead,
             "settled": self.settled, "elapsed": self.elapsed, "best_value": self.best_value,
             "rng": self.rng.bit_generator.state,
         }  # fmt: skip
@@ -380,6 +394,7 @@ class Run:
         self.damping = progress["damping"]
         self.recent, self.settled = list(progress["recent"]), bool(progress["settled"])
         self.turns, self.misses = list(progress["turns"]), list(progress["misses"])
+        self.track, self.lead = list(progress["track"]), list(progress["lead"])
         self.best_value, self._before = float(progress["best_value"]), float(progress["elapsed"])
         self.rng.bit_generator.state = progress["rng"]
         if any(op.phase == "compress" for op in self.plan[: self.position]):

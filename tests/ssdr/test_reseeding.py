@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import motions
@@ -226,6 +227,41 @@ def test_changes_that_pay_have_more_turns() -> None:
     # three times as many, and none is given up for good
     assert share[2] == pytest.approx(1 / 2, abs=0.01)
     assert np.delete(share, 2) == pytest.approx([1 / 6] * 3, abs=0.01)
+
+
+def searched(model: Model, data: Trajectories, op: Op, lead: list[float]) -> tuple[int, Run]:
+    """How many tries a search makes beside another's track, and its run."""
+    run = Run(
+        data, [op], bones=BONES, influences=INFLUENCES, rng=np.random.default_rng(0),
+        fixed=FREE, given=Given(), smooth=None,
+    )  # fmt: skip
+    run.model, run.lead = model.copy(), lead
+    tries = 0
+    while not run.finished:
+        run.advance()
+        tries += 1
+    return tries, run
+
+
+def test_a_search_that_is_well_behind_another_gives_up() -> None:
+    data, model = problem(6)
+    op = Op("search", count=7, patience=7, tolerance=1e-3, race=1.02)
+    tries, alone = searched(model, data, op, [])
+    own = alone.lead
+    assert tries == len(own) == 7
+    assert (np.diff(own) <= 0).all()
+    assert own[-1] == pytest.approx(alone.value(alone.best), rel=1e-12)
+    # once each change had its turn, and not because of a little
+    ahead = [value / 1.03 for value in own]
+    tries, run = searched(model, data, op, ahead)
+    assert tries == 4
+    assert run.lead is ahead
+    assert searched(model, data, op, [value / 1.01 for value in own])[0] == 7
+    assert searched(model, data, op, ahead[:3])[0] == 7
+    assert searched(model, data, dataclasses.replace(op, race=0.0), ahead)[0] == 7
+    # the lowest end leads
+    behind = [value * 1.01 for value in own]
+    assert searched(model, data, op, behind)[1].lead == own
 
 
 def without_slot(data: Trajectories, model: Model, i: int, q: int) -> float:
