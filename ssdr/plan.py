@@ -75,7 +75,7 @@ def _search(count: int, race: float = 0.0) -> Op:
 
 
 # "best", by vertices × frames × bones: tries at first, rebuilt so many times, tries in the end
-_BEST = {2e7: (3, 3, 4), 1e7: (6, 4, 6), 7e6: (8, 5, 8), 0.0: (10, 6, 10)}
+_BEST = {2e7: (6, 2, 6), 1e7: (6, 4, 6), 7e6: (8, 5, 8), 0.0: (10, 6, 10)}
 _MOST_TRIES, _RACE = 6, 1.02  # of what was rebuilt
 _MANY_BONES = 24  # from here on alternations alone put many of them in better places
 
