@@ -388,8 +388,7 @@ def _result(
 
 def _spare_bones(run: Run) -> int:
     """How many bones could each go at no loss."""
-    wide = best_of(run).copy()
-    wide.widen()
+    wide = best_of(run).widened()
     energy = float(run.data.importance @ run.data.x2)
     return int((bone_costs(run.data, wide) <= _NO_LOSS * energy).sum())
 

@@ -183,8 +183,7 @@ class Search:
                 Op("merge", count=1000, amount=4, cost=20), Op("alternate", count=6),
                 _polish(self.zeal.polish),
             ]  # fmt: skip
-            wide = held.copy()
-            wide.widen()
+            wide = held.widened()
             model, error = self._try(bones, plan, wide, "merged", 0.25, 0.4)
             if not self.fits(bones):
                 if held.n_bones - bones > 1:
@@ -199,8 +198,7 @@ class Search:
 
     def _guess(self, model: Model) -> int:
         """Bones whose joint removal may still hold after a polish, by what each would cost."""
-        wide = model.copy()
-        wide.widen()
+        wide = model.widened()
         cost = np.sort(bone_costs(self.data, wide))
         now = model.objective(self.data)
         limit = _OVERSHOOT * self.allowed if self.measure == "rmse" else 2.0 * now
@@ -216,8 +214,7 @@ class Search:
         if zeal.reseeds:
             work.append(("re-seeded", [Op("recall"), _reseed(8), _polish(zeal.polish)], model))
         if wider is not None and wider.n_bones == bones + 1:
-            wide = wider.copy()
-            wide.widen()
+            wide = wider.widened()
             order = np.argsort(bone_costs(self.data, wide), kind="stable")
             for bone in order[1 : zeal.removals]:
                 smaller = wide.without(np.array([bone]))

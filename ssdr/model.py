@@ -75,6 +75,12 @@ class Model:
         self.share[:, :k] = self.weights
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
+    def widened(self) -> Model:
+        """A copy whose unpruned support restarts from the kept weights."""
+        model = self.copy()
+        model.widen()
+        return model
+
     def with_influences(self, count: int) -> Model:
         """A copy with room for `count` influences a vertex, the largest kept where they were more.
 

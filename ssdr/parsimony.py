@@ -293,8 +293,7 @@ def curve(
             start = None
         else:
             plan = []
-            start = models[ladder[-place]].copy()
-            start.widen()
+            start = models[ladder[-place]].widened()
         merge = [Op("merge", count=1000, amount=4, cost=20), Op("alternate", count=4)]
         models[count] = walk(count, [*plan, *merge, *improve], start, share)
     for smaller, larger in itertools.pairwise(ladder):

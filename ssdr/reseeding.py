@@ -97,9 +97,7 @@ def regrow_step(
     least, most = _REGROWN
     most = max(least + 1, min(most, model.n_bones // 4))
     count = int(rng.integers(least, most + 1))
-    wide = model.copy()
-    wide.widen()
-    regrown = _with_bones(data, wide, count, rng, fixed)
+    regrown = _with_bones(data, model.widened(), count, rng, fixed)
     alternate(data, regrown, alternations, fixed)
     while regrown.n_bones > model.n_bones:
         regrown = merge_step(data, regrown, model.n_bones, alternations, fixed)
@@ -108,8 +106,7 @@ def regrow_step(
 
 def kick(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
     """A copy after a few alternations, which keep the largest weights whether that pays or not."""
-    moved = model.copy()
-    moved.widen()
+    moved = model.widened()
     for _ in range(int(rng.integers(1, _MOST_KICKS + 1))):
         bone_step(data, moved, fixed=fixed)
         vertex_step(data, moved, fixed=fixed)
@@ -303,9 +300,7 @@ def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fix
     error = np.maximum(model.error, 0.0) * data.importance
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
     members = _heaviest(model, error, seeds, data.n_vertices // (2 * model.n_bones))
-    base = model.copy()
-    base.widen()
-    grown = _with_patch(data, base, members, fixed)
+    grown = _with_patch(data, model.widened(), members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     if grown.objective(data) <= before:

@@ -362,8 +362,7 @@ class Run:
 
     def _do_recall(self, op: Op) -> bool:
         assert self.best is not None
-        self.model = self.best.copy()
-        self.model.widen()
+        self.model = self.best.widened()
         return True
 
     def _current(self) -> Model:
