@@ -81,7 +81,7 @@ _MANY_BONES = 24  # from here on alternations alone put many of them in better p
 
 
 def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
-    """The first model relaxed and searched; then the best one rebuilt time and again.
+    """A start relaxed and searched; then the best model rebuilt time and again.
 
     What bones in other places are worth shows only once influences and weights have
     followed them: each change is relaxed, polished and searched before it is judged.
@@ -90,7 +90,10 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
     def judged(tries: int) -> list[Op]:
         return [_RELAX, _polish(8, 0.0), _search(tries, _RACE)]
 
-    regrown = [Op("regrow", count=20, amount=3, patience=8, cost=20)]
+    regrown = [
+        Op("start", amount=1.0, cost=8), Op("alternate", count=12),
+        Op("regrow", count=20, amount=3, patience=8, cost=20),
+    ]  # fmt: skip
     rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
     return [
         *_FIRST, *(many_bones * regrown), *judged(tries),
