@@ -90,14 +90,17 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
     def judged(tries: int) -> list[Op]:
         return [_RELAX, _polish(8, 0.0), _search(tries, _RACE)]
 
-    regrown = [
-        Op("start", amount=1.0, cost=8), Op("alternate", count=12),
-        Op("regrow", count=20, amount=3, patience=8, cost=20),
-    ]  # fmt: skip
+    first = [*_FIRST, *judged(tries)]
+    if many_bones:
+        start = [
+            Op("start", amount=1.0, cost=8), Op("alternate", count=12),
+            Op("regrow", count=20, amount=3, patience=8, cost=20), *judged(tries),
+        ]  # fmt: skip
+        # now and then one ends where no rebuilding helps
+        first, rebuilt = [*_FIRST, *start, *start], rebuilt - 1
     rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
     return [
-        *_FIRST, *(many_bones * regrown), *judged(tries),
-        *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],
+        *first, *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],
         Op("recall", cost=0), _search(last), Op("recall", cost=0), _polish(60, 0.002),
     ]  # fmt: skip
 

@@ -636,7 +636,7 @@ class _Oracle(Search):
 
     def __init__(self, least: int, held: int, failed: set[int], luck: Any) -> None:
         self.least, self.luck, self.tries = least, luck, 0
-        self.held: Any = SimpleNamespace(n_bones=held, copy=lambda: SimpleNamespace(widen=int))
+        self.held: Any = SimpleNamespace(n_bones=held, widened=SimpleNamespace)
         self.attempts = [Attempt(b, 2.0, 0, "start") for b in failed]
         self.given_up: list[int] = []
 
