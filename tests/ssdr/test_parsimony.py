@@ -648,7 +648,7 @@ class _Oracle(Search):
         assert self.tries < 500
         assert self.least <= bones < self.held.n_bones
         if holds:
-            self.held = SimpleNamespace(n_bones=bones, copy=self.held.copy)
+            self.held = SimpleNamespace(n_bones=bones, widened=SimpleNamespace)
 
     def _try(self, bones: int, *_: Any) -> Any:
         self._outcome(bones, self.luck(0, 1) == 1)
