@@ -14,7 +14,7 @@ import ssdr
 from ssdr.given import Given
 from ssdr.initialization import start_model
 from ssdr.model import FREE, Fixed, Model, vertex_step
-from ssdr.plan import Op
+from ssdr.plan import Op, make_plan
 from ssdr.reseeding import (
     alternate,
     drop_influence,
@@ -262,6 +262,32 @@ def test_a_search_that_is_well_behind_another_gives_up() -> None:
     # the lowest end leads
     behind = [value * 1.01 for value in own]
     assert searched(model, data, op, behind)[1].lead == own
+
+
+def best_plan(bones: int, size: float) -> list[Op]:
+    return make_plan("best", fixed=FREE, bones=bones, given=Given(), smooth=False, size=size)
+
+
+@pytest.mark.parametrize("size", [1e5, 8e6, 1.5e7, 1e9])
+def test_best_rebuilds_and_begins_with_regrown_starts_where_bones_are_many(size: float) -> None:
+    few, many = best_plan(23, size), best_plan(24, size)
+    for plan, starts in ((few, 0), (many, 2)):
+        assert [op.phase for op in plan].count("start") == starts
+        assert sum(op.phase == "regrow" and op.patience > 0 for op in plan) == starts
+        rebuilt = [k for k, op in enumerate(plan) if op.phase == "regrow" and not op.patience]
+        for k in rebuilt:
+            # of the best model, and judged only once influences and weights have followed
+            assert [op.phase for op in plan[k - 1 : k + 4]] == [
+                "recall", "regrow", "relax", "polish", "search",
+            ]  # fmt: skip
+            assert plan[k + 3].race > 1
+        assert len(rebuilt) == sum(not op.patience and op.phase == "regrow" for op in few) - (
+            starts // 2
+        )
+        assert plan[-2].phase == "recall"
+    assert sum(op.count for op in few if op.phase == "search") >= sum(
+        op.count for op in best_plan(23, 2 * size) if op.phase == "search"
+    )
 
 
 def without_slot(data: Trajectories, model: Model, i: int, q: int) -> float:
