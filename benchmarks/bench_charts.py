@@ -53,7 +53,9 @@ def draw_curve(axis: Any, record: Record, clock: str, **style: Any) -> None:
         axis.plot([p[column] for p in points], [p[3] for p in points], markersize=2, **style)
 
 
-def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
+def race_chart(
+    cases: dict[str, list[Record]], path: Path, clock: str, everything: list[Record]
+) -> None:
     """Error over time, a panel a case, every iteration a point; below, what comes before."""
     plt = pyplot()
     columns = 3
@@ -89,7 +91,7 @@ def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
             axis.set_ylabel("E")
         if k // columns == rows - 1 or k + columns >= len(cases):
             axis.set_xlabel(clock_label(clock) + " since the call")
-    waits_chart(figure.add_subplot(grid[rows, :]), [r for c in cases.values() for r in c], clock)
+    waits_chart(figure.add_subplot(grid[rows, :]), everything, clock)
     labels = [label for label, _, _ in STYLE.values() if label in handles]
     labels += [label for label in handles if label not in labels]
     figure.legend(
@@ -105,8 +107,8 @@ def race_chart(cases: dict[str, list[Record]], path: Path, clock: str) -> None:
 def waits_chart(axis: Any, records: list[Record], clock: str) -> None:
     """Before the first call of a process: imports, and kernels from the cache or compiled."""
     bars: list[tuple[str, float]] = []
-    for solver, name in {"ssdr balanced": "ssdr", "dembones 0": "Dem Bones"}.items():
-        waits = [r["waits"] for r in records if r["solver"] == solver and "waits" in r]
+    for solver, name in {"ssdr ": "ssdr", "dembones ": "Dem Bones"}.items():
+        waits = [r["waits"] for r in records if r["solver"].startswith(solver) and "waits" in r]
         for key, what in {"import": "import", "kernels": "kernels from the cache"}.items():
             seconds = [w.get(f"{key} cpu" if clock == "cpu" else key) for w in waits]
             if known := [s for s in seconds if s is not None]:

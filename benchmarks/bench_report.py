@@ -122,10 +122,10 @@ def report(cache: Path, results: Path, images: Path, clock: str) -> None:
                        f"times faster, balanced, {clock}",
                        f"times faster, balanced fixed, {clock}")  # fmt: skip
             print(table(ours, columns))
-            race_chart(level, images / "race.png", clock)
+            race_chart(level, images / "race.png", clock, race)
             effort_chart(level, images / "effort.png", clock)
         if apart:
-            race_chart(apart, images / "race_apart.png", clock)
+            race_chart(apart, images / "race_apart.png", clock, race)
     spread = seed_rows(race, read(cache, "seeds"))
     if spread:
         write_json(results / "seeds.json", {"rows": spread})
