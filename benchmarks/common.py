@@ -215,6 +215,9 @@ def plain_log_ticks(axis: Any) -> None:
     from matplotlib.ticker import LogLocator
 
     axis.yaxis.set_major_formatter("{x:g}")
+    low, high = axis.get_ylim()
+    if low > 0 and high > 1e4 * low:  # there is no room for more than the decades
+        return
     axis.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
     axis.yaxis.set_minor_formatter("{x:g}")
 
