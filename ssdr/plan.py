@@ -36,7 +36,8 @@ class Op:
     of it), relative gain at which to stop (`tolerance`: of three alternations, of eight
     polish steps) or that makes a try a success (of the objective, search); ratio to the
     objective of the search that ended lowest, after as many tries, at which a search
-    gives up (`race`; 0, never); `cost` in alternations a step, for the time left.
+    gives up (`race`: before the first, after four or more; 0, never); `cost` in
+    alternations a step, for the time left.
     """
 
     phase: Phase
@@ -45,7 +46,7 @@ class Op:
     patience: int = 0
     tolerance: float = 0.0
     cost: float = 1.0
-    race: float = 0.0
+    race: tuple[float, float] = (0.0, 0.0)
 
 
 # On the frames as they are and without a bone too many: what it finds is soon there to be
@@ -70,14 +71,16 @@ _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K 
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
 
 
-def _search(count: int, race: float = 0.0) -> Op:
+def _search(count: int, race: tuple[float, float] = (0.0, 0.0)) -> Op:
     return Op("search", count=count, patience=32, tolerance=1e-3, cost=60, race=race)
 
 
 # "best", by vertices × frames × bones: tries at first, rebuilt so many times, tries in the end
 _BEST = {2e7: (6, 2, 6), 1e7: (6, 4, 6), 7e6: (8, 5, 8), 0.0: (10, 6, 10)}
-_MOST_TRIES, _RACE = 6, 1.02  # of what was rebuilt
-_MANY_BONES = 24  # from here on alternations alone put many of them in better places
+_MOST_TRIES, _RACE = 6, (1.08, 1.02)  # of what was rebuilt
+# From so many bones on alternations alone put many of them in better places; and now and
+# then a start ends where no rebuilding helps: so there are some, and few tries of each.
+_MANY_BONES, _STARTS, _START_TRIES = 24, 3, 4
 
 
 def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
@@ -94,10 +97,9 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
     if many_bones:
         start = [
             Op("start", amount=1.0, cost=8), Op("alternate", count=12),
-            Op("regrow", count=20, amount=3, patience=8, cost=20), *judged(tries),
+            Op("regrow", count=10, amount=3, patience=8, cost=20), *judged(_START_TRIES),
         ]  # fmt: skip
-        # now and then one ends where no rebuilding helps
-        first, rebuilt = [*_FIRST, *start, *start], rebuilt - 1
+        first = [*_FIRST, *_STARTS * start]
     rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
     return [
         *first, *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],

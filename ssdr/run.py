@@ -82,7 +82,7 @@ class Run:
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
         self.position, self.iteration, self.settled = 0, 0, False
-        self.lead: list[float] = []  # after each try of the search that ended lowest
+        self.lead: list[float] = []  # `track` of the search that ended lowest
         self._forget()
         self._began = time.perf_counter() if began is None else began
         self._before = 0.0
@@ -156,7 +156,7 @@ class Run:
         """What one entry of the plan remembers from step to step."""
         self.count = self.failures = 0
         self.recent: list[float] = []
-        self.track: list[float] = []  # the objective after each try of a search
+        self.track: list[float] = []  # the objective before a search and after each try
         # of each change of a search: the try at which it had its last turn, failures since it paid
         self.turns = list(range(-len(_CHANGES), 0))
         self.misses = [0] * len(_CHANGES)
@@ -324,6 +324,10 @@ class Run:
         """Change the model in one of four ways, polish, and keep what is better."""
         model = self._current()
         data, base = self.data, self.value(model)
+        if not self.track:
+            self.track = [base]
+            if self._behind(op.race):
+                return True
         kind = self._due()
         trial = _CHANGES[kind](data, model, self.rng, self.fixed)
         polish_steps(data, trial, _SETTLE, self.fixed)
@@ -342,11 +346,13 @@ class Run:
         self.settled = self.failures >= op.patience
         return self.settled or self._behind(op.race)
 
-    def _behind(self, ratio: float) -> bool:
+    def _behind(self, race: tuple[float, float]) -> bool:
         """Whether the search that ended lowest was well ahead after as many tries."""
-        tries = len(self.track)
-        known = len(_CHANGES) <= tries <= len(self.lead)
-        return ratio > 0 and known and self.track[-1] > ratio * self.lead[tries - 1]
+        tries = len(self.track) - 1
+        if 0 < tries < len(_CHANGES) or tries >= len(self.lead):
+            return False
+        ratio = race[min(tries, 1)]
+        return 0 < ratio * self.lead[tries] < self.track[-1]
 
     def _due(self) -> int:
         """The change that has waited longest for its turn, of those that failed the less so.
