@@ -37,7 +37,8 @@ class Op:
     polish steps) or that makes a try a success (of the objective, search); ratio to the
     objective of the search that ended lowest, after as many tries, at which a search
     gives up (`race`: before the first, after four or more; 0, never); `cost` in
-    alternations a step, for the time left.
+    alternations a step, for the time left; draws of its own, from those of an `aside`
+    start on: given up, it leaves no trace in what comes after (`aside`).
     """
 
     phase: Phase
@@ -47,6 +48,7 @@ class Op:
     tolerance: float = 0.0
     cost: float = 1.0
     race: tuple[float, float] = (0.0, 0.0)
+    aside: bool = False
 
 
 # On the frames as they are and without a bone too many: what it finds is soon there to be
@@ -67,6 +69,7 @@ def _polish(count: int, tolerance: float) -> Op:
     return Op("polish", count=count, tolerance=tolerance, cost=6)
 
 
+_RESEED = Op("reseed", count=16, amount=4, patience=4, cost=6)
 _MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
 _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
 
@@ -100,9 +103,12 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
             Op("regrow", count=10, amount=3, patience=8, cost=20), *judged(_START_TRIES),
         ]  # fmt: skip
         first = [*_FIRST, *_STARTS * start]
+    # small smooth motions, such as a beam's, are where the other starts end far above it
+    merged = [*_begin(1.6, 12, 6), _RESEED, *judged(_START_TRIES)]
+    merged = [dataclasses.replace(op, aside=True) for op in merged]
     rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
     return [
-        *first, *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],
+        *first, *merged, *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],
         Op("recall", cost=0), _search(last), Op("recall", cost=0), _polish(60, 0.002),
     ]  # fmt: skip
 
@@ -113,7 +119,7 @@ EFFORTS: dict[str, list[Op]] = {
         *_FIRST,
         *_begin(1.6, 12, 6),
         Op("recall", cost=0),
-        Op("reseed", count=16, amount=4, patience=4, cost=6),
+        _RESEED,
         dataclasses.replace(_RELAX, amount=6, cost=30),
         _polish(40, 0.01),
     ],

@@ -7,6 +7,7 @@ made worse is never handed out.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import time
 from typing import Any
@@ -82,6 +83,7 @@ class Run:
         self.best_value = np.inf
         self.records: list[tuple[int, float, float, str]] = []
         self.position, self.iteration, self.settled = 0, 0, False
+        self.own = rng  # what `aside` steps draw from
         self.lead: list[float] = []  # `track` of the search that ended lowest
         self._forget()
         self._began = time.perf_counter() if began is None else began
@@ -163,6 +165,9 @@ class Run:
         self.damping: float | None = None
         self._polish: Polish | None = None
 
+    def _draws(self, op: Op) -> np.random.Generator:
+        return self.own if op.aside else self.rng
+
     def _do_compress(self, _: Op) -> bool:
         self.data = self.data.compressed(self.bones)
         return True
@@ -215,7 +220,10 @@ class Run:
         return True
 
     def _do_start(self, op: Op) -> bool:
-        data, given, rng = self.data, self.given, self.rng
+        data, given = self.data, self.given
+        if op.aside:
+            self.own = copy.deepcopy(self.rng)
+        rng = self._draws(op)
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
         if given.weights is not None:
             bones = given.transforms
@@ -272,12 +280,12 @@ class Run:
         return self._current().n_bones <= self.bones
 
     def _do_reseed(self, op: Op) -> bool:
-        trial = reseed_step(self.data, self._current(), self.rng, int(op.amount), self.fixed)
+        trial = reseed_step(self.data, self._current(), self._draws(op), int(op.amount), self.fixed)
         self.iteration += int(op.amount)
         return True if trial is None else self._better(trial, op)
 
     def _do_regrow(self, op: Op) -> bool:
-        trial = regrow_step(self.data, self._current(), self.rng, int(op.amount), self.fixed)
+        trial = regrow_step(self.data, self._current(), self._draws(op), int(op.amount), self.fixed)
         self.iteration += int(op.amount)
         if op.patience:
             return self._better(trial, op)
@@ -329,7 +337,7 @@ class Run:
             if self._behind(op.race):
                 return True
         kind = self._due()
-        trial = _CHANGES[kind](data, model, self.rng, self.fixed)
+        trial = _CHANGES[kind](data, model, self._draws(op), self.fixed)
         polish_steps(data, trial, _SETTLE, self.fixed)
         value = self.value(trial)
         if base <= value < _CLOSE * base:
@@ -382,7 +390,7 @@ class Run:
             "iteration": self.iteration, "damping": self.damping, "recent": self.recent,
             "turns": self.turns, "misses": self.misses, "track": self.track, "lead": self.lead,
             "settled": self.settled, "elapsed": self.elapsed, "best_value": self.best_value,
-            "rng": self.rng.bit_generator.state,
+            "rng": self.rng.bit_generator.state, "own": self.own.bit_generator.state,
         }  # fmt: skip
 
     def restore(
@@ -401,6 +409,8 @@ class Run:
         self.turns, self.misses = list(progress["turns"]), list(progress["misses"])
         self.track, self.lead = list(progress["track"]), list(progress["lead"])
         self.best_value, self._before = float(progress["best_value"]), float(progress["elapsed"])
+        self.own = copy.deepcopy(self.rng)
+        self.own.bit_generator.state = progress["own"]
         self.rng.bit_generator.state = progress["rng"]
         if any(op.phase == "compress" for op in self.plan[: self.position]):
             self.data = self.data.compressed(self.bones)
