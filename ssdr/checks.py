@@ -28,6 +28,8 @@ __all__ = [
     "check_weights",
 ]
 
+_LARGEST_INDEX = int(np.iinfo(np.int32).max)
+
 Array = NDArray[np.float64]
 
 
@@ -182,11 +184,16 @@ def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "ri
 def check_weights(joints: Any, weights: Any, n_vertices: int) -> tuple[NDArray[np.int32], Array]:
     """Joints and weights (V, K): non-negative rows that sum to 1 within 1e-4."""
     w = _finite(weights, "weights", (n_vertices, "K"))
-    j = np.asarray(joints)
+    try:
+        j = np.asarray(joints)
+    except (TypeError, ValueError) as error:
+        raise InputError("joints", f"integers of shape {w.shape}", str(error)) from error
     if j.shape != w.shape or j.dtype.kind not in "iu":
         raise InputError("joints", f"integers of shape {w.shape}", f"{j.dtype} {j.shape}")
     if j.size and j.min() < 0:
         raise InputError("joints", "indices >= 0", int(j.min()))
+    if j.size and j.max() > _LARGEST_INDEX:
+        raise InputError("joints", f"indices up to {_LARGEST_INDEX}", int(j.max()))
     if (w < 0).any():
         raise InputError("weights", "numbers >= 0", float(w.min()))
     total = w.sum(axis=1)
@@ -197,12 +204,13 @@ def check_weights(joints: Any, weights: Any, n_vertices: int) -> tuple[NDArray[n
 
 
 def check_importance(value: Any, argument: str, count: int) -> Array | None:
-    """Non-negative importance, not all zero."""
+    """Non-negative importance, not all zero, with a maximum of 1 (only ratios count)."""
     if value is None:
         return None
     array = _finite(value, argument, (count,))
-    if (array < 0).any() or not array.sum() > 0:
+    if (array < 0).any() or not array.max() > 0:
         raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
+    array /= array.max()
     return array
 
 

@@ -146,7 +146,8 @@ def decompose(
         for, and `parsimony` of the result says what was left out and what that
         cost.  Not beside weights or transforms handed over, nor `smoothness`.
     tolerance_of : {"rmse", "max"}
-        Whether it bounds the pooled RMSE or every vertex in every frame.
+        Whether it bounds the pooled RMSE or every vertex in every frame.  Only
+        beside a tolerance.
 
     Returns
     -------
@@ -178,9 +179,13 @@ def decompose(
         raise InputError("bones", f"an integer from 1 to {n}, or a tolerance", "None")
     bones = check_bones(min(n, MOST_BONES) if bones is None else bones, n)
     influences = check_influences(influences)
-    if effort not in get_args(Effort):
+    if not isinstance(effort, str) or effort not in get_args(Effort):
         raise InputError("effort", f"one of {get_args(Effort)}", repr(effort))
     bone_model = check_bone_model(bone_model)
+    if not isinstance(tolerance_of, str) or tolerance_of not in get_args(Measure):
+        raise InputError("tolerance_of", f"one of {get_args(Measure)}", repr(tolerance_of))
+    if tolerance is None and tolerance_of != "rmse":
+        raise InputError("tolerance_of", "'rmse' without a tolerance", repr(tolerance_of))
     if max_iterations is not None:
         max_iterations = check_count(max_iterations, "max_iterations", "an integer >= 1 or None")
     if time_limit is not None and not (isinstance(time_limit, _REAL) and time_limit > 0):
@@ -232,7 +237,7 @@ def decompose(
                 told=scan_progress(callback, began),
             )  # fmt: skip
     fixed = Fixed(
-        rest=rest is not None, weights=parts.locked_vertices, bones=parts.locked_bones,
+        rest=rest is not None, weights=parts.locked_vertices, bones=parts.kept_bones,
         bone_model=bone_model,
     )  # fmt: skip
     task = Task(
@@ -435,9 +440,12 @@ def _restore(run: Run, state: SolverState) -> None:
         (int(row[0]), float(row[1]), float(row[2]), phase)
         for row, phase in zip(state.history, state.phases, strict=True)
     ]
-    run.restore(
-        state.progress,
-        None if state.current is None else state.current.copy(),
-        None if state.best is None else state.best.copy(),
-        records,
-    )
+    try:
+        run.restore(
+            state.progress,
+            None if state.current is None else state.current.copy(),
+            None if state.best is None else state.best.copy(),
+            records,
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error

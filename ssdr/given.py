@@ -39,6 +39,13 @@ class Parts:
     locked_vertices: NDArray[np.bool_] | None
     locked_bones: NDArray[np.bool_] | None
 
+    @property
+    def kept_bones(self) -> NDArray[np.bool_] | None:
+        """`locked_bones` up to the last that is locked; None where none is."""
+        if self.locked_bones is None or not self.locked_bones.any():
+            return None
+        return self.locked_bones[: int(np.flatnonzero(self.locked_bones)[-1]) + 1]
+
 
 def check_parts(
     n: int, n_frames: int, bones: int, influences: int, rest: Any, joints: Any, weights: Any,
@@ -96,10 +103,10 @@ def normalise(data: Alignment, parts: Parts, rest_frame: int) -> Given:
     )  # fmt: skip
 
 
-def fingerprint(data: Trajectories, parts: Parts) -> str:
-    """Tells another input from the one that a state belongs to."""
+def fingerprint(data: Trajectories, parts: Parts, faces: NDArray[np.integer] | None = None) -> str:
+    """Tells another input from the one that a state belongs to; `faces` where they count."""
     digest = hashlib.sha256()
-    arrays: list[Any] = [data.x2, data.centre, data.importance, data.frame_scale]
+    arrays: list[Any] = [data.x2, data.centre, data.importance, data.frame_scale, faces]
     arrays += [getattr(parts, f.name) for f in dataclasses.fields(parts)]
     for array in arrays:
         if array is not None:

@@ -403,6 +403,8 @@ class Run:
         """Go on where a saved run was."""
         self.model, self.best, self.records = model, best, records
         self.position, self.count = int(progress["position"]), int(progress["count"])
+        if not 0 <= self.position <= len(self.plan) or self.count < 0:
+            raise ValueError(f"step {self.count} of entry {self.position}")
         self.failures, self.iteration = int(progress["failures"]), int(progress["iteration"])
         self.damping = progress["damping"]
         self.recent, self.settled = list(progress["recent"]), bool(progress["settled"])

@@ -69,7 +69,8 @@ class Task:
             data, plan, bones=self.bones, influences=min(self.influences, self.bones),
             rng=self.rng, fixed=self.fixed, given=given, smooth=smooth, began=began,
         )  # fmt: skip
-        return run, fingerprint(data, parts)
+        faces = None if smooth is None else self.sequences[0].faces
+        return run, fingerprint(data, parts, faces)
 
     def second(self, few: Scan, more: Scan, first: Run) -> Run:
         """What settles the model of the first run, on telling frames, on more of them.

@@ -228,8 +228,6 @@ def decompose_within(
             raise InputError(name, "None beside a tolerance", "an array")
     if options.pop("smoothness") > 0:
         raise InputError("smoothness", "0 beside a tolerance", "more")
-    if options["measure"] not in ("rmse", "max"):
-        raise InputError("tolerance_of", "'rmse' or 'max'", repr(options["measure"]))
     parse_tolerance(options["tolerance"], 1.0)
     compile_seconds = ready()
     task = _Task(sequences, parts, **options)
@@ -237,7 +235,7 @@ def decompose_within(
     settings = {
         "tolerance": task.asked, "tolerance_of": task.measure, "bones": search.most,
         "influences": task.influences, "effort": task.effort, "bone_model": task.bone_model,
-        "input": f"tolerance {task.input}",
+        "rest_frame": options["rest_frame"], "input": f"tolerance {task.input}",
     }  # fmt: skip
     start = None if state is None else _resumed(task, state, settings)
     prunings: list[Pruning] = []

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from .errors import InputError
 from .parallel import serial_blas
 from .rigid import nearest_rotation
 from .sequence import MeshSequence
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
 _AT_ONCE = 64  # frames that are aligned together
+_MOST = 1e100  # of what is summed in squares
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 
@@ -221,6 +223,8 @@ def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, A
     here -= anchor
     mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
     here -= mean
+    if here.size and not np.abs(here).max() < _MOST:
+        raise InputError("vertices", f"positions less than {_MOST:g} apart", "larger ones")
     return here, (anchor + mean)[..., 0, :]
 
 

@@ -532,6 +532,17 @@ def check_weighted(array: np.ndarray, importance: np.ndarray) -> ssdr.Decomposit
     return check(result, array, 4)
 
 
+def test_only_ratios_of_importance_count() -> None:
+    results = [
+        ssdr.decompose(
+            frames(), bones=4, effort="fast", vertex_importance=size * np.arange(84.0),
+            frame_importance=np.full(15, size),
+        ).rmse
+        for size in (1.0, 2.0**-1000, 2.0**1016)
+    ]  # fmt: skip
+    assert results[0] == results[1] == results[2]
+
+
 def test_frame_importance_shifts_the_error() -> None:
     heavy = np.arange(15) % 5 == 0
 
@@ -632,6 +643,10 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "bones as text": ("bones", {"bones": "5"}),
     "no influences": ("influences", {"influences": 0}),
     "unknown effort": ("effort", {"effort": "heroic"}),
+    "efforts": ("effort", {"effort": np.array(["fast", "best"])}),
+    "an error of another kind": ("tolerance_of", {"tolerance_of": "mean"}),
+    "an error's kind alone": ("tolerance_of", {"tolerance_of": "max"}),
+    "positions beyond squares": ("vertices", {"sequence": 1e200 * frames()}),
     "unknown bone model": ("bone_model", {"bone_model": "soft"}),
     "no iterations": ("max_iterations", {"max_iterations": 0}),
     "half an iteration": ("max_iterations", {"max_iterations": 2.5}),
@@ -655,6 +670,10 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "joints out of range": (
         "joints", {"joints": np.full((84, 1), 4), "weights": np.ones((84, 1))},
     ),
+    "joints beyond 32 bits": (
+        "joints", {"joints": np.full((84, 1), 2**32), "weights": np.ones((84, 1))},
+    ),
+    "ragged joints": ("joints", {"joints": 83 * [[0]] + [[0, 1]], "weights": np.ones((84, 1))}),
     "too many influences": (
         "weights", {"joints": np.tile(np.arange(3), (84, 1)), "weights": np.full((84, 3), 1 / 3),
                     "influences": 2},

@@ -525,7 +525,12 @@ def test_cancelled_and_resumed(tmp_path: Path) -> None:
     assert done.parsimony is not None
     assert done.parsimony.attempts[0].start == "resumed"
     assert done.history[-1].elapsed > first.history[-1].elapsed
-    for change in ({"tolerance": "0.7%"}, {"influences": 3}, {"sequence": 2 * wavy()}):
+    for change in (
+        {"tolerance": "0.7%"},
+        {"influences": 3},
+        {"sequence": 2 * wavy()},
+        {"rest_frame": 1},
+    ):
         arguments = {"sequence": wavy(), "tolerance": "0.8%", "effort": "fast"} | change
         with pytest.raises(ssdr.InputError) as caught:
             ssdr.decompose(**arguments, resume=path)

@@ -98,7 +98,8 @@ def test_resumed_within_the_best_effort(tmp_path: Path) -> None:
         "regrow",
         "search",
     }
-    for phase in ("regrow", "relax", "search"):
+    # reseed: of the start that draws aside
+    for phase in ("reseed", "regrow", "relax", "search"):
         at = [k for k, (name, _) in enumerate(steps) if name == phase]
         # the first relaxing while there are influences to spare
         for step in (at[0] + 1, at[-1] + 1):
@@ -115,6 +116,36 @@ def test_a_state_of_other_steps_is_refused() -> None:
     other = dataclasses.replace(state, settings=state.settings | {"plan": "another"})
     with pytest.raises(ssdr.InputError, match="this version"):
         ssdr.decompose(frames(), rig().faces, resume=other, **OPTIONS)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"rng": None}, {"lead": None}, {"turns": 3}, {"position": 99}, {"position": -1},
+     {"count": "x"}, {"best_value": []}],
+    ids=str,
+)  # fmt: skip
+def test_a_state_whose_progress_is_damaged_is_refused(change: dict[str, object]) -> None:
+    state = stopped_after(3).state
+    for damaged in (
+        state.progress | change,
+        {k: v for k, v in state.progress.items() if k not in change},
+    ):
+        other = dataclasses.replace(state, progress=damaged)
+        with pytest.raises(ssdr.InputError, match="damaged") as caught:
+            ssdr.decompose(frames(), rig().faces, resume=other, **OPTIONS)
+        assert caught.value.argument == "resume"
+
+
+def test_faces_count_where_weights_are_smooth() -> None:
+    options = OPTIONS | {"effort": "fast"}
+    for smoothness in (0.0, 0.1):
+        state = stopped_after(3, effort="fast", smoothness=smoothness).state
+        arguments = options | {"smoothness": smoothness, "resume": state}
+        if smoothness:
+            with pytest.raises(ssdr.InputError, match="very frames"):
+                ssdr.decompose(frames(), rig().faces[:-1], **arguments)
+        else:
+            ssdr.decompose(frames(), rig().faces[:-1], **arguments)
 
 
 def test_stopped_twice(tmp_path: Path) -> None:
