@@ -96,15 +96,15 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
     def judged(tries: int) -> list[Op]:
         return [_RELAX, _polish(8, 0.0), _search(tries, _RACE)]
 
-    first = [*_FIRST, *judged(tries)]
+    first, begun = [*_FIRST, *judged(tries)], tries
     if many_bones:
         start = [
             Op("start", amount=1.0, cost=8), Op("alternate", count=12),
             Op("regrow", count=10, amount=3, patience=8, cost=20), *judged(_START_TRIES),
         ]  # fmt: skip
-        first = [*_FIRST, *_STARTS * start]
+        first, begun = [*_FIRST, *_STARTS * start], _START_TRIES
     # small smooth motions, such as a beam's, are where the other starts end far above it
-    merged = [*_begin(1.6, 12, 6), _RESEED, *judged(_START_TRIES)]
+    merged = [*_begin(1.6, 12, 6), _RESEED, *judged(begun)]
     merged = [dataclasses.replace(op, aside=True) for op in merged]
     rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
     return [
