@@ -296,7 +296,8 @@ def _counts(sequence: Any) -> str:
 def _tolerance(text: str | None, of: ToleranceOf) -> dict[str, Any]:
     """What the solver is told of a tolerance, refused here if it is none."""
     if text is None:
-        return {"tolerance_of": of.value}
+        # refused by the solver, as nothing that it would bound
+        return {} if of is ToleranceOf.rmse else {"tolerance_of": of.value}
     from ..tolerance import parse_tolerance
 
     value: str | float = text

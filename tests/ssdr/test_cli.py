@@ -137,6 +137,14 @@ def test_help_version_and_usage(run):
     assert "Traceback" not in err
 
 
+def test_what_a_tolerance_bounds_needs_one(run, clip, tmp_path):
+    code, out, err = run("decompose", clip, "-o", tmp_path / "a.npz", "--bones", 2,
+                         "--tolerance-of", "max")  # fmt: skip
+    assert (code, out) == (2, "")
+    assert "tolerance_of" in err
+    assert not (tmp_path / "a.npz").exists()
+
+
 def test_decompose_writes_all_outputs_and_tells_json(faked, run, clip, wave, tmp_path):
     outputs = [tmp_path / "a.npz", tmp_path / "b.pc2", tmp_path / "w.csv"]
     flags = [f for o in outputs for f in ("-o", o)]
