@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError
+from .errors import InputError, check_choice
 from .sequence import MeshSequence
 from .skinning import BoneModel
 
@@ -101,8 +101,7 @@ def check_bones(bones: Any, n_vertices: int) -> int:
 
 
 def check_bone_model(bone_model: Any) -> BoneModel:
-    if bone_model not in get_args(BoneModel):
-        raise InputError("bone_model", f"one of {get_args(BoneModel)}", repr(bone_model))
+    check_choice(bone_model, "bone_model", BoneModel)
     model: BoneModel = bone_model
     return model
 

@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from .checks import (
     check_rng,
 )
 from .chunked import Executor, executor_for
-from .errors import Cancelled, InputError, SsdrWarning
+from .errors import Cancelled, InputError, SsdrWarning, check_choice
 from .fewest import Measure
 from .given import check_parts
 from .model import Fixed, Model, bone_costs
@@ -179,11 +179,9 @@ def decompose(
         raise InputError("bones", f"an integer from 1 to {n}, or a tolerance", "None")
     bones = check_bones(min(n, MOST_BONES) if bones is None else bones, n)
     influences = check_influences(influences)
-    if not isinstance(effort, str) or effort not in get_args(Effort):
-        raise InputError("effort", f"one of {get_args(Effort)}", repr(effort))
+    check_choice(effort, "effort", Effort)
     bone_model = check_bone_model(bone_model)
-    if not isinstance(tolerance_of, str) or tolerance_of not in get_args(Measure):
-        raise InputError("tolerance_of", f"one of {get_args(Measure)}", repr(tolerance_of))
+    check_choice(tolerance_of, "tolerance_of", Measure)
     if tolerance is None and tolerance_of != "rmse":
         raise InputError("tolerance_of", "'rmse' without a tolerance", repr(tolerance_of))
     if max_iterations is not None:

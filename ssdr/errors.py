@@ -6,6 +6,8 @@ those about an argument or a file are ``ValueError`` as well.
 
 from __future__ import annotations
 
+from typing import Any, get_args
+
 __all__ = [
     "Cancelled",
     "FormatError",
@@ -51,3 +53,9 @@ class Cancelled(SsdrError):
 
 class SsdrWarning(UserWarning):
     """Something was solved, but not in the way that the caller may expect."""
+
+
+def check_choice(value: object, argument: str, choices: Any) -> None:
+    """Whether it is one of the strings of a ``Literal``."""
+    if not isinstance(value, str) or value not in get_args(choices):
+        raise InputError(argument, f"one of {get_args(choices)}", repr(value))

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csc_matrix, csr_array, dia_array
 
-from .errors import InputError
+from .errors import InputError, check_choice
 from .factor import Backend, factor_spd
 from .sequence import MeshSequence, _check_faces
 
@@ -151,7 +151,7 @@ def mass_matrix(
     2-manifolds", 2003, section 3.3.
     """
     points, triangles = _check_mesh(vertices, faces)
-    _check_choice("kind", kind, MassKind)
+    check_choice(kind, "kind", MassKind)
     edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
     squares = (edges**2).sum(axis=2)
     double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
@@ -235,7 +235,7 @@ class LaplacianSmoother:
         backend: Backend | None = None,
     ) -> None:
         points, triangles = _check_mesh(vertices, faces)
-        _check_choice("kind", kind, LaplacianKind)
+        check_choice(kind, "kind", LaplacianKind)
         number = isinstance(length, (int, float, np.number)) and not isinstance(length, bool)
         if not (number and math.isfinite(length) and length >= 0):
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
@@ -477,8 +477,3 @@ def _check_count(n_vertices: int) -> int:
     if not whole or n_vertices < 1:
         raise InputError("n_vertices", "an integer >= 1", repr(n_vertices))
     return int(n_vertices)
-
-
-def _check_choice(argument: str, value: object, choices: Any) -> None:
-    if value not in get_args(choices):
-        raise InputError(argument, f"one of {get_args(choices)}", repr(value))

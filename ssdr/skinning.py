@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from .errors import InputError
+from .errors import InputError, check_choice
 from .kernels.lbs import skin_range
 from .parallel import chunk_bounds, run_chunks
 from .sequence import Surface
@@ -98,8 +98,7 @@ class Skinning:
             raise InputError(
                 "weights", "rows that sum to 1", f"{weights[worst].sum()} at vertex {worst}"
             )
-        if self.bone_model not in get_args(BoneModel):
-            raise InputError("bone_model", f"one of {get_args(BoneModel)}", repr(self.bone_model))
+        check_choice(self.bone_model, "bone_model", BoneModel)
         number = isinstance(self.fps, (int, float, np.number)) and not isinstance(self.fps, bool)
         if not (number and math.isfinite(self.fps) and self.fps > 0):
             raise InputError("fps", "a positive number", repr(self.fps))

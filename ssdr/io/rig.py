@@ -11,12 +11,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, check_choice
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ..skinning import BoneModel, Skinning, skin
 
@@ -295,8 +295,7 @@ def quantise(
     InputError
         If `storage` is unknown.
     """
-    if storage not in get_args(WeightStorage):
-        raise InputError("weights", f"one of {get_args(WeightStorage)}", repr(storage))
+    check_choice(storage, "weights", WeightStorage)
     stored: NDArray[Any]
     if storage == "float32":
         stored = weights.astype(np.float32)
