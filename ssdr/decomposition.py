@@ -35,7 +35,7 @@ from .result import Decomposition, Progress, Record
 from .run import Run
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
-from .state import SolverState
+from .state import SolverState, check_settings, check_size
 from .streaming import Scan, needs_streaming, scan, squared_error
 from .stretching import normalise_gauge
 from .task import Task, best_of
@@ -250,7 +250,7 @@ def decompose(
         "max_iterations": max_iterations, "input": print_of_input, "plan": plan_print(run.plan),
     }  # fmt: skip
     if state is not None:
-        _check_settings(state, settings)
+        check_settings(state, settings)
     more = None if found is None else found.widened(n)
     settling = more is not None and state is not None and state.settling
     if found is not None and more is not None and settling:
@@ -409,31 +409,9 @@ def _state(
     )  # fmt: skip
 
 
-def _check_settings(state: SolverState, settings: dict[str, Any]) -> None:
-    for key, value in settings.items():
-        if key == "max_iterations":
-            continue
-        if state.settings.get(key) == value:
-            continue
-        if key == "input":
-            raise InputError(
-                "resume",
-                "a state of a run on these very frames, importances and fixed parts",
-                "one on others",
-            )
-        if key == "plan":
-            raise InputError("resume", "a state of this version of ssdr", "one of other steps")
-        raise InputError(
-            "resume", f"a state of a run with {key} = {value!r}", repr(state.settings.get(key))
-        )
-
-
 def _restore(run: Run, state: SolverState) -> None:
     for model in (state.current, state.best):
-        if model is not None and (
-            len(model.rest) != run.data.n_vertices or len(model.transforms) != run.data.n_frames
-        ):
-            raise InputError("resume", "a state of a run on this very input", "other sizes")
+        check_size(model, run.data.n_vertices, run.data.n_frames)
     records = [
         (int(row[0]), float(row[1]), float(row[2]), phase)
         for row, phase in zip(state.history, state.phases, strict=True)

@@ -15,7 +15,7 @@ from .model import Model
 from .streaming import Scan
 from .trajectories import Alignment
 
-__all__ = ["SolverState"]
+__all__ = ["SolverState", "check_settings", "check_size"]
 
 _VERSION = 2
 _MODEL = tuple(f.name for f in dataclasses.fields(Model))
@@ -109,7 +109,8 @@ class SolverState:
         Raises
         ------
         FormatError
-            If the file is not a state, or a damaged one.
+            If the file is not a state, or its arrays are damaged (what its progress
+            holds is checked where it is taken up, by ``ssdr.decompose``).
         """
         from .io.archive import read_arrays
 
@@ -149,6 +150,27 @@ class SolverState:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: not a saved state of ssdr.decompose ({error})") from error
+
+
+def check_settings(state: SolverState, settings: dict[str, Any]) -> None:
+    """Whether a run asked for by these settings may go on from the state."""
+    for key, value in settings.items():
+        found = state.settings.get(key)
+        if key == "max_iterations" or found == value:
+            continue
+        expected, got = f"a state of a run with {key} = {value!r}", repr(found)
+        if key == "input":
+            expected = "a state of a run on these very frames, importances and fixed parts"
+            got = "one on others"
+        elif key == "plan":
+            expected, got = "a state of this version of ssdr", "one of other steps"
+        raise InputError("resume", expected, got)
+
+
+def check_size(model: Model | None, n_vertices: int, n_frames: int) -> None:
+    """Whether a state's model is of the frames that are solved."""
+    if model is not None and (len(model.rest), len(model.transforms)) != (n_vertices, n_frames):
+        raise InputError("resume", "a state of a run on this very input", "other sizes")
 
 
 def _scan(arrays: dict[str, Any]) -> Scan | None:

@@ -24,7 +24,7 @@ from .result import Decomposition, Progress, Record
 from .room import Room, Truth
 from .sequence import MeshSequence
 from .skinning import Skinning
-from .state import SolverState
+from .state import SolverState, check_settings, check_size
 from .streaming import AllFrames, Scan, needs_streaming, scan, subset
 from .trajectories import Array, Trajectories, gather
 from .weights import pad_influences
@@ -328,18 +328,14 @@ def _prune(task: _Task, whole: Skinning, prunings: list[Pruning]) -> Skinning:
 
 
 def _resumed(task: _Task, state: SolverState, settings: dict[str, Any]) -> Model | None:
-    for key, value in settings.items():
-        if state.settings.get(key) != value:
-            if key == "input":
-                raise InputError(
-                    "resume", "a state of a run on these very frames and importances", "another"
-                )
-            raise InputError(
-                "resume", f"a state of a run with {key} = {value!r}", repr(state.settings.get(key))
-            )
-    task.before = float(state.progress["elapsed"])
-    task.search.iteration = int(state.progress["iteration"])
-    task.rng.bit_generator.state = state.progress["rng"]
+    check_settings(state, settings)
+    check_size(state.best, task.data.n_vertices, task.data.n_frames)
+    try:
+        task.before = float(state.progress["elapsed"])
+        task.search.iteration = int(state.progress["iteration"])
+        task.rng.bit_generator.state = state.progress["rng"]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error
     return None if state.best is None else state.best.copy()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 import json
@@ -537,6 +538,19 @@ def test_cancelled_and_resumed(tmp_path: Path) -> None:
         assert caught.value.argument == "resume"
     with pytest.raises(ssdr.InputError):
         ssdr.decompose(wavy(), bones=4, effort="fast", resume=path)
+    best = first.state.best
+    assert best is not None
+    cut = dataclasses.replace(best, transforms=best.transforms[1:])
+    for change, message in (
+        ({"progress": {}}, "damaged"),
+        ({"progress": first.state.progress | {"rng": {"state": 1}}}, "damaged"),
+        ({"progress": first.state.progress | {"iteration": []}}, "damaged"),
+        ({"best": cut}, "other sizes"),
+    ):
+        other = dataclasses.replace(first.state, **change)
+        with pytest.raises(ssdr.InputError, match=message) as caught:
+            ssdr.decompose(wavy(), tolerance="0.8%", effort="fast", resume=other)
+        assert caught.value.argument == "resume"
 
 
 @pytest.mark.parametrize(
