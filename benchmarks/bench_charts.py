@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -165,9 +166,10 @@ def front_chart(records: list[Record], path: Path, clock: str) -> None:
         axes[1, column].set_ylabel("E" if column == 0 else "")
     for k, mark in marks.items():
         axes[1, 0].plot([], [], mark, color="0.4", label=f"{k} influence" + "s" * (k > 1))
-    for solver in ("ssdr fast", "ssdr balanced", "ssdr best"):
+    present = {r["solver"] for r in records if r.get("E8") is not None}
+    for solver in (s for s in STYLE if s in present):
         axes[1, 0].plot([], [], "-", color=STYLE[solver][1], label=STYLE[solver][0])
-    axes[1, 0].legend(fontsize=7)
+    legend_below(figure, axes[1, :1])
     save_figure(figure, path)
     plt.close(figure)
 
@@ -211,9 +213,21 @@ def size_chart(front: list[Record], race: list[Record], path: Path) -> None:
         plain_log_ticks(axis)
         plain_x(axis)
     axes[0, 0].set_ylabel("E of the stored model")
-    axes[0, -1].legend(fontsize=6)
+    legend_below(figure, axes.flat)
     save_figure(figure, path)
     plt.close(figure)
+
+
+def legend_below(figure: Any, axes: Iterable[Any]) -> None:
+    """One legend under all panels, of whatever any of these shows."""
+    found: dict[str, Any] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    figure.legend(
+        list(found.values()), list(found), loc="upper center", bbox_to_anchor=(0.5, 0.0),
+        ncols=4, fontsize=7, frameon=False,
+    )  # fmt: skip
 
 
 def scaling_chart(rows: list[Record], path: Path, clock: str) -> None:
@@ -305,7 +319,7 @@ def effort_chart(race: dict[str, list[Record]], path: Path, clock: str) -> None:
     right.axvline(1, color="0.3", linewidth=0.8)
     right.set_yticks(np.arange(len(names)), names, fontsize=7)
     right.invert_yaxis()
-    right.set_xlabel("E with the rest pose fixed at frame 0, of E with it solved")
+    right.set_xlabel("E with the rest pose fixed at frame 0 / E with it solved")
     right.legend(fontsize=7)
     save_figure(figure, path)
     plt.close(figure)
@@ -326,10 +340,14 @@ def smooth_chart(records: list[Record], path: Path) -> None:
         twin = axis.twinx()
         twin.plot(x, jump, "^:", color="0.5", label="mean jump of weights across an edge")
         twin.set_ylim(0)
+        if name == names[-1]:
+            twin.set_ylabel("mean jump of weights")
         twin.grid(visible=False)
         axis.set_ylim(0)
         axis.set_xticks(x, [f"{s:g}" for s in share])
         axis.set_title(name.replace("-", ", ") + " bones")
+        if name == names[0]:
+            axis.set_ylabel("E")
         axis.set_xlabel("smoothness, share of the diagonal")
         handles = axis.lines + twin.lines
         axis.legend(handles, [h.get_label() for h in handles], fontsize=7, loc="lower left")

@@ -89,6 +89,17 @@ def _record(part: str, row: Record, tables: dict[str, Any]) -> Record:
     return record
 
 
+def raced_best(race: list[Record], front: list[Record]) -> list[Record]:
+    """Runs of "best" on the front's sequences that the race has made already."""
+    names = {r["sequence"] for r in front}
+    known = {(case_of(r), r["influences"]) for r in front if r["solver"] == "ssdr best"}
+    return [
+        r for r in race
+        if r["solver"] == "ssdr best" and r["sequence"] in names and r["seed"] == 0
+        and (case_of(r), r["influences"]) not in known
+    ]  # fmt: skip
+
+
 def report(cache: Path, results: Path, images: Path, clock: str) -> None:
     """Everything that the records at hand allow."""
     race, front = read(cache, "race"), read(cache, "front")
@@ -139,7 +150,7 @@ def report(cache: Path, results: Path, images: Path, clock: str) -> None:
             row["PCA at these bytes"] = at_bytes(line, row["bytes8"]) if known else None
         write_json(results / "front.json", {"clock": clock, "rows": rows, "pca": pca})
         write_csv(results / "front.csv", rows)
-        front_chart(front, images / "front.png", clock)
+        front_chart([*front, *raced_best(race, front)], images / "front.png", clock)
         size_chart(front, race, images / "size.png")
         bones_chart(front, images / "bones.png")
     if scaling:

@@ -226,4 +226,5 @@ def save_figure(figure: Any, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.tight_layout()
     # no date and no version of the library: the same figures give the same file
-    figure.savefig(path, metadata={"Software": None})
+    tight = "tight" if figure.legends else None  # one that stands beside the panels
+    figure.savefig(path, metadata={"Software": None}, bbox_inches=tight)

@@ -9,7 +9,7 @@ noise together) is the floor.
     python benchmarks/paper_size.py --data DIR              # the whole, 6 GB of disk
     python benchmarks/paper_size.py --data DIR --frames 2500 5000 10000    # cost
     python benchmarks/paper_size.py --data DIR --frames 5000 --subset 500  # beside one in memory
-    python benchmarks/paper_size.py --data DIR --frames --dem-bones 10 20 40
+    python benchmarks/paper_size.py --data DIR --frames --dem-bones 100 400 1000
 
 A run that was killed goes on from its last checkpoint when started again with
 --resume.  Written: benchmarks/results/paper_size.json.

@@ -75,7 +75,7 @@ _RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
 
 
 def _search(count: int, race: tuple[float, float] = (0.0, 0.0)) -> Op:
-    return Op("search", count=count, patience=32, tolerance=1e-3, cost=60, race=race)
+    return Op("search", count=count, patience=count, tolerance=1e-3, cost=60, race=race)
 
 
 # "best", by vertices × frames × bones: tries at first, rebuilt so many times, tries in the end
@@ -114,7 +114,7 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
 
 
 EFFORTS: dict[str, list[Op]] = {
-    "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.02)],
+    "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.0)],
     "balanced": [
         *_FIRST,
         *_begin(1.6, 12, 6),
