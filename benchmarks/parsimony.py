@@ -181,7 +181,8 @@ def chart(rows: list[dict[str, Any]], curves: dict[str, Any], path: Path) -> Non
         left.plot(c.bytes[c.knee] / 1e3, percent[c.knee], "o", ms=10, mfc="none", color=color)
         left.annotate(
             f"{c.bones[c.knee]} bones", (c.bytes[c.knee] / 1e3, percent[c.knee]), color=color,
-            xytext=(6, 6), textcoords="offset points",
+            xytext=(-8, -14), textcoords="offset points", ha="right",
+            bbox={"fc": "white", "ec": "none", "pad": 0.5},
         )  # fmt: skip
     left.set(
         xscale="log", yscale="log", xlabel="kB, every frame a key", ylabel="RMSE, % of diagonal",
@@ -189,7 +190,7 @@ def chart(rows: list[dict[str, Any]], curves: dict[str, Any], path: Path) -> Non
     )  # fmt: skip
     left.set_xticks([6, 10, 20, 40], ["6", "10", "20", "40"])
     left.set_xticks([], minor=True)
-    left.legend()
+    left.legend(loc="upper right", fontsize=7)
     place = np.arange(len(rows))[::-1]
     for y, row in zip(place, rows, strict=True):
         many = [max(v, 1e-3) for v in row["B - 1 errors"]]
