@@ -74,8 +74,8 @@ def fit_bones(
     Each sweep solves one weighted Kabsch a bone and frame with the others held
     (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
     bones take a Gauss–Newton step together.  For affine ones a single linear solve
-    finds all of them.  Also the way to carry a model over to new motion of the same
-    mesh.
+    finds all of them, from rigid ones on.  Also the way to carry a model over to new
+    motion of the same mesh.
 
     Parameters
     ----------
@@ -137,29 +137,46 @@ def fit_bones(
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
     inner, start = data.from_world(rest, world)
-    if start is None:
-        start = bones_of_weights(data, inner, joints, count, bone_model)
-    model = Model.start(start, inner, joints[:, 0], joints.shape[1])
-    model.joints, model.weights = joints.copy(), weights.copy()
     fixed = Fixed(
         rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=bone_model
     )  # fmt: skip
-    sweeps, moved = 0, np.inf
-    damping: float | None = None
-    while sweeps < max_sweeps and moved > tolerance:
-        before = model.transforms.copy()
-        if sweeps and bone_model != "affine":
-            damping = _step_together(data, model, fixed, damping)
-        step = min(_SWEEPS, max_sweeps - sweeps)
-        bone_step(data, model, sweeps=step, fixed=fixed)
-        moved = float(np.abs(model.transforms - before).max())
-        sweeps += step
+    # a bone may not turn inside out on its way, which bars affine ones some ways from their
+    # own fit that are open from rigid ones
+    first: BoneModel = "rigid" if bone_model == "affine" else bone_model
+    rigid_first = start is None and first != bone_model
+    if start is None:
+        start = bones_of_weights(data, inner, joints, count, first)
+    model = Model.start(start, inner, joints[:, 0], joints.shape[1])
+    model.joints, model.weights = joints.copy(), weights.copy()
+    before = 0
+    if rigid_first:
+        as_rigid = dataclasses.replace(fixed, bone_model=first)
+        before, _ = _settle(data, model, as_rigid, tolerance, max_sweeps // 2)
+    sweeps, moved = _settle(data, model, fixed, tolerance, max_sweeps - before)
+    sweeps += before
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, joints, weights, out)
     return BoneFit(
         transforms=out, rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
         sweeps=sweeps, converged=moved <= tolerance,
     )  # fmt: skip
+
+
+def _settle(
+    data: Trajectories, model: Model, fixed: Fixed, tolerance: float, most: int
+) -> tuple[int, float]:
+    """Sweeps (in place) until no entry moves by more; how many, and the last move."""
+    sweeps, moved = 0, np.inf
+    damping: float | None = None
+    while sweeps < most and moved > tolerance:
+        before = model.transforms.copy()
+        if sweeps and fixed.bone_model != "affine":
+            damping = _step_together(data, model, fixed, damping)
+        step = min(_SWEEPS, most - sweeps)
+        bone_step(data, model, sweeps=step, fixed=fixed, leaps=0)
+        moved = float(np.abs(model.transforms - before).max())
+        sweeps += step
+    return sweeps, moved
 
 
 def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: float | None) -> float:

@@ -50,6 +50,9 @@ Effort = Literal["fast", "balanced", "best"]
 _logger = logging.getLogger(__name__)
 _REAL = (int, float, np.integer, np.floating)
 _MOST_RATIO = 10.0  # of the true error to the objective's, beyond which they tell different things
+# importance of a frame relative to the largest: with less the steps of all bones together would
+# not notice what its own do
+_LEAST_FRAME = 1e-4
 _NO_LOSS = 1e-13  # of the motion's energy: what solving for it leaves to rounding
 
 
@@ -139,7 +142,7 @@ def decompose(
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
-        Positive; likewise for frames.
+        Positive; likewise for frames.  Less than 1e-4 of the largest counts as that.
     tolerance : float or str, optional
         Error to put up with, in the mesh's units or as ``"0.5%"`` of the diagonal:
         the model of fewest bones, then of fewest bytes, that holds it is looked
@@ -208,6 +211,8 @@ def decompose(
     frame_weights = check_importance(frame_importance, "frame_importance", n_frames)
     if frame_weights is not None and not (frame_weights > 0).all():
         raise InputError("frame_importance", "numbers > 0", float(frame_weights.min()))
+    if frame_weights is not None:
+        frame_weights = np.maximum(frame_weights, _LEAST_FRAME)
     state = SolverState.load(resume) if isinstance(resume, (str, Path)) else resume
     saver = None if checkpoint is None else Checkpoint(checkpoint)
 
@@ -351,9 +356,9 @@ def _result(
     spare: int,
 ) -> Decomposition:
     joints, weights = pad_influences(model, influences)
-    if run.fixed.bone_model != "rigid":
+    if run.asked.bone_model != "rigid":
         model = model.copy()  # the state keeps its own, so that resuming goes on to the same bits
-        normalise_gauge(model, run.data.importance, run.fixed)
+        normalise_gauge(model, run.data.importance, run.asked)
     rest, transforms = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, rest, joints, weights, transforms, executor=executor)
     count = data.n_frames * len(rest)
@@ -361,7 +366,7 @@ def _result(
     first = sequences[0]
     skinning = Skinning(
         rest, joints, weights, transforms, faces=first.faces, fps=first.fps,
-        bone_model=run.fixed.bone_model, surface=first.surface, vertex_map=first.vertex_map,
+        bone_model=run.asked.bone_model, surface=first.surface, vertex_map=first.vertex_map,
         name=first.name,
     )  # fmt: skip
     values = np.array([r[2] for r in records])

@@ -38,7 +38,8 @@ class Op:
     objective of the search that ended lowest, after as many tries, at which a search
     gives up (`race`: before the first, after four or more; 0, never); `cost` in
     alternations a step, for the time left; draws of its own, from those of an `aside`
-    start on: given up, it leaves no trace in what comes after (`aside`).
+    start on: given up, it leaves no trace in what comes after (`aside`); with rigid
+    bones whatever was asked for (`rigid`).
     """
 
     phase: Phase
@@ -49,6 +50,7 @@ class Op:
     cost: float = 1.0
     race: tuple[float, float] = (0.0, 0.0)
     aside: bool = False
+    rigid: bool = False
 
 
 # On the frames as they are and without a bone too many: what it finds is soon there to be
@@ -125,6 +127,11 @@ EFFORTS: dict[str, list[Op]] = {
     ],
 }
 # where there is a penalty, of which the changes that follow a start know nothing
+_PLAIN: dict[str, list[Op]] = {
+    "fast": [_polish(6, 0.0)],
+    "balanced": EFFORTS["balanced"][-2:],
+    "best": [_RELAX, _polish(60, 0.002)],
+}
 _SMOOTH_BEST = [*_FIRST, *_begin(1.6, 12, 6), *_begin(2.2, 12, 6), Op("recall", cost=0)]
 
 
@@ -150,12 +157,28 @@ def make_plan(
             Op("compress", cost=4), Op("start", amount=1.0, cost=8),
             Op("alternate", count=10), _polish(steps, 1e-3),
         ]  # fmt: skip
+    elif fixed.bone_model != "rigid" and given.transforms is None:
+        plan = [*_rigid_start(effort), *plan]
     if smooth:
-        # the polish does not know the penalty: alternate until it settles
+        # the polish does not know the penalty: alternate until it settles; then once more from
+        # where the polish goes without it, which now and then leads further
         steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        plan = [op for op in plan if op.phase not in ("polish", "relax", "search")]
-        plan.append(Op("alternate", count=steps))
+        without = [op for op in plan if op.phase not in ("polish", "relax", "search")]
+        settle = Op("alternate", count=steps)
+        again = [] if given.weights is not None or all_bones else [*_PLAIN[effort], settle]
+        plan = [*without, settle, *again]
     return plan
+
+
+def _rigid_start(effort: str) -> list[Op]:
+    """What bones that stretch begin with, lest they end above rigid ones.
+
+    A bone may not turn inside out on its way, and where a part is thin that bars many a
+    way from its own start.
+    """
+    ops = [*_FIRST[:2], *_begin(1.6, 12, 6)]
+    ops = [dataclasses.replace(op, rigid=True, aside=op.phase != "quick") for op in ops]
+    return [*ops, *([] if effort == "fast" else [dataclasses.replace(_polish(8, 0.0), aside=True)])]
 
 
 def settling_plan(effort: str, smooth: bool) -> list[Op]:

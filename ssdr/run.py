@@ -77,7 +77,7 @@ class Run:
     ) -> None:
         self.data, self.plan = data, plan
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.fixed, self.given, self.smooth = fixed, given, smooth
+        self.asked, self.given, self.smooth = fixed, given, smooth
         self.model: Model | None = None
         self.best: Model | None = None
         self.best_value = np.inf
@@ -105,6 +105,13 @@ class Run:
     @property
     def phase(self) -> str:
         return "done" if self.finished else self.plan[self.position].phase
+
+    @property
+    def fixed(self) -> Fixed:
+        """What the present step may move, and how."""
+        if self.finished or not self.plan[self.position].rigid:
+            return self.asked
+        return dataclasses.replace(self.asked, bone_model="rigid")
 
     @property
     def fraction(self) -> float:
@@ -200,7 +207,7 @@ class Run:
         """A run on other frames that counts on from this one's steps and seconds."""
         run = Run(
             data, plan, bones=self.bones, influences=self.influences, rng=self.rng,
-            fixed=self.fixed, given=given, smooth=smooth, began=self._began,
+            fixed=self.asked, given=given, smooth=smooth, began=self._began,
         )  # fmt: skip
         run.iteration, run._before = self.iteration, self._before
         return run

@@ -119,3 +119,32 @@ def boxes(n_boxes=2, frames=12, points=30, seed=0):
         transforms,
         np.zeros((0, 3), dtype=np.int32),
     )
+
+
+def grid(rows, columns):
+    """Triangles of a sheet whose vertices lie row by row."""
+    i = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (k.ravel() for k in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+
+
+def wings(frames=30, rows=31, columns=9):
+    """A thin sheet that flaps and bends about its middle: frames and faces."""
+    x, y = np.meshgrid(np.linspace(-3, 3, rows), np.linspace(-0.5, 0.5, columns), indexing="ij")
+    y = y * (1 - 0.2 * np.abs(x) / 3)
+    out = []
+    for t in 2 * np.pi * np.arange(frames) / frames:
+        a = 0.4 * np.sin(t - 0.6 * np.abs(x)) * np.abs(x)
+        z = np.abs(x) * np.sin(a) + 0.2 * np.cos(t) + 0.3 * y * np.cos(t - np.abs(x))
+        out.append(np.stack([x * np.cos(0.6 * a), y, z], axis=-1).reshape(-1, 3))
+    return np.array(out), grid(rows, columns)
+
+
+def cloth(frames=30, side=18):
+    """A sheet with two waves: frames and faces."""
+    x, y = np.meshgrid(*2 * [np.linspace(0, 2, side)], indexing="ij")
+    out = []
+    for t in 2 * np.pi * np.arange(frames) / frames:
+        z = 0.25 * np.sin(3 * x - t) + 0.15 * np.cos(2 * y + 2 * t) * x
+        out.append(np.stack([x + 0.05 * np.sin(3 * y + t), y, z], axis=-1).reshape(-1, 3))
+    return np.array(out), grid(side, side)

@@ -8,6 +8,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import motions
 import naive
@@ -554,6 +555,45 @@ def test_frame_importance_shifts_the_error() -> None:
     even, uneven = error(None), error(np.where(heavy, 50.0, 1.0))
     assert uneven[0] < 0.8 * even[0]
     assert uneven[1] > even[1]
+
+
+@pytest.mark.parametrize("make", [motions.wings, motions.cloth])
+@pytest.mark.parametrize("importance", [1e-4, 1e-12])
+def test_a_frame_that_hardly_counts_is_skinned_all_the_same(
+    make: Callable[[], Any], importance: float
+) -> None:
+    shots, _ = make()
+    counts = np.ones(len(shots))
+    counts[3] = importance
+    for seed in (0, 1):
+        result = ssdr.decompose(shots, bones=4, frame_importance=counts, rng=seed)
+        error = ((result.reconstruct() - shots) ** 2).sum(axis=-1).mean(axis=1)
+        assert error[3] <= 4 * np.delete(error, 3).max()
+
+
+# what smoothness is for
+
+
+@pytest.mark.parametrize("make", [motions.wings, motions.cloth])
+@pytest.mark.parametrize("share", [3e-3, 1e-2])
+def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share: float) -> None:
+    """Lower by its own measure than what is found without, or nearly so; and smoother weights."""
+    shots, faces = make()
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    length = share * float(np.linalg.norm(np.ptp(shots[0], axis=0)))
+
+    def measured(smoothness: float) -> tuple[float, float]:
+        model = ssdr.decompose(shots, faces, bones=6, smoothness=smoothness).skinning
+        dense = np.zeros((shots.shape[1], 6))
+        np.add.at(dense, (np.arange(len(dense))[:, None], model.joints), model.weights)
+        jumps = float(((dense[edges[:, 0]] - dense[edges[:, 1]]) ** 2).sum())
+        return float(((model.skin() - shots) ** 2).sum()) + len(shots) * length**2 * jumps, jumps
+
+    without, with_it = measured(0.0), measured(length)
+    assert with_it[0] <= 1.2 * without[0]
+    if share == 1e-2:  # below that it is the error that decides
+        assert with_it[1] < without[1]
 
 
 # threads of the caller
