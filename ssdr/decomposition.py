@@ -138,7 +138,7 @@ def decompose(
     smoothness : float
         Length in the mesh's units: a jump of 1 in a weight across an edge costs as
         much as this distance in every frame at one vertex.  0: off.  Where it is
-        on, the run alternates only and `history` holds the error without penalty.
+        on, `history` holds the error without penalty.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
