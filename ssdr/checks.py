@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from .errors import InputError, check_choice
 from .sequence import MeshSequence
 from .skinning import BoneModel
+from .trajectories import LARGEST
 
 __all__ = [
     "as_sequences",
@@ -19,6 +20,7 @@ __all__ = [
     "check_bones",
     "check_count",
     "check_importance",
+    "check_index",
     "check_influences",
     "check_mask",
     "check_nonnegative",
@@ -84,6 +86,14 @@ def check_count(value: Any, argument: str, expected: str = "an integer >= 1") ->
     return count
 
 
+def check_index(value: Any, argument: str, count: int) -> int:
+    expected = f"an integer from 0 to {count - 1}"
+    index = _integer(value, argument, expected)
+    if not 0 <= index < count:
+        raise InputError(argument, expected, index)
+    return index
+
+
 def check_nonnegative(value: Any, argument: str, expected: str) -> float:
     """A finite real number >= 0."""
     number = isinstance(value, (int, float, np.integer, np.floating))
@@ -126,9 +136,13 @@ def check_rng(rng: Any) -> np.random.Generator:
 
 def _finite(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
     try:
-        array = np.asarray(value, dtype=np.float64)
+        array = np.asarray(value)
+        real = array.dtype.kind != "c"
+        array = array.astype(np.float64, copy=False) if real else array
     except (TypeError, ValueError) as error:
         raise InputError(argument, f"numbers of shape {shape}", str(error)) from error
+    if not real:
+        raise InputError(argument, "real numbers", f"dtype {array.dtype}")
     if array.ndim != len(shape) or any(
         isinstance(s, int) and s != n for s, n in zip(shape, array.shape, strict=True)
     ):
@@ -138,8 +152,15 @@ def _finite(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
     return np.ascontiguousarray(array)
 
 
+def _squarable(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
+    array = _finite(value, argument, shape)
+    if array.size and not np.abs(array).max() < LARGEST:
+        raise InputError(argument, f"numbers of less than {LARGEST:g}", "larger ones")
+    return array
+
+
 def check_rest(rest: Any, n_vertices: int) -> Array:
-    return _finite(rest, "rest", (n_vertices, 3))
+    return _squarable(rest, "rest", (n_vertices, 3))
 
 
 def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "rigid") -> Array:
@@ -148,7 +169,7 @@ def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "ri
     Rotations, scaled or not, orthogonal to 1e-4 and then cleaned; affine maps
     that keep orientation.
     """
-    m = _finite(transforms, "transforms", (n_frames, "B", 3, 4))
+    m = _squarable(transforms, "transforms", (n_frames, "B", 3, 4))
     if m.shape[1] < 1:
         raise InputError("transforms", "at least one bone", f"shape {m.shape}")
     r = m[..., :3]
@@ -217,7 +238,10 @@ def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | Non
     """A mask of `count` entries, given as such or as indices."""
     if value is None:
         return None
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise InputError(argument, "a mask or a list of indices", str(error)) from error
     if array.dtype == bool:
         if array.shape != (count,):
             raise InputError(argument, f"a mask of shape ({count},)", f"shape {array.shape}")

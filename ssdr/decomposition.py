@@ -19,6 +19,7 @@ from .checks import (
     check_bones,
     check_count,
     check_importance,
+    check_index,
     check_influences,
     check_nonnegative,
     check_rng,
@@ -189,7 +190,8 @@ def decompose(
         raise InputError("tolerance_of", "'rmse' without a tolerance", repr(tolerance_of))
     if max_iterations is not None:
         max_iterations = check_count(max_iterations, "max_iterations", "an integer >= 1 or None")
-    if time_limit is not None and not (isinstance(time_limit, _REAL) and time_limit > 0):
+    timed = isinstance(time_limit, _REAL) and not isinstance(time_limit, bool)
+    if time_limit is not None and not (timed and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
     if callback is not None and not callable(callback):
         raise InputError("callback", "a function of one Progress, or None", repr(callback))
@@ -197,8 +199,7 @@ def decompose(
         raise InputError(
             "resume", "a SolverState (result.state) or the path of one", type(resume).__name__
         )
-    if not (isinstance(rest_frame, (int, np.integer)) and 0 <= rest_frame < n_frames):
-        raise InputError("rest_frame", f"an integer from 0 to {n_frames - 1}", repr(rest_frame))
+    rest_frame = check_index(rest_frame, "rest_frame", n_frames)
     smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
     if smoothness > 0 and len(sequences[0].faces) == 0:
         raise InputError("smoothness", "0 for a mesh without faces", smoothness)
@@ -220,7 +221,7 @@ def decompose(
         result = decompose_within(
             sequences, parts, tolerance=tolerance, measure=tolerance_of, bones=bones,
             influences=influences, effort=effort, bone_model=bone_model, rng=generator,
-            rest_frame=int(rest_frame), smoothness=smoothness, importance=importance,
+            rest_frame=rest_frame, smoothness=smoothness, importance=importance,
             frame_importance=frame_weights, max_iterations=max_iterations,
             time_limit=time_limit, callback=callback, state=state,
             ready=compile_kernels,
@@ -245,13 +246,13 @@ def decompose(
     )  # fmt: skip
     task = Task(
         sequences=sequences, bones=bones, influences=influences, effort=effort, rng=generator,
-        parts=parts, fixed=fixed, rest_frame=int(rest_frame), smoothness=smoothness,
+        parts=parts, fixed=fixed, rest_frame=rest_frame, smoothness=smoothness,
         importance=importance, frame_importance=frame_weights, executor=executor,
     )  # fmt: skip
     run, print_of_input = task.first(found, began)
     settings = {
         "bones": bones, "influences": influences, "effort": effort, "bone_model": bone_model,
-        "rest_frame": int(rest_frame), "smoothness": float(smoothness),
+        "rest_frame": rest_frame, "smoothness": float(smoothness),
         "max_iterations": max_iterations, "input": print_of_input, "plan": plan_print(run.plan),
     }  # fmt: skip
     if state is not None:

@@ -95,7 +95,7 @@ def check_parts(
 
 def normalise(data: Alignment, parts: Parts, rest_frame: int) -> Given:
     """Fixed parts in the solver's space."""
-    origin = np.zeros((1, 3)) if parts.rest is None else parts.rest
+    origin = data.centre[:1] if parts.rest is None else parts.rest
     rest, transforms = data.from_world(origin, parts.transforms)
     return Given(
         rest=None if parts.rest is None else np.ascontiguousarray(rest), transforms=transforms,

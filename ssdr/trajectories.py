@@ -19,13 +19,13 @@ from .parallel import serial_blas
 from .rigid import nearest_rotation
 from .sequence import MeshSequence
 
-__all__ = ["Alignment", "Trajectories", "centred", "gather", "turn_onto"]
+__all__ = ["LARGEST", "Alignment", "Trajectories", "centred", "gather", "turn_onto"]
 
 Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
 _AT_ONCE = 64  # frames that are aligned together
-_MOST = 1e100  # of what is summed in squares
+LARGEST = 1e100  # of what is summed in squares
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 
@@ -56,15 +56,17 @@ class Alignment:
         return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
 
     def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
-        """Inverse of :meth:`to_world`."""
+        """Inverse of :meth:`to_world`; refuses what cannot be squared at the mesh's size."""
         origin = self.centre[0]
         inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
+        _check_squarable(inner, "rest")
         if transforms is None:
             return inner, None
         m = np.asarray(transforms, dtype=np.float64)
         r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
         t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
+        _check_squarable(t, "transforms")
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:
@@ -223,9 +225,15 @@ def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, A
     here -= anchor
     mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
     here -= mean
-    if here.size and not np.abs(here).max() < _MOST:
-        raise InputError("vertices", f"positions less than {_MOST:g} apart", "larger ones")
+    if here.size and not np.abs(here).max() < LARGEST:
+        raise InputError("vertices", f"positions less than {LARGEST:g} apart", "larger ones")
     return here, (anchor + mean)[..., 0, :]
+
+
+def _check_squarable(array: Array, argument: str) -> None:
+    if array.size and not np.abs(array).max() < LARGEST:
+        expected = f"distances of less than {LARGEST:g} times the mesh's size"
+        raise InputError(argument, expected, "larger ones")
 
 
 def turn_onto(here: Array, first: Array, share: Array | None) -> Array:

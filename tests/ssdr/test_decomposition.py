@@ -691,6 +691,8 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "no iterations": ("max_iterations", {"max_iterations": 0}),
     "half an iteration": ("max_iterations", {"max_iterations": 2.5}),
     "time as text": ("time_limit", {"time_limit": "10"}),
+    "time that is true": ("time_limit", {"time_limit": True}),
+    "a frame that is true": ("rest_frame", {"rest_frame": True}),
     "half a frame": ("rest_frame", {"rest_frame": 2.5}),
     "smoothness as text": ("smoothness", {"smoothness": "0.1"}),
     "a result, not its state": ("resume", {"resume": object()}),
@@ -731,6 +733,26 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
         {"transforms": np.tile(np.eye(4)[:3], (15, 2, 1, 1)), "locked_bones": [2]},
     ),
     "rest of another mesh": ("rest", {"rest": np.zeros((83, 3))}),
+    "complex rest": ("rest", {"rest": np.zeros((84, 3), complex)}),
+    "rest beyond squares": ("rest", {"rest": np.full((84, 3), 1e155)}),
+    "rest beyond squares of the mesh": (
+        "rest", {"sequence": 1e-60 * frames(), "rest": np.full((84, 3), 1e95)},
+    ),
+    "bones beyond squares": (
+        "transforms", {"transforms": np.tile(np.c_[np.eye(3), np.full(3, 1e155)], (15, 2, 1, 1))},
+    ),
+    "bones beyond squares of the mesh": (
+        "transforms", {"sequence": 1e-60 * frames(),
+                       "transforms": np.tile(np.c_[np.eye(3), np.full(3, 1e95)], (15, 2, 1, 1))},
+    ),
+    "ragged locked vertices": (
+        "locked_vertices", {"joints": np.zeros((84, 1), int), "weights": np.ones((84, 1)),
+                            "locked_vertices": [[1], [1, 2]]},
+    ),
+    "ragged locked bones": (
+        "locked_bones", {"transforms": np.tile(np.eye(4)[:3], (15, 2, 1, 1)),
+                         "locked_bones": [[0], [0, 1]]},
+    ),
     "rest NaN": ("rest", {"rest": np.full((84, 3), np.nan)}),
     "importance below 0": ("vertex_importance", {"vertex_importance": -np.ones(84)}),
     "importance all 0": ("vertex_importance", {"vertex_importance": np.zeros(84)}),
