@@ -230,8 +230,8 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     array = _finite(value, argument, (count,))
     if (array < 0).any() or not array.max() > 0:
         raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
-    array /= array.max()
-    return array
+    shares: Array = array / array.max()  # not in place: the array may be the caller's
+    return shares
 
 
 def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | None:

@@ -533,6 +533,15 @@ def check_weighted(array: np.ndarray, importance: np.ndarray) -> ssdr.Decomposit
     return check(result, array, 4)
 
 
+def test_importances_stay_as_they_were_given() -> None:
+    vertices, rows = np.arange(84.0), np.arange(1.0, 16.0)
+    ssdr.decompose(
+        frames(), bones=2, effort="fast", vertex_importance=vertices, frame_importance=rows
+    )
+    assert (vertices == np.arange(84)).all()
+    assert (rows == np.arange(1, 16)).all()
+
+
 def test_only_ratios_of_importance_count() -> None:
     results = [
         ssdr.decompose(
