@@ -27,7 +27,7 @@ from .kernels.polish import polish_vertices
 from .model import CHUNK, Fixed, Model, bone_step, gram_tables
 from .parallel import chunk_bounds, run_chunks, serial_blas
 from .sequence import MeshSequence
-from .trajectories import Alignment, Array, Trajectories, centred, turn_onto
+from .trajectories import Alignment, Array, Trajectories, centred, scale_of, turn_onto
 
 __all__ = ["AllFrames", "Scan", "carried", "needs_streaming", "scan", "squared_error", "subset"]
 
@@ -120,12 +120,12 @@ def scan(
             told(stop / n_frames)
     centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
     turn[0] = np.eye(3)
-    size = sum(p[3] for p in parts)
+    size, spread = sum(p[3] for p in parts), max(p[4] for p in parts)
     seeds, nearest = farthest_points(features, min(_telling(n), n_frames), 0)
     chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
     where = np.searchsorted(chosen, seeds)[nearest]
     where[chosen] = np.arange(len(chosen))
-    scale = float(np.sqrt(size / (n * n_frames))) or 1.0
+    scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
     return Scan(
         alignment=Alignment(centre=centre, turn=turn, scale=scale),
         chosen=chosen,
@@ -140,10 +140,10 @@ def _telling(n_vertices: int) -> int:
 @serial_blas()
 def _scan_span(
     frames: Frames, first: Array, share: Array | None, probes: NDArray[np.int64]
-) -> tuple[Array, Array, Array, float]:
+) -> tuple[Array, Array, Array, float, float]:
     centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
     features = np.empty((len(frames), 3 * len(probes)))
-    sizes = np.empty(len(frames))
+    sizes, spreads = np.empty(len(frames)), np.empty(len(frames))
     for start, block in frames.blocks():
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
@@ -153,9 +153,10 @@ def _scan_span(
             seen = np.matmul(here[:, probes], turned)
             features[start + i : start + k] = seen.reshape(k - i, -1)
             sizes[start + i : start + k] = np.einsum("tic,tic->t", here, here)
+            spreads[start + i : start + k] = np.abs(here).max(axis=(1, 2))
 
         run_chunks(work, chunk_bounds(len(block), 8))
-    return centre, turn, features, float(sizes.sum())
+    return centre, turn, features, float(sizes.sum()), float(spreads.max())
 
 
 def subset(

@@ -19,7 +19,7 @@ from .parallel import serial_blas
 from .rigid import nearest_rotation
 from .sequence import MeshSequence
 
-__all__ = ["LARGEST", "Alignment", "Trajectories", "centred", "gather", "turn_onto"]
+__all__ = ["LARGEST", "Alignment", "Trajectories", "centred", "gather", "scale_of", "turn_onto"]
 
 Array = NDArray[np.float64]
 
@@ -204,7 +204,7 @@ def gather(
                 x[:, t:last] = np.matmul(here, turn[t:last]).transpose(1, 0, 2)
                 t = last
     size = float(np.sqrt(np.vdot(x, x) / (n_vertices * n_frames)))
-    scale = size if size > 0 else 1.0
+    scale = scale_of(size, size if size > 1 / LARGEST else float(np.abs(x).max()))
     x *= (frame_scale / scale)[None, :, None]
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
@@ -234,6 +234,16 @@ def _check_squarable(array: Array, argument: str) -> None:
     if array.size and not np.abs(array).max() < LARGEST:
         expected = f"distances of less than {LARGEST:g} times the mesh's size"
         raise InputError(argument, expected, "larger ones")
+
+
+def scale_of(size: float, spread: float) -> float:
+    """The solver's unit: the RMS distance from the centroids, 1 where all of them are 0.
+
+    `spread` is the largest coordinate; where its square vanishes, so do errors.
+    """
+    if 0 < spread < 1 / LARGEST:
+        raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
+    return size or 1.0
 
 
 def turn_onto(here: Array, first: Array, share: Array | None) -> Array:

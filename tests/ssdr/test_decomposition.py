@@ -696,6 +696,8 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "an error of another kind": ("tolerance_of", {"tolerance_of": "mean"}),
     "an error's kind alone": ("tolerance_of", {"tolerance_of": "max"}),
     "positions beyond squares": ("vertices", {"sequence": 1e200 * frames()}),
+    "an extent below squares": ("vertices", {"sequence": 1e-200 * frames()}),
+    "an extent of subnormals": ("vertices", {"sequence": 1e-310 * frames()}),
     "unknown bone model": ("bone_model", {"bone_model": "soft"}),
     "no iterations": ("max_iterations", {"max_iterations": 0}),
     "half an iteration": ("max_iterations", {"max_iterations": 2.5}),

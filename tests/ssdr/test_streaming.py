@@ -98,6 +98,14 @@ def test_fixed_parts_stay() -> None:
     np.testing.assert_allclose(given.skinning.transforms[:, 1], rig.transforms[:, 1], atol=1e-9)
 
 
+def test_an_extent_below_squares_is_refused() -> None:
+    for size in (1e-120, 1e-200):
+        with pytest.raises(ssdr.InputError, match="extent"):
+            streaming.scan([ssdr.MeshSequence(size * wobbly(9))], None)
+    assert streaming.scan([ssdr.MeshSequence(1e-90 * wobbly(9))], None).alignment.scale < 1e-89
+    assert streaming.scan([ssdr.MeshSequence(np.ones((9, 5, 3)))], None).alignment.scale == 1
+
+
 @pytest.mark.usefixtures("tiny_memory")
 def test_a_pass_is_one_exact_alternation() -> None:
     """The sums that a pass gathers give the error that skinning the model shows."""
