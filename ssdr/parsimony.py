@@ -141,7 +141,8 @@ class Curve:
     bytes : (N,) int64
         By :func:`size`, every frame a key.
     rmse : (N,) float64
-        In the mesh's units; never rises.
+        In the mesh's units; never rises.  Where frames are streamed it is that
+        of the telling ones alone, among which rare poses count for more.
     diagonal : float
     knee : int
         Index of the point that lies farthest below the straight line between
@@ -217,7 +218,8 @@ def curve(
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-        Where it does not fit into memory, frames that differ most stand for it.
+        Where it does not fit into memory, frames that differ most stand for it
+        in `rmse`; `bytes` and `diagonal` are of all frames.
     faces : (T, 3) int array, optional
     bones : int, optional
         The most; by default 64, or the number of vertices.
@@ -248,9 +250,11 @@ def curve(
     if callback is not None and not callable(callback):
         raise InputError("callback", "a function of one Progress, or None", repr(callback))
     generator = check_rng(rng)
+    frames = sum(len(s) for s in sequences)
+    solved = sequences
     if needs_streaming(sequences):
-        sequences = [subset(sequences, scan(sequences, None).chosen)]
-    data = gather(sequences, bones=most)
+        solved = [subset(sequences, scan(sequences, None).chosen)]
+    data = gather(solved, bones=most)
     ladder = _ladder(most)
     reseeds, polish = _STEPS[effort]
     improve = [
@@ -307,10 +311,10 @@ def curve(
     for i, count in enumerate(ladder):
         model = models[count]
         rest, transforms = data.to_world(model.rest, model.transforms)
-        squared = squared_error(sequences, rest, model.joints, model.weights, transforms)
+        squared = squared_error(solved, rest, model.joints, model.weights, transforms)
         rmse[i] = math.sqrt(float(squared.sum()) / (data.n_frames * n))
         used = int(np.count_nonzero(model.weights))
-        stored[i] = bytes_of(n, used, data.n_frames, np.full(count, data.n_frames), "rigid").total
+        stored[i] = bytes_of(n, used, frames, np.full(count, frames), "rigid").total
     # where the objective is exact to its last bits only, so is the order
     rmse = np.minimum.accumulate(rmse)
     diagonal = max(s.diagonal() for s in sequences)

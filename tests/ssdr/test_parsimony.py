@@ -579,6 +579,23 @@ def test_curve_of_exact_skinning_has_its_knee_there() -> None:
     assert (curve.bytes <= curve.bones * (12 + 15 * 28) + 84 * (12 + 1 + 4 * 3)).all()
 
 
+def test_curve_of_streamed_frames_has_the_bytes_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = wavy().copy()
+    frames[8, 40:42] += [[0, 0, -4], [0, 0, 4]]  # vertices by which frames are not compared
+    monkeypatch.setattr(streaming, "_IN_MEMORY", 1 << 10)
+    monkeypatch.setattr(streaming, "_FEWEST", 6)
+    monkeypatch.setattr(streaming, "_MOST", 6)
+    monkeypatch.setattr(streaming, "_PROBES", 8)
+    sequence = ssdr.MeshSequence(frames)
+    assert 8 not in streaming.scan([sequence], None).chosen
+    curve = parsimony.curve(frames, bones=2)
+    weights = 84 * np.array([[1 + 3, 1 + 3], [1 + 3, 1 + 2 * 3]])
+    for bones, stored, least, most in zip(curve.bones, curve.bytes, *weights, strict=True):
+        known = 84 * 12 + bones * (12 + 15 * 28)
+        assert known + least <= stored <= known + most
+    assert curve.diagonal == pytest.approx(diagonal(frames))
+
+
 def test_knee() -> None:
     sizes = np.array([10, 20, 40, 80, 160])
     assert parsimony.knee(sizes, np.array([1.0, 0.5, 0.01, 0.008, 0.007]), 0.0) == 2
