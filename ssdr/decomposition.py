@@ -141,7 +141,8 @@ def decompose(
         much as this distance in every frame at one vertex.  0: off.  Where it is
         on, `history` holds the error without penalty.
     vertex_importance : (V,) array, optional
-        Non-negative; scales each vertex's squared error in the objective.
+        Non-negative; scales each vertex's squared error in the objective.  Beside
+        a tolerance, which bounds the plain error, at least 1e-6 of the largest.
     frame_importance : (F,) array, optional
         Positive; likewise for frames.  Less than 1e-4 of the largest counts as that.
     tolerance : float or str, optional

@@ -35,6 +35,7 @@ MOST_BONES = 256  # what an index of 8 bits tells apart
 _EXPECTED = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
+_LEAST_IMPORTANCE = 1e-6  # of the largest: what counts for less is not held by any search
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
 _RETRIES = 4
 
@@ -229,6 +230,14 @@ def decompose_within(
     if options.pop("smoothness") > 0:
         raise InputError("smoothness", "0 beside a tolerance", "more")
     parse_tolerance(options["tolerance"], 1.0)
+    importance = options["importance"]
+    if importance is not None and importance.min() < _LEAST_IMPORTANCE:
+        raise InputError(
+            "vertex_importance",
+            f"numbers > 0 (at least {_LEAST_IMPORTANCE:g} of the largest) beside a tolerance, "
+            "which bounds the plain error",
+            f"{importance.min():.3g} of the largest",
+        )
     compile_seconds = ready()
     task = _Task(sequences, parts, **options)
     search = task.search

@@ -113,6 +113,8 @@ def test_bad_tolerances_are_refused(bad: Any) -> None:
         ("smoothness", {"smoothness": 0.1}),
         ("weights", {"joints": np.zeros((84, 1), int), "weights": np.ones((84, 1))}),
         ("transforms", {"transforms": np.tile(np.eye(4)[:3], (15, 2, 1, 1))}),
+        ("vertex_importance", {"vertex_importance": np.arange(84) < 42}),
+        ("vertex_importance", {"vertex_importance": np.where(np.arange(84) < 42, 5.0, 4e-6)}),
     ],
 )
 def test_refuses_beside_a_tolerance(argument: str, change: dict[str, Any]) -> None:
