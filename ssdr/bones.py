@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .affine import flat_blocks
 from .checks import (
     as_sequences,
     check_bone_model,
@@ -21,7 +22,7 @@ from .checks import (
 )
 from .errors import InputError
 from .initialization import fit_patches
-from .model import Fixed, Model, bone_step
+from .model import Fixed, Model, bone_step, bone_sums
 from .sequence import MeshSequence
 from .skinning import BoneModel
 from .streaming import squared_error
@@ -31,6 +32,8 @@ from .trajectories import Array, Trajectories, gather
 __all__ = ["BoneFit", "fit_bones"]
 
 _SWEEPS = 5  # between two steps of all bones together
+_STUCK = 1e-4  # of a frame's energy that another start brings: 1 % of the size in RMSE
+_ROUNDS = 8  # frames in a row that may be stuck, halved
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,8 +77,9 @@ def fit_bones(
     Each sweep solves one weighted Kabsch a bone and frame with the others held
     (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
     bones take a Gauss–Newton step together.  For affine ones a single linear solve
-    finds all of them, from rigid ones on.  Also the way to carry a model over to new
-    motion of the same mesh.
+    finds all of them, from rigid ones on.  Frames that end far above what the bones of
+    the frames beside them lead to start again from those.  Also the way to carry a
+    model over to new motion of the same mesh.
 
     Parameters
     ----------
@@ -95,6 +99,7 @@ def fit_bones(
         Largest change of a transform's entry (translations relative to the
         mesh's size) at which to stop.
     max_sweeps : int
+        From each start.
 
     Returns
     -------
@@ -151,8 +156,11 @@ def fit_bones(
     before = 0
     if rigid_first:
         as_rigid = dataclasses.replace(fixed, bone_model=first)
-        before, _ = _settle(data, model, as_rigid, tolerance, max_sweeps // 2)
-    sweeps, moved = _settle(data, model, fixed, tolerance, max_sweeps - before)
+        before, _ = _settle(data, model, as_rigid, tolerance, max_sweeps)
+    sweeps, moved = _settle(data, model, fixed, tolerance, max_sweeps)
+    if world is None and _from_neighbours(data, model, fixed):
+        more, moved = _settle(data, model, fixed, tolerance, max_sweeps)
+        sweeps += more
     sweeps += before
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, joints, weights, out)
@@ -177,6 +185,39 @@ def _settle(
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
     return sweeps, moved
+
+
+def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed) -> bool:
+    """Start frames that are stuck again from those beside them (in place); whether any was.
+
+    Where bones overlap widely, a frame's own start now and then leads nowhere.
+    """
+    u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
+    flat = flat_blocks(u)
+    much = _STUCK * float(data.importance @ data.x2) / data.n_frames
+
+    def error(transforms: Array) -> Array:
+        """(F,) squared error, up to what is the same for all transforms."""
+        hat = np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(c.shape[0], 3, -1)
+        return np.asarray((hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2)))
+
+    found, last = False, data.n_frames - 1
+    for _ in range(_ROUNDS):
+        before = error(model.transforms)
+        lowest, best = before - much, model.transforms.copy()
+        for shift in (1, -1):
+            trial = model.copy()
+            trial.transforms = model.transforms[np.clip(np.arange(last + 1) + shift, 0, last)]
+            locked = fixed.locked(model.n_bones)
+            trial.transforms[:, locked] = model.transforms[:, locked]
+            _settle(data, trial, fixed, 0.0, 4 * _SWEEPS)
+            value = error(trial.transforms)
+            better = value < lowest
+            best[better], lowest = trial.transforms[better], np.minimum(value, lowest)
+        if not (lowest < before - much).any():
+            break
+        model.transforms, found = best, True
+    return found
 
 
 def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: float | None) -> float:

@@ -142,7 +142,7 @@ def decompose(
         on, `history` holds the error without penalty.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.  Beside
-        a tolerance, which bounds the plain error, at least 1e-6 of the largest.
+        a tolerance, which bounds the plain error, at least 1e-4 of the largest.
     frame_importance : (F,) array, optional
         Positive; likewise for frames.  Less than 1e-4 of the largest counts as that.
     tolerance : float or str, optional

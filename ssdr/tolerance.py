@@ -35,7 +35,7 @@ MOST_BONES = 256  # what an index of 8 bits tells apart
 _EXPECTED = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
-_LEAST_IMPORTANCE = 1e-6  # of the largest: what counts for less is not held by any search
+_LEAST_IMPORTANCE = 1e-4  # of the largest: what counts for less is not held by any search
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
 _RETRIES = 4
 

@@ -230,15 +230,17 @@ def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) ->
         assert found.rmse <= 0.6 * rigid.rmse
 
 
-@pytest.mark.parametrize("name", ["wings, 4", "cloth, 4"])
+@pytest.mark.parametrize("name", THIN)
 @pytest.mark.parametrize("kind", KINDS)
 def test_fitted_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) -> None:
     make, bones = THIN[name]
     frames, _ = make()
-    model = ssdr.decompose(frames, bones=bones, effort="fast").skinning
+    result = ssdr.decompose(frames, bones=bones)
+    model = result.skinning
     parts = {"rest": model.rest, "joints": model.joints, "weights": model.weights}
     rigid, found = (ssdr.fit_bones(frames, bone_model=k, **parts) for k in ("rigid", kind))
     check_kind(found.transforms, kind)
+    assert rigid.rmse <= 1.001 * result.rmse  # two of the frames are stuck at first
     assert found.rmse <= rigid.rmse
 
 
