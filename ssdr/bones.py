@@ -33,7 +33,7 @@ __all__ = ["BoneFit", "fit_bones"]
 
 _SWEEPS = 5  # between two steps of all bones together
 _STUCK = 1e-4  # of a frame's energy that another start brings: 1 % of the size in RMSE
-_ROUNDS = 8  # frames in a row that may be stuck, halved
+_ROUNDS = 8  # frames in a row that are stuck get free from both ends, two a round
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ def fit_bones(
         as_rigid = dataclasses.replace(fixed, bone_model=first)
         before, _ = _settle(data, model, as_rigid, tolerance, max_sweeps)
     sweeps, moved = _settle(data, model, fixed, tolerance, max_sweeps)
-    if world is None and _from_neighbours(data, model, fixed):
+    if world is None and _from_neighbours(data, model, fixed, max_sweeps):
         more, moved = _settle(data, model, fixed, tolerance, max_sweeps)
         sweeps += more
     sweeps += before
@@ -181,13 +181,13 @@ def _settle(
         if sweeps and fixed.bone_model != "affine":
             damping = _step_together(data, model, fixed, damping)
         step = min(_SWEEPS, most - sweeps)
-        bone_step(data, model, sweeps=step, fixed=fixed, leaps=0)
+        bone_step(data, model, sweeps=step, fixed=fixed)
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
     return sweeps, moved
 
 
-def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed) -> bool:
+def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) -> bool:
     """Start frames that are stuck again from those beside them (in place); whether any was.
 
     Where bones overlap widely, a frame's own start now and then leads nowhere.
@@ -210,7 +210,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed) -> bool:
             trial.transforms = model.transforms[np.clip(np.arange(last + 1) + shift, 0, last)]
             locked = fixed.locked(model.n_bones)
             trial.transforms[:, locked] = model.transforms[:, locked]
-            _settle(data, trial, fixed, 0.0, 4 * _SWEEPS)
+            _settle(data, trial, fixed, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)
             better = value < lowest
             best[better], lowest = trial.transforms[better], np.minimum(value, lowest)
