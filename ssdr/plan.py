@@ -157,8 +157,8 @@ def make_plan(
             Op("compress", cost=4), Op("start", amount=1.0, cost=8),
             Op("alternate", count=10), _polish(steps, 1e-3),
         ]  # fmt: skip
-    elif fixed.bone_model != "rigid" and given.transforms is None:
-        plan = [*_rigid_start(effort), *plan]
+    elif fixed.bone_model != "rigid" and given.transforms is None and not smooth:
+        plan = _with_rigid_start(plan, effort)
     if smooth:
         # the polish does not know the penalty: alternate until it settles; then once more from
         # where the polish goes without it, which now and then leads further
@@ -170,15 +170,18 @@ def make_plan(
     return plan
 
 
-def _rigid_start(effort: str) -> list[Op]:
-    """What bones that stretch begin with, lest they end above rigid ones.
+def _with_rigid_start(plan: list[Op], effort: str) -> list[Op]:
+    """The plan of bones that stretch, lest they end above rigid ones.
 
     A bone may not turn inside out on its way, and where a part is thin that bars many a
-    way from its own start.
+    way from its own start. Which start leads further shows only in the end.
     """
-    ops = [*_FIRST[:2], *_begin(1.6, 12, 6)]
-    ops = [dataclasses.replace(op, rigid=True, aside=op.phase != "quick") for op in ops]
-    return [*ops, *([] if effort == "fast" else [dataclasses.replace(_polish(8, 0.0), aside=True)])]
+    start = [dataclasses.replace(op, rigid=True) for op in _begin(1.6, 12, 6)]
+    if effort != "fast":
+        start += [_polish(8, 0.0), *EFFORTS["balanced"][-2:]]
+    start = [dataclasses.replace(op, aside=True) for op in start]
+    at = len(plan) if effort == "balanced" else len(_FIRST)
+    return [*plan[:at], *start, *plan[at:]]
 
 
 def settling_plan(effort: str, smooth: bool) -> list[Op]:
