@@ -180,7 +180,9 @@ def _with_rigid_start(plan: list[Op], effort: str) -> list[Op]:
     if effort != "fast":
         start += [_polish(8, 0.0), *EFFORTS["balanced"][-2:]]
     start = [dataclasses.replace(op, aside=True) for op in start]
-    at = len(plan) if effort == "balanced" else len(_FIRST)
+    # what is recalled after it may then be either
+    recalled = next(k for k, op in enumerate(plan) if op.phase == "recall")
+    at = len(plan) if effort == "balanced" else recalled
     return [*plan[:at], *start, *plan[at:]]
 
 
