@@ -159,6 +159,8 @@ def draw_options(
         out["rest"] = first if rng.random() < 0.7 else size * rng.standard_normal((v, 3))
     if rng.random() < 0.08:
         out["tolerance"] = str(rng.choice(["0.01%", "0.3%", "2%", "30%"]))
+        if "vertex_importance" in out:  # what counts for less is refused there
+            out["vertex_importance"] = np.maximum(out["vertex_importance"], 1e-3)
         out["tolerance_of"] = str(rng.choice(["rmse", "max"]))
         out["bones"] = min(bones, 8)
         if out["effort"] == "best":
