@@ -32,8 +32,8 @@ from .trajectories import Array, Trajectories, gather
 __all__ = ["BoneFit", "fit_bones"]
 
 _SWEEPS = 5  # between two steps of all bones together
-_STUCK = 1e-4  # of a frame's energy that another start brings: 1 % of the size in RMSE
-_ROUNDS = 8  # frames in a row that are stuck get free from both ends, two a round
+_STUCK = 0.9  # of a frame's squared error, to which another start takes it
+_ROUNDS = 16  # frames in a row that are stuck get free from both ends, two a round
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -194,17 +194,22 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
     """
     u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
     flat = flat_blocks(u)
-    much = _STUCK * float(data.importance @ data.x2) / data.n_frames
+    energy = np.array([
+        float((data.importance * (data.frame(t) ** 2).sum(axis=1)).sum())
+        for t in range(data.n_frames)
+    ])  # fmt: skip
 
     def error(transforms: Array) -> Array:
-        """(F,) squared error, up to what is the same for all transforms."""
+        """(F,) squared error."""
         hat = np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(c.shape[0], 3, -1)
-        return np.asarray((hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2)))
+        told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
+        return energy + told
 
     found, last = False, data.n_frames - 1
     for _ in range(_ROUNDS):
         before = error(model.transforms)
-        lowest, best = before - much, model.transforms.copy()
+        lowest = _STUCK * before - 1e-12 * energy
+        much, best = lowest.copy(), model.transforms.copy()
         for shift in (1, -1):
             trial = model.copy()
             trial.transforms = model.transforms[np.clip(np.arange(last + 1) + shift, 0, last)]
@@ -214,7 +219,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
             value = error(trial.transforms)
             better = value < lowest
             best[better], lowest = trial.transforms[better], np.minimum(value, lowest)
-        if not (lowest < before - much).any():
+        if not (lowest < much).any():
             break
         model.transforms, found = best, True
     return found
