@@ -147,21 +147,21 @@ def fit_bones(
     )  # fmt: skip
     # a bone may not turn inside out on its way, which bars affine ones some ways from their
     # own fit that are open from rigid ones
-    first: BoneModel = "rigid" if bone_model == "affine" else bone_model
-    rigid_first = start is None and first != bone_model
+    kinds: list[BoneModel] = [bone_model]
     if start is None:
-        start = bones_of_weights(data, inner, joints, count, first)
+        if bone_model == "affine":
+            kinds = ["rigid", "affine"]
+        start = bones_of_weights(data, inner, joints, count, kinds[0])
     model = Model.start(start, inner, joints[:, 0], joints.shape[1])
     model.joints, model.weights = joints.copy(), weights.copy()
-    before = 0
-    if rigid_first:
-        as_rigid = dataclasses.replace(fixed, bone_model=first)
-        before, _ = _settle(data, model, as_rigid, tolerance, max_sweeps)
-    sweeps, moved = _settle(data, model, fixed, tolerance, max_sweeps)
+    sweeps = 0
+    for kind in kinds:
+        of_kind = dataclasses.replace(fixed, bone_model=kind)
+        more, moved = _settle(data, model, of_kind, tolerance, max_sweeps)
+        sweeps += more
     if world is None and _from_neighbours(data, model, fixed, max_sweeps):
         more, moved = _settle(data, model, fixed, tolerance, max_sweeps)
         sweeps += more
-    sweeps += before
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, joints, weights, out)
     return BoneFit(
@@ -201,28 +201,27 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
 
     def error(transforms: Array) -> Array:
         """(F,) squared error."""
-        hat = np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(c.shape[0], 3, -1)
+        hat = data.hat(transforms).reshape(data.n_frames, 3, -1)
         told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + told
 
-    found, last = False, data.n_frames - 1
-    for _ in range(_ROUNDS):
-        before = error(model.transforms)
-        lowest = _STUCK * before - 1e-12 * energy
-        much, best = lowest.copy(), model.transforms.copy()
+    frame, locked = np.arange(data.n_frames), fixed.locked(model.n_bones)
+    for done in range(_ROUNDS):
+        bound = _STUCK * error(model.transforms) - 1e-12 * energy
+        best, freed = model.transforms.copy(), np.zeros(len(frame), dtype=bool)
         for shift in (1, -1):
             trial = model.copy()
-            trial.transforms = model.transforms[np.clip(np.arange(last + 1) + shift, 0, last)]
-            locked = fixed.locked(model.n_bones)
+            trial.transforms = model.transforms[np.clip(frame + shift, 0, frame[-1])]
             trial.transforms[:, locked] = model.transforms[:, locked]
             _settle(data, trial, fixed, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)
-            better = value < lowest
-            best[better], lowest = trial.transforms[better], np.minimum(value, lowest)
-        if not (lowest < much).any():
-            break
-        model.transforms, found = best, True
-    return found
+            better = value < bound
+            best[better], bound = trial.transforms[better], np.minimum(value, bound)
+            freed |= better
+        if not freed.any():
+            return done > 0
+        model.transforms = best
+    return True
 
 
 def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: float | None) -> float:

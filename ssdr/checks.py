@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from .errors import InputError, check_choice
 from .sequence import MeshSequence
 from .skinning import BoneModel
-from .trajectories import LARGEST
+from .trajectories import LARGEST, check_squarable
 
 __all__ = [
     "as_sequences",
@@ -154,8 +154,7 @@ def _finite(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
 
 def _squarable(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
     array = _finite(value, argument, shape)
-    if array.size and not np.abs(array).max() < LARGEST:
-        raise InputError(argument, f"numbers of less than {LARGEST:g}", "larger ones")
+    check_squarable(array, argument, f"numbers of less than {LARGEST:g}")
     return array
 
 

@@ -36,7 +36,7 @@ from .result import Decomposition, Progress, Record
 from .run import Run
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
-from .state import SolverState, check_settings, check_size
+from .state import SolverState, check_settings, check_size, taking_up
 from .streaming import Scan, needs_streaming, scan, squared_error
 from .stretching import normalise_gauge
 from .task import Task, best_of
@@ -423,12 +423,10 @@ def _restore(run: Run, state: SolverState) -> None:
         (int(row[0]), float(row[1]), float(row[2]), phase)
         for row, phase in zip(state.history, state.phases, strict=True)
     ]
-    try:
+    with taking_up():
         run.restore(
             state.progress,
             None if state.current is None else state.current.copy(),
             None if state.best is None else state.best.copy(),
             records,
         )
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error

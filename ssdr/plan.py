@@ -115,6 +115,7 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
     ]  # fmt: skip
 
 
+_RELAXED = [dataclasses.replace(_RELAX, amount=6, cost=30), _polish(40, 0.01)]
 EFFORTS: dict[str, list[Op]] = {
     "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.0)],
     "balanced": [
@@ -122,14 +123,13 @@ EFFORTS: dict[str, list[Op]] = {
         *_begin(1.6, 12, 6),
         Op("recall", cost=0),
         _RESEED,
-        dataclasses.replace(_RELAX, amount=6, cost=30),
-        _polish(40, 0.01),
+        *_RELAXED,
     ],
 }
 # where there is a penalty, of which the changes that follow a start know nothing
 _PLAIN: dict[str, list[Op]] = {
     "fast": [_polish(6, 0.0)],
-    "balanced": EFFORTS["balanced"][-2:],
+    "balanced": _RELAXED,
     "best": [_RELAX, _polish(60, 0.002)],
 }
 _SMOOTH_BEST = [*_FIRST, *_begin(1.6, 12, 6), *_begin(2.2, 12, 6), Op("recall", cost=0)]
@@ -178,7 +178,7 @@ def _with_rigid_start(plan: list[Op], effort: str) -> list[Op]:
     """
     start = [dataclasses.replace(op, rigid=True) for op in _begin(1.6, 12, 6)]
     if effort != "fast":
-        start += [_polish(8, 0.0), *EFFORTS["balanced"][-2:]]
+        start += [_polish(8, 0.0), *_RELAXED]
     start = [dataclasses.replace(op, aside=True) for op in start]
     # what is recalled after it may then be either
     recalled = next(k for k, op in enumerate(plan) if op.phase == "recall")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from .model import Model
 from .streaming import Scan
 from .trajectories import Alignment
 
-__all__ = ["SolverState", "check_settings", "check_size"]
+__all__ = ["SolverState", "check_settings", "check_size", "taking_up"]
 
 _VERSION = 2
 _MODEL = tuple(f.name for f in dataclasses.fields(Model))
@@ -171,6 +173,15 @@ def check_size(model: Model | None, n_vertices: int, n_frames: int) -> None:
     """Whether a state's model is of the frames that are solved."""
     if model is not None and (len(model.rest), len(model.transforms)) != (n_vertices, n_frames):
         raise InputError("resume", "a state of a run on this very input", "other sizes")
+
+
+@contextlib.contextmanager
+def taking_up() -> Iterator[None]:
+    """Around what reads a state's progress: damage in it is blamed on `resume`."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error
 
 
 def _scan(arrays: dict[str, Any]) -> Scan | None:

@@ -24,7 +24,7 @@ from .result import Decomposition, Progress, Record
 from .room import Room, Truth
 from .sequence import MeshSequence
 from .skinning import Skinning
-from .state import SolverState, check_settings, check_size
+from .state import SolverState, check_settings, check_size, taking_up
 from .streaming import AllFrames, Scan, needs_streaming, scan, subset
 from .trajectories import Array, Trajectories, gather
 from .weights import pad_influences
@@ -339,12 +339,10 @@ def _prune(task: _Task, whole: Skinning, prunings: list[Pruning]) -> Skinning:
 def _resumed(task: _Task, state: SolverState, settings: dict[str, Any]) -> Model | None:
     check_settings(state, settings)
     check_size(state.best, task.data.n_vertices, task.data.n_frames)
-    try:
+    with taking_up():
         task.before = float(state.progress["elapsed"])
         task.search.iteration = int(state.progress["iteration"])
         task.rng.bit_generator.state = state.progress["rng"]
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error
     return None if state.best is None else state.best.copy()
 
 

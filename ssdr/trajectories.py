@@ -19,13 +19,17 @@ from .parallel import serial_blas
 from .rigid import nearest_rotation
 from .sequence import MeshSequence
 
-__all__ = ["LARGEST", "Alignment", "Trajectories", "centred", "gather", "scale_of", "turn_onto"]
+__all__ = [
+    "LARGEST", "Alignment", "Trajectories", "centred", "check_squarable", "gather", "scale_of",
+    "turn_onto",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
 _AT_ONCE = 64  # frames that are aligned together
 LARGEST = 1e100  # of what is summed in squares
+_APART = f"distances of less than {LARGEST:g} times the mesh's size"
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 
@@ -59,14 +63,14 @@ class Alignment:
         """Inverse of :meth:`to_world`; refuses what cannot be squared at the mesh's size."""
         origin = self.centre[0]
         inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
-        _check_squarable(inner, "rest")
+        check_squarable(inner, "rest", _APART)
         if transforms is None:
             return inner, None
         m = np.asarray(transforms, dtype=np.float64)
         r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
         t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
-        _check_squarable(t, "transforms")
+        check_squarable(t, "transforms", _APART)
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:
@@ -225,14 +229,13 @@ def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, A
     here -= anchor
     mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
     here -= mean
-    if here.size and not np.abs(here).max() < LARGEST:
-        raise InputError("vertices", f"positions less than {LARGEST:g} apart", "larger ones")
+    check_squarable(here, "vertices", f"positions less than {LARGEST:g} apart")
     return here, (anchor + mean)[..., 0, :]
 
 
-def _check_squarable(array: Array, argument: str) -> None:
+def check_squarable(array: NDArray[np.floating], argument: str, expected: str) -> None:
+    """Whether its numbers can be squared and summed."""
     if array.size and not np.abs(array).max() < LARGEST:
-        expected = f"distances of less than {LARGEST:g} times the mesh's size"
         raise InputError(argument, expected, "larger ones")
 
 
