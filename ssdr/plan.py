@@ -81,7 +81,7 @@ def _search(count: int, race: tuple[float, float] = (0.0, 0.0)) -> Op:
 
 
 # "best", by vertices × frames × bones: tries at first, rebuilt so many times, tries in the end
-_BEST = {2e7: (6, 2, 6), 1e7: (6, 4, 6), 0.0: (10, 6, 10)}
+_BEST = {1e7: (6, 4, 6), 0.0: (10, 6, 10)}
 _MOST_TRIES, _RACE = 6, (1.08, 1.02)  # of what was rebuilt
 # From so many bones on alternations alone put many of them in better places; and now and
 # then a start ends where no rebuilding helps: so there are some, and few tries of each.
