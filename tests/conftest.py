@@ -11,6 +11,8 @@ import pytest
 
 import ssdr
 
+pytest.register_assert_rewrite("measures", "stretches", "surfaces")
+
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:

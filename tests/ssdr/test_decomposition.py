@@ -2,80 +2,18 @@
 
 from __future__ import annotations
 
-import functools
-import threading
 import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import motions
-import naive
 import numpy as np
 import pytest
 import threadpoolctl
+from measures import bits, check, diagonal, frames, rig, rmse_of
 
 import ssdr
-from ssdr.kernels.frames import sweep_bones
-from ssdr.model import bone_sums, neighbours
-from ssdr.trajectories import gather
-
-
-@functools.cache
-def rig() -> motions.Rig:
-    return motions.chain(bones=5, rows=14, frames=15)
-
-
-@functools.cache
-def frames() -> np.ndarray:
-    """The rig's frames with a wobble that no bones can follow; a read-only array."""
-    out = motions.wobble(rig(), 0.1)
-    out.setflags(write=False)
-    return out
-
-
-def diagonal(array: np.ndarray) -> float:
-    return float(np.linalg.norm(np.ptp(array, axis=1), axis=1).max())
-
-
-def rmse_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
-    again = motions.blend(skinning.rest, skinning.joints, skinning.weights, skinning.transforms)
-    return float(np.sqrt(((again - array) ** 2).sum(axis=-1).mean()))
-
-
-def check(
-    result: ssdr.Decomposition, array: np.ndarray, bones: int, influences: int = 4
-) -> ssdr.Decomposition:
-    """What holds for every result."""
-    s = result.skinning
-    n_frames, n = array.shape[:2]
-    assert s.transforms.shape == (n_frames, bones, 3, 4)
-    assert s.rest.shape == (n, 3)
-    assert s.joints.shape == s.weights.shape == (n, influences)
-    assert s.joints.min() >= 0
-    assert s.joints.max() < bones
-    assert s.weights.min() >= 0
-    assert np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6
-    assert (np.diff(s.weights, axis=1) <= 1e-12).all()
-    assert (s.joints[s.weights == 0] == 0).all()
-    r = s.transforms[..., :3]
-    assert np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max() < 1e-6
-    assert np.abs(np.linalg.det(r) - 1).max() < 1e-6
-    scale = max(diagonal(array), float(np.abs(array).max()))
-    assert result.rmse == pytest.approx(rmse_of(s, array), rel=1e-6, abs=1e-13 * scale)
-    errors = [record.rmse for record in result.history]
-    assert (np.diff(errors) <= 0).all()
-    assert errors[-1] == result.rmse
-    assert (np.diff([record.elapsed for record in result.history]) >= 0).all()
-    assert (np.diff([record.iteration for record in result.history]) >= 0).all()
-    assert result.history[0].elapsed > 0
-    assert result.stop_reason in (
-        "converged", "plan finished", "iterations", "time limit", "cancelled",
-    )  # fmt: skip
-    assert result.converged == (result.stop_reason == "converged")
-    return result
-
 
 # exact data
 
@@ -232,6 +170,17 @@ def test_progress_agrees_with_the_result() -> None:
     assert phases <= {p.phase for p in seen}
 
 
+def test_history_never_rises_where_all_that_counts_is_exact() -> None:
+    array = np.random.default_rng(1).standard_normal((3, 9, 3))
+    counts = np.arange(9) < 3
+    result = ssdr.decompose(array, bones=2, effort="fast", vertex_importance=counts)
+    values = [record.rmse for record in result.history]
+    assert len(values) > 1
+    assert values == sorted(values, reverse=True)
+    assert values[-1] == result.rmse > 0.1
+    assert values[0] < 10 * values[-1]  # no ratio of an error to nothing
+
+
 # limits
 
 
@@ -278,11 +227,6 @@ def test_an_error_in_the_callback_is_the_callers() -> None:
 
 
 # reproducibility
-
-
-def bits(result: ssdr.Decomposition) -> list[bytes]:
-    s = result.skinning
-    return [a.tobytes() for a in (s.rest, s.joints, s.weights, s.transforms)]
 
 
 @pytest.mark.parametrize("effort", ["fast", "balanced"])
@@ -378,309 +322,6 @@ def test_what_the_sequence_carries_survives(seam: ssdr.MeshSequence) -> None:
     assert s.name == seam.name
     assert np.array_equal(s.faces, seam.faces)
     assert s.surface is seam.surface
-
-
-# fixed parts
-
-
-def test_given_rest_pose_stays() -> None:
-    rest = rig().rest + 0.01
-    fixed = check(ssdr.decompose(frames(), bones=5, rest=rest), frames(), 5)
-    np.testing.assert_allclose(fixed.skinning.rest, rest, atol=1e-13)
-    assert ssdr.decompose(frames(), bones=5).rmse < fixed.rmse < 0.2
-
-
-def test_given_exact_rest_pose() -> None:
-    exact = rig().frames
-    fixed = check(ssdr.decompose(exact, bones=5, rest=rig().rest), exact, 5)
-    assert fixed.rmse < 1e-4 * diagonal(exact)
-
-
-def test_given_weights_stay() -> None:
-    w = rig().weights + 1e-5
-    w /= w.sum(axis=1, keepdims=True)
-    joints = np.tile(np.arange(5)[None], (84, 1))
-    dense = np.zeros((84, 5))
-    np.put_along_axis(dense, rig().joints, w, axis=1)
-    np.add.at(dense, (np.arange(84), 4), 1 - dense.sum(axis=1))
-    dense = np.abs(dense) / np.abs(dense).sum(axis=1, keepdims=True)
-    result = ssdr.decompose(frames(), bones=5, influences=5, joints=joints, weights=dense)
-    check(result, frames(), 5, 5)
-    got = result.skinning.sparse_weights().toarray()
-    np.testing.assert_allclose(got, dense, atol=1e-14)
-
-
-def test_given_exact_weights_are_enough() -> None:
-    exact = rig().frames
-    result = check(
-        ssdr.decompose(exact, bones=5, joints=rig().joints, weights=rig().weights), exact, 5
-    )
-    np.testing.assert_allclose(
-        result.skinning.sparse_weights().toarray(),
-        ssdr.Skinning(rig().rest, rig().joints, rig().weights, rig().transforms)
-        .sparse_weights()
-        .toarray(),
-        atol=1e-14,
-    )
-    assert result.rmse < 1e-4 * diagonal(exact)
-
-
-def test_locked_vertices_keep_their_weights() -> None:
-    locked = np.arange(84) % 3 == 0
-    wrong = np.zeros((84, 1), dtype=int)
-    result = check(
-        ssdr.decompose(
-            frames(), bones=5, joints=wrong, weights=np.ones((84, 1)), locked_vertices=locked
-        ),
-        frames(),
-        5,
-    )
-    s = result.skinning
-    assert (s.joints[locked] == 0).all()
-    assert (s.weights[locked] == [1, 0, 0, 0]).all()
-    assert (s.weights[~locked, 0] < 1).any()
-    with pytest.warns(ssdr.SsdrWarning, match="4 of 5"):
-        everything = ssdr.decompose(frames(), bones=5, joints=wrong, weights=np.ones((84, 1)))
-    assert result.rmse < 0.9 * everything.rmse
-
-
-@pytest.mark.parametrize("locked", [[0], [3], [1, 4], [0, 1, 2, 3, 4], None])
-def test_locked_bones_stay(locked: list[int] | None) -> None:
-    given = rig().transforms.copy()
-    given[..., 3] += 0.3 * np.random.default_rng(0).standard_normal(given[..., 3].shape)
-    which = range(5) if locked is None else locked
-    for bones in (5, 7):
-        result = check(
-            ssdr.decompose(frames(), bones=bones, transforms=given, locked_bones=locked),
-            frames(),
-            bones,
-        )
-        for j in which:
-            np.testing.assert_allclose(result.skinning.transforms[:, j], given[:, j], atol=1e-12)
-    free = ssdr.decompose(frames(), bones=5, transforms=given, locked_bones=[])
-    held = ssdr.decompose(frames(), bones=5, transforms=given, locked_bones=locked)
-    assert free.rmse < held.rmse
-
-
-def test_given_skeleton_is_worth_having() -> None:
-    """With the true bones held, the exact model is found; and extra bones only help."""
-    exact = rig().frames
-    result = check(ssdr.decompose(exact, bones=5, transforms=rig().transforms), exact, 5)
-    assert result.rmse < 1e-5 * diagonal(exact)
-    fewer = rig().transforms[:, :3]
-    some = check(ssdr.decompose(exact, bones=3, transforms=fewer), exact, 3)
-    more = check(ssdr.decompose(exact, bones=5, transforms=fewer), exact, 5)
-    assert more.rmse < 0.1 * some.rmse
-    np.testing.assert_allclose(more.skinning.transforms[:, :3], fewer, atol=1e-12)
-
-
-def test_rest_frame() -> None:
-    result = check(ssdr.decompose(frames(), bones=5, rest_frame=9), frames(), 5)
-    assert result.rmse < 1.5 * ssdr.decompose(frames(), bones=5).rmse
-
-
-# smoothness and importance
-
-
-def test_smoothness_trades_error_for_dirichlet_energy() -> None:
-    seen: list[list[float]] = []
-
-    def run(length: float) -> tuple[float, float]:
-        values: list[float] = []
-        result = ssdr.decompose(
-            frames(), rig().faces, bones=5, smoothness=length, effort="fast",
-            callback=lambda p: values.append(p.rmse),
-        )  # fmt: skip
-        s = result.skinning
-        seen.append(values)
-        assert result.rmse == pytest.approx(rmse_of(s, frames()), rel=1e-6)
-        return result.rmse, naive.dirichlet(rig().faces, s.joints, s.weights, 5)
-
-    table = [run(length) for length in (0.0, 0.05, 0.5)]
-    errors, energies = zip(*table, strict=True)
-    assert energies[2] < 0.5 * energies[1] < 0.5 * energies[0]
-    assert errors[0] < errors[1] < errors[2]
-    for values in seen:  # progress tells the penalised objective
-        assert (np.diff([v for v in values if np.isfinite(v)]) <= 0).all()
-
-
-def test_vertex_importance_shifts_the_error() -> None:
-    heavy = np.arange(84) < 42
-
-    def error(importance: object) -> np.ndarray:
-        result = ssdr.decompose(frames(), bones=3, vertex_importance=importance)
-        gap = result.reconstruct() - frames()
-        return np.array([np.sqrt((gap[:, m] ** 2).sum(-1).mean()) for m in (heavy, ~heavy)])
-
-    even, uneven = error(None), error(np.where(heavy, 20.0, 1.0))
-    assert uneven[0] < 0.8 * even[0]
-    assert uneven[1] > even[1]
-    np.testing.assert_allclose(error(np.full(84, 7.0)), even, rtol=0.05)
-
-
-def test_vertices_of_no_importance_may_be_anything() -> None:
-    exact = motions.chain(bones=4, frames=40, rows=24)
-    array = exact.frames
-    junk = np.arange(array.shape[1]) % 2 == 0
-    array[:, junk] += 50 * np.random.default_rng(0).standard_normal((40, junk.sum(), 3))
-    result = check_weighted(array, (~junk).astype(float))
-    gap = (result.reconstruct() - array)[:, ~junk]
-    assert np.sqrt((gap**2).sum(-1).mean()) < 1e-2 * diagonal(exact.frames)
-
-
-def check_weighted(array: np.ndarray, importance: np.ndarray) -> ssdr.Decomposition:
-    result = ssdr.decompose(array, bones=4, vertex_importance=importance)
-    return check(result, array, 4)
-
-
-def test_importances_stay_as_they_were_given() -> None:
-    vertices, rows = np.arange(84.0), np.arange(1.0, 16.0)
-    ssdr.decompose(
-        frames(), bones=2, effort="fast", vertex_importance=vertices, frame_importance=rows
-    )
-    assert (vertices == np.arange(84)).all()
-    assert (rows == np.arange(1, 16)).all()
-
-
-def test_only_ratios_of_importance_count() -> None:
-    results = [
-        ssdr.decompose(
-            frames(), bones=4, effort="fast", vertex_importance=size * np.arange(84.0),
-            frame_importance=np.full(15, size),
-        ).rmse
-        for size in (1.0, 2.0**-1000, 2.0**1016)
-    ]  # fmt: skip
-    assert results[0] == results[1] == results[2]
-
-
-def test_frame_importance_shifts_the_error() -> None:
-    heavy = np.arange(15) % 5 == 0
-
-    def error(importance: object) -> np.ndarray:
-        result = ssdr.decompose(frames(), bones=3, frame_importance=importance)
-        gap = result.reconstruct() - frames()
-        return np.array([np.sqrt((gap[m] ** 2).sum(-1).mean()) for m in (heavy, ~heavy)])
-
-    even, uneven = error(None), error(np.where(heavy, 50.0, 1.0))
-    assert uneven[0] < 0.8 * even[0]
-    assert uneven[1] > even[1]
-
-
-@pytest.mark.parametrize("make", [motions.wings, motions.cloth])
-@pytest.mark.parametrize("importance", [1e-4, 1e-12])
-def test_a_frame_that_hardly_counts_is_skinned_all_the_same(
-    make: Callable[[], Any], importance: float
-) -> None:
-    shots, _ = make()
-    counts = np.ones(len(shots))
-    counts[3] = importance
-    for seed in (0, 1):
-        result = ssdr.decompose(shots, bones=4, frame_importance=counts, rng=seed)
-        error = ((result.reconstruct() - shots) ** 2).sum(axis=-1).mean(axis=1)
-        assert error[3] <= 4 * np.delete(error, 3).max()
-
-
-# what smoothness is for
-
-
-@pytest.mark.parametrize("make", [motions.wings, motions.cloth])
-@pytest.mark.parametrize("share", [3e-3, 1e-2])
-def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share: float) -> None:
-    """Lower by its own measure than what is found without, or nearly so; and smoother weights."""
-    shots, faces = make()
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
-    length = share * float(np.linalg.norm(np.ptp(shots[0], axis=0)))
-
-    def measured(smoothness: float) -> tuple[float, float]:
-        model = ssdr.decompose(shots, faces, bones=6, smoothness=smoothness).skinning
-        dense = np.zeros((shots.shape[1], 6))
-        np.add.at(dense, (np.arange(len(dense))[:, None], model.joints), model.weights)
-        jumps = float(((dense[edges[:, 0]] - dense[edges[:, 1]]) ** 2).sum())
-        return float(((model.skin() - shots) ** 2).sum()) + len(shots) * length**2 * jumps, jumps
-
-    without, with_it = measured(0.0), measured(length)
-    assert with_it[0] <= 1.2 * without[0]
-    if share == 1e-2:  # below that it is the error that decides
-        assert with_it[1] < without[1]
-
-
-# threads of the caller
-
-
-def longest_silence(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds that `work` took, and the longest that another Python thread had to wait."""
-    gaps: list[float] = []
-    started, done = threading.Event(), threading.Event()
-
-    def tick() -> None:
-        last = time.perf_counter()
-        while not done.is_set():
-            time.sleep(0.001)
-            now = time.perf_counter()
-            gaps.append(now - last)
-            last = now
-            started.set()
-
-    watcher = threading.Thread(target=tick)
-    watcher.start()
-    started.wait()
-    began = time.perf_counter()
-    try:
-        work()
-    finally:
-        spent = time.perf_counter() - began
-        done.set()
-        watcher.join()
-    return spent, max(gaps)
-
-
-def test_a_kernel_releases_the_lock_of_python() -> None:
-    """One long call of a kernel, nothing of Python in it, and another thread goes on."""
-    bones = 8
-    data = gather([ssdr.MeshSequence(np.random.default_rng(0).random((1, 40, 3)))], bones=bones)
-    joints = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
-    weights = np.random.default_rng(1).dirichlet(np.ones(bones), 40)
-    u, c = bone_sums(data, joints, weights, data.frame(0), bones)
-    start, neighbour = neighbours(u)
-    transforms = np.tile(np.eye(4)[:3], (1, bones, 1, 1))
-    locked = np.zeros(bones, dtype=bool)
-
-    def sweep(count: int) -> float:
-        began = time.perf_counter()
-        sweep_bones(transforms, c, u, start, neighbour, locked, False, count, 0, 1)
-        return time.perf_counter() - began
-
-    sweep(1)
-    rate = sweep(1000) / 1000
-    spent, silence = longest_silence(lambda: sweep(int(1.0 / rate)))
-    assert spent > 0.3
-    assert silence < 0.5 * spent
-
-
-def test_other_threads_go_on_during_a_run() -> None:
-    big = motions.chain(bones=8, rows=500, ring=10, frames=60)
-    array = motions.wobble(big, 0.05)
-    ssdr.decompose(array[:2], bones=2, effort="fast")  # compiled before the clock starts
-    spent, silence = longest_silence(
-        lambda: ssdr.decompose(array, bones=40, effort="fast", max_iterations=30)
-    )
-    assert silence < max(0.3, 0.3 * spent)
-
-
-def test_two_runs_at_once() -> None:
-    alone = bits(ssdr.decompose(frames(), bones=4, effort="fast"))
-    found: list[list[bytes]] = []
-
-    def run() -> None:
-        found.append(bits(ssdr.decompose(frames(), bones=4, effort="fast")))
-
-    threads = [threading.Thread(target=run) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert found == [alone] * 3
 
 
 # refusals
@@ -789,14 +430,3 @@ def test_refuses_a_callback_that_is_none() -> None:
     with pytest.raises(ssdr.InputError) as caught:
         ssdr.decompose(frames(), bones=4, callback=3)
     assert caught.value.argument == "callback"
-
-
-def test_history_never_rises_where_all_that_counts_is_exact() -> None:
-    array = np.random.default_rng(1).standard_normal((3, 9, 3))
-    counts = np.arange(9) < 3
-    result = ssdr.decompose(array, bones=2, effort="fast", vertex_importance=counts)
-    values = [record.rmse for record in result.history]
-    assert len(values) > 1
-    assert values == sorted(values, reverse=True)
-    assert values[-1] == result.rmse > 0.1
-    assert values[0] < 10 * values[-1]  # no ratio of an error to nothing

@@ -1,0 +1,91 @@
+"""``ssdr`` beside other Python threads."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import motions
+import numpy as np
+from measures import bits, frames
+
+import ssdr
+from ssdr.kernels.frames import sweep_bones
+from ssdr.model import bone_sums, neighbours
+from ssdr.trajectories import gather
+
+
+def longest_silence(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that `work` took, and the longest that another Python thread had to wait."""
+    gaps: list[float] = []
+    started, done = threading.Event(), threading.Event()
+
+    def tick() -> None:
+        last = time.perf_counter()
+        while not done.is_set():
+            time.sleep(0.001)
+            now = time.perf_counter()
+            gaps.append(now - last)
+            last = now
+            started.set()
+
+    watcher = threading.Thread(target=tick)
+    watcher.start()
+    started.wait()
+    began = time.perf_counter()
+    try:
+        work()
+    finally:
+        spent = time.perf_counter() - began
+        done.set()
+        watcher.join()
+    return spent, max(gaps)
+
+
+def test_a_kernel_releases_the_lock_of_python() -> None:
+    """One long call of a kernel, nothing of Python in it, and another thread goes on."""
+    bones = 8
+    data = gather([ssdr.MeshSequence(np.random.default_rng(0).random((1, 40, 3)))], bones=bones)
+    joints = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
+    weights = np.random.default_rng(1).dirichlet(np.ones(bones), 40)
+    u, c = bone_sums(data, joints, weights, data.frame(0), bones)
+    start, neighbour = neighbours(u)
+    transforms = np.tile(np.eye(4)[:3], (1, bones, 1, 1))
+    locked = np.zeros(bones, dtype=bool)
+
+    def sweep(count: int) -> float:
+        began = time.perf_counter()
+        sweep_bones(transforms, c, u, start, neighbour, locked, False, count, 0, 1)
+        return time.perf_counter() - began
+
+    sweep(1)
+    rate = sweep(1000) / 1000
+    spent, silence = longest_silence(lambda: sweep(int(1.0 / rate)))
+    assert spent > 0.3
+    assert silence < 0.5 * spent
+
+
+def test_other_threads_go_on_during_a_run() -> None:
+    big = motions.chain(bones=8, rows=500, ring=10, frames=60)
+    array = motions.wobble(big, 0.05)
+    ssdr.decompose(array[:2], bones=2, effort="fast")  # compiled before the clock starts
+    spent, silence = longest_silence(
+        lambda: ssdr.decompose(array, bones=40, effort="fast", max_iterations=30)
+    )
+    assert silence < max(0.3, 0.3 * spent)
+
+
+def test_two_runs_at_once() -> None:
+    alone = bits(ssdr.decompose(frames(), bones=4, effort="fast"))
+    found: list[list[bytes]] = []
+
+    def run() -> None:
+        found.append(bits(ssdr.decompose(frames(), bones=4, effort="fast")))
+
+    threads = [threading.Thread(target=run) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [alone] * 3
