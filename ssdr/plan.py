@@ -80,19 +80,22 @@ def _search(count: int, race: tuple[float, float] = (0.0, 0.0)) -> Op:
     return Op("search", count=count, patience=count, tolerance=1e-3, cost=60, race=race)
 
 
-# "best", by vertices × frames × bones: tries at first, rebuilt so many times, tries in the end
-_BEST = {1e7: (6, 4, 6), 0.0: (10, 6, 10)}
+# "best", by vertices × frames × bones: tries at first; how often the model is rebuilt before
+# the merged start and after it; tries in the end
+_BEST = {1e7: (6, 0, 4, 6), 2e6: (10, 0, 6, 10), 0.0: (10, 6, 6, 10)}
 _MOST_TRIES, _RACE = 6, (1.08, 1.02)  # of what was rebuilt
 # From so many bones on alternations alone put many of them in better places; and now and
 # then a start ends where no rebuilding helps: so there are some, and few tries of each.
 _MANY_BONES, _STARTS, _START_TRIES = 24, 3, 4
 
 
-def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
+def _best(tries: int, before: int, after: int, last: int, *, many_bones: bool) -> list[Op]:
     """A start relaxed and searched; then the best model rebuilt time and again.
 
     What bones in other places are worth shows only once influences and weights have
     followed them: each change is relaxed, polished and searched before it is judged.
+    Which start leads further shows only once it has been rebuilt, too: where that takes
+    seconds, the first model is, before another is set beside it.
     """
 
     def judged(tries: int) -> list[Op]:
@@ -109,8 +112,9 @@ def _best(tries: int, rebuilt: int, last: int, *, many_bones: bool) -> list[Op]:
     merged = [*_begin(1.6, 12, 6), _RESEED, *judged(begun)]
     merged = [dataclasses.replace(op, aside=True) for op in merged]
     rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
+    rebuild += judged(min(tries, _MOST_TRIES))
     return [
-        *first, *merged, *rebuilt * [*rebuild, *judged(min(tries, _MOST_TRIES))],
+        *first, *before * rebuild, *merged, *after * rebuild,
         Op("recall", cost=0), _search(last), Op("recall", cost=0), _polish(60, 0.002),
     ]  # fmt: skip
 
