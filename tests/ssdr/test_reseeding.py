@@ -293,6 +293,17 @@ def test_best_rebuilds_and_begins_with_regrown_starts_where_bones_are_many(size:
     )
 
 
+@pytest.mark.parametrize(("size", "rebuilt"), [(1e5, True), (3e6, False), (1e9, False)])
+def test_small_models_are_rebuilt_before_another_start_is_set_beside_them(
+    size: float, rebuilt: bool
+) -> None:
+    plan = best_plan(5, size)
+    merged = next(k for k, op in enumerate(plan) if op.aside)
+    before, after = plan[:merged], plan[merged:]
+    assert any(op.phase == "regrow" for op in before) == rebuilt
+    assert any(op.phase == "regrow" for op in after)
+
+
 def beam(frames: int, rings: int) -> tuple[np.ndarray, np.ndarray]:
     """A smooth motion of few vertices: a bar that bends while waves run along it."""
     rest = np.array([[x, y, z] for x in np.linspace(0, 4, rings) for y in (0, 1) for z in (0, 1)])
