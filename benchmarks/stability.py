@@ -32,7 +32,8 @@ from common import IMAGES, RESULTS, ROOT, machine, pyplot, save_figure, write_cs
 sys.path.insert(0, str(ROOT / "tests"))
 
 import motions
-from stability_cases import CASES, GROUPS, Case, Problem, diagonal, plain, run
+from measures import diagonal
+from stability_cases import CASES, GROUPS, Case, Problem, plain, run
 
 ITERATIONS = 30
 SETTINGS = ("default", "0")

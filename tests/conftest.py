@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 
-pytest.register_assert_rewrite("measures", "stretches", "surfaces")
+pytest.register_assert_rewrite("promises", "stretches", "surfaces")
 
 
 @pytest.fixture(scope="session")

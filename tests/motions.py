@@ -62,6 +62,18 @@ def weights_of(rng, n_vertices, n_bones, influences):
     return joints.astype(np.int32), weights
 
 
+def random_skinning(rng, rest, n_frames, n_bones, influences):
+    """Frames (F, V, 3) of random weights under unrelated bones."""
+    joints, weights = weights_of(rng, len(rest), n_bones, influences)
+    return blend(rest, joints, weights, motions(rng, n_frames, n_bones))
+
+
+def still(array):
+    """The same array, read-only: what is cached is shared."""
+    array.setflags(write=False)
+    return array
+
+
 def chain(seed=0, *, bones=5, frames=20, rows=20, ring=6, bend=0.6):
     """A tube around a chain of hinges; neighbouring bones overlap, up to two a vertex."""
     rng = np.random.default_rng(seed)

@@ -23,6 +23,7 @@ from typing import Any
 
 import motions
 import numpy as np
+from measures import bits, diagonal
 
 import ssdr
 
@@ -90,10 +91,6 @@ class Group:
     cases: list[Case]
 
 
-def diagonal(frames: np.ndarray) -> float:
-    return float(np.linalg.norm(np.ptp(frames, axis=1), axis=1).max())
-
-
 @functools.cache
 def rig() -> motions.Rig:
     return motions.chain(bones=4, rows=16, frames=16)
@@ -101,9 +98,7 @@ def rig() -> motions.Rig:
 
 @functools.cache
 def base() -> np.ndarray:
-    frames = motions.wobble(rig(), 0.05)
-    frames.setflags(write=False)
-    return frames
+    return motions.still(motions.wobble(rig(), 0.05))
 
 
 def plain(**options: Any) -> Problem:
@@ -328,11 +323,6 @@ def memory(problem: Problem) -> str:
     times, used = (float(x) for x in done.stdout.split())
     fits = times < MOST_MEMORY or used < 2**28
     return "" if fits else f"{times:.1f} times the positions in float64"
-
-
-def bits(result: ssdr.Decomposition) -> list[bytes]:
-    s = result.skinning
-    return [a.tobytes() for a in (s.rest, s.joints, s.weights, s.transforms)]
 
 
 def same_bits(problem: Problem) -> str:

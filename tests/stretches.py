@@ -46,7 +46,3 @@ def check_kind(transforms: np.ndarray, kind: str) -> None:
     if kind == "rigid":
         assert np.abs(size - 1).max() < 1e-9
     assert np.abs(gram / size[..., None, None] - np.eye(3)).max() < 1e-9
-
-
-def pooled(frames: np.ndarray, again: np.ndarray) -> float:
-    return float(np.sqrt(((frames - again) ** 2).sum(axis=-1).mean()))

@@ -1,4 +1,4 @@
-"""Bones that grow (similarity) and stretch (affine), against naive twins and exact data."""
+"""Bones that grow (similarity) and stretch (affine): what results with them promise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stretches import KINDS, MODELS, check_kind, pooled, rig, stretched
+from measures import pooled
+from stretches import KINDS, MODELS, check_kind, rig, stretched
 
 import ssdr
 from ssdr import chunked, cli, streaming

@@ -11,7 +11,8 @@ import motions
 import numpy as np
 import pytest
 import threadpoolctl
-from measures import bits, check, diagonal, frames, rig, rmse_of
+from measures import bits, diagonal, frames, rig, rmse_of
+from promises import check
 
 import ssdr
 

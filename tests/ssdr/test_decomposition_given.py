@@ -9,7 +9,8 @@ import motions
 import naive
 import numpy as np
 import pytest
-from measures import check, diagonal, frames, rig, rmse_of
+from measures import diagonal, frames, rig, rmse_of
+from promises import check
 
 import ssdr
 

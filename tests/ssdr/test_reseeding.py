@@ -38,8 +38,7 @@ def problem(seed: int, noise: float = 0.01) -> tuple[Trajectories, Model]:
     """Blends of three of nine bones, and a first model of seven with two a vertex."""
     rng = np.random.default_rng(seed)
     rest = rng.standard_normal((90, 3))
-    joints, weights = motions.weights_of(rng, 90, 9, 3)
-    frames = motions.blend(rest, joints, weights, motions.motions(rng, 8, 9))
+    frames = motions.random_skinning(rng, rest, 8, 9, 3)
     frames += noise * rng.standard_normal(frames.shape)
     data = gather([ssdr.MeshSequence(frames)], bones=99)
     model = start_model(data, data.frame(0), BONES, INFLUENCES, rng)
