@@ -28,8 +28,8 @@ from garmentnet.predict import follow
 from garmentnet.scenes.dance import dance
 from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulate import simulate
-from ssdr.laplacian import LaplacianSmoother
-from ssdr.render import render_frame
+from ssdr.laplacian.smoothing import LaplacianSmoother
+from ssdr.render.figures import render_frame
 
 LENGTH = 0.02  # m, of the split
 ENDS = {

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from ssdr.laplacian import LaplacianSmoother, cotangent_laplacian, mass_matrix
+from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix
+from ssdr.laplacian.smoothing import LaplacianSmoother
 
 FRAMES, LENGTH = 300, 0.2
 

@@ -241,12 +241,13 @@ def one(path: Path, source: Source, frames: int, effort: str, resume: bool) -> t
 
 def beside(path: Path, source: Source, streamed: Any, count: int, effort: str) -> dict[str, Any]:
     """A streamed model against one solved in memory, uncompressed, on evenly spread frames."""
-    from ssdr import streaming, trajectories
+    from ssdr.solver import trajectories
+    from ssdr.streaming import scan
 
     frames = len(streamed.skinning.transforms)
     vertices = np.load(path, mmap_mode="r")
     some = np.unique(np.linspace(0, frames - 1, count).astype(int))
-    streaming._IN_MEMORY = 1 << 40
+    scan._IN_MEMORY = 1 << 40
     trajectories._TAIL = 0.0  # of what compression may lose
     inner, row = measured(
         lambda: ssdr.MeshSequence(vertices[some], source.faces, 30.0), bones=source.bones,

@@ -154,9 +154,10 @@ def run_2012(
     polish.  The start is this package's own, better than that of the paper.
     """
     import ssdr
-    from ssdr.initialization import start_model
-    from ssdr.model import Fixed, bone_step, vertex_step
-    from ssdr.trajectories import gather
+    from ssdr.solver.alternation import bone_step, vertex_step
+    from ssdr.solver.initialization import start_model
+    from ssdr.solver.model import Fixed
+    from ssdr.solver.trajectories import gather
 
     rng = np.random.default_rng(job["seed"])
     rest = np.asarray(frames[0], dtype=np.float64)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 import ssdr
-from ssdr.io import blender
+from ssdr.io.blender import bridge as blender
 from ssdr.io.corners import corner_normals
 from ssdr.io.rig import turn_up
 

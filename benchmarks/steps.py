@@ -32,11 +32,11 @@ import paper_size
 from common import IMAGES, RESULTS, load, machine, pyplot, save_figure, table, tell, write_json
 
 import ssdr
-from ssdr import model as steps
-from ssdr import projection
-from ssdr.initialization import start_model
 from ssdr.parallel import serial_blas
-from ssdr.trajectories import Trajectories, gather
+from ssdr.solver import model as steps
+from ssdr.solver import polish as projection
+from ssdr.solver.initialization import start_model
+from ssdr.solver.trajectories import Trajectories, gather
 
 CASES = [("horse_gallop", 20), ("samba", 60)]
 PAPER = ("paper_size", 80)  # 2,000 of its frames, of full rank; only alternations

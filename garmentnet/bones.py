@@ -27,7 +27,7 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import reading
-from ssdr.laplacian import LaplacianSmoother
+from ssdr.laplacian.smoothing import LaplacianSmoother
 
 from .clips import MIRRORED, Clip, ClipStore, SimulationParameters
 from .configs import BoneOptions

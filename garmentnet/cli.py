@@ -14,8 +14,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError
-from ssdr.process import error_text, terminate_as_interrupt
+from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError, error_text
+from ssdr.signals import terminate_as_interrupt
 
 from . import learning_cli
 

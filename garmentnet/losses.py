@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from ssdr import Skinning
-from ssdr.laplacian import uniform_laplacian
+from ssdr.laplacian.operators import uniform_laplacian
 
 from .skinning import TorchSkinning, apply_frame
 

@@ -115,7 +115,7 @@ def _draw(
     bones: VirtualBones, truth: Array, answer: Array, fps: float, path: Path, *,
     title: str, frames: Any,
 ) -> None:  # fmt: skip
-    from ssdr.render import contact_sheet, write_picture
+    from ssdr.render.figures import contact_sheet, write_picture
 
     store = bones.store
     faces = np.concatenate([store.body.faces, store.faces + store.body.n_vertices])

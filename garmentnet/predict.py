@@ -261,7 +261,7 @@ def _save(
     frames: int,
     progress: Callable[[float], None] | None,
 ) -> str:
-    from ssdr.render import animate, contact_sheet, write_picture
+    from ssdr.render.figures import animate, contact_sheet, write_picture
 
     suffix = file.suffix.lower()
     if suffix in _FILMS:
@@ -322,7 +322,7 @@ def _rigid(skinning: Skinning) -> Skinning:
 def _write_mp4(
     scene: MeshSequence, path: Path, size: int, progress: Callable[[float], None] | None
 ) -> None:
-    from ssdr.scene import Scene, View, draw_panel
+    from ssdr.render.scene import Scene, View, draw_panel
 
     av = require("av", "garmentnet", "an .mp4 file")
     side = size - size % 2

@@ -12,24 +12,24 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Cancelled": "errors",
-    "Decomposition": "decomposition",
+    "Decomposition": "result",
     "FormatError": "errors",
     "InputError": "errors",
     "Material": "sequence",
     "MeshSequence": "sequence",
     "MissingDependencyError": "errors",
     "Skinning": "skinning",
-    "SolverState": "state",
+    "SolverState": "search.state",
     "SsdrError": "errors",
     "SsdrWarning": "errors",
     "Surface": "sequence",
     "WeldReport": "sequence",
     "decompose": "decomposition",
-    "fit_bones": "bones",
-    "fit_rest_pose": "restpose",
-    "fit_weights": "weights",
+    "fit_bones": "fit.bones",
+    "fit_rest_pose": "fit.rest_pose",
+    "fit_weights": "fit.weights",
     "get_threads": "parallel",
-    "initialize": "initialization",
+    "initialize": "fit.initialization",
     "kabsch": "rigid",
     "load": "io",
     "load_skinning": "io",
@@ -90,20 +90,8 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from . import (
-        errors,
-        io,
-        laplacian,
-        metrics,
-        parallel,
-        parsimony,
-        rigid,
-        samples,
-        sequence,
-        skinning,
-    )
-    from .bones import fit_bones
-    from .decomposition import Decomposition, decompose
+    from . import errors, io, metrics, parallel, rigid, samples, sequence, skinning
+    from .decomposition import decompose
     from .errors import (
         Cancelled,
         FormatError,
@@ -112,15 +100,17 @@ if TYPE_CHECKING:
         SsdrError,
         SsdrWarning,
     )
-    from .initialization import initialize
+    from .fit.bones import fit_bones
+    from .fit.initialization import initialize
+    from .fit.rest_pose import fit_rest_pose
+    from .fit.weights import fit_weights
     from .io import load, load_skinning, save
     from .parallel import get_threads, set_threads
-    from .restpose import fit_rest_pose
+    from .result import Decomposition
     from .rigid import kabsch
+    from .search.state import SolverState
     from .sequence import Material, MeshSequence, Surface, WeldReport
     from .skinning import Skinning, skin
-    from .state import SolverState
-    from .weights import fit_weights
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 from .errors import InputError, check_choice
 from .sequence import MeshSequence
 from .skinning import BoneModel
-from .trajectories import LARGEST, check_squarable
 
 __all__ = [
+    "LARGEST",
     "as_sequences",
     "check_bone_model",
     "check_bones",
@@ -26,13 +27,20 @@ __all__ = [
     "check_nonnegative",
     "check_rest",
     "check_rng",
+    "check_squarable",
     "check_transforms",
     "check_weights",
+    "parse_tolerance",
 ]
 
 _LARGEST_INDEX = int(np.iinfo(np.int32).max)
 
 Array = NDArray[np.float64]
+
+
+_EXPECTED = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
+_SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
+LARGEST = 1e100  # of what is summed in squares
 
 
 def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
@@ -255,3 +263,34 @@ def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | Non
             )
         mask[array] = True
     return mask
+
+
+def parse_tolerance(tolerance: Any, diagonal: float) -> float:
+    """A tolerance in the mesh's units.
+
+    Raises
+    ------
+    InputError
+        If it is neither a positive length nor a positive share of the diagonal.
+    """
+    if isinstance(tolerance, str):
+        match = _SHARE.fullmatch(tolerance)
+        try:
+            share = float(match[1]) / 100 if match else math.nan
+        except ValueError:
+            share = math.nan
+        if not (math.isfinite(share) and share > 0):
+            raise InputError("tolerance", _EXPECTED, repr(tolerance))
+        return share * diagonal
+    number = isinstance(tolerance, (int, float, np.integer, np.floating))
+    if isinstance(tolerance, bool) or not (
+        number and math.isfinite(tolerance) and float(tolerance) > 0
+    ):
+        raise InputError("tolerance", _EXPECTED, repr(tolerance))
+    return float(tolerance)
+
+
+def check_squarable(array: NDArray[np.floating], argument: str, expected: str) -> None:
+    """Whether its numbers can be squared and summed."""
+    if array.size and not np.abs(array).max() < LARGEST:
+        raise InputError(argument, expected, "larger ones")

@@ -24,26 +24,28 @@ from .checks import (
     check_nonnegative,
     check_rng,
 )
-from .chunked import Executor, executor_for
 from .errors import Cancelled, InputError, SsdrWarning, check_choice
-from .fewest import Measure
-from .given import check_parts
-from .model import Fixed, Model, bone_costs
 from .parallel import serial_blas
-from .passes import Checkpoint, Passes, scan_progress, share_of
-from .plan import plan_print
-from .result import Decomposition, Progress, Record
-from .run import Run
+from .parsimony.report import Measure
+from .parsimony.solve import MOST_BONES, decompose_within
+from .result import Decomposition
+from .search.problem import check_parts
+from .search.progress import Progress, Record
+from .search.run import Run
+from .search.schedule import plan_print
+from .search.state import Checkpoint, SolverState, check_settings, check_size, taking_up
+from .search.task import Task, best_of
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
-from .state import SolverState, check_settings, check_size, taking_up
-from .streaming import Scan, needs_streaming, scan, squared_error
-from .stretching import normalise_gauge
-from .task import Task, best_of
-from .tolerance import MOST_BONES, decompose_within
-from .trajectories import Alignment
-from .warmup import compile_kernels
-from .weights import pad_influences
+from .solver.alternation import bone_costs
+from .solver.bone_models import normalise_gauge
+from .solver.model import Fixed, Model, pad_influences
+from .solver.trajectories import Alignment
+from .solver.warmup import compile_kernels
+from .streaming.error import squared_error
+from .streaming.executor import Executor, executor_for
+from .streaming.passes import Passes, scan_progress, share_of
+from .streaming.scan import Scan, needs_streaming, scan
 
 __all__ = ["Decomposition", "Effort", "Progress", "Record", "decompose"]
 

@@ -59,3 +59,10 @@ def check_choice(value: object, argument: str, choices: Any) -> None:
     """Whether it is one of the strings of a ``Literal``."""
     if not isinstance(value, str) or value not in get_args(choices):
         raise InputError(argument, f"one of {get_args(choices)}", repr(value))
+
+
+def error_text(error: BaseException) -> str:
+    """What an error says; the file's name and the reason where the system refused."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error) or type(error).__name__

@@ -8,11 +8,11 @@ import motions
 import numpy as np
 
 import ssdr
-from ssdr.given import Given
-from ssdr.model import Fixed, Model
-from ssdr.plan import Op
-from ssdr.run import Run
-from ssdr.trajectories import Trajectories
+from ssdr.search.problem import Given
+from ssdr.search.run import Run
+from ssdr.search.schedule import Op
+from ssdr.solver.model import Fixed, Model
+from ssdr.solver.trajectories import Trajectories
 
 
 @functools.cache

@@ -177,8 +177,8 @@ def decompose(
         anyway = force or checkpoint is None
         check_file(state_path, "--checkpoint", force=anyway, sources=[source])
     if picture is not None:
-        from ..raster import up_axes
-        from ..render import picture_format
+        from ..render.figures import picture_format
+        from ..render.raster import up_axes
 
         picture_format(picture)
         up_axes(up)
@@ -227,7 +227,7 @@ def decompose(
         for path in outputs:
             reports.append(ssdr.save(result.skinning, path, **write_options(write, path)))
         if picture is not None:
-            from ..render import contact_sheet, write_picture
+            from ..render.figures import contact_sheet, write_picture
 
             sheet = contact_sheet(result.skinning, reference=sequence, title=source.stem, up=up)
             write_picture(sheet, picture)
@@ -298,7 +298,7 @@ def _tolerance(text: str | None, of: ToleranceOf) -> dict[str, Any]:
     if text is None:
         # refused by the solver, as nothing that it would bound
         return {} if of is ToleranceOf.rmse else {"tolerance_of": of.value}
-    from ..tolerance import parse_tolerance
+    from ..checks import parse_tolerance
 
     value: str | float = text
     with contextlib.suppress(ValueError):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence, Surface, _check_faces
-from .archive import read_array
+from .arrays.archive import read_array
 from .registry import reading
 
 __all__ = ["Companion", "find"]

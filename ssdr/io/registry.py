@@ -89,14 +89,16 @@ _USD = Format(
 
 FORMATS: dict[str, Format] = {
     ".npz": Format(
-        "npz",
+        "arrays.npz",
         "NumPy archive",
         write_sequence="write_sequence",
         read_skinning="read_skinning",
         write_skinning="write_skinning",
     ),
-    ".npy": Format("npy", "NumPy array", write_sequence="write_sequence"),
-    ".zarr": Format("zarr_store", "zarr store", write_sequence="write_sequence", extra="zarr"),
+    ".npy": Format("arrays.npy", "NumPy array", write_sequence="write_sequence"),
+    ".zarr": Format(
+        "arrays.zarr_store", "zarr store", write_sequence="write_sequence", extra="zarr"
+    ),
     ".obj": Format("meshes", "numbered Wavefront OBJ", write_sequence="write_sequence"),
     ".ply": Format("meshes", "numbered PLY", write_sequence="write_sequence"),
     ".off": Format("meshes", "numbered OFF"),

@@ -9,15 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import inline, kernel
+from .simplex_qp import cholesky_solve, simplex_qp
 from .vertices import (
     against,
-    cholesky_solve,
     close_gaps,
     gradient_of_all,
     hessian_row,
     monomials,
     pulled,
-    simplex_qp,
     squared_error,
     store,
 )

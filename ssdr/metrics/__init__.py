@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ._comparison import Comparison, compare
-from ._distances import Distances, distances, rmse
-from ._hausdorff import Hausdorff, hausdorff
-from ._sted import Sted, sted
+from .comparison import Comparison, compare
+from .edge_difference import Sted, sted
+from .hausdorff_distance import Hausdorff, hausdorff
+from .vertex_distances import Distances, distances, rmse
 
 __all__ = [
     "Comparison",

@@ -16,10 +16,11 @@ from measures import pooled
 from stretches import KINDS, MODELS, check_kind, rig, stretched
 
 import ssdr
-from ssdr import chunked, cli, streaming
-from ssdr.affine import solve_affine
-from ssdr.model import bone_sums
-from ssdr.trajectories import gather
+from ssdr import cli
+from ssdr.solver.affine import solve_affine
+from ssdr.solver.moments import bone_sums
+from ssdr.solver.trajectories import gather
+from ssdr.streaming import executor, scan
 
 # exact recovery
 
@@ -261,10 +262,10 @@ def test_given_parts_stay(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_streamed(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "_IN_MEMORY", 1)
-    monkeypatch.setattr(streaming, "_FEWEST", 20)
-    monkeypatch.setattr(streaming, "_MOST", 20)
-    monkeypatch.setattr(chunked, "_BLOCK", 24 * 120 * 7)
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1)
+    monkeypatch.setattr(scan, "_FEWEST", 20)
+    monkeypatch.setattr(scan, "_MOST", 20)
+    monkeypatch.setattr(executor, "_BLOCK", 24 * 120 * 7)
     truth = rig(kind, bones=3, frames=50)
     frames = truth.frames
     result = ssdr.decompose(frames, bones=3, bone_model=kind)

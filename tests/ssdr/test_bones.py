@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr import bones
-from ssdr.model import bone_sums
-from ssdr.streaming import squared_error
-from ssdr.trajectories import gather
+from ssdr.fit import bones
+from ssdr.solver.moments import bone_sums
+from ssdr.solver.trajectories import gather
+from ssdr.streaming.error import squared_error
 
 
 def check_rigid(transforms: np.ndarray) -> None:

@@ -11,9 +11,9 @@ import numpy as np
 from measures import bits, frames
 
 import ssdr
-from ssdr.kernels.frames import sweep_bones
-from ssdr.model import bone_sums, neighbours
-from ssdr.trajectories import gather
+from ssdr.kernels.bones import sweep_bones
+from ssdr.solver.moments import bone_sums, neighbours
+from ssdr.solver.trajectories import gather
 
 
 def longest_silence(work: Callable[[], object]) -> tuple[float, float]:

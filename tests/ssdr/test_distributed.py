@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr import chunked, streaming
+from ssdr.streaming import executor, scan
 
 distributed = pytest.importorskip(
     "distributed", reason='needs Dask: pip install "ssdr[dask]"', exc_type=ImportError
@@ -55,10 +55,10 @@ def client(cluster: Any) -> Iterator[Any]:
 
 @pytest.fixture(autouse=True)
 def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "_IN_MEMORY", 1)
-    monkeypatch.setattr(streaming, "_FEWEST", 40)
-    monkeypatch.setattr(streaming, "_MOST", 40)
-    monkeypatch.setattr(chunked, "_SPANS", 8)
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1)
+    monkeypatch.setattr(scan, "_FEWEST", 40)
+    monkeypatch.setattr(scan, "_MOST", 40)
+    monkeypatch.setattr(executor, "_SPANS", 8)
 
 
 def wobbly() -> np.ndarray:
@@ -97,7 +97,7 @@ def test_without_a_client_dask_and_zarr_are_read_here(tmp_path: Path) -> None:
     frames = wobbly()
     here = solve(frames)
     for source in sources(frames, tmp_path).values():
-        assert isinstance(chunked.executor_for([ssdr.MeshSequence(source)]), chunked.Local)
+        assert isinstance(executor.executor_for([ssdr.MeshSequence(source)]), executor.Local)
         same(solve(source), here)
 
 
@@ -106,10 +106,10 @@ def test_workers_find_what_this_process_finds(
 ) -> None:
     frames = wobbly()
     here = solve(frames)  # in memory: stays in this process, client or not
-    assert isinstance(chunked.executor_for([ssdr.MeshSequence(frames)]), chunked.Local)
-    monkeypatch.setattr(chunked.Local, "map", None)  # whoever walks here, fails
+    assert isinstance(executor.executor_for([ssdr.MeshSequence(frames)]), executor.Local)
+    monkeypatch.setattr(executor.Local, "map", None)  # whoever walks here, fails
     for source in sources(frames, tmp_path).values():
-        assert isinstance(chunked.executor_for([ssdr.MeshSequence(source)]), chunked.Cluster)
+        assert isinstance(executor.executor_for([ssdr.MeshSequence(source)]), executor.Cluster)
         same(solve(source), here)
 
 

@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 from measures import rmse_of, solved, wavy
 
 import ssdr
-from ssdr.fewest import Attempt, Search
-from ssdr.model import Fixed
-from ssdr.rank import rank_bound, reduced
-from ssdr.reseeding import grow_bone
-from ssdr.trajectories import gather
+from ssdr.parsimony.fewest_bones import Search
+from ssdr.parsimony.rank import rank_bound, reduced
+from ssdr.parsimony.report import Attempt
+from ssdr.search.moves import grow_bone
+from ssdr.solver.model import Fixed
+from ssdr.solver.trajectories import gather
 
 
 @settings(max_examples=15, deadline=None)

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssdr
-from ssdr.initialization import choose, farthest_points, fit_patches, single_bone_errors
-from ssdr.trajectories import gather
+from ssdr.solver.initialization import choose, farthest_points, fit_patches, single_bone_errors
+from ssdr.solver.trajectories import gather
 
 
 @settings(max_examples=20, deadline=None)

@@ -12,7 +12,7 @@ import pytest
 from rig_model import largest_distance, tube
 
 import ssdr
-from ssdr.io import blender
+from ssdr.io.blender import bridge as blender
 from ssdr.io.rig import turn_up
 
 HAVE = bool(os.environ.get("SSDR_BLENDER_PYTHON")) or importlib.util.find_spec("bpy") is not None

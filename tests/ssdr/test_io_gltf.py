@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from ssdr.io.corners import corner_normals, split_corners
-from ssdr.io.gltf_document import Document
+from ssdr.io.gltf.document import Document
 from ssdr.io.rig import build_rig, frame_rate, quantise, turn_skinning_up, unique_names
 
 

@@ -13,14 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ssdr import InputError, MeshSequence, MissingDependencyError
-from ssdr.laplacian import (
-    LaplacianSmoother,
-    cotangent_laplacian,
-    implicit_smooth,
-    mass_matrix,
-    split_frequencies,
-    uniform_laplacian,
-)
+from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix, uniform_laplacian
+from ssdr.laplacian.smoothing import LaplacianSmoother, implicit_smooth, split_frequencies
 
 HAS_CHOLMOD = importlib.util.find_spec("sksparse") is not None
 BACKENDS = [
@@ -199,7 +193,7 @@ def test_batches_give_the_same(monkeypatch):
     smoother = LaplacianSmoother(vertices, faces, 0.3)
     frames = np.random.default_rng(4).normal(size=(7, len(vertices), 3))
     whole = smoother.smooth(frames)
-    monkeypatch.setattr("ssdr.laplacian._BATCH_BYTES", 8 * 3 * len(vertices) * 2)
+    monkeypatch.setattr("ssdr.laplacian.smoothing._BATCH_BYTES", 8 * 3 * len(vertices) * 2)
     np.testing.assert_allclose(smoother.smooth(frames), whole, atol=1e-14)
 
 

@@ -93,7 +93,7 @@ def test_chunks_and_files_give_the_same(monkeypatch, tmp_path):
     np.save(tmp_path / "a.npy", a)
     mapped = MeshSequence(np.load(tmp_path / "a.npy", mmap_mode="r"), faces)
     assert mapped.is_lazy
-    monkeypatch.setattr("ssdr.metrics._inputs._CHUNK_BYTES", 1)
+    monkeypatch.setattr("ssdr.metrics.inputs._CHUNK_BYTES", 1)
     parts = compare(mapped, b).as_dict(arrays=True)
 
     def same(x, y):
@@ -211,7 +211,7 @@ def test_samples_see_what_vertices_miss():
 
 
 def test_subdivided_probes_are_on_the_surface():
-    from ssdr.metrics._hausdorff import _probes
+    from ssdr.metrics.hausdorff_distance import _probes
 
     vertices, faces = sphere()
     for n in (1, 2, 3, 5):

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from measures import diagonal, largest_of, rmse_of, small, wavy
 
 import ssdr
-from ssdr import cli, parsimony, streaming
-from ssdr.tolerance import parse_tolerance
+from ssdr import cli, parsimony
+from ssdr.checks import parse_tolerance
+from ssdr.streaming import scan
 
 # what a tolerance may be
 
@@ -233,10 +234,10 @@ def test_other_bone_models(bone_model: Any) -> None:
 
 
 def test_frames_that_are_streamed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streaming, "_IN_MEMORY", 1 << 10)
-    monkeypatch.setattr(streaming, "_FEWEST", 8)
-    monkeypatch.setattr(streaming, "_MOST", 9)
-    assert streaming.needs_streaming([ssdr.MeshSequence(wavy())])
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1 << 10)
+    monkeypatch.setattr(scan, "_FEWEST", 8)
+    monkeypatch.setattr(scan, "_MOST", 9)
+    assert scan.needs_streaming([ssdr.MeshSequence(wavy())])
     result = ssdr.decompose(wavy(), tolerance="0.8%", effort="fast")
     assert result.skinning.n_frames == 15
     assert rmse_of(result.skinning, wavy()) <= 0.008 * diagonal(wavy())
@@ -267,12 +268,12 @@ def test_curve_of_exact_skinning_has_its_knee_there() -> None:
 def test_curve_of_streamed_frames_has_the_bytes_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
     frames = wavy().copy()
     frames[8, 40:42] += [[0, 0, -4], [0, 0, 4]]  # vertices by which frames are not compared
-    monkeypatch.setattr(streaming, "_IN_MEMORY", 1 << 10)
-    monkeypatch.setattr(streaming, "_FEWEST", 6)
-    monkeypatch.setattr(streaming, "_MOST", 6)
-    monkeypatch.setattr(streaming, "_PROBES", 8)
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1 << 10)
+    monkeypatch.setattr(scan, "_FEWEST", 6)
+    monkeypatch.setattr(scan, "_MOST", 6)
+    monkeypatch.setattr(scan, "_PROBES", 8)
     sequence = ssdr.MeshSequence(frames)
-    assert 8 not in streaming.scan([sequence], None).chosen
+    assert 8 not in scan.scan([sequence], None).chosen
     curve = parsimony.curve(frames, bones=2)
     weights = 84 * np.array([[1 + 3, 1 + 3], [1 + 3, 1 + 2 * 3]])
     for bones, stored, least, most in zip(curve.bones, curve.bytes, *weights, strict=True):

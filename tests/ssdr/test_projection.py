@@ -9,10 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from ssdr.kernels.tangents import move_bones, tangent_image, tangent_pullback
-from ssdr.model import FREE, Fixed, Model, vertex_step
-from ssdr.projection import Polish
-from ssdr.trajectories import Trajectories, gather
+from ssdr.kernels.schur import move_bones, tangent_image, tangent_pullback
+from ssdr.solver.alternation import vertex_step
+from ssdr.solver.model import FREE, Fixed, Model
+from ssdr.solver.polish import Polish
+from ssdr.solver.trajectories import Trajectories, gather
 
 
 class Tiny:

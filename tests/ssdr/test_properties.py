@@ -21,10 +21,10 @@ from measures import bits
 
 import ssdr
 from ssdr.kernels.polish import invert
-from ssdr.model import Model
-from ssdr.pruning import Tracks
-from ssdr.smoothness import WeightSmoothness
-from ssdr.trajectories import gather
+from ssdr.parsimony.keyframes import Tracks
+from ssdr.solver.model import Model
+from ssdr.solver.smoothness import WeightSmoothness
+from ssdr.solver.trajectories import gather
 
 STEPS = 1e-8  # relative, steps without a choice
 SINGLE = 1e-5  # the same in float32

@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation, Slerp
 import ssdr
 from ssdr import parsimony
 from ssdr.io.rig import build_rig
-from ssdr.model import Fixed
-from ssdr.pruning import Tracks, nest
-from ssdr.trajectories import gather
+from ssdr.parsimony.influences import nest
+from ssdr.parsimony.keyframes import Tracks
+from ssdr.solver.model import Fixed
+from ssdr.solver.trajectories import gather
 
 
 def test_every_pruning_says_what_it_cost() -> None:

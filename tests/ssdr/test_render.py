@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import ssdr
-from ssdr import palette, raster, render
+from ssdr import render
 from ssdr.kernels.raster import raster_balls, raster_triangles
+from ssdr.render import palette, raster
 
 
 def buffers(height, width):

@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.given import Given
-from ssdr.initialization import start_model
-from ssdr.model import FREE, Fixed, Model, vertex_step
-from ssdr.plan import Op, make_plan
-from ssdr.reseeding import (
-    alternate,
+from ssdr.search.moves import (
     drop_influence,
     grow_and_shed,
     kick,
@@ -27,8 +22,13 @@ from ssdr.reseeding import (
     reseed_step,
     thin,
 )
-from ssdr.run import _SETTLE, Run
-from ssdr.trajectories import Trajectories, gather
+from ssdr.search.problem import Given
+from ssdr.search.run import _SETTLE, Run
+from ssdr.search.schedule import Op, make_plan
+from ssdr.solver.alternation import alternate, vertex_step
+from ssdr.solver.initialization import start_model
+from ssdr.solver.model import FREE, Fixed, Model
+from ssdr.solver.trajectories import Trajectories, gather
 
 BONES, INFLUENCES = 7, 2
 Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]

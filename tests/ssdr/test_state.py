@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.model import Model
+from ssdr.solver.model import Model
 
 OPTIONS = {"bones": 4, "influences": 3, "rng": 5}
 

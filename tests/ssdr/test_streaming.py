@@ -10,21 +10,23 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr import chunked, streaming
-from ssdr.initialization import start_model
-from ssdr.model import Fixed, vertex_step
-from ssdr.trajectories import gather
+from ssdr.solver.alternation import vertex_step
+from ssdr.solver.initialization import start_model
+from ssdr.solver.model import Fixed, Model
+from ssdr.solver.trajectories import gather
+from ssdr.streaming import executor, scan
+from ssdr.streaming.passes import AllFrames, carried
 
 
 @pytest.fixture
 def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything counts as too large; forty frames are solved first, then some ninety."""
-    monkeypatch.setattr(streaming, "_IN_MEMORY", 1)
-    monkeypatch.setattr(streaming, "_MOST_SETTLED", 80)
-    monkeypatch.setattr(streaming, "_FEWEST", 40)
-    monkeypatch.setattr(streaming, "_MOST", 40)
-    monkeypatch.setattr(chunked, "_BLOCK", 24 * 200 * 7)
-    monkeypatch.setattr(chunked, "_SPANS", 4)
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1)
+    monkeypatch.setattr(scan, "_MOST_SETTLED", 80)
+    monkeypatch.setattr(scan, "_FEWEST", 40)
+    monkeypatch.setattr(scan, "_MOST", 40)
+    monkeypatch.setattr(executor, "_BLOCK", 24 * 200 * 7)
+    monkeypatch.setattr(executor, "_SPANS", 4)
 
 
 def wobbly(n_frames: int = 120) -> np.ndarray:
@@ -38,8 +40,8 @@ def wobbly(n_frames: int = 120) -> np.ndarray:
 def test_only_large_sequences_are_streamed() -> None:
     small = ssdr.MeshSequence(np.zeros((300, 10, 3)))
     large = ssdr.MeshSequence(np.broadcast_to(np.float32(0), (10_000, 10_000, 3)), validate=False)
-    assert not streaming.needs_streaming([small])
-    assert streaming.needs_streaming([large])
+    assert not scan.needs_streaming([small])
+    assert scan.needs_streaming([large])
 
 
 @pytest.mark.usefixtures("tiny_memory")
@@ -56,7 +58,7 @@ def test_the_error_is_that_of_all_frames_and_near_the_one_in_memory(
     assert errors == sorted(errors, reverse=True)
     assert streamed.history[-1].rmse == streamed.rmse
     assert {record.phase for record in streamed.history} == {"all frames"}
-    monkeypatch.setattr(streaming, "_IN_MEMORY", 1 << 40)
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1 << 40)
     whole = ssdr.decompose(frames, bones=5)
     assert streamed.rmse < 1.25 * whole.rmse
 
@@ -101,9 +103,9 @@ def test_fixed_parts_stay() -> None:
 def test_an_extent_below_squares_is_refused() -> None:
     for size in (1e-120, 1e-200):
         with pytest.raises(ssdr.InputError, match="extent"):
-            streaming.scan([ssdr.MeshSequence(size * wobbly(9))], None)
-    assert streaming.scan([ssdr.MeshSequence(1e-90 * wobbly(9))], None).alignment.scale < 1e-89
-    assert streaming.scan([ssdr.MeshSequence(np.ones((9, 5, 3)))], None).alignment.scale == 1
+            scan.scan([ssdr.MeshSequence(size * wobbly(9))], None)
+    assert scan.scan([ssdr.MeshSequence(1e-90 * wobbly(9))], None).alignment.scale < 1e-89
+    assert scan.scan([ssdr.MeshSequence(np.ones((9, 5, 3)))], None).alignment.scale == 1
 
 
 @pytest.mark.usefixtures("tiny_memory")
@@ -111,17 +113,15 @@ def test_a_pass_is_one_exact_alternation() -> None:
     """The sums that a pass gathers give the error that skinning the model shows."""
     frames = wobbly(90)
     sequences = [ssdr.MeshSequence(frames[:50]), ssdr.MeshSequence(frames[50:])]
-    found = streaming.scan(sequences, None, keep=[7])
+    found = scan.scan(sequences, None, keep=[7])
     assert {0, 7} <= set(found.chosen.tolist())
     assert found.importance(None).sum() == pytest.approx(90)
-    few = streaming.subset(sequences, found.chosen)
+    few = scan.subset(sequences, found.chosen)
     np.testing.assert_array_equal(few.vertices, frames[found.chosen])
     data = gather([few], bones=4)
     model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
-    passes = streaming.AllFrames(
-        sequences, found, data, model, fixed=Fixed(), given=None, importance=None
-    )
+    passes = AllFrames(sequences, found, data, model, fixed=Fixed(), given=None, importance=None)
     values = [passes.pass_over(entering=3) for _ in range(3)]
     assert values == sorted(values, reverse=True)
     rest, transforms = found.alignment.to_world(passes.model.rest, passes.model.transforms)
@@ -132,7 +132,7 @@ def test_a_pass_is_one_exact_alternation() -> None:
 
 @pytest.mark.usefixtures("tiny_memory")
 def test_telling_frames_are_among_the_many_on_which_the_model_settles() -> None:
-    found = streaming.scan([ssdr.MeshSequence(wobbly())], None, keep=[7])
+    found = scan.scan([ssdr.MeshSequence(wobbly())], None, keep=[7])
     more = found.widened(200)
     assert more is not None
     assert 80 <= len(more.chosen) < 120
@@ -150,7 +150,7 @@ def test_telling_frames_are_among_the_many_on_which_the_model_settles() -> None:
 def test_settling_on_more_frames_pays(monkeypatch: pytest.MonkeyPatch, smoothness: float) -> None:
     frames, faces = wobbly(), motions.chain(3, bones=4, frames=2).faces
     settled = ssdr.decompose(frames, faces, bones=5, smoothness=smoothness)
-    monkeypatch.setattr(streaming, "_MOST_SETTLED", 40)
+    monkeypatch.setattr(scan, "_MOST_SETTLED", 40)
     hasty = ssdr.decompose(frames, faces, bones=5, smoothness=smoothness)
     assert settled.history[0].rmse < hasty.history[0].rmse
     assert settled.rmse < hasty.rmse
@@ -236,7 +236,7 @@ def test_of_bones_to_start_from_only_locked_ones_are_given_again() -> None:
     given = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
     nearest = np.arange(20) % 12
     fixed = Fixed(bones=np.array([False, True, False]))
-    moved = streaming.carried(model, nearest, 0.5, given, fixed)
+    moved = carried(model, nearest, 0.5, given, fixed)
     np.testing.assert_array_equal(moved.transforms[:, 1], given[:, 1])
     np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
     for j in (0, 2, 3):
@@ -250,9 +250,9 @@ def test_a_killed_run_goes_on_from_its_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What an exception at any moment leaves on disk is what SIGKILL leaves."""
-    from ssdr import passes
+    from ssdr.search import state
 
-    monkeypatch.setattr(passes, "_EVERY", 0.0)
+    monkeypatch.setattr(state, "_EVERY", 0.0)
     frames, path, seen = wobbly(), tmp_path / "run.npz", 0
 
     def die(progress) -> bool:
@@ -267,7 +267,7 @@ def test_a_killed_run_goes_on_from_its_checkpoint(
     state = ssdr.SolverState.load(path)
     assert len(state.passes) == 1
     assert state.whole is not None
-    monkeypatch.setattr(streaming, "_scan_span", None)  # the first walk is not made again
+    monkeypatch.setattr(scan, "_scan_span", None)  # the first walk is not made again
     again = ssdr.decompose(frames, bones=4, resume=path, checkpoint=path)
     monkeypatch.undo()
     assert len(ssdr.SolverState.load(path).passes) == len(again.history)
@@ -341,7 +341,7 @@ def test_many_short_shots_are_what_one_long_one_is() -> None:
 
 def test_rotations_leap_to_where_they_belong() -> None:
     """Far from the start, the error falls at once below what many sweeps reach."""
-    from ssdr.model import bone_step
+    from ssdr.solver.alternation import bone_step
 
     rig = motions.chain(3, bones=4, frames=60)
     data = gather([ssdr.MeshSequence(rig.frames)], bones=4, compress=False)
@@ -350,7 +350,7 @@ def test_rotations_leap_to_where_they_belong() -> None:
     errors = []
     for leaps, sweeps in ((0, 6), (0, 12), (1, 6)):
         start = np.repeat(exact[:1], 60, axis=0)
-        model = ssdr.model.Model.start(start, rest, rig.joints[:, 0], rig.joints.shape[1])
+        model = Model.start(start, rest, rig.joints[:, 0], rig.joints.shape[1])
         model.joints[:], model.weights[:] = rig.joints, rig.weights
         bone_step(data, model, sweeps=sweeps, fixed=Fixed(), leaps=leaps)
         r = model.transforms[..., :3]

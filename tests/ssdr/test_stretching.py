@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from stretches import KINDS, MODELS, check_kind, rig, stretched
 
 import ssdr
-from ssdr.model import FREE, Fixed, Model, bone_sums, vertex_step
-from ssdr.stretching import AffinePolish, SimilarityPolish, normalise_gauge, polish_of
-from ssdr.trajectories import gather
+from ssdr.solver.alternation import vertex_step
+from ssdr.solver.bone_models import AffinePolish, SimilarityPolish, normalise_gauge, polish_of
+from ssdr.solver.model import FREE, Fixed, Model
+from ssdr.solver.moments import bone_sums
+from ssdr.solver.trajectories import gather
 
 # naive twins
 

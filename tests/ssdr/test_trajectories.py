@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssdr
-from ssdr import trajectories
-from ssdr.model import Model, vertex_step
-from ssdr.trajectories import Trajectories, gather
+from ssdr.solver import trajectories
+from ssdr.solver.alternation import vertex_step
+from ssdr.solver.model import Model
+from ssdr.solver.trajectories import Trajectories, gather
 
 
 def gathered(frames: np.ndarray, **options: object) -> Trajectories:

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr import parallel, warmup
-from ssdr.kernels import frames, lbs, polish, tangents, vertices
+from ssdr import parallel
+from ssdr.kernels import lbs, polish, schur, vertices
+from ssdr.solver import warmup
 
 _REPORT = """
 import json, sys
@@ -29,7 +30,7 @@ class Names(event.Listener):
 
 names = Names()
 with event.install_listener("numba:compile", names):
-    from ssdr import warmup
+    from ssdr.solver import warmup
     seconds = warmup.compile_kernels()
 print(json.dumps({"compiled": names.found, "seconds": seconds}))
 """
@@ -54,7 +55,7 @@ def python(monkeypatch: pytest.MonkeyPatch, threads: None) -> None:
 
 
 def signatures() -> dict[str, int]:
-    modules = (frames, lbs, polish, tangents, vertices)
+    modules = (frames, lbs, polish, schur, vertices)
     return {
         f"{m.__name__}.{name}": len(value.signatures)
         for m in modules

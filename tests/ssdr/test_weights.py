@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 import ssdr
-from ssdr.weights import WeightFit
+from ssdr.fit.weights import WeightFit
 
 
 def check_simplex(fit: WeightFit, n_bones: int, influences: int) -> None:

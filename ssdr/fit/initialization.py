@@ -1,0 +1,89 @@
+"""Bones and weights to start from, usable alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..checks import (
+    as_sequences,
+    check_bone_model,
+    check_bones,
+    check_influences,
+    check_rest,
+    check_rng,
+)
+from ..sequence import MeshSequence
+from ..skinning import BoneModel, Skinning
+from ..solver.alternation import vertex_step
+from ..solver.initialization import start_model
+from ..solver.model import Fixed
+from ..solver.trajectories import gather
+
+__all__ = ["initialize"]
+
+
+def initialize(
+    sequence: MeshSequence | Any,
+    faces: Any = None,
+    *,
+    bones: int,
+    influences: int = 4,
+    bone_model: BoneModel = "rigid",
+    rest: Any = None,
+    rng: int | np.random.Generator = 0,
+) -> Skinning:
+    """Bones and weights to start from, by motion alone.
+
+    Eight patches a bone are found by farthest-point sampling of the
+    trajectories, each is fitted by Kabsch in every frame, and the bones are
+    those patches that greedily lower Σ_i min_j E_ij most (facility location),
+    refitted to the vertices that they serve best.  One weight solve follows.
+
+    Parameters
+    ----------
+    sequence : MeshSequence, list of them, or (F, V, 3) array
+    faces : (T, 3) int array, optional
+        With plain arrays.  Connectivity plays no part: separate components and
+        point clouds are served like everything else.
+    bones : int
+        1 to V.
+    influences : int
+        Most bones a vertex.
+    bone_model : {"rigid", "similarity", "affine"}
+    rest : (V, 3) array, optional
+        A rest pose to keep; by default it is solved for, from the first frame on.
+    rng : int or numpy.random.Generator
+
+    Returns
+    -------
+    Skinning
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable.
+
+    References
+    ----------
+    Le and Deng 2012, section 3.1, for the alternation of assignment and Kabsch;
+    the choice among patches is greedy facility location (Cornuéjols et al. 1977).
+    """
+    sequences = as_sequences(sequence, faces)
+    n = sequences[0].n_vertices
+    bones = check_bones(bones, n)
+    k = check_influences(influences)
+    bone_model = check_bone_model(bone_model)
+    generator = check_rng(rng)
+    inner_rest = None if rest is None else check_rest(rest, n)
+    data = gather(sequences, bones=bones)
+    start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
+    model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
+    fixed = Fixed(rest=rest is not None, bone_model=bone_model)
+    vertex_step(data, model, fixed=fixed)
+    out_rest, transforms = data.to_world(model.rest, model.transforms)
+    return Skinning(
+        out_rest, model.joints, model.weights, transforms,
+        faces=sequences[0].faces, fps=sequences[0].fps, bone_model=bone_model,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""NumPy archives and arrays, and zarr stores."""

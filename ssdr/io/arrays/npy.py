@@ -1,0 +1,58 @@
+"""Plain NumPy arrays (``.npy``) of vertices, in memory or memory-mapped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from ...errors import FormatError
+from ...sequence import MeshSequence
+from ..atomic import atomic_path
+from ..companion import find
+from ..registry import SaveReport
+from .archive import read_array, write_array
+
+__all__ = ["read", "write_sequence"]
+
+
+def read(
+    path: Path, *, fps: float | None = None, faces: Any = None, mmap: bool = False
+) -> MeshSequence:
+    """Read an array of shape (F, V, 3).
+
+    Parameters
+    ----------
+    path : Path
+    fps : float, optional
+        24 by default: the file says nothing.
+    faces : (T, 3) int array, path, MeshSequence or "none", optional
+        A path is of a mesh, an ``.npz`` or a ``.npy`` of faces.  By default
+        ``<stem>.faces.npy``, then ``<stem>.obj``, ``.ply``, ``.off`` or
+        ``.npz`` beside the file; "none" is a point cloud.
+    mmap : bool
+        Map the file instead of reading it.
+    """
+    array = read_array(path, mmap=mmap)
+    if array.ndim != 3 or array.shape[2] != 3:
+        raise FormatError(f"{path}: expected an array of shape (F, V, 3), got {array.shape}")
+    mesh = find(path, faces, "faces", array.shape[1])
+    return mesh.moved(array, path, fps)
+
+
+def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
+    """Write the vertices to `path` and the faces to ``<stem>.faces.npy``; exact."""
+    size = 0
+    beside = path.with_suffix(".faces.npy")
+    for target, array in ((beside, sequence.faces), (path, sequence.vertices)):
+        with atomic_path(target) as temporary:
+            with temporary.open("wb") as stream:
+                write_array(stream, array)
+            size += temporary.stat().st_size
+    lost = sequence.surface is not None or sequence.vertex_map is not None
+    return SaveReport(
+        path=path,
+        bytes=size,
+        note=f"faces are in {beside.name}; fps"
+        + (", surface and vertex map are" if lost else " is")
+        + " not kept",
+    )

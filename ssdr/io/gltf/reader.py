@@ -1,0 +1,172 @@
+"""glTF 2.0 (``.glb``, ``.gltf``): skins, morph targets and moving nodes, baked or as a skinning."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import FormatError, InputError
+from ...sequence import MeshSequence
+from ...skinning import Skinning, skin
+from ..registry import reading
+from ..rig import MAX_BYTES, check_size, model_of, unique_names
+from .animation import Animation, World, choose
+from .document import Document
+from .mesh import Part, join_surface, read_parts
+from .writer import write_skinning
+
+__all__ = ["read", "read_skinning", "write_skinning"]
+
+_log = logging.getLogger(__name__)
+_CHUNK_BYTES = 64 << 20
+
+
+def read(
+    path: Path,
+    *,
+    fps: float | None = None,
+    animation: int | str | None = None,
+    max_bytes: int | None = None,
+) -> MeshSequence:
+    """Read all meshes of the scene, every animation channel baked to vertices.
+
+    Parameters
+    ----------
+    path : Path
+    fps : float, optional
+        Where to sample; that of the keys by default, 24 where they say
+        nothing.
+    animation : int or str, optional
+        Which clip, by number or name; the first by default.  The log lists
+        them all.
+    max_bytes : int, optional
+        Largest size of the vertices; 16 GiB by default.
+
+    Returns
+    -------
+    MeshSequence
+        float32, y up, metres; meshes one behind the other in the order of the
+        scene.
+
+    Raises
+    ------
+    FormatError
+        If the file is damaged, hostile, or needs an extension that is not
+        supported.
+    InputError
+        If there is no such animation.
+    """
+    with reading(path):
+        document = Document(path)
+    clip = choose(document, animation, fps)
+    with reading(path):
+        world = World(document, clip)
+        parts = read_parts(document, world)
+        count = sum(len(part.vertex) for part in parts)
+        check_size(clip.n_frames, count, MAX_BYTES if max_bytes is None else max_bytes)
+        frames = np.empty((clip.n_frames, count, 3), dtype=np.float32)
+        first = 0
+        for part in parts:
+            last = first + len(part.vertex)
+            _bake(part, clip, world, frames[:, first:last])
+            first = last
+        faces = _join_faces(parts)
+        return MeshSequence(
+            frames,
+            faces,
+            clip.fps,
+            name=clip.name or path.stem,
+            surface=join_surface(document, parts, len(faces)),
+        )
+
+
+def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning:
+    """Read skins as they are; a mesh without a skin becomes one bone that carries it.
+
+    Parameters
+    ----------
+    path : Path
+    animation : int or str, optional
+        As in :func:`read`.
+
+    Raises
+    ------
+    FormatError
+        Also where morph targets move the mesh: no skinning holds them.
+    InputError
+        If there is no such animation.
+    """
+    with reading(path):
+        document = Document(path)
+    clip = choose(document, animation, None)
+    with reading(path):
+        world = World(document, clip)
+        parts = read_parts(document, world)
+        if any(part.morphs(world) for part in parts):
+            raise FormatError(
+                f"{path}: morph targets move the mesh, which no skinning holds; "
+                "ssdr.load bakes them"
+            )
+        bones = [(part.skin, part.node if part.skin is None else -1) for part in parts]
+        order = list(dict.fromkeys(bones))
+        matrices = {}
+        names: list[str] = []
+        starts = {}
+        for part, key in zip(parts, bones, strict=True):
+            if key not in matrices:
+                starts[key] = len(names)
+                matrices[key] = part.matrices(world)
+                names += part.bone_names(document)
+        check_size(clip.n_frames, 4 * len(names), MAX_BYTES)
+        transforms = np.concatenate([matrices[key] for key in order], axis=1)
+        width = max(part.joints.shape[1] for part in parts)
+        joints = [
+            _widen(part.joints + starts[key], width) for part, key in zip(parts, bones, strict=True)
+        ]
+        weights = np.concatenate([_widen(part.weights, width) for part in parts])
+        faces = _join_faces(parts)
+        return Skinning(
+            np.concatenate([part.rest(world) for part in parts]),
+            np.where(weights > 0, np.concatenate(joints), 0),
+            weights,
+            transforms,
+            faces=faces,
+            fps=clip.fps,
+            bone_model=model_of(transforms),
+            surface=join_surface(document, parts, len(faces)),
+            bone_names=unique_names(names),
+            name=clip.name or path.stem,
+        )
+
+
+def _join_faces(parts: list[Part]) -> NDArray[np.int32]:
+    starts = np.cumsum([0] + [len(part.vertex) for part in parts])
+    return np.concatenate(
+        [part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]
+    ).astype(np.int32)
+
+
+def _widen(values: NDArray[Any], width: int) -> NDArray[Any]:
+    return np.pad(values, ((0, 0), (0, width - values.shape[1])))
+
+
+def _bake(part: Part, clip: Animation, world: World, out: NDArray[np.float32]) -> None:
+    matrices = part.matrices(world)
+    amounts = part.morph_weights(world)
+    step = max(1, _CHUNK_BYTES // (24 * len(part.vertex)))
+    for first in range(0, clip.n_frames, step):
+        last = min(first + step, clip.n_frames)
+        if amounts is None:
+            out[first:last] = skin(
+                part.positions, part.joints, part.weights, matrices[first:last], dtype=np.float64
+            )
+            continue
+        for frame in range(first, last):
+            shape = part.positions + np.einsum("k,kvc->vc", amounts[frame], part.targets)
+            out[frame] = skin(shape, part.joints, part.weights, matrices[frame], dtype=np.float64)
+    if not np.isfinite(out).all():
+        raise InputError("vertices", "finite numbers in float32", "an overflow")

@@ -1,0 +1,192 @@
+"""Load and save: the format is chosen by the suffix, its module imported when first needed."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import FormatError, InputError
+from ..sequence import MeshSequence
+from .registry import FORMATS, SaveReport, bake, call, format_of
+
+if TYPE_CHECKING:
+    from ..skinning import Skinning
+
+__all__ = ["load", "load_skinning", "save"]
+
+_log = logging.getLogger(__name__)
+
+
+def load(
+    path: str | os.PathLike[str],
+    *,
+    weld: bool = False,
+    fps: float | None = None,
+    **options: Any,
+) -> MeshSequence:
+    """Read an animated mesh; a file that holds a skinning is baked to vertices.
+
+    Parameters
+    ----------
+    path : path
+        A file, a folder of numbered meshes or a pattern of them
+        (``frame_%04d.obj``, ``frame_*.ply``).
+    weld : bool
+        Merge vertices that coincide in every frame, as seams of UVs or normals
+        do; the map back is kept in `vertex_map` and the number merged is
+        logged.
+    fps : float, optional
+        Frames per second, instead of what the file says; where it says nothing,
+        24.
+    **options
+        Options of the format, see the page on formats.
+
+    Returns
+    -------
+    MeshSequence
+
+    Raises
+    ------
+    FormatError
+        If the suffix is unknown or the file is truncated, hostile, mislabelled
+        or holds what a sequence must not.
+    InputError
+        If an option is not usable or unknown to the format.
+    MissingDependencyError
+        If the format needs an optional package that is not installed.
+    FileNotFoundError
+        If there is no such file.
+    """
+    if fps is not None and not (_is_number(fps) and math.isfinite(fps) and fps > 0):
+        raise InputError("fps", "a positive number", repr(fps))
+    source = _as_path(path)
+    if source.suffix.lower() not in FORMATS and _is_many(source):
+        format_ = FORMATS[".obj"]  # the module of numbered meshes, whatever their suffix
+    else:
+        suffix, format_ = format_of(source)
+        if not _is_many(source) and not source.exists():
+            raise FileNotFoundError(f"{source}: no such file")
+        if format_.read is None:
+            raise FormatError(
+                f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights"
+            )
+    assert format_.read is not None
+    sequence: MeshSequence = call(format_, format_.read, source, fps=fps, **options)
+    if weld:
+        sequence, report = sequence.weld()
+        _log.info(
+            "%s: welded %d vertices to %d (tolerance %.3g)",
+            source,
+            report.before,
+            report.after,
+            report.tolerance,
+        )
+    return sequence
+
+
+def load_skinning(path: str | os.PathLike[str], **options: Any) -> Skinning:
+    """Read rest pose, skin weights and bone transforms.
+
+    Parameters
+    ----------
+    path : path
+        ``.npz``, ``.glb``, ``.gltf`` or USD.
+
+    Raises
+    ------
+    FormatError
+        If the format or the file holds no skinning, or the file is damaged.
+    InputError, MissingDependencyError, FileNotFoundError
+        As in :func:`load`.
+    """
+    source = _as_path(path)
+    suffix, format_ = format_of(source)
+    if format_.read_skinning is None:
+        able = ", ".join(sorted(s for s, f in FORMATS.items() if f.read_skinning))
+        raise FormatError(f"{source}: no skinning can be read from {suffix}; from {able} it can")
+    if not source.exists():
+        raise FileNotFoundError(f"{source}: no such file")
+    skinning: Skinning = call(format_, format_.read_skinning, source, **options)
+    return skinning
+
+
+def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
+    """Write a sequence or a skinning.
+
+    The file appears whole or not at all.  A format that holds no skinning gets
+    its vertices.
+
+    Parameters
+    ----------
+    thing : MeshSequence, Skinning or Decomposition
+    path : path
+        The suffix chooses the format; numbered meshes take a pattern such as
+        ``folder/frame_%04d.obj``.
+    **options
+        Options of the format, see the page on formats.
+
+    Returns
+    -------
+    SaveReport
+
+    Raises
+    ------
+    InputError
+        If the thing cannot be written in that format or an option is unknown.
+    MissingDependencyError
+        If the format needs an optional package that is not installed.
+    """
+    from ..skinning import Skinning
+
+    target = _as_path(path)
+    try:
+        suffix, format_ = format_of(target)
+    except FormatError as error:
+        raise InputError("path", f"a suffix of {', '.join(_writable())}", str(target)) from error
+    if not isinstance(thing, (MeshSequence, Skinning)):
+        thing = getattr(thing, "skinning", thing)
+    if not isinstance(thing, (MeshSequence, Skinning)):
+        raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
+    writer = format_.write_sequence
+    if isinstance(thing, Skinning):
+        if format_.write_skinning is not None:
+            writer = format_.write_skinning
+        elif writer is not None:
+            thing = bake(thing)
+    if writer is None:
+        able = _writable(type(thing))
+        raise InputError(
+            "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
+        )
+    report: SaveReport = call(format_, writer, thing, target, **options)
+    return report
+
+
+def _writable(kind: type | None = None) -> list[str]:
+    return sorted(
+        suffix
+        for suffix, format_ in FORMATS.items()
+        if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
+    )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+
+
+def _is_many(path: Path) -> bool:
+    if path.suffix.lower() == ".zarr":
+        return False
+    return path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
+
+
+def _as_path(path: Any) -> Path:
+    try:
+        return Path(os.fspath(path))
+    except TypeError as error:
+        raise InputError("path", "a path", type(path).__name__) from error

@@ -1,0 +1,73 @@
+"""One mesh as a file holds it, polygons and corners, and as a sequence needs it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import FormatError
+from ...sequence import Surface
+
+__all__ = ["Mesh", "fan", "vertex_rows"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Mesh:
+    """Vertices and triangles of one file, in the file's order.
+
+    Attributes
+    ----------
+    vertices : (V, 3) float
+    faces : (T, 3) int
+    surface : Surface or None
+    topology : bytes
+        The text that the faces were parsed from, where there is one: another
+        file with the same text has the same faces.
+    """
+
+    vertices: NDArray[Any]
+    faces: NDArray[np.int64]
+    surface: Surface | None = None
+    topology: bytes = b""
+
+
+def fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut polygons into triangles that share their first corner, in order.
+
+    Parameters
+    ----------
+    counts : (N,) int
+        Corners of each polygon.
+
+    Returns
+    -------
+    corners : (T, 3) int
+        Positions in the concatenated corners of all polygons.
+    polygon : (T,) int
+        The polygon that each triangle comes from.
+
+    Raises
+    ------
+    FormatError
+        If a polygon has fewer than three corners.
+    """
+    if len(counts) and counts.min() < 3:
+        k = int(counts.argmin())
+        raise FormatError(f"face {k} has {counts[k]} corners")
+    n = counts - 2
+    polygon = np.repeat(np.arange(len(counts)), n)
+    start = np.cumsum(counts) - counts
+    step = np.arange(len(polygon)) - np.repeat(np.cumsum(n) - n, n)
+    base = start[polygon]
+    return np.stack([base, base + step + 1, base + step + 2], axis=1), polygon
+
+
+def vertex_rows(rows: list[list[bytes]]) -> NDArray[np.float64]:
+    """Coordinates ``(V, 3)`` from split lines; what follows the third number is dropped."""
+    if any(len(row) < 3 for row in rows):
+        short = next(k for k, row in enumerate(rows) if len(row) < 3)
+        raise FormatError(f"vertex {short} has {len(rows[short])} coordinates")
+    return np.array([row[:3] for row in rows], dtype=np.float64).reshape(-1, 3)

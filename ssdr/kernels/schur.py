@@ -1,0 +1,203 @@
+"""Kernels of the polish beyond the vertex step: Schur complement, tangents, moves.
+
+The tangent (ω, τ) of a bone acts from the right: δM = M [[ω]× τ; 0 0].
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .bones import quaternion_matrix
+from .policy import kernel
+from .vertices import store
+
+
+@kernel
+def schur_vertices(
+    cross, start, bones, count, slot, rest, weights, importance, free, inverse, gradient, share,
+    step, total, move_rest, first, last,
+):  # fmt: skip
+    """Eliminate the vertices of groups first..last from the normal equations.
+
+    Group g is the vertices ``start[g]`` to ``start[g + 1]``, which share the ``count[g]`` bones
+    ``bones[g]``; weights (V, K) follow these, ``slot`` says which weight each was in the vertex's
+    own order, that of `inverse` and `gradient`.  cross (B, B, 4, 4) is Mᵀ δM summed over frames.
+    Writes ``step`` (V, D), the inverse times (H_vm δM + share·gradient), and adds to ``total``
+    (B, B, 4, 4) its image Σ δa aᵀ.
+    """
+    n_keep = bones.shape[1]
+    # Rows of whole vectors: what is beyond 4·count holds anything finite, and nothing reads it.
+    width = 16 * ((4 * n_keep + 15) // 16)
+    block = np.zeros((4 * n_keep, width))
+    sums = np.zeros((4 * n_keep, width))
+    a = np.zeros((4, 4 * n_keep))
+    delta = np.zeros((4, width))
+    image = np.empty(width)
+    along = np.empty(n_keep)
+    b = np.empty(n_keep + 2)
+    for g in range(first, last):
+        n = count[g]
+        width = 16 * ((4 * n + 15) // 16)
+        for s in range(n):
+            for q in range(n):
+                m = cross[bones[g, q], bones[g, s]]
+                for d in range(4):
+                    for e in range(4):
+                        block[4 * s + e, 4 * q + d] = m[d, e]
+        for u in range(4 * n):
+            for t in range(width):
+                sums[u, t] = 0.0
+        held = 0
+        for i in range(start[g], start[g + 1]):
+            p0, p1, p2 = rest[i, 0], rest[i, 1], rest[i, 2]
+            for t in range(width):
+                image[t] = 0.0
+            for s in range(n):
+                w = weights[i, s]
+                v0, v1, v2 = w * p0, w * p1, w * p2
+                u = 4 * s
+                a[held, u], a[held, u + 1], a[held, u + 2], a[held, u + 3] = v0, v1, v2, w
+                for t in range(width):
+                    image[t] += (
+                        v0 * block[u, t] + v1 * block[u + 1, t]
+                        + v2 * block[u + 2, t] + w * block[u + 3, t]
+                    )  # fmt: skip
+            g0 = g1 = g2 = 0.0
+            for q in range(n):
+                w = weights[i, q]
+                v0, v1, v2 = image[4 * q], image[4 * q + 1], image[4 * q + 2]
+                g0 += w * v0
+                g1 += w * v1
+                g2 += w * v2
+                along[slot[i, q]] = v0 * p0 + v1 * p1 + v2 * p2 + image[4 * q + 3]
+            k = n - 1 if free[i] else 0
+            for q in range(k):
+                b[q] = along[q + 1] - along[0]
+            size = k
+            if move_rest:
+                size = k + 3
+                b[k], b[k + 1], b[k + 2] = g0, g1, g2
+            for q in range(size):
+                b[q] += share * gradient[i, q]
+            sum_w = 0.0
+            for q in range(size):
+                value = 0.0
+                for s in range(size):
+                    value += inverse[i, q, s] * b[s]
+                step[i, q] = value
+                if q < k:
+                    sum_w += value
+            for q in range(size, n_keep + 2):
+                step[i, q] = 0.0
+            c = importance[i]
+            g0 = g1 = g2 = 0.0
+            if move_rest:
+                g0, g1, g2 = c * step[i, k], c * step[i, k + 1], c * step[i, k + 2]
+            for q in range(n):
+                dw = 0.0
+                if k > 0:
+                    s = slot[i, q]
+                    dw = -c * sum_w if s == 0 else c * step[i, s - 1]
+                w = weights[i, q]
+                delta[held, 4 * q] = dw * p0 + w * g0
+                delta[held, 4 * q + 1] = dw * p1 + w * g1
+                delta[held, 4 * q + 2] = dw * p2 + w * g2
+                delta[held, 4 * q + 3] = dw
+            held += 1
+            # four vertices at once: each pass over the sums is a read and a write of all of them
+            if held == 4 or i + 1 == start[g + 1]:
+                for u in range(4 * n):
+                    for v in range(held, 4):
+                        a[v, u] = 0.0
+                    v0, v1, v2, w = a[0, u], a[1, u], a[2, u], a[3, u]
+                    for t in range(width):
+                        sums[u, t] += (
+                            v0 * delta[0, t] + v1 * delta[1, t] + v2 * delta[2, t] + w * delta[3, t]
+                        )
+                held = 0
+        for q in range(n):
+            for s in range(n):
+                m = total[bones[g, q], bones[g, s]]
+                for d in range(4):
+                    for e in range(4):
+                        m[d, e] += sums[4 * s + e, 4 * q + d]
+
+
+@kernel
+def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest, first, last):
+    """Move weights and rest position by −size·step, weights back onto the simplex."""
+    n_keep = joints.shape[1]
+    w = np.empty(n_keep)
+    ids = np.empty(n_keep, dtype=np.uint32)
+    for i in range(first, last):
+        n = 0
+        while n < n_keep and weights[i, n] > 0.0:
+            ids[n] = joints[i, n]
+            w[n] = weights[i, n]
+            n += 1
+        k = 0 if keep_weights[i] else n - 1
+        if k > 0:
+            total = 0.0
+            for q in range(1, n):
+                w[q] = max(w[q] - size * step[i, q - 1], 0.0)
+                total += w[q]
+            w[0] = max(1.0 - total, 0.0)
+            store(ids, w, n, joints[i], weights[i])
+        if move_rest:
+            for c in range(3):
+                rest[i, c] -= size * step[i, k + c]
+
+
+@kernel
+def tangent_image(transforms, x, scale, out, first, last):
+    """out (3F, 4, B) = the change of the stacked transforms under tangents x (F, B, 6)."""
+    for t in range(first, last):
+        s = scale[t]
+        for j in range(transforms.shape[1]):
+            m = transforms[t, j]
+            for c in range(3):
+                row = out[3 * t + c]
+                row[3, j] = 0.0
+                for d in range(3):
+                    e, f = (d + 1) % 3, (d + 2) % 3
+                    row[d, j] = s * (m[c, e] * x[t, j, f] - m[c, f] * x[t, j, e])
+                    row[3, j] += s * m[c, d] * x[t, j, 3 + d]
+
+
+@kernel
+def tangent_pullback(transforms, g, scale, out, first, last):
+    """out (F, B, 6) = transpose of :func:`tangent_image` applied to g (3F, 4, B)."""
+    for t in range(first, last):
+        s = scale[t]
+        for j in range(transforms.shape[1]):
+            m = transforms[t, j]
+            o = out[t, j]
+            for d in range(6):
+                o[d] = 0.0
+            for c in range(3):
+                row = g[3 * t + c]
+                for d in range(3):
+                    e, f = (d + 1) % 3, (d + 2) % 3
+                    o[d] += s * (m[c, f] * row[e, j] - m[c, e] * row[f, j])
+                    o[3 + d] += s * m[c, d] * row[3, j]
+
+
+@kernel
+def move_bones(transforms, x, locked, first, last):
+    """M ← M exp(x) for frames first..last, rotations kept orthonormal."""
+    turn = np.empty((3, 3))
+    old = np.empty(3)
+    for t in range(first, last):
+        for j in range(transforms.shape[1]):
+            if locked[j]:
+                continue
+            m = transforms[t, j]
+            quaternion_matrix(1.0, 0.5 * x[t, j, 0], 0.5 * x[t, j, 1], 0.5 * x[t, j, 2], turn)
+            for c in range(3):
+                for d in range(3):
+                    m[c, 3] += m[c, d] * x[t, j, 3 + d]
+                    old[d] = m[c, d]
+                for d in range(3):
+                    m[c, d] = 0.0
+                    for e in range(3):
+                        m[c, d] += old[e] * turn[e, d]

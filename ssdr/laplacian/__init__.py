@@ -1,0 +1,26 @@
+"""Laplacians of a triangle mesh, implicit smoothing and the low/high-frequency split."""
+
+from __future__ import annotations
+
+from .factor import Backend
+from .operators import MassKind, cotangent_laplacian, mass_matrix, uniform_laplacian
+from .smoothing import (
+    FrequencySplit,
+    LaplacianKind,
+    LaplacianSmoother,
+    implicit_smooth,
+    split_frequencies,
+)
+
+__all__ = [
+    "Backend",
+    "FrequencySplit",
+    "LaplacianKind",
+    "LaplacianSmoother",
+    "MassKind",
+    "cotangent_laplacian",
+    "implicit_smooth",
+    "mass_matrix",
+    "split_frequencies",
+    "uniform_laplacian",
+]

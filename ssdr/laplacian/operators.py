@@ -1,0 +1,219 @@
+"""Laplacians and mass matrices of a triangle mesh.
+
+Sign convention: L = D − W, positive semi-definite, so that −M⁻¹L is the
+discrete Laplace–Beltrami operator.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array, csr_array, dia_array
+
+from ..errors import InputError, check_choice
+from ..sequence import _check_faces
+
+__all__ = ["MassKind", "cotangent_laplacian", "mass_matrix", "uniform_laplacian"]
+
+MassKind = Literal["barycentric", "voronoi"]
+
+
+# A doubled area below this share of the squared longest edge is a degenerate triangle.
+_SLIVER = 1e-6
+
+
+# Mass of a vertex without area, relative to the mean: enough for a stable factor, no weight.
+_MASS_FLOOR = 1e-6
+
+
+# Both cotangents opposite to an edge of a regular triangulation are 1/sqrt(3).
+_REGULAR = 1 / math.sqrt(3)
+
+
+def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
+    """Graph Laplacian of the mesh's edges: (L x)_i = Σ_{j ~ i} (x_i − x_j).
+
+    Parameters
+    ----------
+    faces : (T, 3) int array
+        An edge counts once, however many triangles share it.
+    n_vertices : int
+
+    Returns
+    -------
+    (V, V) float64 csr_array
+        Symmetric, positive semi-definite; an unreferenced vertex has a zero row.
+
+    Raises
+    ------
+    InputError
+        If `n_vertices` is below 1 or a face index is out of range.
+    """
+    n = _check_count(n_vertices)
+    triangles = _check_faces(faces, n, "faces")
+    ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+    return _assemble(ends[:, 0], ends[:, 1], np.ones(len(ends)), n)
+
+
+def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
+    """Cotangent Laplacian, the stiffness matrix of linear finite elements.
+
+    (L x)_i = Σ_j w_ij (x_i − x_j) with w_ij = ½ Σ cot of the angles opposite to
+    the edge, over all of its triangles (one at a boundary, more than two where
+    the mesh is not manifold).  Units: none; the matrix does not change with the
+    scale of the mesh.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+    faces : (T, 3) int array
+
+    Returns
+    -------
+    (V, V) float64 csr_array
+        Symmetric, positive semi-definite; exact on linear functions of a flat
+        patch.  Off-diagonal entries are positive across edges that are not
+        Delaunay.
+
+    Raises
+    ------
+    InputError
+        If a shape, a number or a face index is not usable.
+
+    Notes
+    -----
+    A cotangent is a dot product over the doubled area.  The doubled area is
+    taken as at least 1e-6 of the triangle's squared longest edge, which scales
+    the three cotangents of a degenerate triangle alike and so keeps the matrix
+    positive semi-definite (clamping them one by one would not).  A triangle
+    that is a point contributes nothing.
+
+    References
+    ----------
+    Pinkall and Polthier, "Computing discrete minimal surfaces and their
+    conjugates", 1993.
+    """
+    points, triangles = _check_mesh(vertices, faces)
+    dots, double_area = _corners(points, triangles)
+    cot = np.divide(
+        dots, double_area[:, None], out=np.zeros_like(dots), where=double_area[:, None] > 0
+    )
+    a = triangles[:, [1, 2, 0]].ravel()
+    b = triangles[:, [2, 0, 1]].ravel()
+    return _assemble(a, b, 0.5 * cot.ravel(), len(points))
+
+
+def mass_matrix(
+    vertices: ArrayLike, faces: ArrayLike, *, kind: MassKind = "barycentric"
+) -> dia_array:
+    """Lumped mass matrix: the area that belongs to each vertex.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+    faces : (T, 3) int array
+    kind : {"barycentric", "voronoi"}
+        A third of each triangle, or its mixed Voronoi cells (Meyer et al. 2003):
+        the Voronoi cells of an acute triangle; half of an obtuse triangle to
+        its obtuse corner and a quarter to each other.
+
+    Returns
+    -------
+    (V, V) float64 dia_array
+        Diagonal, in squared units of the mesh.  The entries add up to the area
+        of the mesh, but for vertices that have none (unreferenced, or only
+        corners of degenerate triangles): they get 1e-6 of the mean, so that
+        M + ℓ²L is definite.  Where the whole mesh has no area, its mean squared
+        edge (1 if that is zero too) stands for the mean.
+
+    Raises
+    ------
+    InputError
+        If a shape, a number, a face index or `kind` is not usable.
+
+    References
+    ----------
+    Meyer et al., "Discrete differential-geometry operators for triangulated
+    2-manifolds", 2003, section 3.3.
+    """
+    points, triangles = _check_mesh(vertices, faces)
+    check_choice(kind, "kind", MassKind)
+    edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
+    squares = (edges**2).sum(axis=2)
+    double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    area = 0.5 * double_area
+    if kind == "barycentric":
+        share = np.repeat(area[:, None] / 3, 3, axis=1)
+    else:
+        share = _voronoi_cells(points, triangles, squares, area)
+    n = len(points)
+    mass = np.bincount(triangles.ravel(), weights=share.ravel(), minlength=n)
+    owners = mass[mass > 0] if mass.any() else squares.ravel()
+    unit = owners.mean() if owners.size else 0.0
+    # A subnormal unit would vanish when multiplied by the floor.
+    unit = unit if unit > 1e-290 else 1.0
+    mass = np.maximum(mass, _MASS_FLOOR * unit)
+    return dia_array((mass[None], [0]), shape=(n, n))
+
+
+def _corners(
+    points: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    # Edge k is opposite to corner k, so the angle at k lies between edges k+1 and k+2.
+    edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
+    dots = -np.einsum("tkc,tkc->tk", edges[:, [1, 2, 0]], edges[:, [2, 0, 1]])
+    double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    longest = (edges**2).sum(axis=2).max(axis=1, initial=0.0)
+    return dots, np.maximum(double_area, _SLIVER * longest)
+
+
+def _voronoi_cells(
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    squares: NDArray[np.float64],
+    area: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    dots, double_area = _corners(points, triangles)
+    cot = np.divide(
+        dots, double_area[:, None], out=np.zeros_like(dots), where=double_area[:, None] > 0
+    )
+    halves = squares * cot / 8  # of edge k, to each of its two ends
+    cells = halves[:, [1, 2, 0]] + halves[:, [2, 0, 1]]
+    obtuse = dots < 0
+    mixed = np.where(obtuse, area[:, None] / 2, area[:, None] / 4)
+    return np.where(obtuse.any(axis=1, keepdims=True), mixed, cells)
+
+
+def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array:
+    # Summed once and mirrored, so that the matrix is symmetric to the last bit.
+    keep = a != b
+    ends = np.minimum(a, b)[keep], np.maximum(a, b)[keep]
+    upper = coo_array((weights[keep], ends), shape=(n, n)).tocsr()
+    both = upper + upper.T
+    degree = dia_array((both.sum(axis=1)[None], [0]), shape=(n, n))
+    return csr_array(degree - both)
+
+
+def _check_mesh(
+    vertices: ArrayLike, faces: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    points = np.asarray(vertices)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1:
+        raise InputError("vertices", "shape (V, 3) with V >= 1", f"shape {points.shape}")
+    if points.dtype.kind not in "fiu":
+        raise InputError("vertices", "real numbers", f"dtype {points.dtype}")
+    points = points.astype(np.float64)
+    if not np.isfinite(points).all():
+        raise InputError("vertices", "finite numbers", "NaN or Inf")
+    return points, _check_faces(faces, len(points), "faces")
+
+
+def _check_count(n_vertices: int) -> int:
+    whole = isinstance(n_vertices, (int, np.integer)) and not isinstance(n_vertices, bool)
+    if not whole or n_vertices < 1:
+        raise InputError("n_vertices", "an integer >= 1", repr(n_vertices))
+    return int(n_vertices)

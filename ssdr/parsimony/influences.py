@@ -1,0 +1,108 @@
+"""Fewer influences a vertex, each the one whose loss costs least."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.polish import polish_vertices
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..solver.model import CHUNK, Fixed, Model
+from ..solver.moments import transform_sums
+from ..solver.trajectories import Array, Trajectories
+
+__all__ = ["Nested", "nest", "refit"]
+
+
+def refit(data: Trajectories, model: Model, *, fixed: Fixed, rounds: int = 2) -> None:
+    """Weights on the supports that they have, and rest pose, under given transforms (in place)."""
+    n, n_bones, size = data.n_vertices, model.n_bones, model.n_influences + 2
+    keep = fixed.keep_weights(n)
+    with serial_blas():
+        _, gram, gram4, reduced = transform_sums(data, model.transforms)
+
+        def work(_: int, i: int, k: int) -> None:
+            y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
+            polish_vertices(
+                y, data.x2[i:k], gram, gram4, model.rest[i:k], model.joints[i:k],
+                model.weights[i:k], model.error[i:k], keep[i:k], not fixed.rest, 0, rounds,
+                np.empty((k - i, size, size)), np.empty((k - i, size)), 0, k - i,
+            )  # fmt: skip
+
+        run_chunks(work, chunk_bounds(n, CHUNK))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Nested:
+    """A model with fewer and fewer influences at every vertex.
+
+    Attributes
+    ----------
+    models : tuple of Model
+        The m-th has at most K − m influences a vertex, each the best to drop
+        after those before.
+    errors : (M, V) float64
+    counts : (M, V) int
+    """
+
+    models: tuple[Model, ...]
+    errors: Array
+    counts: NDArray[np.int64]
+
+    def choose(self, importance: Array, price: float) -> tuple[NDArray[np.intp], float]:
+        """For each vertex the level of least cost, where an influence costs `price`; the error."""
+        cost = self.errors * importance + price * self.counts
+        # of equal costs the one of fewer influences
+        level = len(cost) - 1 - cost[::-1].argmin(axis=0)
+        error = float(importance @ np.take_along_axis(self.errors, level[None], axis=0)[0])
+        return level, error
+
+    def build(self, level: NDArray[np.intp]) -> Model:
+        """The model whose vertices are at the given levels."""
+        out = self.models[0].copy()
+        for m, model in enumerate(self.models):
+            rows = level == m
+            for name in ("rest", "joints", "weights", "error"):
+                getattr(out, name)[rows] = getattr(model, name)[rows]
+        out.widen()
+        return out
+
+
+def nest(data: Trajectories, model: Model, *, fixed: Fixed) -> Nested:
+    """Drop influences one by one, at every vertex the one that costs least after a new solve."""
+    models = [model.copy()]
+    refit(data, models[0], fixed=fixed, rounds=4)
+    while models[-1].n_influences > 1 and (models[-1].weights[:, 1:] > 0).any():
+        last = models[-1]
+        best: Model | None = None
+        used = last.weights > 0
+        several = used.sum(axis=1) > 1
+        for slot in range(last.n_influences):
+            there = several & used[:, slot]
+            if not there.any():
+                continue
+            trial = last.copy()
+            trial.weights[there, slot] = 0.0
+            trial.weights /= trial.weights.sum(axis=1, keepdims=True)
+            order = np.argsort(-trial.weights, axis=1, kind="stable")
+            trial.weights = np.take_along_axis(trial.weights, order, axis=1)
+            trial.joints = np.ascontiguousarray(np.take_along_axis(trial.joints, order, axis=1))
+            trial.joints[trial.weights == 0] = 0
+            refit(data, trial, fixed=fixed, rounds=4)
+            trial.error[several & ~used[:, slot]] = np.inf
+            if best is None:
+                best = trial
+                continue
+            better = trial.error < best.error
+            for name in ("rest", "joints", "weights", "error"):
+                getattr(best, name)[better] = getattr(trial, name)[better]
+        if best is None:
+            break
+        models.append(best)
+    return Nested(
+        models=tuple(models),
+        errors=np.maximum(np.stack([m.error for m in models]), 0.0),
+        counts=np.stack([(m.weights > 0).sum(axis=1) for m in models]),
+    )

@@ -1,0 +1,61 @@
+"""The rank of a motion: what bounds the number of bones from below, and what may be left out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..parallel import serial_blas
+from ..solver.trajectories import Trajectories
+
+__all__ = ["rank_bound", "rank_of", "reduced"]
+
+_SPECTRUM = 2000  # largest Gram matrix whose eigenvalues are computed
+_NOISE = 1e-12  # of the energy: eigenvalues below say nothing
+_TAIL = 1e-4  # of the energy that the tolerance leaves: what compression may lose
+
+
+def rank_bound(data: Trajectories, allowed: float) -> int:
+    """Bones below which no rigid, similarity or affine model leaves so little squared error.
+
+    A model of B bones moves V vertices through F frames by a (V, 4B) times a
+    (4B, 3F) matrix; about each frame's centroid its rank is at most 4B − 1, since
+    weights sum to 1.  By Eckart and Young (1936) the error is at least the energy
+    beyond that rank.  1 where the spectrum is too large to be computed.
+    """
+    return max(1, -(-(rank_of(data, allowed) + 1) // 4))
+
+
+def rank_of(data: Trajectories, allowed: float) -> int:
+    """Rank that leaves so little squared error; 0 where it is too large to be computed."""
+    if min(data.z.shape) > _SPECTRUM:
+        return 0
+    x = data.z
+    values = np.linalg.eigvalsh(x @ x.T if x.shape[1] > x.shape[0] else x.T @ x)[::-1]
+    energy = float(values.sum())
+    tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
+    return int(np.argmax(tail <= max(allowed, _NOISE * energy)))
+
+
+def reduced(data: Trajectories, allowed: float) -> Trajectories:
+    """The same with no more basis than a squared error of `allowed` needs."""
+    if min(data.z.shape) > _SPECTRUM:
+        return data
+    x = data.z * np.sqrt(data.importance)[:, None]
+    with serial_blas():
+        wide = x.shape[1] > x.shape[0]
+        values, vectors = np.linalg.eigh(x @ x.T if wide else x.T @ x)
+        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+        tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
+        keep = max(1, int(np.argmax(tail <= max(_TAIL * allowed, 1e-15 * tail[0]))))
+        if keep > 0.8 * x.shape[1]:
+            return data
+        basis = np.ascontiguousarray(vectors[:, :keep])
+        if wide:
+            scaled = basis / np.sqrt(np.maximum(values[:keep], 1e-300))
+            basis = np.ascontiguousarray(np.linalg.qr(x.T @ scaled)[0])
+        z = np.ascontiguousarray(data.z @ basis)
+        q = basis if data.q is None else np.ascontiguousarray(data.q @ basis)
+    lost = max(0.0, float(data.x2.sum() - np.einsum("ij,ij->", z, z)))
+    return dataclasses.replace(data, z=z, q=q, lost=lost)

@@ -1,0 +1,51 @@
+"""Animations that ship with the package; where they come from is in ``ORIGIN.md`` beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path as _Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from ..sequence import MeshSequence
+
+__all__ = ["load", "names", "path"]
+
+_FOLDER = _Path(__file__).parent
+
+
+def names() -> tuple[str, ...]:
+    """Names of the samples.
+
+    ``dancer`` has F = 72 frames, V = 4202 vertices, T = 8392 triangles at 24
+    frames per second; ``dancer_small`` is the same motion with F = 24, V = 799
+    at 8 frames per second, for tests and first tries.  Metres, y up.
+    """
+    return tuple(sorted(file.stem for file in _FOLDER.glob("*.npz")))
+
+
+def path(name: str = "dancer") -> _Path:
+    """Path of a sample's ``.npz`` file.
+
+    Raises
+    ------
+    InputError
+        If there is no sample of that name.
+    """
+    if name not in names():
+        raise InputError("name", f"one of {', '.join(names())}", repr(name))
+    return _FOLDER / f"{name}.npz"
+
+
+def load(name: str = "dancer") -> MeshSequence:
+    """Load a sample, ``ssdr.load(ssdr.samples.path(name))``.
+
+    Raises
+    ------
+    InputError
+        If there is no sample of that name.
+    """
+    from .. import io
+
+    return io.load(path(name))

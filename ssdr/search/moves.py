@@ -1,0 +1,312 @@
+"""Bones in better places: merging down, re-seeding, influences to spare, search around a model."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ..kernels.polish import polish_vertices
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
+from ..solver.bone_models import normalise_gauge, polish_of
+from ..solver.initialization import fit_patches
+from ..solver.model import CHUNK, Fixed, Model
+from ..solver.moments import transform_sums
+from ..solver.trajectories import Array, Trajectories
+
+__all__ = [
+    "drop_influence",
+    "grow_and_shed",
+    "grow_bone",
+    "kick",
+    "loosen",
+    "merge_step",
+    "polish_steps",
+    "regrow_step",
+    "relax",
+    "reseed_step",
+    "thin",
+    "tighten",
+]
+
+_CANDIDATES = 32  # places where a new bone is tried by their error alone
+_CHEAPEST = 3  # bones that may be given up
+_MOST_KICKS, _MOST_GROWN, _MOST_LOOSENED = 5, 2, 2
+_REGROWN = (2, 6)  # bones at once, a quarter of them at most
+_FEWEST_STEPS = 3  # of the polish at each number of influences
+_ROUNDS = 2  # of Gauss–Newton on a vertex that tries to do without a bone
+_PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
+
+
+def merge_step(
+    data: Trajectories, model: Model, bones: int, alternations: int, fixed: Fixed
+) -> Model:
+    """Give up the cheapest third of the bones beyond `bones`, then alternate."""
+    excess = model.n_bones - bones
+    cost = _costs(data, model, fixed)
+    drop = np.argsort(cost, kind="stable")[: max(1, -(-excess // 3))]
+    smaller = model.without(drop)
+    vertex_step(data, smaller, fixed=fixed)
+    alternate(data, smaller, alternations, fixed)
+    return smaller
+
+
+def reseed_step(
+    data: Trajectories,
+    model: Model,
+    rng: np.random.Generator,
+    alternations: int,
+    fixed: Fixed,
+) -> Model | None:
+    """Move one of the cheapest bones to where the error is; None if nothing could move.
+
+    The new bone is the Kabsch fit of the neighbourhood, of V/2B vertices, that
+    holds the most error.  The caller keeps the outcome only if it is better.
+    """
+    if not float(data.importance @ model.error) > 0:
+        return None
+    cost = _costs(data, model, fixed)
+    order = np.argsort(cost, kind="stable")
+    free = order[np.isfinite(cost[order])]
+    if len(free) == 0:
+        return None
+    drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
+    members = _worst_patch(data, model, rng, 0.5)
+    smaller = model.without(np.array([drop]))
+    grown = _with_patch(data, smaller, members, fixed)
+    vertex_step(data, grown, fixed=fixed)
+    alternate(data, grown, alternations, fixed)
+    return grown
+
+
+def regrow_step(
+    data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, fixed: Fixed
+) -> Model:
+    """A copy that got two to six bones more where the error is and was merged down again.
+
+    Alternations alone, `alternations` after each change: a tenth of the time of a change
+    that polishes.  Several bones at once find new places that none would keep by itself.
+    """
+    least, most = _REGROWN
+    most = max(least + 1, min(most, model.n_bones // 4))
+    count = int(rng.integers(least, most + 1))
+    regrown = _with_bones(data, model.widened(), count, rng, fixed)
+    alternate(data, regrown, alternations, fixed)
+    while regrown.n_bones > model.n_bones:
+        regrown = merge_step(data, regrown, model.n_bones, alternations, fixed)
+    return regrown
+
+
+def kick(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """A copy after a few alternations, which keep the largest weights whether that pays or not."""
+    moved = model.widened()
+    for _ in range(int(rng.integers(1, _MOST_KICKS + 1))):
+        bone_step(data, moved, fixed=fixed)
+        vertex_step(data, moved, fixed=fixed)
+        normalise_gauge(moved, data.importance, fixed)
+    return moved
+
+
+def grow_and_shed(
+    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+) -> Model:
+    """A copy that got one or two bones more, settled, and gave up as many again.
+
+    Bones change places so that a single exchange would not find: the new ones
+    have taken over what they can before it is asked which can go.  With an influence
+    more all the while, vertices are not torn between the old bones and the new.
+    """
+    k, _, steps = _loosening(model, rng)
+    count = int(rng.integers(1, _MOST_GROWN + 1))
+    wide = model.with_influences(min(k + 1, model.n_bones))
+    grown = _with_bones(data, wide, count, rng, fixed)
+    polish_steps(data, grown, steps, fixed)
+    for _ in range(count):
+        grown.widen()
+        cost = _costs(data, grown, fixed)
+        grown = grown.without(np.argsort(cost, kind="stable")[:1])
+        polish_steps(data, grown, _FEWEST_STEPS, fixed)
+    return _thinned(data, grown, fixed, influences=k, steps=steps)
+
+
+def relax(data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int) -> Model:
+    """A copy that got `extra` influences more, settled, and gave them up one by one.
+
+    Which bones move a vertex matters more than how, and with few influences each choice
+    bars the others: the objective has many poor minima.  It has fewer with more
+    influences, and the bones that serve those are most of the way to good ones.
+    `steps` of the polish are taken at each number of influences above the model's.
+    """
+    most = min(model.n_influences + extra, model.n_bones)
+    relaxed = model.with_influences(most)
+    for _ in range(most - model.n_influences):
+        relaxed = tighten(data, relaxed, fixed, steps=steps)
+    return relaxed
+
+
+def tighten(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Model:
+    """`steps` of the polish (in place), then a copy with one influence a vertex less."""
+    polish_steps(data, model, steps, fixed)
+    smaller = model.with_influences(model.n_influences - 1)
+    # solved on all bones, of which the largest weights stay
+    vertex_step(data, smaller, fixed=fixed)
+    return smaller
+
+
+def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
+    """Take from every vertex that has all its influences the one it misses least (in place).
+
+    Each is tried, with the other weights and the rest position solved anew: the smallest
+    weight is often not the one without which the error rises least.
+    """
+    k, keep = model.n_influences, fixed.keep_weights(data.n_vertices)
+    full = (model.weights > 0).all(axis=1) & ~keep
+    if k < 2 or not full.any():
+        return
+    rows = np.flatnonzero(full)
+    with serial_blas():
+        _, gram, gram4, reduced = transform_sums(data, model.transforms)
+
+        def work(_: int, i: int, j: int) -> None:
+            own = rows[i:j]
+            n = len(own)
+            y = (data.z[own] @ reduced).reshape(n, 4, model.n_bones)
+            scratch, scratch1 = np.empty((n, k + 2, k + 2)), np.empty((n, k + 2))
+            least = np.full(n, np.inf)
+            joints, weights, rest = (a[own] for a in (model.joints, model.weights, model.rest))
+            for q in range(k):
+                t_joints, t_weights, t_rest = joints.copy(), weights.copy(), rest.copy()
+                t_weights[:, q] = 0.0
+                t_weights /= t_weights.sum(axis=1, keepdims=True)
+                error = np.empty(n)
+                polish_vertices(
+                    y, data.x2[own], gram, gram4, t_rest, t_joints, t_weights, error,
+                    keep[own], not fixed.rest, 0, _ROUNDS, scratch, scratch1, 0, n,
+                )  # fmt: skip
+                better = error < least
+                least[better], at = error[better], own[better]
+                model.joints[at], model.weights[at] = t_joints[better], t_weights[better]
+                model.rest[at] = t_rest[better]
+            model.error[own] = np.maximum(least, 0.0)
+
+        run_chunks(work, chunk_bounds(len(rows), CHUNK))
+
+
+def loosen(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """A copy that had one or two influences more for a while."""
+    _, extra, steps = _loosening(model, rng)
+    return relax(data, model, fixed, extra=extra, steps=steps)
+
+
+def thin(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """As :func:`loosen`, but each vertex gives up the influence that it misses least.
+
+    It stays close to where it came from and is rarely in vain there; where much is
+    still wrong, choosing anew from all bones goes further.
+    """
+    k, extra, steps = _loosening(model, rng)
+    return _thinned(data, model.with_influences(k + extra), fixed, influences=k, steps=steps)
+
+
+def _loosening(model: Model, rng: np.random.Generator) -> tuple[int, int, int]:
+    """Influences of a model, how many more for a while, and polish steps at each number."""
+    k, n_bones = model.n_influences, model.n_bones
+    extra = min(int(rng.integers(1, _MOST_LOOSENED + 1)), max(0, n_bones - k))
+    return k, extra, int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
+
+
+def _thinned(
+    data: Trajectories, model: Model, fixed: Fixed, *, influences: int, steps: int
+) -> Model:
+    while model.n_influences > influences:
+        polish_steps(data, model, steps, fixed)
+        drop_influence(data, model, fixed)
+        model = model.with_influences(model.n_influences - 1)
+    return model
+
+
+def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
+    """`count` steps of the polish (in place), every third of which lets bones enter."""
+    polish = polish_of(data, model, fixed=fixed)
+    for k in range(count):
+        polish.step(entering=3 if k % 3 == 0 else 0)
+    normalise_gauge(model, data.importance, fixed)
+
+
+def _with_bones(
+    data: Trajectories, model: Model, count: int, rng: np.random.Generator, fixed: Fixed
+) -> Model:
+    """A copy with so many bones more, one after the other where the error is."""
+    for _ in range(count):
+        members = _worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
+        model = _with_patch(data, model, members, fixed)
+        vertex_step(data, model, fixed=fixed)
+    return model
+
+
+def _worst_patch(
+    data: Trajectories, model: Model, rng: np.random.Generator, share: float
+) -> NDArray[np.intp]:
+    """The neighbourhood of `share`·V/B vertices that holds the most error, of some drawn by it."""
+    n = data.n_vertices
+    # drawn by their place in the order of motion, so that numbering plays no part
+    order = np.argsort(data.x2, kind="stable")
+    error = model.error * data.importance
+    total = float(error.sum())
+    chance = None if not total > 0 else error[order] / total
+    seeds = order[rng.choice(n, size=min(_CANDIDATES, n), p=chance)]
+    return _heaviest(model, error, seeds, int(share * n / model.n_bones))
+
+
+def _heaviest(model: Model, error: Array, seeds: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    """Of the neighbourhoods of `size` vertices around the seeds the one that holds the most error.
+
+    Four vertices at least, where there are as many.
+    """
+    size = min(len(error), max(4, size))
+    _, near = cKDTree(model.rest).query(model.rest[seeds], k=size)
+    near = np.asarray(near).reshape(len(seeds), size)
+    return np.asarray(near[error[near].sum(axis=1).argmax()])
+
+
+def _with_patch(data: Trajectories, model: Model, members: NDArray[np.intp], fixed: Fixed) -> Model:
+    """A copy with one bone more, that moves `members` as they move themselves."""
+    label = np.full(data.n_vertices, -1, dtype=np.intp)
+    label[members] = 0
+    grown = model.with_bone(fit_patches(data, model.rest, label, 1, fixed.bone_model)[:, 0])
+    members = members[~fixed.keep_weights(data.n_vertices)[members]]
+    grown.support[members] = 0
+    grown.share[members] = 0.0
+    grown.support[members, 0] = grown.n_bones - 1
+    grown.share[members, 0] = 1.0
+    grown.count[members] = 1
+    return grown
+
+
+def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixed) -> Model:
+    """A copy with one bone more that never fits worse.
+
+    The bone comes where a neighbourhood has the most error; where that does not
+    pay, it is a bone that nothing uses.
+    """
+    before = model.objective(data)
+    error = np.maximum(model.error, 0.0) * data.importance
+    seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
+    members = _heaviest(model, error, seeds, data.n_vertices // (2 * model.n_bones))
+    grown = _with_patch(data, model.widened(), members, fixed)
+    vertex_step(data, grown, fixed=fixed)
+    alternate(data, grown, alternations, fixed)
+    if grown.objective(data) <= before:
+        return grown
+    return model.with_bone(model.transforms[:, -1])
+
+
+def _costs(data: Trajectories, model: Model, fixed: Fixed) -> Array:
+    cost = bone_costs(data, model)
+    if fixed.bones is not None:
+        # all bones that the caller gave: locked ones are known by their place among them
+        cost[: len(fixed.bones)] = np.inf
+    keep = fixed.keep_weights(data.n_vertices)
+    cost[model.joints[keep][model.weights[keep] > 0]] = np.inf
+    return cost

@@ -1,0 +1,1 @@
+"""The steps of the method: start, weights, rest pose, bones, polish."""

@@ -1,0 +1,102 @@
+"""The alternation of Le and Deng 2012: weights and rest pose, then bones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..kernels.bones import sweep_bones
+from ..kernels.vertices import removal_cost, solve_vertices
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from .affine import leap_rigid, solve_affine
+from .model import CHUNK, FREE, Fixed, Model
+from .moments import bone_sums, neighbours, transform_sums
+from .trajectories import Array, Trajectories
+
+__all__ = ["alternate", "bone_costs", "bone_step", "vertex_step"]
+
+
+def vertex_step(
+    data: Trajectories,
+    model: Model,
+    *,
+    fixed: Fixed = FREE,
+    pull: Array | None = None,
+    stiff: Array | None = None,
+) -> None:
+    """Weights, then rest pose, then the error, of every vertex (in place)."""
+    n_bones = model.n_bones
+    keep = fixed.keep_weights(data.n_vertices)
+    with serial_blas():
+        _, gram, _, reduced = transform_sums(data, model.transforms)
+        pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
+        none, none1 = np.zeros((0, 0)), np.zeros(0)
+
+        def work(_: int, i: int, k: int) -> None:
+            y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
+            solve_vertices(
+                y, data.x2[i:k], gram, pairs,
+                none if pull is None else pull[i:k], none1 if stiff is None else stiff[i:k],
+                model.rest[i:k], model.support[i:k], model.share[i:k], model.count[i:k],
+                model.joints[i:k], model.weights[i:k], model.error[i:k],
+                keep[i:k], not fixed.rest, 0, k - i,
+            )  # fmt: skip
+
+        run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
+    # differences of large numbers: what is below rounding is zero
+    np.maximum(model.error, 0.0, out=model.error)
+
+
+def bone_step(
+    data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE, leaps: int = 0
+) -> tuple[Array, Array]:
+    """Transforms of every frame under the weights and rest pose (in place); returns the sums.
+
+    Gauss–Seidel sweeps over the bones where they are rotations, scaled or not;
+    one linear solve for all bones of all frames where they are affine.  `leaps`,
+    each with its sweeps, are for rigid bones that may be far from where they belong.
+    """
+    u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
+    locked = fixed.locked(model.n_bones)
+    if fixed.bone_model == "affine":
+        solve_affine(model.transforms, u, c, locked)
+        return u, c
+    start, neighbour = neighbours(u)
+    scaled = fixed.bone_model == "similarity"
+    work_size = max(1, -(-data.n_frames // 16))
+
+    def work(_: int, i: int, k: int) -> None:
+        sweep_bones(
+            model.transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps, 0, k - i
+        )
+
+    for k in range(max(1, leaps)):
+        if k < leaps and not scaled:
+            leap_rigid(model.transforms, u, c, locked)
+        run_chunks(work, chunk_bounds(data.n_frames, work_size))
+    return u, c
+
+
+def bone_costs(data: Trajectories, model: Model) -> Array:
+    """(B,) how much the objective would rise, to first order, without each bone."""
+    n_bones = model.n_bones
+    with serial_blas():
+        _, gram, _, reduced = transform_sums(data, model.transforms)
+
+        def work(_: int, i: int, k: int) -> Array:
+            cost = np.zeros(n_bones)
+            y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
+            removal_cost(
+                y, data.x2[i:k], gram, model.rest[i:k], model.support[i:k], model.share[i:k],
+                model.count[i:k], data.importance[i:k], cost, 0, k - i,
+            )  # fmt: skip
+            return cost
+
+        parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
+    """`count` alternations of bones, weights and rest pose (in place)."""
+    for _ in range(count):
+        bone_step(data, model, fixed=fixed)
+        vertex_step(data, model, fixed=fixed)

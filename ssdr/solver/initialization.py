@@ -1,0 +1,234 @@
+"""Bones from motion: patches that move rigidly, and the few of them that explain the most."""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.bones import sweep_bones
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..skinning import BoneModel
+from .affine import PATCH_RIDGE, solve_affine
+from .model import CHUNK, Model
+from .trajectories import Array, Trajectories
+
+__all__ = ["farthest_points", "fit_patches", "start_model"]
+
+_PATCHES_PER_BONE = 8
+_SAMPLE = 20_000  # vertices that choose among patches
+_REFITS = 3
+_FEWEST_STRETCHED = 6  # vertices from which a patch may do more than move rigidly
+_SKETCH = 32  # dimensions in which distances between trajectories are compared
+
+
+def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Farthest-point sampling of the rows of x: seeds and each row's nearest seed.
+
+    Fewer seeds than asked come back where rows coincide.
+    """
+    if x.shape[1] > 2 * _SKETCH:
+        # distances are only to spread the seeds: a random projection keeps them well enough
+        x = x @ np.random.default_rng(0).standard_normal((x.shape[1], _SKETCH))
+    seeds = [first]
+    label = np.zeros(len(x), dtype=np.intp)
+    norm = np.einsum("ij,ij->i", x, x)
+    distance = norm - 2.0 * (x @ x[first]) + norm[first]
+    floor = 1e-14 * max(float(norm.max()), 1e-300)
+    for k in range(1, min(count, len(x))):
+        far = int(distance.argmax())
+        if not distance[far] > floor:
+            break
+        new = norm - 2.0 * (x @ x[far]) + norm[far]
+        closer = new < distance
+        label[closer] = k
+        distance[closer] = new[closer]
+        distance[far] = -1.0
+        label[far] = k
+        seeds.append(far)
+    return np.array(seeds), label
+
+
+def fit_patches(
+    data: Trajectories,
+    rest: Array,
+    label: NDArray[np.intp],
+    count: int,
+    bone_model: BoneModel = "rigid",
+) -> Array:
+    """Best transforms of `count` disjoint sets of vertices in every frame, (F, count, 3, 4).
+
+    Vertices with a negative label belong to no set; an empty set gets the identity.
+    """
+    member = np.flatnonzero(label >= 0)
+    member = member[np.argsort(label[member], kind="stable")]
+    bounds = np.searchsorted(label[member], np.arange(count + 1))
+    p = np.concatenate([rest[member], np.ones((len(member), 1))], axis=1)
+    # vertices of no importance still tell where their patch goes if nothing else does
+    weighted = p * np.maximum(data.importance[member], 1e-9)[:, None]
+    az = np.zeros((4, count, data.z.shape[1]))
+    own = np.zeros((count, 4, 4))
+    transforms = np.zeros((data.n_frames, count, 3, 4))
+    transforms[..., :3] = np.eye(3)
+    with serial_blas():
+        for j in range(count):
+            rows = slice(bounds[j], bounds[j + 1])
+            own[j] = p[rows].T @ weighted[rows]
+            az[:, j] = weighted[rows].T @ data.z[member[rows]]
+        c = data.expand(az)
+    start, nobody = np.zeros(2, dtype=np.int32), np.zeros(0, dtype=np.int32)
+    free = np.zeros(1, dtype=bool)
+
+    def work(j: int, _first: int, _last: int) -> None:
+        # one bone at a time: a table of all pairs would be mostly zeros
+        piece = np.ascontiguousarray(transforms[:, j : j + 1])
+        sums = np.ascontiguousarray(c[..., j : j + 1])
+        block = own[j].reshape(1, 1, 4, 4).copy()
+        # a handful of vertices says little about stretch
+        stretches = bone_model != "rigid" and bounds[j + 1] - bounds[j] >= _FEWEST_STRETCHED
+        sweep_bones(piece, sums, block, start, nobody, free, stretches, 1, 0, len(piece))
+        if stretches and bone_model == "affine":
+            solve_affine(piece, block, sums, free, ridge=PATCH_RIDGE)
+        transforms[:, j] = piece[:, 0]
+
+    run_chunks(work, chunk_bounds(count, 1))
+    return transforms
+
+
+def single_bone_errors(
+    data: Trajectories,
+    rest: Array | None,
+    transforms: Array,
+    rows: NDArray[np.intp],
+) -> tuple[Array, Array | None]:
+    """Squared error (n, B) of the chosen vertices under each bone alone.
+
+    Without a rest pose every bone gets the rest position that suits it best,
+    returned as (n, 3, B).
+    """
+    n_bones = transforms.shape[1]
+    out = np.empty((len(rows), n_bones))
+    positions = np.empty((len(rows), 3, n_bones)) if rest is None else None
+    with serial_blas():
+        hat = data.hat(transforms)
+        reduced = data.reduce(hat)
+        columns = hat.reshape(-1, 4, n_bones)
+        gram = np.einsum("tdj,tej->jde", columns, columns)
+        solve = np.linalg.inv(gram[:, :3, :3]) if rest is None else None
+
+        def work(_: int, i: int, k: int) -> None:
+            part = rows[i:k]
+            y = (data.z[part] @ reduced).reshape(k - i, 4, n_bones)
+            if rest is not None:
+                p = np.concatenate([rest[part], np.ones((k - i, 1))], axis=1)
+                f = np.einsum("idj,id->ij", y, p)
+                h = np.einsum("id,ie->ide", p, p).reshape(k - i, 16) @ gram.reshape(-1, 16).T
+                out[i:k] = data.x2[part, None] - 2.0 * f + h
+                return
+            assert solve is not None
+            assert positions is not None
+            right = y[:, :3] - gram[:, :3, 3].T
+            p = np.einsum("jde,iej->idj", solve, right)
+            positions[i:k] = p
+            out[i:k] = (
+                data.x2[part, None] - 2.0 * y[:, 3] + gram[:, 3, 3]
+                - np.einsum("idj,idj->ij", p, right)
+            )  # fmt: skip
+
+        run_chunks(work, chunk_bounds(len(rows), CHUNK))
+    return np.maximum(out, 0.0, out=out), positions
+
+
+def choose(cost: Array, importance: Array, count: int, held: Array | None = None) -> list[int]:
+    """Greedy facility location: columns that lower Σ_i u_i min_j cost_ij most, one by one.
+
+    `held` (n,) is what bones that are there already cost.  Lazy evaluation (Minoux 1978).
+    """
+    column = np.ascontiguousarray(cost.T)
+    chosen: list[int] = []
+    if held is None:
+        chosen.append(int((column @ importance).argmin()))
+        best = column[chosen[0]].copy()
+    else:
+        best = held.copy()
+
+    def gain(j: int) -> float:
+        return float(importance @ np.maximum(best - column[j], 0.0))
+
+    # gains only shrink as bones come in (submodularity): a stale one is an upper bound
+    heap = [(-gain(j), j) for j in range(len(column)) if j not in chosen]
+    heapq.heapify(heap)
+    while heap and len(chosen) < count:
+        while True:
+            _, j = heapq.heappop(heap)
+            fresh = (-gain(j), j)
+            if not heap or fresh <= heap[0]:
+                break
+            heapq.heappush(heap, fresh)
+        chosen.append(j)
+        np.minimum(best, column[j], out=best)
+    return chosen
+
+
+def start_model(
+    data: Trajectories,
+    rest: Array,
+    bones: int,
+    influences: int,
+    rng: np.random.Generator,
+    given: Array | None = None,
+    bone_model: BoneModel = "rigid",
+    quick: bool = False,
+) -> Model:
+    """First model: patches by farthest points, Kabsch each, the best of them, refitted.
+
+    `given` (F, B0, 3, 4) bones come first and stay as they are.  `quick` takes fewer
+    patches and vertices to choose them by, and always the same.
+    """
+    n = data.n_vertices
+    n_given = 0 if given is None else given.shape[1]
+    everyone = np.arange(n)
+    # vertices are drawn by their place in the order of motion: numbering them otherwise
+    # changes nothing
+    rows = np.argsort(data.x2, kind="stable")
+    patches_per_bone, sample = (_PATCHES_PER_BONE, _SAMPLE)
+    if quick:
+        patches_per_bone, sample = (_PATCHES_PER_BONE // 2, _SAMPLE // 5)
+        rows = rows[np.linspace(0, n - 1, min(n, sample)).astype(np.intp)]
+    elif n > sample:
+        rows = rows[np.sort(rng.choice(n, sample, replace=False))]
+    kept = np.zeros((data.n_frames, 0, 3, 4)) if given is None else given
+    if bones > n_given:
+        # scaled, so that what has little importance is not far from anything
+        seeds, label_rows = farthest_points(
+            data.z[rows] * np.sqrt(data.importance[rows])[:, None],
+            patches_per_bone * bones,
+            len(rows) - 1 if quick else int(rng.integers(len(rows))),
+        )
+        label = np.full(n, -1, dtype=np.intp)
+        label[rows] = label_rows
+        patches = fit_patches(data, rest, label, len(seeds), bone_model)
+        cost, _ = single_bone_errors(data, rest, patches, rows)
+        held = None
+        if n_given:
+            held = single_bone_errors(data, rest, kept, rows)[0].min(axis=1)
+        chosen = choose(cost, data.importance[rows], bones - n_given, held)
+        # fewer motions than bones: the rest repeat what is there
+        kept = np.concatenate([kept, patches[:, np.resize(chosen, bones - n_given)]], axis=1)
+    kept = np.ascontiguousarray(kept)
+    for _ in range(_REFITS):
+        nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
+        refit = fit_patches(data, rest, nearest, bones, bone_model)
+        used = np.bincount(nearest, minlength=bones) >= 3
+        used[:n_given] = False
+        kept[:, used] = refit[:, used]
+    nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
+    return Model.start(kept, rest, nearest, influences)
+
+
+def bones_of_weights(
+    data: Trajectories, rest: Array, joints: NDArray[np.int32], count: int, bone_model: BoneModel
+) -> Array:
+    """Each bone's own fit to the vertices that it moves most."""
+    return fit_patches(data, rest, joints[:, 0].astype(np.intp), count, bone_model)

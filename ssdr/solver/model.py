@@ -1,0 +1,173 @@
+"""The state that the solver's steps pass on, and the steps themselves in array form."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..skinning import BoneModel
+from .trajectories import Array, Trajectories
+
+__all__ = [
+    "Fixed",
+    "Model",
+]
+
+SLOTS = 12  # size of the unpruned support that stays warm
+CHUNK = 512  # vertices a task
+
+
+@dataclasses.dataclass(eq=False)
+class Model:
+    """Transforms, rest pose and weights in normalised space; arrays are updated in place."""
+
+    transforms: Array  # (F, B, 3, 4)
+    rest: Array  # (V, 3)
+    support: NDArray[np.int32]  # (V, SLOTS)
+    share: Array  # (V, SLOTS)
+    count: NDArray[np.int32]  # (V,)
+    joints: NDArray[np.int32]  # (V, K)
+    weights: Array  # (V, K)
+    error: Array  # (V,) squared error of joints, weights, rest, transforms
+
+    @property
+    def n_bones(self) -> int:
+        return int(self.transforms.shape[1])
+
+    @property
+    def n_influences(self) -> int:
+        return int(self.joints.shape[1])
+
+    def copy(self) -> Model:
+        return Model(**{f.name: getattr(self, f.name).copy() for f in dataclasses.fields(self)})
+
+    @staticmethod
+    def start(transforms: Array, rest: Array, label: NDArray[np.intp], influences: int) -> Model:
+        """One bone a vertex."""
+        n = len(rest)
+        slots = max(SLOTS, influences)
+        support = np.zeros((n, slots), dtype=np.int32)
+        share = np.zeros((n, slots))
+        joints = np.zeros((n, influences), dtype=np.int32)
+        weights = np.zeros((n, influences))
+        support[:, 0] = joints[:, 0] = label
+        share[:, 0] = weights[:, 0] = 1.0
+        return Model(
+            transforms=transforms, rest=rest.copy(), support=support, share=share,
+            count=np.ones(n, dtype=np.int32), joints=joints, weights=weights,
+            error=np.full(n, np.inf),
+        )  # fmt: skip
+
+    def objective(self, data: Trajectories) -> float:
+        return float(data.importance @ self.error)
+
+    def widen(self) -> None:
+        """Let the unpruned support restart from the kept weights."""
+        k = self.n_influences
+        self.support[:] = 0
+        self.share[:] = 0.0
+        self.support[:, :k] = self.joints
+        self.share[:, :k] = self.weights
+        self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
+
+    def widened(self) -> Model:
+        """A copy whose unpruned support restarts from the kept weights."""
+        model = self.copy()
+        model.widen()
+        return model
+
+    def with_influences(self, count: int) -> Model:
+        """A copy with room for `count` influences a vertex, the largest kept where they were more.
+
+        The error is that of before.
+        """
+        k = self.n_influences
+        joints, weights = self.joints, self.weights
+        if count < k:
+            # in the order they stand, and to the bit where nothing is lost
+            largest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, :count], axis=1)
+            joints = np.take_along_axis(joints, largest, axis=1)
+            weights = np.take_along_axis(weights, largest, axis=1)
+            total = weights.sum(axis=1, keepdims=True)
+            lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
+            weights = np.where(lost[:, None], weights / total, weights)
+        room = ((0, 0), (0, max(0, count - k)))
+        wide = ((0, 0), (0, max(0, count - self.support.shape[1])))
+        model = Model(
+            transforms=self.transforms.copy(), rest=self.rest.copy(),
+            support=np.pad(self.support, wide), share=np.pad(self.share, wide),
+            count=self.count.copy(),
+            joints=np.ascontiguousarray(np.pad(joints, room)),
+            weights=np.ascontiguousarray(np.pad(weights, room)),
+            error=self.error.copy(),
+        )  # fmt: skip
+        model.widen()
+        return model
+
+    def without(self, bones: NDArray[np.intp]) -> Model:
+        """A copy that has lost some bones; vertices keep what is left of their support."""
+        keep = np.setdiff1d(np.arange(self.n_bones), bones)
+        rank = np.full(self.n_bones, -1, dtype=np.int32)
+        rank[keep] = np.arange(len(keep))
+        slots = np.arange(self.support.shape[1])
+        share = np.where(slots < self.count[:, None], self.share, 0.0)
+        share[rank[self.support] < 0] = 0.0
+        order = np.argsort(-share, axis=1, kind="stable")
+        share = np.take_along_axis(share, order, axis=1)
+        support = np.take_along_axis(np.maximum(rank[self.support], 0), order, axis=1)
+        empty = share[:, 0] <= 0
+        share[empty, 0] = 1.0
+        support[empty, 0] = 0
+        count = np.maximum((share > 0).sum(axis=1), 1).astype(np.int32)
+        share /= share.sum(axis=1, keepdims=True)
+        support[share <= 0] = 0
+        k = self.n_influences
+        weights = share[:, :k] / share[:, :k].sum(axis=1, keepdims=True)
+        return Model(
+            transforms=np.ascontiguousarray(self.transforms[:, keep]), rest=self.rest.copy(),
+            support=np.ascontiguousarray(support, dtype=np.int32), share=share, count=count,
+            # a copy also where all of the support is kept: steps write to both
+            joints=np.array(support[:, :k], dtype=np.int32, order="C"), weights=weights,
+            error=self.error.copy(),
+        )  # fmt: skip
+
+    def with_bone(self, transform: Array) -> Model:
+        """A copy with one bone more, (F, 3, 4), that nothing uses yet."""
+        grown = self.copy()
+        grown.transforms = np.ascontiguousarray(
+            np.concatenate([self.transforms, transform[:, None]], axis=1)
+        )
+        return grown
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fixed:
+    """What a caller wants left alone, and what bones may do."""
+
+    rest: bool = False
+    weights: NDArray[np.bool_] | None = None  # (V,) vertices whose weights stay
+    bones: NDArray[np.bool_] | None = None  # (B,) bones whose transforms stay
+    bone_model: BoneModel = "rigid"
+
+    def keep_weights(self, n: int) -> NDArray[np.bool_]:
+        return np.zeros(n, dtype=bool) if self.weights is None else self.weights
+
+    def locked(self, n: int) -> NDArray[np.bool_]:
+        if self.bones is None:
+            return np.zeros(n, dtype=bool)
+        return np.concatenate([self.bones, np.zeros(n - len(self.bones), dtype=bool)])
+
+
+FREE = Fixed()
+
+
+def pad_influences(model: Model, influences: int) -> tuple[NDArray[np.int32], Any]:
+    """Joints and weights with exactly K columns."""
+    more = influences - model.n_influences
+    if more <= 0:
+        return model.joints, model.weights
+    widths = ((0, 0), (0, more))
+    return np.pad(model.joints, widths), np.pad(model.weights, widths)

@@ -1,0 +1,80 @@
+"""Sums over frames and vertices that the steps share: G, Y and C."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.bones import bone_moments
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from .model import CHUNK
+from .trajectories import Array, Trajectories
+
+__all__ = ["bone_sums", "gram_tables", "neighbours", "transform_sums"]
+
+_MOMENT_TASKS = 16
+
+
+_PAIR = np.array([[0, 3, 4, 6], [3, 1, 5, 7], [4, 5, 2, 8], [6, 7, 8, 9]])
+
+
+def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
+    """G = hatᵀhat (4B, 4B) as (B, 10, B) coefficients and as (B, B, 4, 4) blocks."""
+    g = gram.reshape(4, n_bones, 4, n_bones)
+    blocks = np.ascontiguousarray(g.transpose(1, 3, 0, 2))
+    table = np.empty((n_bones, 10, n_bones))
+    for d in range(4):
+        for e in range(d, 4):
+            both = g[d, :, e] if d == e else g[d, :, e] + g[e, :, d]
+            table[:, _PAIR[d, e]] = both
+    return table, blocks
+
+
+def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array, Array, Array]:
+    """What every vertex needs of the transforms.
+
+    The stacked matrix (3F, 4B), both tables of :func:`gram_tables`, and Qᵀ times the matrix.
+    """
+    hat = data.hat(transforms)
+    gram, gram4 = gram_tables(hat.T @ hat, transforms.shape[1])
+    return hat, gram, gram4, data.reduce(hat)
+
+
+def bone_sums(
+    data: Trajectories,
+    joints: NDArray[np.int32],
+    weights: Array,
+    rest: Array,
+    n_bones: int,
+) -> tuple[Array, Array]:
+    """Σ w_j w_k p̃p̃ᵀ as (B, B, 4, 4) and Σ v w_j p̃ of every frame as (F, 3, 4, B)."""
+    n = data.n_vertices
+    bounds = chunk_bounds(n, max(CHUNK, -(-n // _MOMENT_TASKS)))
+    r = data.z.shape[1]
+
+    def work(_: int, i: int, k: int) -> tuple[Array, Array]:
+        u = np.zeros((n_bones, n_bones, 10))
+        az = np.zeros((4, n_bones, r))
+        bone_moments(
+            joints[i:k], weights[i:k], rest[i:k], data.importance[i:k], data.z[i:k], u, az, 0, k - i
+        )
+        return u, az
+
+    parts = run_chunks(work, bounds)
+    u, az = parts[0]
+    for more_u, more_az in parts[1:]:
+        u += more_u
+        az += more_az
+    lower = np.tril_indices(n_bones, -1)
+    u[lower] = u[lower[1], lower[0]]
+    with serial_blas():
+        c = data.expand(az)
+    return np.ascontiguousarray(u[:, :, _PAIR]), c
+
+
+def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Which bones share vertices, as compressed rows."""
+    shared = u[:, :, 3, 3] > 0
+    np.fill_diagonal(shared, False)
+    start = np.concatenate([[0], np.cumsum(shared.sum(axis=1))]).astype(np.int32)
+    return start, np.nonzero(shared)[1].astype(np.int32)

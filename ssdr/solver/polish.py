@@ -1,0 +1,367 @@
+"""The polish: Gauss–Newton on the transforms with weights and rest pose projected out.
+
+The objective becomes φ(M) = min over weights and rest pose; one step solves the
+Schur complement H_mm + λ·diag − H_mv H_vv⁻¹ H_vm by conjugate gradients, with
+products that never touch vertices × frames.
+
+References
+----------
+Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least
+squares problems whose variables separate", 1973; Ruhe and Wedin 1980 (the
+approximation that drops second derivatives).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.polish import polish_vertices
+from ..kernels.schur import (
+    apply_vertex_step,
+    move_bones,
+    schur_vertices,
+    tangent_image,
+    tangent_pullback,
+)
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from .affine import flat_blocks
+from .model import CHUNK, FREE, Fixed, Model
+from .moments import bone_sums, transform_sums
+from .trajectories import Array, Trajectories
+
+__all__ = ["Polish"]
+
+_TASKS = 8
+_GROUPS = 32  # at most this many factors in the preconditioner
+# E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6
+_GENERATORS = np.array(
+    [
+        [[0, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0], [0, -1, 0, 0, 0, 0]],
+        [[0, 0, -1, 0, 0, 0], [0, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]],
+        [[0, 1, 0, 0, 0, 0], [-1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0]],
+        [[0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]],
+    ],
+    dtype=np.float64,
+)
+
+
+@dataclasses.dataclass(eq=False)
+class _Eliminated:
+    """What the vertex step leaves for the Schur complement."""
+
+    inverse: Array  # (V, D, D) of the vertices' Gauss–Newton matrices
+    gradient: Array  # (V, D) half gradients
+    hat: Array  # (3F, 4B) transforms
+    grouped: _Grouped | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Grouped:
+    """Vertices ordered by the set of bones that move them, which a group shares.
+
+    One block of the cross products serves a group, and the passes of the
+    conjugate gradients read memory from front to back.
+    """
+
+    order: NDArray[np.intp]  # (V,)
+    start: NDArray[np.intp]  # (G + 1,)
+    bones: NDArray[np.intp]  # (G, K) ascending, padded with B
+    count: NDArray[np.intp]  # (G,)
+    slot: NDArray[np.intp]  # (V, K) of the model's columns, the one of each of the group's bones
+    rest: Array
+    weights: Array  # (V, K)
+    importance: Array
+    free: NDArray[np.bool_]
+    inverse: Array
+    gradient: Array
+
+    @staticmethod
+    def build(
+        data: Trajectories, model: Model, left: _Eliminated, keep: NDArray[np.bool_]
+    ) -> _Grouped:
+        n_bones = model.n_bones
+        bones = np.where(model.weights > 0, model.joints, n_bones)
+        slot = bones.argsort(axis=1, kind="stable")
+        bones = np.take_along_axis(bones, slot, axis=1)
+        # Should two sets share a code they only make more groups.
+        code = np.zeros(len(bones), dtype=np.uint64)
+        for column in bones.T:
+            code = code * np.uint64(n_bones + 1) + column.astype(np.uint64)
+        order = code.argsort(kind="stable")
+        bones, slot = bones[order], slot[order]
+        first = np.flatnonzero(np.append(True, (bones[1:] != bones[:-1]).any(axis=1)))
+        return _Grouped(
+            order=order, start=np.append(first, len(bones)), bones=bones[first],
+            count=(bones[first] < n_bones).sum(axis=1), slot=slot, rest=model.rest[order],
+            weights=np.take_along_axis(model.weights[order], slot, axis=1),
+            importance=data.importance[order], free=~keep[order],
+            inverse=left.inverse[order], gradient=left.gradient[order],
+        )  # fmt: skip
+
+
+class Polish:
+    """Variable-projection steps on one model of rigid bones.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+        Changed in place by accepted steps only.
+    fixed : Fixed
+    damping : float, optional
+        λ of an earlier polish of this very model, to go on exactly where it
+        stopped; by default the vertices are optimised first.
+    conjugate_steps : int
+        Most products with the Schur complement a step.
+    group : int
+        Frames that share a factor in the preconditioner.
+    """
+
+    generators = _GENERATORS  # rows of p̃, 3 × the dimension of a tangent
+
+    def __init__(
+        self,
+        data: Trajectories,
+        model: Model,
+        *,
+        fixed: Fixed = FREE,
+        damping: float | None = None,
+        conjugate_steps: int = 30,
+        group: int = 24,
+    ) -> None:
+        self.data, self.model, self.fixed = data, model, fixed
+        self.damping = 1e-3 if damping is None else damping
+        self.group = group
+        self.conjugate_steps = conjugate_steps
+        self._keep = fixed.keep_weights(data.n_vertices)
+        self._locked = fixed.locked(model.n_bones)
+        self._frames = chunk_bounds(data.n_frames, max(16, -(-data.n_frames // 16)))
+        n = data.n_vertices
+        self._vertices = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
+        # a damping handed over means that the model comes from an earlier polish: only factor it
+        first = (3, 2) if damping is None else (-1, 0)
+        self._left = self._vertex_step(model, entering=first[0], rounds=first[1])
+        self.value = model.objective(data)
+
+    def step(self, *, entering: int = 0) -> bool:
+        """One step; True if it was accepted.  The objective never rises."""
+        data, model = self.data, self.model
+        with serial_blas():
+            x, predicted = self._solve()
+        trial = dataclasses.replace(
+            model, transforms=model.transforms.copy(), rest=model.rest.copy(),
+            joints=model.joints.copy(), weights=model.weights.copy(), error=model.error.copy(),
+        )  # fmt: skip
+        step = self._back_substitute(x)
+        self._move(trial.transforms, x)
+        move_rest = not self.fixed.rest
+
+        def work(_: int, i: int, k: int) -> None:
+            apply_vertex_step(
+                step[i:k], 1.0, trial.rest[i:k], trial.joints[i:k], trial.weights[i:k],
+                self._keep[i:k], move_rest, 0, k - i,
+            )  # fmt: skip
+
+        run_chunks(work, self._vertices)
+        left = self._vertex_step(trial, entering=entering, rounds=2)
+        value = trial.objective(data)
+        if not value <= self.value:
+            self.damping = min(self.damping * 8.0, 1e6)
+            return False
+        ratio = (self.value - value) / predicted if predicted > 0 else 1.0
+        if ratio > 0.7:
+            self.damping = max(self.damping / 5.0, 1e-8)
+        elif ratio < 0.25:
+            self.damping *= 3.0
+        for name in ("transforms", "rest", "joints", "weights", "error"):
+            setattr(model, name, getattr(trial, name))
+        self._left, self.value = left, value
+        return True
+
+    def _vertex_step(self, model: Model, *, entering: int, rounds: int) -> _Eliminated:
+        data, n_bones = self.data, model.n_bones
+        size = model.n_influences + 2
+        left = _Eliminated(
+            inverse=np.empty((data.n_vertices, size, size)),
+            gradient=np.empty((data.n_vertices, size)),
+            hat=np.empty(0),
+        )
+        move_rest = not self.fixed.rest
+        with serial_blas():
+            left.hat, gram, gram4, reduced = transform_sums(data, model.transforms)
+
+            def work(_: int, i: int, k: int) -> None:
+                y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
+                polish_vertices(
+                    y, data.x2[i:k], gram, gram4, model.rest[i:k], model.joints[i:k],
+                    model.weights[i:k], model.error[i:k], self._keep[i:k], move_rest,
+                    entering, rounds, left.inverse[i:k], left.gradient[i:k], 0, k - i,
+                )  # fmt: skip
+
+            run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
+        return left
+
+    def _solve(self) -> tuple[Array, float]:
+        """Tangents (F, B, n) of the damped step and the decrease that they promise."""
+        data, model = self.data, self.model
+        n_frames, n_bones = model.transforms.shape[:2]
+        u, c = bone_sums(data, model.joints, model.weights, model.rest, n_bones)
+        scale = data.frame_scale
+        hat = self._left.hat
+        u_flat = flat_blocks(u)
+        # half gradient of the objective in the stacked transforms: hat·U − C
+        slope = hat @ u_flat - (c * scale[:, None, None, None]).reshape(hat.shape)
+        gradient = self._pullback(slope)
+        no_cross = np.zeros((n_bones, n_bones, 4, 4))
+        _, total = self._eliminate(no_cross, 1.0)
+        rhs = -(gradient - self._pullback(hat @ flat_blocks(total)))
+        rhs[:, self._locked] = 0.0
+
+        precondition, damp = self._preconditioner(u)
+
+        def apply(x: Array) -> Array:
+            image = self._image(x)
+            cross = (hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
+            _, total = self._eliminate(np.ascontiguousarray(cross), 0.0)
+            out = self._pullback(image @ u_flat - hat @ flat_blocks(total))
+            out += damp(x)
+            out[:, self._locked] = 0.0
+            return out
+
+        x = np.zeros((n_frames, n_bones, self.generators.shape[2]))
+        residual = rhs.copy()
+        z = precondition(residual)
+        direction = z.copy()
+        rho = float(np.vdot(residual, z))
+        first = rho
+        for _ in range(self.conjugate_steps):
+            if not rho > 1e-10 * first:
+                break
+            image = apply(direction)
+            curvature = float(np.vdot(direction, image))
+            if not curvature > 0:
+                break
+            alpha = rho / curvature
+            x += alpha * direction
+            residual -= alpha * image
+            z = precondition(residual)
+            rho, last = float(np.vdot(residual, z)), rho
+            direction = z + (rho / last) * direction
+        # decrease of the undamped quadratic: 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
+        applied = rhs - residual - damp(x)
+        return x, float(2.0 * np.vdot(rhs, x) - np.vdot(x, applied))
+
+    def _preconditioner(
+        self, u: Array
+    ) -> tuple[Callable[[Array], Array], Callable[[Array], Array]]:
+        """Inverses of the Gauss–Newton matrix averaged over groups of frames; damping λ·diag.
+
+        With right tangents the block of two bones depends on the frame by R_jᵀR_k
+        alone: frames that follow each other share one factor, and applying it is a
+        matrix product.
+        """
+        model, data = self.model, self.data
+        n_frames, n_bones = model.transforms.shape[:2]
+        frame_weight = data.frame_scale**2
+        generators = self.generators
+        terms = np.argwhere(generators != 0)
+        n_tangent = generators.shape[2]
+        size = n_tangent * n_bones
+        index = np.arange(n_bones)
+        own = np.einsum("dca,jde,ecb->jab", generators, u[index, index], generators)
+        own = np.maximum(np.einsum("jaa->ja", own), 1e-300)
+        own = np.maximum(own, 1e-12 * own.max())
+        groups = chunk_bounds(n_frames, max(self.group, -(-n_frames // _GROUPS)))
+        rotation = np.ascontiguousarray(model.transforms[..., :3])
+        table = np.ascontiguousarray(u.transpose(2, 3, 0, 1))
+
+        def invert(_: int, i: int, k: int) -> Array:
+            stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
+            turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
+            mean = np.zeros((n_tangent, n_tangent, n_bones, n_bones))
+            for d, c, a in terms:
+                for e, f, b in terms:
+                    sign = generators[d, c, a] * generators[e, f, b]
+                    mean[a, b] += sign * (turn[c, :, f] * table[d, e])
+            matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
+            matrix[np.diag_indices(size)] += (self.damping + 1e-9) * own.ravel()
+            inverse = np.linalg.inv(matrix)
+            return np.asarray(0.5 * (inverse + inverse.T))
+
+        inverses = run_chunks(invert, groups)
+
+        def precondition(r: Array) -> Array:
+            flat = r.reshape(n_frames, size) / frame_weight[:, None]
+            parts = [flat[i:k] @ m for (i, k), m in zip(groups, inverses, strict=True)]
+            out = np.concatenate(parts).reshape(r.shape)
+            out[:, self._locked] = 0.0  # the search stays among the bones that may move
+            return out
+
+        damped = self.damping * (frame_weight[:, None, None] * own)
+        return precondition, lambda x: damped * x
+
+    def _move(self, transforms: Array, x: Array) -> None:
+        run_chunks(
+            lambda _, i, k: move_bones(transforms[i:k], x[i:k], self._locked, 0, k - i),
+            self._frames,
+        )
+
+    def _image(self, x: Array) -> Array:
+        n_frames, n_bones = x.shape[:2]
+        out = np.empty((3 * n_frames, 4, n_bones))
+        tangent_image(self.model.transforms, x, self.data.frame_scale, out, 0, n_frames)
+        return out.reshape(3 * n_frames, 4 * n_bones)
+
+    def _pullback(self, g: Array) -> Array:
+        n_frames, n_bones = self.model.transforms.shape[:2]
+        out = np.empty((n_frames, n_bones, 6))
+        tangent_pullback(
+            self.model.transforms, np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones),
+            self.data.frame_scale, out, 0, n_frames,
+        )  # fmt: skip
+        return out
+
+    def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
+        """What the vertices answer to a change of the transforms, and its image.
+
+        The first (V, D) is in the order of the groups.
+        """
+        model, left = self.model, self._left
+        n_bones = model.n_bones
+        if left.grouped is None:
+            left.grouped = _Grouped.build(self.data, model, left, self._keep)
+        own = left.grouped
+        step = np.empty((len(own.order), model.n_influences + 2))
+        move_rest = not self.fixed.rest
+
+        def work(_: int, i: int, k: int) -> Array:
+            total = np.zeros((n_bones, n_bones, 4, 4))
+            schur_vertices(
+                cross, own.start, own.bones, own.count, own.slot, own.rest, own.weights,
+                own.importance, own.free, own.inverse, own.gradient, share, step, total,
+                move_rest, i, k,
+            )  # fmt: skip
+            return total
+
+        cuts = np.searchsorted(own.start, [0, *(k for _, k in self._vertices)])
+        parts = run_chunks(work, list(itertools.pairwise(cuts.tolist())))
+        total = parts[0]
+        for part in parts[1:]:
+            total += part
+        return step, total
+
+    def _back_substitute(self, x: Array) -> Array:
+        n_bones = self.model.n_bones
+        with serial_blas():
+            image = self._image(x)
+            cross = (self._left.hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
+            grouped, _ = self._eliminate(np.ascontiguousarray(cross), 1.0)
+        assert self._left.grouped is not None
+        step = np.empty_like(grouped)
+        step[self._left.grouped.order] = grouped
+        return step

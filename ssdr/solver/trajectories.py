@@ -1,0 +1,287 @@
+"""The only code that walks over frames: what the solver needs of an animation.
+
+Positions are taken relative to each frame's centroid and turned onto the first
+frame, which changes no error and takes the common motion out of the numbers;
+then they are scaled to unit size and, where few combinations of frames carry
+all that matters, written as X ≈ Z Qᵀ with orthonormal Q.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import LARGEST, check_squarable
+from ..errors import InputError
+from ..parallel import serial_blas
+from ..rigid import nearest_rotation
+from ..sequence import MeshSequence
+
+__all__ = [ "Alignment", "Trajectories", "centred", "gather", "scale_of",
+    "turn_onto",
+]  # fmt: skip
+
+Array = NDArray[np.float64]
+
+_TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
+_AT_ONCE = 64  # frames that are aligned together
+_APART = f"distances of less than {LARGEST:g} times the mesh's size"
+_GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Alignment:
+    """The way between the input's space and the solver's.
+
+    Attributes
+    ----------
+    centre : (F, 3), turn : (F, 3, 3), scale : float
+        ``x = turn (scale x') + centre`` leads back to the input's space.
+    """
+
+    centre: Array
+    turn: Array
+    scale: float
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.centre)
+
+    def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
+        """Rest pose and transforms (F, B, 3, 4) in the input's space."""
+        origin = self.centre[0]
+        r = np.einsum("tab,tjbc->tjac", self.turn, transforms[..., :3])
+        shift = self.scale * np.einsum("tab,tjb->tja", self.turn, transforms[..., 3])
+        t = shift + self.centre[:, None] - r @ origin
+        return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
+
+    def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
+        """Inverse of :meth:`to_world`; refuses what cannot be squared at the mesh's size."""
+        origin = self.centre[0]
+        inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
+        check_squarable(inner, "rest", _APART)
+        if transforms is None:
+            return inner, None
+        m = np.asarray(transforms, dtype=np.float64)
+        r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
+        moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
+        t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
+        check_squarable(t, "transforms", _APART)
+        return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
+
+    def inward(self, block: NDArray[np.floating], first: int) -> Array:
+        """Positions (V, c, 3) in the solver's space of the frames first.. (c, V, 3)."""
+        last = first + len(block)
+        moved = block.astype(np.float64, order="C") - self.centre[first:last, None]
+        turned = np.matmul(moved, self.turn[first:last])
+        return np.ascontiguousarray(turned.transpose(1, 0, 2)) / self.scale
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Trajectories(Alignment):
+    """An animation as the solver sees it.
+
+    Attributes
+    ----------
+    z : (V, r) float64
+        Reduced trajectories, frames scaled by the root of their importance.
+    q : (3F, r) float64 or None
+        Orthonormal basis; None where nothing was reduced (r = 3F).
+    x2 : (V,) float64
+        Squared length of each vertex's whole trajectory.
+    importance : (V,) float64
+        Importance of vertices, mean 1.
+    frame_scale : (F,) float64
+        Root of the frames' importance.
+    lost : float
+        Energy outside the basis, Σ x2 − Σ|z|².
+    """
+
+    z: Array
+    q: Array | None
+    x2: Array
+    importance: Array
+    frame_scale: Array
+    lost: float
+
+    @property
+    def n_vertices(self) -> int:
+        return len(self.z)
+
+    def hat(self, transforms: Array) -> Array:
+        """Transforms (F, B, 3, 4) as a matrix (3F, 4B), frames scaled."""
+        f, b = transforms.shape[:2]
+        scaled = transforms * self.frame_scale[:, None, None, None]
+        return np.ascontiguousarray(scaled.transpose(0, 2, 3, 1).reshape(3 * f, 4 * b))
+
+    def reduce(self, hat: Array) -> Array:
+        """Qᵀ times a (3F, n) matrix."""
+        return hat if self.q is None else self.q.T @ hat
+
+    def expand(self, az: Array) -> Array:
+        """Per-frame sums (F, 3, 4, B) from reduced sums (4, B, r)."""
+        four, b, r = az.shape
+        flat = az.reshape(four * b, r)
+        full = flat.T if self.q is None else self.q @ flat.T
+        out = full.reshape(self.n_frames, 3, four, b)
+        return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
+
+    def some(self, frames: NDArray[np.intp]) -> Trajectories:
+        """The chosen frames alone; for what is not compressed."""
+        assert self.q is None
+        z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
+        flat = z.reshape(self.n_vertices, -1)
+        return dataclasses.replace(
+            self, z=flat, x2=np.einsum("ij,ij->i", flat, flat), centre=self.centre[frames],
+            turn=self.turn[frames], frame_scale=self.frame_scale[frames],
+        )  # fmt: skip
+
+    @serial_blas()
+    def compressed(self, bones: int) -> Trajectories:
+        """In the fewest columns that hold what a model of `bones` needs; itself if all of them do.
+
+        The basis loses at most a ten-thousandth of the energy that no model of
+        rank 4B can reach (Eckart–Young), so that its error hides in no result.
+        """
+        x = self.z
+        if self.q is not None:
+            return self
+        if (self.importance == self.importance[0]).all():
+            z, q = _reduce(x, float(self.x2.sum()), 4 * bones)
+        else:
+            # what has no importance shall not decide what the basis holds
+            root = np.sqrt(self.importance)
+            _, q = _reduce(x * root[:, None], float(self.importance @ self.x2), 4 * bones)
+            z = x if q is None else np.ascontiguousarray(x @ q)
+        if q is None:
+            return self
+        lost = max(0.0, float(self.x2.sum() - np.einsum("ij,ij->", z, z)))
+        return dataclasses.replace(self, z=z, q=q, lost=lost)
+
+    def frame(self, t: int) -> Array:
+        """Normalised positions (V, 3) of one frame."""
+        columns = slice(3 * t, 3 * t + 3)
+        x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
+        return np.ascontiguousarray(x / self.frame_scale[t])
+
+
+@serial_blas()
+def gather(
+    sequences: Sequence[MeshSequence],
+    *,
+    bones: int,
+    vertex_importance: Array | None = None,
+    frame_importance: Array | None = None,
+    compress: bool = True,
+) -> Trajectories:
+    """Read all frames of all shots and, unless told otherwise, compress them for `bones`."""
+    n_vertices = sequences[0].n_vertices
+    n_frames = sum(len(s) for s in sequences)
+    importance = np.ones(n_vertices)
+    if vertex_importance is not None:
+        importance = vertex_importance / vertex_importance.mean()
+    frame_scale = np.ones(n_frames)
+    if frame_importance is not None:
+        frame_scale = np.sqrt(frame_importance / frame_importance.mean())
+    # what has no importance shall not decide where the origin is
+    share = None if vertex_importance is None else importance / n_vertices
+    x = np.empty((n_vertices, n_frames, 3))
+    centre = np.empty((n_frames, 3))
+    turn = np.empty((n_frames, 3, 3))
+    first = None
+    t = 0
+    for sequence in sequences:
+        for _, chunk in sequence.chunks():
+            for start in range(0, len(chunk), _AT_ONCE):
+                block = chunk[start : start + _AT_ONCE]
+                last = t + len(block)
+                here, centre[t:last] = centred(block, share)
+                if first is None:
+                    first = here[0]
+                turn[t:last] = turn_onto(here, first, share)
+                if t == 0:
+                    turn[0] = np.eye(3)
+                x[:, t:last] = np.matmul(here, turn[t:last]).transpose(1, 0, 2)
+                t = last
+    size = float(np.sqrt(np.vdot(x, x) / (n_vertices * n_frames)))
+    scale = scale_of(size, size if size > 1 / LARGEST else float(np.abs(x).max()))
+    x *= (frame_scale / scale)[None, :, None]
+    flat = x.reshape(n_vertices, 3 * n_frames)
+    x2 = np.einsum("ij,ij->i", flat, flat)
+    data = Trajectories(
+        z=flat, q=None, x2=x2, importance=importance, frame_scale=frame_scale,
+        centre=centre, turn=turn, scale=scale, lost=0.0,
+    )  # fmt: skip
+    return data.compressed(bones) if compress else data
+
+
+def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
+    """Positions (..., V, 3) relative to their (weighted) centroids, and those."""
+    # in C order: sums over the same numbers laid out otherwise differ in their last bits
+    here = frames.astype(np.float64, order="C")
+    # the first vertex is taken out before the mean: far from the origin a
+    # sum of positions loses what the positions themselves still hold
+    anchor = here[..., :1, :].copy()
+    here -= anchor
+    mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
+    here -= mean
+    check_squarable(here, "vertices", f"positions less than {LARGEST:g} apart")
+    return here, (anchor + mean)[..., 0, :]
+
+
+def scale_of(size: float, spread: float) -> float:
+    """The solver's unit: the RMS distance from the centroids, 1 where all of them are 0.
+
+    `spread` is the largest coordinate; where its square vanishes, so do errors.
+    """
+    if 0 < spread < 1 / LARGEST:
+        raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
+    return size or 1.0
+
+
+def turn_onto(here: Array, first: Array, share: Array | None) -> Array:
+    """Rotations that, applied from the right, turn centred frames onto the first."""
+    known = first if share is None else first * share[:, None]
+    return nearest_rotation(np.swapaxes(here, -1, -2) @ known)
+
+
+def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
+    n_rows, n_columns = x.shape
+    if rank >= min(n_rows, n_columns):
+        return x, None
+    if min(n_rows, n_columns) > _GRAM_LIMIT:
+        return _sketch(x, energy, rank)
+    wide = n_columns > n_rows
+    values, vectors = np.linalg.eigh(x @ x.T if wide else x.T @ x)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)  # tail[k]: energy from k on
+    allowed = max(_TAIL * tail[rank], 1e-15 * energy)
+    keep = max(1, int(np.argmax(tail <= allowed)))
+    if keep > 0.8 * n_columns:
+        return x, None
+    if wide:
+        q = x.T @ (vectors[:, :keep] / np.sqrt(np.maximum(values[:keep], 1e-300)))
+        q, _ = np.linalg.qr(q)
+    else:
+        q = np.ascontiguousarray(vectors[:, :keep])
+    return np.ascontiguousarray(x @ q), q
+
+
+def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
+    """Randomised range finder (Halko et al. 2011), grown until the tail is small enough."""
+    rng = np.random.default_rng(0)
+    keep = rank + 64
+    while keep < 0.8 * min(x.shape):
+        q, _ = np.linalg.qr(x.T @ (x @ (x.T @ rng.standard_normal((len(x), keep)))))
+        z = x @ q
+        values, vectors = np.linalg.eigh(z.T @ z)
+        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+        lost = max(0.0, energy - float(values.sum()))
+        beyond = lost + float(values[rank:].sum())
+        if lost <= max(_TAIL * beyond, 1e-15 * energy) or lost <= 1e-13 * energy:
+            return np.ascontiguousarray(z @ vectors), np.ascontiguousarray(q @ vectors)
+        keep *= 2
+    return x, None

@@ -1,0 +1,217 @@
+"""Sequences that do not fit into memory: solve on telling frames, finish on all of them.
+
+    scan (one pass) -> frames that differ most -> the usual run on those
+         -> the polish, on as many as may be held: what few frames leave open
+         -> passes over all frames, each an exact alternation: bones of every
+            frame, then weights and rest pose from the sums that the pass gathers
+
+Each walk over the frames is a function of a span of them, called here or by the
+workers of a cluster (`chunked`), and a sum in the order of the spans.  A pass
+keeps a block of frames, the transforms and two (V, 4B) matrices; what it states is
+the error over all frames, not an estimate from a part of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..sequence import MeshSequence
+from ..solver.initialization import farthest_points
+from ..solver.trajectories import Alignment, Array, centred, scale_of, turn_onto
+from .executor import Executor, Frames, Local, Walk, spans_of
+
+__all__ = ["Scan", "needs_streaming", "scan", "subset"]
+
+_IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
+_SUBSET = 128 << 20  # bytes of those of the telling frames
+_FEWEST, _MOST = 120, 1000  # telling frames
+_SETTLED = 512 << 20  # bytes of the trajectories of the frames on which their model settles
+_MOST_SETTLED = 4000
+_PROBES = 64  # vertices by which frames are compared
+
+Told = Callable[[float], Any]
+
+
+def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
+    """Whether the trajectories are too large to be held at once."""
+    frames = sum(len(s) for s in sequences)
+    return sequences[0].n_vertices * frames * 24 > _IN_MEMORY and frames > _FEWEST
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Scan:
+    """What the first pass found.
+
+    Attributes
+    ----------
+    alignment : Alignment
+        Of all frames.
+    chosen : (S,) int64
+        Telling frames, ascending; the first frame is one of them.  After
+        :meth:`widened` others as well.
+    nearest : (F,) int64
+        For each frame, the position in `chosen` of the one that it is most like.
+    """
+
+    alignment: Alignment
+    chosen: NDArray[np.int64]
+    nearest: NDArray[np.int64]
+
+    def importance(self, frames: Array | None) -> Array:
+        """(S,) importance of the telling frames: that of the frames they stand for."""
+        whole = np.ones(len(self.nearest)) if frames is None else frames
+        counts = np.bincount(self.nearest, weights=whole, minlength=len(self.chosen))
+        return counts.astype(np.float64)
+
+    def widened(self, n_vertices: int) -> Scan | None:
+        """As many frames, evenly spread, as may be held, and the telling ones.
+
+        None where that would not be many more.
+        """
+        n_frames = len(self.nearest)
+        count = min(_SETTLED // (24 * n_vertices), _MOST_SETTLED, n_frames)
+        if count < 2 * len(self.chosen):
+            return None
+        spread = np.linspace(0, n_frames - 1, count).round().astype(np.int64)
+        chosen = np.union1d(self.chosen, spread)
+        nearest = np.searchsorted(chosen, self.chosen)[self.nearest]
+        nearest[chosen] = np.arange(len(chosen))
+        return dataclasses.replace(self, chosen=chosen, nearest=nearest)
+
+
+@serial_blas()
+def scan(
+    sequences: Sequence[MeshSequence],
+    importance: Array | None,
+    keep: Sequence[int] = (),
+    *,
+    executor: Executor | None = None,
+    told: Told | None = None,
+) -> Scan:
+    """Walk over all frames once: alignment, size, and which frames tell most.
+
+    Frames are compared by a few vertices after alignment and chosen by
+    farthest-point sampling, so that rare poses are among them; `keep` are chosen
+    in any case.  `told` hears the share of the frames that are done.
+    """
+    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    share = None if importance is None else importance / importance.sum()
+    probes = np.linspace(0, n - 1, min(n, _PROBES)).astype(np.int64)
+    first, _ = centred(sequences[0].frames(0), share)
+    spans = spans_of(n_frames)
+    parts = []
+    walk = (executor or Local()).map(
+        Walk(_scan_span, sequences, spans, shared=(first, share, probes))
+    )
+    for (_, stop), part in zip(spans, walk, strict=True):
+        parts.append(part)
+        if told is not None:
+            told(stop / n_frames)
+    centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
+    turn[0] = np.eye(3)
+    size, spread = sum(p[3] for p in parts), max(p[4] for p in parts)
+    seeds, nearest = farthest_points(features, min(_telling(n), n_frames), 0)
+    chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
+    where = np.searchsorted(chosen, seeds)[nearest]
+    where[chosen] = np.arange(len(chosen))
+    scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
+    return Scan(
+        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        chosen=chosen,
+        nearest=where.astype(np.int64),
+    )
+
+
+def _telling(n_vertices: int) -> int:
+    return int(np.clip(_SUBSET // (24 * n_vertices), _FEWEST, _MOST))
+
+
+@serial_blas()
+def _scan_span(
+    frames: Frames, first: Array, share: Array | None, probes: NDArray[np.int64]
+) -> tuple[Array, Array, Array, float, float]:
+    centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
+    features = np.empty((len(frames), 3 * len(probes)))
+    sizes, spreads = np.empty(len(frames)), np.empty(len(frames))
+    for start, block in frames.blocks():
+
+        def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
+            here, centre[start + i : start + k] = centred(block[i:k], share)
+            turned = turn_onto(here, first, share)
+            turn[start + i : start + k] = turned
+            seen = np.matmul(here[:, probes], turned)
+            features[start + i : start + k] = seen.reshape(k - i, -1)
+            sizes[start + i : start + k] = np.einsum("tic,tic->t", here, here)
+            spreads[start + i : start + k] = np.abs(here).max(axis=(1, 2))
+
+        run_chunks(work, chunk_bounds(len(block), 8))
+    return centre, turn, features, float(sizes.sum()), float(spreads.max())
+
+
+def subset(
+    sequences: Sequence[MeshSequence],
+    frames: NDArray[np.int64],
+    *,
+    executor: Executor | None = None,
+) -> MeshSequence:
+    """The named frames, ascending, as one sequence in memory."""
+    first = sequences[0]
+    spans = spans_of(sum(len(s) for s in sequences))
+    bounds = [np.searchsorted(frames, span) for span in spans]
+    used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
+    used = [u for u in used if len(u[1])]
+    walk = (executor or Local()).map(
+        Walk(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
+    )
+    vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
+    return dataclasses.replace(first, vertices=vertices, validate=False)
+
+
+def _pick_span(frames: Frames, wanted: NDArray[np.int64]) -> NDArray[np.floating]:
+    out, offset = [], 0
+    for array, first, last in frames.pieces:
+        here = wanted[(wanted >= offset) & (wanted < offset + last - first)] - offset + first
+        if len(here):
+            source = dataclasses.replace(frames, pieces=((array, int(here[0]), int(here[-1]) + 1),))
+            if isinstance(array, np.ndarray):
+                out.append(np.asarray(array[here]))
+            else:  # chunks of a store are read whole in any case
+                for start, block in source.blocks():
+                    mine = here - here[0] - start
+                    out.append(block[mine[(mine >= 0) & (mine < len(block))]])
+        offset += last - first
+    return np.concatenate(out)
+
+
+def _scan(arrays: dict[str, Any]) -> Scan | None:
+    if "scan_centre" not in arrays:
+        return None
+    centre, turn = (
+        np.ascontiguousarray(arrays[f"scan_{name}"], dtype=np.float64)
+        for name in ("centre", "turn")
+    )
+    scale = float(np.asarray(arrays["scan_scale"]).item())
+    chosen, nearest = (
+        np.ascontiguousarray(arrays[f"scan_{name}"], dtype=np.int64)
+        for name in ("chosen", "nearest")
+    )
+    n = len(centre)
+    if centre.shape != (n, 3) or turn.shape != (n, 3, 3) or nearest.shape != (n,):
+        raise ValueError(f"scan_centre has shape {centre.shape}")
+    if not (np.isfinite(centre).all() and np.isfinite(turn).all() and 0 < scale < np.inf):
+        raise ValueError("scan holds NaN or Inf")
+    if chosen.ndim != 1 or len(chosen) == 0 or (np.diff(chosen) <= 0).any():
+        raise ValueError("scan_chosen is not ascending")
+    if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
+        raise ValueError("scan names a frame that is not there")
+    return Scan(
+        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        chosen=chosen,
+        nearest=nearest,
+    )
