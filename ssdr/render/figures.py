@@ -1,6 +1,7 @@
 """Pictures of sequences and skinnings, without a display: one frame, a contact sheet, a film.
 
-Everything is drawn on the processor by :mod:`ssdr.render.scene` and :mod:`ssdr.render.raster`; text is
+Everything is drawn on the processor, by :mod:`ssdr.render.scene` and
+:mod:`ssdr.render.raster`; text is
 Pillow's.
 """
 

@@ -14,7 +14,7 @@ import pytest
 
 import ssdr
 from ssdr import parallel
-from ssdr.kernels import lbs, polish, schur, vertices
+from ssdr.kernels import bones, lbs, polish, schur, vertices
 from ssdr.solver import warmup
 
 _REPORT = """
@@ -55,7 +55,7 @@ def python(monkeypatch: pytest.MonkeyPatch, threads: None) -> None:
 
 
 def signatures() -> dict[str, int]:
-    modules = (frames, lbs, polish, schur, vertices)
+    modules = (bones, lbs, polish, schur, vertices)
     return {
         f"{m.__name__}.{name}": len(value.signatures)
         for m in modules
