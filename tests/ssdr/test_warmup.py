@@ -120,7 +120,7 @@ def test_a_second_process_that_fails_or_hangs_is_given_up(
     second = warmup._Second()
     second.on_start(None)
     assert second.process is not None
-    with caplog.at_level(logging.INFO, "ssdr.warmup"):
+    with caplog.at_level(logging.INFO, "ssdr.solver.warmup"):
         second.wait(3.0 if said == "(None)" else 60.0)
     second.stop()
     assert said in caplog.text
@@ -132,7 +132,7 @@ def test_what_cannot_be_started_is_logged(
 ) -> None:
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python3"))
     second = warmup._Second()
-    with caplog.at_level(logging.INFO, "ssdr.warmup"):
+    with caplog.at_level(logging.INFO, "ssdr.solver.warmup"):
         second.on_start(None)
     assert second.process is None
     assert "one process" in caplog.text
