@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .parsimony.report import Parsimony
 from .search.progress import Record
 from .search.state import SolverState
 from .skinning import Skinning
 
-if TYPE_CHECKING:
-    from .parsimony.report import Parsimony
-
-__all__ = [
-    "Decomposition",
-]
+__all__ = ["Decomposition"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

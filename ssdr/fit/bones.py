@@ -20,6 +20,7 @@ from ..checks import (
     check_weights,
 )
 from ..errors import InputError
+from ..frames.error import squared_error
 from ..sequence import MeshSequence
 from ..skinning import BoneModel
 from ..solver.affine import flat_blocks
@@ -29,7 +30,6 @@ from ..solver.initialization import bones_of_weights
 from ..solver.model import Fixed, Model
 from ..solver.moments import bone_sums
 from ..solver.trajectories import Array, Trajectories, gather
-from ..streaming.error import squared_error
 
 __all__ = ["BoneFit", "fit_bones"]
 

@@ -26,10 +26,23 @@ def refit(data: Trajectories, model: Model, *, fixed: Fixed, rounds: int = 2) ->
         def work(_: int, i: int, k: int) -> None:
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             polish_vertices(
-                y, data.x2[i:k], gram, gram4, model.rest[i:k], model.joints[i:k],
-                model.weights[i:k], model.error[i:k], keep[i:k], not fixed.rest, 0, rounds,
-                np.empty((k - i, size, size)), np.empty((k - i, size)), 0, k - i,
-            )  # fmt: skip
+                y,
+                data.x2[i:k],
+                gram,
+                gram4,
+                model.rest[i:k],
+                model.joints[i:k],
+                model.weights[i:k],
+                model.error[i:k],
+                keep[i:k],
+                not fixed.rest,
+                0,
+                rounds,
+                np.empty((k - i, size, size)),
+                np.empty((k - i, size)),
+                0,
+                k - i,
+            )
 
         run_chunks(work, chunk_bounds(n, CHUNK))
 
@@ -66,7 +79,7 @@ class Nested:
             rows = level == m
             for name in ("rest", "joints", "weights", "error"):
                 getattr(out, name)[rows] = getattr(model, name)[rows]
-        out.widen()
+        out.restart_support()
         return out
 
 

@@ -1,9 +1,4 @@
-"""Fewer influences and fewer keyframes, for as much error as there is room.
-
-Both are choices of cost against bytes, made with one multiplier λ: of all ways
-to store a vertex's weights, or a bone's keys, the one of least
-error + λ · bytes (Everett 1963).
-"""
+"""Fewer keyframes: the motion of every bone as keys, and what it costs to leave some out."""
 
 from __future__ import annotations
 
@@ -18,14 +13,12 @@ from ..skinning import Skinning
 from ..solver.trajectories import Array
 from .report import KEY_BYTES, time_bytes
 
-__all__ = [
-    "Tracks",
-]
+__all__ = ["Tracks"]
 
 # frames from a key to the next: every number up to six, then about a quarter more each
 _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
-_FEW_SPANS = (1, 2, 4, 8)
-_MANY = 2_000_000  # frames × bones beyond which only a few spans are tried
+# beyond so many frames × bones, where each span is a second or more
+_FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
 _BLOCK = 1 << 18  # frames × bones at a time
 
 

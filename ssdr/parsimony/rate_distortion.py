@@ -1,43 +1,36 @@
-"""No more model than a scene needs: its size in bytes, what pruning costs, error against size.
-
-``ssdr.decompose(sequence, tolerance="0.5%")`` finds the smallest model; this
-module holds what it says about it, and :func:`curve`.
-"""
+"""Error against size: one model for every number of bones."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import as_sequences, check_bones, check_influences, check_rng
-from ..errors import Cancelled, InputError
-from ..parallel import serial_blas
+from ..errors import Cancelled, InputError, check_choice
+from ..frames.error import squared_error
 from ..search.moves import grow_bone
-from ..search.problem import Given
-from ..search.progress import Progress
+from ..search.prescribed import Prescribed
+from ..search.progress import Callback, Clock, Reporter
 from ..search.run import Run
-from ..search.schedule import Op
+from ..search.schedule import Effort, Schedule
+from ..search.stages import Alternate, Merge, Polish, Reseed, Start
 from ..sequence import MeshSequence
 from ..solver.model import Fixed, Model
-from ..solver.trajectories import gather
-from ..streaming.error import squared_error
+from ..solver.trajectories import Trajectories, gather
 from ..streaming.scan import needs_streaming, scan, subset
-from .report import Attempt, bytes_of
+from .report import bytes_of
 
-__all__ = [
-    "Attempt",
-    "Curve",
-    "curve",
-]
+__all__ = ["Curve", "curve", "knee"]
 
+_MOST_BONES = 64  # by default
 _FLOOR = 1e-5  # of the diagonal: errors below are as good as none, on a logarithmic axis
 _STEPS = {"fast": (4, 6), "balanced": (8, 16), "best": (24, 40)}  # re-seeds, polish steps
+_DOWN, _UP = 0.9, 0.95  # fraction of the work that is done after the way down, and on the way up
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -52,7 +45,7 @@ class Curve:
         By :func:`size`, every frame a key.
     rmse : (N,) float64
         In the mesh's units; never rises.  Where frames are streamed it is that
-        of the telling ones alone, among which rare poses count for more.
+        of the representative ones alone, among which rare poses count for more.
     diagonal : float
     knee : int
         Index of the point that lies farthest below the straight line between
@@ -79,9 +72,9 @@ def curve(
     *,
     bones: int | None = None,
     influences: int = 4,
-    effort: Literal["fast", "balanced", "best"] = "fast",
+    effort: Effort = "fast",
     rng: int | np.random.Generator = 0,
-    callback: Callable[[Progress], bool | None] | None = None,
+    callback: Callback | None = None,
 ) -> Curve:
     """Error against size, from one bone to many.
 
@@ -117,70 +110,21 @@ def curve(
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices
-    most = check_bones(min(n, 64) if bones is None else bones, n)
-    k = check_influences(influences)
-    if effort not in _STEPS:
-        raise InputError("effort", f"one of {tuple(_STEPS)}", repr(effort))
+    most = check_bones(min(n, _MOST_BONES) if bones is None else bones, n)
+    influences = check_influences(influences)
+    check_choice(effort, "effort", Effort)
     if callback is not None and not callable(callback):
         raise InputError("callback", "a function of one Progress, or None", repr(callback))
     generator = check_rng(rng)
-    frames = sum(len(s) for s in sequences)
     solved = sequences
     if needs_streaming(sequences):
         solved = [subset(sequences, scan(sequences, None).chosen)]
     data = gather(solved, bones=most)
     ladder = _ladder(most)
-    reseeds, polish = _STEPS[effort]
-    improve = [
-        Op("reseed", count=reseeds, amount=4, patience=4, cost=6),
-        Op("polish", count=polish, tolerance=0.01, cost=6),
-    ]
-    models: dict[int, Model] = {}
-    unit = data.scale / math.sqrt(data.n_frames * n)
-    steps = 0
+    report = Reporter(callback, Clock())
+    models = _models(data, ladder, influences, effort, generator, report)
 
-    def walk(count: int, plan: list[Op], start: Model | None, share: float) -> Model:
-        nonlocal steps
-        run = Run(
-            data, plan, bones=count, influences=k, rng=generator, fixed=Fixed(), given=Given(),
-            smooth=None,
-        )  # fmt: skip
-        if start is not None:
-            run.model = start
-            if start.n_bones == count:
-                run.best, run.best_value = start.copy(), start.objective(data)
-        with serial_blas():
-            while not run.finished:
-                phase = run.phase
-                run.advance()
-                steps += 1
-                if callback is not None and callback(
-                    Progress(
-                        phase=f"{count} bones: {phase}", iteration=steps, elapsed=run.elapsed,
-                        rmse=unit * math.sqrt(run.best_value), fraction=share, time_left=math.inf,
-                    )
-                ):  # fmt: skip
-                    raise Cancelled("stopped by the callback before the curve was done")
-        assert run.best is not None
-        return run.best
-
-    for place, count in enumerate(reversed(ladder)):
-        share = 0.9 * place / len(ladder)
-        if place == 0:
-            plan = [Op("start", amount=1.3, cost=8), Op("alternate", count=10)]
-            start = None
-        else:
-            plan = []
-            start = models[ladder[-place]].widened()
-        merge = [Op("merge", count=1000, amount=4, cost=20), Op("alternate", count=4)]
-        models[count] = walk(count, [*plan, *merge, *improve], start, share)
-    for smaller, larger in itertools.pairwise(ladder):
-        if models[larger].objective(data) > models[smaller].objective(data):
-            grown = models[smaller]
-            while grown.n_bones < larger:
-                grown = grow_bone(data, grown, alternations=2, fixed=Fixed())
-            models[larger] = walk(larger, improve, grown, 0.95)
-
+    frames = sum(len(s) for s in sequences)
     rmse, stored = np.empty(len(ladder)), np.empty(len(ladder), dtype=np.int64)
     for i, count in enumerate(ladder):
         model = models[count]
@@ -193,9 +137,66 @@ def curve(
     rmse = np.minimum.accumulate(rmse)
     diagonal = max(s.diagonal() for s in sequences)
     return Curve(
-        bones=np.array(ladder, dtype=np.int64), bytes=stored, rmse=rmse, diagonal=diagonal,
+        bones=np.array(ladder, dtype=np.int64),
+        bytes=stored,
+        rmse=rmse,
+        diagonal=diagonal,
         knee=knee(stored, rmse, _FLOOR * diagonal),
-    )  # fmt: skip
+    )
+
+
+def _models(
+    data: Trajectories,
+    ladder: list[int],
+    influences: int,
+    effort: Effort,
+    rng: np.random.Generator,
+    report: Reporter,
+) -> dict[int, Model]:
+    """A model for every number of bones: merged down from the most, then mended on the way up."""
+    reseeds, polish = _STEPS[effort]
+    improve: Schedule = (Reseed(steps=reseeds), Polish(steps=polish, gain=0.01))
+    merge: Schedule = (Merge(), Alternate(steps=4))
+    first: Schedule = (Start(factor=1.3), Alternate(steps=10))
+    unit = data.scale / math.sqrt(data.n_frames * data.n_vertices)
+    steps = 0
+
+    def solved(bones: int, schedule: Schedule, start: Model | None, fraction: float) -> Model:
+        run = Run(
+            data,
+            schedule,
+            bones=bones,
+            influences=influences,
+            rng=rng,
+            fixed=Fixed(),
+            prescribed=Prescribed(),
+        )
+        if start is not None:
+            run.begin_with(start)
+
+        def after_step(phase: str) -> None:
+            nonlocal steps
+            steps += 1
+            rmse = unit * math.sqrt(run.best_value)
+            if report(f"{bones} bones: {phase}", iteration=steps, rmse=rmse, fraction=fraction):
+                raise Cancelled("stopped by the callback before the curve was done")
+
+        run.drive(after_step)
+        return run.best_model
+
+    models: dict[int, Model] = {}
+    down = ladder[::-1]
+    models[down[0]] = solved(down[0], (*first, *merge, *improve), None, 0.0)
+    for place, (larger, bones) in enumerate(itertools.pairwise(down), start=1):
+        start = models[larger].with_restarted_support()
+        models[bones] = solved(bones, (*merge, *improve), start, _DOWN * place / len(down))
+    for smaller, larger in itertools.pairwise(ladder):
+        if models[larger].objective(data) > models[smaller].objective(data):
+            grown = models[smaller]
+            while grown.n_bones < larger:
+                grown = grow_bone(data, grown, alternations=2, fixed=Fixed())
+            models[larger] = solved(larger, improve, grown, _UP)
+    return models
 
 
 def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:

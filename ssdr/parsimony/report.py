@@ -13,7 +13,6 @@ from ..skinning import Skinning
 __all__ = [
     "KEY_BYTES",
     "Attempt",
-    "Measure",
     "Parsimony",
     "Pruning",
     "Size",
@@ -22,8 +21,6 @@ __all__ = [
     "size",
     "time_bytes",
 ]
-
-Measure = Literal["rmse", "max"]
 
 
 @dataclasses.dataclass(frozen=True)

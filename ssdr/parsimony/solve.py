@@ -1,338 +1,346 @@
-"""``ssdr.decompose(..., tolerance=...)``: the smallest model that is good enough."""
+"""The driver for a tolerance: the fewest bones that hold it, then the fewest bytes."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import time
-import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..checks import parse_tolerance
-from ..errors import Cancelled, InputError, SsdrWarning
+from ..errors import Cancelled
+from ..frames.executor import Executor, executor_for
 from ..parallel import serial_blas
-from ..result import Decomposition
-from ..search.problem import Parts, fingerprint, normalise
-from ..search.progress import Progress, Record
+from ..search.problem import Problem
+from ..search.progress import Clock, Record, Reporter
+from ..search.solve import Outcome
 from ..search.state import SolverState, check_settings, check_size, taking_up
-from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Fixed, Model, pad_influences
-from ..solver.trajectories import Array, Trajectories, gather
-from ..streaming.passes import PASSES, AllFrames
-from ..streaming.scan import Scan, needs_streaming, scan, subset
-from .fewest_bones import Search, Stopped
-from .pruning import Room, Truth
+from ..solver.trajectories import Array, Trajectories
+from ..streaming.passes import AllFrames
+from ..streaming.scan import Scan, needs_streaming, subset
+from ..streaming.solve import PASSES, SCANNED, scan_of
+from .fewest_bones import FewestBones, Stopped
+from .pruning import ErrorBudget, TrueError
 from .rank import rank_bound, rank_of, reduced
-from .report import Measure, Parsimony, Pruning, bytes_of, size
+from .report import Parsimony, Pruning, bytes_of, size
 
-__all__ = [
-    "MOST_BONES",
-    "decompose_within",
-]
+__all__ = ["SmallestModel", "solve"]
 
-MOST_BONES = 256  # what an index of 8 bits tells apart
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
-_LEAST_IMPORTANCE = 1e-4  # of the largest: what counts for less is not held by any search
+# Polish steps of the model that holds: what they gain is error budget for pruning.
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
-_RETRIES = 4
+_RETRIES = 4  # where the search sees a part of the frames, until all of them hold
+_PASS_GAIN = 2e-3  # of the objective, below which another pass over all frames is not made
+_ENTERING = 3  # bones that may enter a vertex's support in a pass
 
 
-class _Task:
-    """One call: its input, its limits, and the way from the solver's models to skinnings."""
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SmallestModel(Outcome):
+    """An outcome that says how small a model the tolerance allows."""
 
-    def __init__(
-        self,
-        sequences: list[MeshSequence],
-        parts: Parts,
-        *,
-        tolerance: Any,
-        measure: Measure,
-        bones: int,
-        influences: int,
-        effort: str,
-        bone_model: Any,
-        rng: np.random.Generator,
-        rest_frame: int,
-        importance: Array | None,
-        frame_importance: Array | None,
-        max_iterations: int | None,
-        time_limit: float | None,
-        callback: Callable[[Progress], bool | None] | None,
-    ) -> None:
-        self.sequences, self.effort, self.bone_model = sequences, effort, bone_model
-        self.rng, self.influences, self.measure = rng, influences, measure
-        self.max_iterations, self.time_limit, self.callback = max_iterations, time_limit, callback
-        self.frame_importance = frame_importance
+    parsimony: Parsimony
+
+
+def solve(problem: Problem) -> SmallestModel:
+    """The smallest model that holds the tolerance, or the closest one.
+
+    Raises
+    ------
+    InputError
+        If the state to resume from is of another run, or damaged.
+    Cancelled
+        If the callback stopped the search before there was any model.
+    """
+    hunt = _Hunt(problem)
+    start = None if problem.resume is None else hunt.restore(problem.resume)
+    prunings: list[Pruning] = []
+    skinning: Skinning | None = None
+    reason = "tolerance held"
+    try:
+        skinning = hunt.fewest_bones(start)
+        if hunt.search.held is not None and skinning is not None:
+            skinning = hunt.fewest_bytes(skinning, prunings)
+    except Stopped as stop:
+        reason = stop.reason
+    if skinning is None:
+        model = hunt.search.held or hunt.search.closest
+        if model is None:
+            raise Cancelled("stopped by the callback before there was any model")
+        skinning = hunt.over_all_frames(model, passes=1, entering=_ENTERING)
+    error = hunt.true_error(skinning)
+    held = error <= hunt.tolerance
+    if not held and reason == "tolerance held":
+        reason = "tolerance out of reach"
+    rmse = hunt.true_error.rmse(skinning)
+    hunt.record(rmse, "result")
+    return SmallestModel(
+        skinning=skinning,
+        rmse=rmse,
+        stop_reason=reason,
+        history=tuple(hunt.records),
+        state=hunt.state(),
+        warnings=() if held else (hunt.shortfall(skinning, error, reason),),
+        parsimony=Parsimony(
+            tolerance=hunt.asked,
+            tolerance_of=problem.tolerance_of,
+            error=error,
+            held=held,
+            bones=skinning.n_bones,
+            influences=skinning.n_influences,
+            least_bones=hunt.least,
+            size=size(skinning),
+            prunings=tuple(prunings),
+            attempts=tuple(hunt.search.attempts),
+        ),
+    )
+
+
+class _Hunt:
+    """One call: its frames, its limits, and the way from the solver's models to skinnings."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.clock = Clock()
+        sequences, importance = problem.sequences, problem.frame_importance
         self.diagonal = max(s.diagonal() for s in sequences)
-        self.asked = parse_tolerance(tolerance, self.diagonal)
-        self.began, self.before = time.perf_counter(), 0.0
-        self.parts = parts
-        self.truth = Truth(sequences, measure)
-        self.found: Scan | None = None
-        solved, weights, start = sequences, frame_importance, rest_frame
+        self.asked = parse_tolerance(problem.tolerance, self.diagonal)
+        self.report = Reporter(problem.callback, self.clock, problem.time_limit)
+        self.scan: Scan | None = None
+        self.executor: Executor | None = None
+        prescribed = problem.prescribed
         if needs_streaming(sequences):
-            self.found = scan(sequences, importance, keep=[rest_frame])
-            solved = [subset(sequences, self.found.chosen)]
-            weights = self.found.importance(frame_importance)
-            start = int(np.searchsorted(self.found.chosen, rest_frame))
-        self.solved = Truth(solved, measure)
-        data = gather(solved, bones=bones, vertex_importance=importance, frame_importance=weights)
-        self.input = fingerprint(data, parts)
+            self.executor = executor_for(sequences)
+            self.scan = scan_of(problem, self.clock, self.executor)
+            sequences = [subset(sequences, self.scan.chosen, executor=self.executor)]
+            importance = self.scan.importance(importance)
+            prescribed = prescribed.of_frames(self.scan.chosen)
+        self.true_error = TrueError(problem.sequences, problem.tolerance_of, self.executor)
+        self.solved_error = TrueError(sequences, problem.tolerance_of)
+        data = problem.gather(sequences, importance, compress=True)
+        self.settings = problem.settings(
+            tolerance=self.asked,
+            tolerance_of=problem.tolerance_of,
+            input=f"tolerance {problem.fingerprint(data)}",
+        )
         largest = max(float(np.abs(data.centre).max()), data.scale)
         self.tolerance = max(self.asked, _ROUNDING * largest)
         count = data.n_frames * data.n_vertices
         allowed = (self.tolerance / data.scale) ** 2 * count
-        plain = importance is None and frame_importance is None and self.found is None
-        with serial_blas():
-            self.least = rank_bound(data, allowed) if plain else 1
-            # a joint that two bones share takes one from 4B − 1: at least 3B is left
-            exact = -(-rank_of(data, 0.0) // 3) if plain else 0
-        if exact > 2 * self.least + 1:
-            exact = 0
+        self.least, exact = self._least_bones(data, allowed)
         self.data: Trajectories = reduced(data, allowed)
-        self.fixed = Fixed(rest=parts.rest is not None, bone_model=bone_model)
+        self.fixed = Fixed(rest=problem.fixed.rest, bone_model=problem.fixed.bone_model)
         self.records: list[Record] = []
-        self.accepted: list[tuple[int, float, int]] = []
-        self.progress = 0.0
-        self.search = Search(
-            self.data, tolerance=self.tolerance, measure=measure, error=self.error,
-            least=self.least, most=bones, exact=exact, influences=influences, effort=effort,
-            rng=rng, fixed=self.fixed, given=normalise(data, parts, start), step=self.step,
-            accept=self.accept,
-        )  # fmt: skip
+        self.smaller: list[tuple[int, float, int]] = []  # bones, error, bytes of each that held
+        self.search = FewestBones(
+            self.data,
+            tolerance=self.tolerance,
+            measure=problem.tolerance_of,
+            error=self.error,
+            least=self.least,
+            most=problem.bones,
+            exact=exact,
+            influences=problem.influences,
+            effort=problem.effort,
+            rng=problem.rng,
+            fixed=self.fixed,
+            prescribed=prescribed.inside(data),
+            on_step=self.on_step,
+            on_smaller=self.on_smaller,
+        )
+        self.search.fraction = 0.0 if self.scan is None else SCANNED
 
-    @property
-    def elapsed(self) -> float:
-        return self.before + time.perf_counter() - self.began
+    def _least_bones(self, data: Trajectories, allowed: float) -> tuple[int, int]:
+        """The bound by the motion's rank, and how many bones exact skinning would need."""
+        problem = self.problem
+        weighted = problem.vertex_importance is not None or problem.frame_importance is not None
+        if weighted or self.scan is not None:
+            return 1, 0
+        with serial_blas():
+            least = rank_bound(data, allowed)
+            # a joint that two bones share takes one from 4B − 1: at least 3B is left
+            exact = -(-rank_of(data, 0.0) // 3)
+        return least, 0 if exact > 2 * least + 1 else exact
 
-    def step(self, phase: str, iteration: int, share: float) -> str | None:
-        """Tell the caller; the reason to stop, if there is one."""
-        self.progress = max(self.progress, share)
-        if self.max_iterations is not None and iteration >= self.max_iterations:
+    # --- what the search calls -----------------------------------------------------------------
+
+    def on_step(self, phase: str, iteration: int, fraction: float) -> str | None:
+        """Report; the reason to stop, if there is one."""
+        most = self.problem.max_iterations
+        if most is not None and iteration >= most:
             return "iterations"
-        here = time.perf_counter() - self.began
-        if self.time_limit is not None and here >= self.time_limit:
+        if self.report.out_of_time:
             return "time limit"
-        if self.callback is None:
-            return None
-        left = here * (1 - self.progress) / max(self.progress, 1e-3)
-        if self.time_limit is not None:
-            left = min(left, self.time_limit - here)
-        told = Progress(
-            phase=phase, iteration=iteration, elapsed=self.elapsed, rmse=self.search.held_error,
-            fraction=self.progress, time_left=left,
-        )  # fmt: skip
-        return "cancelled" if self.callback(told) else None
+        rmse = self.search.held_error
+        stop = self.report(phase, iteration=iteration, rmse=rmse, fraction=fraction)
+        return "cancelled" if stop else None
 
     def error(self, model: Model) -> float:
         """Of a model in the search; over all frames where all of them are in memory."""
-        if self.found is not None and self.measure == "rmse":
-            # telling frames count as often as there are frames like them
-            share = model.objective(self.data) / (self.data.n_frames * self.data.n_vertices)
-            return self.data.scale * math.sqrt(max(share, 0.0))
-        return self.solved(self.skinning(model))
+        if self.scan is not None and self.problem.tolerance_of == "rmse":
+            # representative frames count as often as there are frames like them
+            mean = model.objective(self.data) / (self.data.n_frames * self.data.n_vertices)
+            return self.data.scale * math.sqrt(max(mean, 0.0))
+        return self.solved_error(self.skinning(model))
 
-    def accept(self, model: Model, error: float) -> None:
+    def on_smaller(self, model: Model, error: float) -> None:
         s = self.skinning(model)
-        rmse = error if self.measure == "rmse" else self.solved.rmse(s)
-        frames = int(self.offsets[-1])
+        rmse = error if self.problem.tolerance_of == "rmse" else self.solved_error.rmse(s)
         used = int(np.count_nonzero(s.weights))
-        keys = np.full(s.n_bones, frames)
-        stored = bytes_of(s.n_vertices, used, frames, keys, s.bone_model).total
-        self.accepted.append((model.n_bones, error, stored))
-        self.note(rmse, "bones")
+        keys = np.full(s.n_bones, self.problem.n_frames)
+        stored = bytes_of(s.n_vertices, used, self.problem.n_frames, keys, s.bone_model).total
+        self.smaller.append((model.n_bones, error, stored))
+        self.record(rmse, "bones")
 
-    def note(self, rmse: float, phase: str) -> None:
-        self.records.append(
-            Record(iteration=self.search.iteration, elapsed=self.elapsed, rmse=rmse, phase=phase)
+    # --- the two halves ------------------------------------------------------------------------
+
+    def fewest_bones(self, start: Model | None) -> Skinning | None:
+        """The search; where it saw a part of the frames, again until all of them hold."""
+        search, effort = self.search, self.problem.effort
+        skinning = None
+        for _ in range(_RETRIES):
+            search.run(start)
+            if search.held is None:
+                return skinning
+            search.improve(_IMPROVE[effort])
+            skinning = self.over_all_frames(search.held, passes=PASSES[effort], entering=_ENTERING)
+            if self.scan is None:
+                return skinning
+            error = self.true_error(skinning)
+            if error <= self.tolerance:
+                return skinning
+            search.lower_tolerance(0.99 * self.tolerance / error)
+            start = None
+        return skinning
+
+    def fewest_bytes(self, skinning: Skinning, prunings: list[Pruning]) -> Skinning:
+        """Fewer influences and keyframes, for what is left of the tolerance."""
+        held = self.search.held
+        assert held is not None
+        first, last = self.smaller[0], self.smaller[-1]
+        prunings.append(Pruning("bones", first[0], last[0], first[2], last[2], first[1], last[1]))
+        error = self.true_error(skinning)
+        if not error <= self.tolerance:
+            return skinning
+        budget = ErrorBudget(
+            self.data,
+            held,
+            fixed=self.fixed,
+            tolerance=self.tolerance,
+            true_error=self.true_error,
+            offsets=self.problem.offsets,
+            streamed=self.scan is not None,
+            to_skinning=lambda model: self.over_all_frames(model, passes=1, entering=0),
+            on_try=lambda: self.search.report("pruning", 0.95),
         )
+        fewer, keyed, losses = budget.spend(skinning, error)
+        prunings.extend(losses)
+        self.record(self.true_error.rmse(fewer), "influences")
+        return keyed
+
+    # --- models as skinnings -------------------------------------------------------------------
 
     def skinning(self, model: Model) -> Skinning:
         """A model of the frames that the search sees."""
         rest, transforms = self.data.to_world(model.rest, model.transforms)
-        return self.named(rest, model, transforms)
+        return self._named(rest, model, transforms)
 
-    def named(self, rest: Array, model: Model, transforms: Array) -> Skinning:
-        most = max(1, int((model.weights > 0).sum(axis=1).max()))
-        joints, weights = pad_influences(model, self.influences)
-        first = self.sequences[0]
-        return Skinning(
-            rest, joints[:, :most], weights[:, :most], transforms, faces=first.faces,
-            fps=first.fps, surface=first.surface, vertex_map=first.vertex_map, name=first.name,
-            bone_model=self.bone_model,
-        )  # fmt: skip
-
-    def whole(self, model: Model, *, passes: int, entering: int) -> Skinning:
+    def over_all_frames(self, model: Model, *, passes: int, entering: int) -> Skinning:
         """A model of all frames, which are walked over where they were not in memory."""
-        if self.found is None:
+        if self.scan is None:
             return self.skinning(model)
         frames = AllFrames(
-            self.sequences, self.found, self.data, model, fixed=self.fixed, given=None,
-            importance=self.frame_importance,
-        )  # fmt: skip
+            self.problem.sequences,
+            self.scan,
+            self.data,
+            model,
+            fixed=self.fixed,
+            prescribed=None,
+            importance=self.problem.frame_importance,
+            executor=self.executor,
+        )
         last = math.inf
         for _ in range(passes):
             value = frames.pass_over(entering=entering)
-            if not value < 0.998 * last:
+            if not value < (1 - _PASS_GAIN) * last:
                 break
             last = value
         rest, transforms = frames.alignment.to_world(frames.model.rest, frames.model.transforms)
-        return self.named(rest, frames.model, transforms)
+        return self._named(rest, frames.model, transforms)
 
-    @property
-    def offsets(self) -> NDArray[np.int64]:
-        return np.cumsum([0, *[len(s) for s in self.sequences]])
-
-
-def decompose_within(
-    sequences: list[MeshSequence],
-    parts: Parts,
-    *,
-    state: SolverState | None,
-    ready: Callable[[], float],
-    **options: Any,
-) -> Decomposition:
-    """The search, then what is superfluous in its outcome; arguments as checked by `decompose`.
-
-    `ready` makes kernels ready and returns the seconds that this took.
-    """
-    for name in ("weights", "transforms"):
-        if getattr(parts, name) is not None:
-            raise InputError(name, "None beside a tolerance", "an array")
-    if options.pop("smoothness") > 0:
-        raise InputError("smoothness", "0 beside a tolerance", "more")
-    parse_tolerance(options["tolerance"], 1.0)
-    importance = options["importance"]
-    if importance is not None and importance.min() < _LEAST_IMPORTANCE:
-        raise InputError(
-            "vertex_importance",
-            f"numbers > 0 (at least {_LEAST_IMPORTANCE:g} of the largest) beside a tolerance, "
-            "which bounds the plain error",
-            f"{importance.min():.3g} of the largest",
+    def _named(self, rest: Array, model: Model, transforms: Array) -> Skinning:
+        most = max(1, int((model.weights > 0).sum(axis=1).max()))
+        joints, weights = pad_influences(model, self.problem.influences)
+        first = self.problem.sequences[0]
+        return Skinning(
+            rest,
+            joints[:, :most],
+            weights[:, :most],
+            transforms,
+            faces=first.faces,
+            fps=first.fps,
+            surface=first.surface,
+            vertex_map=first.vertex_map,
+            name=first.name,
+            bone_model=self.problem.fixed.bone_model,
         )
-    compile_seconds = ready()
-    task = _Task(sequences, parts, **options)
-    search = task.search
-    settings = {
-        "tolerance": task.asked, "tolerance_of": task.measure, "bones": search.most,
-        "influences": task.influences, "effort": task.effort, "bone_model": task.bone_model,
-        "rest_frame": options["rest_frame"], "input": f"tolerance {task.input}",
-    }  # fmt: skip
-    start = None if state is None else _resumed(task, state, settings)
-    prunings: list[Pruning] = []
-    whole: Skinning | None = None
-    reason = "tolerance held"
-    try:
-        whole = _solve(task, start)
-        if search.held is not None and whole is not None:
-            whole = _prune(task, whole, prunings)
-    except Stopped as stop:
-        reason = stop.reason
-    if whole is None:
+
+    # --- records and state ---------------------------------------------------------------------
+
+    def record(self, rmse: float, phase: str) -> None:
+        iteration, elapsed = self.search.iteration, self.clock.elapsed
+        self.records.append(Record(iteration=iteration, elapsed=elapsed, rmse=rmse, phase=phase))
+
+    def state(self) -> SolverState:
+        search, records = self.search, self.records
         model = search.held or search.closest
-        if model is None:
-            raise Cancelled("stopped by the callback before there was any model")
-        whole = task.whole(model, passes=1, entering=3)
-    error = task.truth(whole)
-    held = error <= task.tolerance
-    notes = []
-    if not held:
-        reason = "tolerance out of reach" if reason == "tolerance held" else reason
-        notes.append(_answer(task, whole, error, reason))
-    for note in notes:
-        warnings.warn(note, SsdrWarning, stacklevel=4)
-    rmse = task.truth.rmse(whole)
-    task.note(rmse, "result")
-    model = search.held or search.closest
-    progress = {
-        "elapsed": task.elapsed, "iteration": search.iteration, "rng": task.rng.bit_generator.state,
-        "position": 0, "count": 0, "failures": 0, "damping": None, "recent": [], "settled": False,
-        "best_value": 0.0 if model is None else model.objective(task.data),
-    }  # fmt: skip
-    records = task.records
-    return Decomposition(
-        skinning=whole, rmse=rmse, converged=reason == "tolerance held", stop_reason=reason,
-        history=tuple(records), offsets=task.offsets,
-        state=SolverState(
-            settings=settings, progress=progress,
-            history=np.array([[r.iteration, r.elapsed, r.rmse] for r in records]),
-            phases=tuple(r.phase for r in records), current=model, best=search.held,
-        ),
-        compile_seconds=compile_seconds, warnings=tuple(notes),
-        parsimony=Parsimony(
-            tolerance=task.asked, tolerance_of=task.measure, error=error, held=held,
-            bones=whole.n_bones, influences=whole.n_influences, least_bones=task.least,
-            size=size(whole), prunings=tuple(prunings), attempts=tuple(search.attempts),
-        ),
-    )  # fmt: skip
+        progress: dict[str, Any] = {
+            "elapsed": self.clock.elapsed,
+            "iteration": search.iteration,
+            "rng": self.problem.rng.bit_generator.state,
+        }
+        return SolverState(
+            settings=self.settings,
+            progress=progress,
+            history=np.array([[r.iteration, r.elapsed, r.rmse] for r in records]).reshape(-1, 3),
+            phases=tuple(r.phase for r in records),
+            current=model,
+            best=search.held,
+        )
 
+    def restore(self, state: SolverState) -> Model | None:
+        """Go on from a state; the model that it holds.
 
-def _solve(task: _Task, start: Model | None) -> Skinning | None:
-    """The search; where it saw a part of the frames, again until all of them hold."""
-    search = task.search
-    passes = PASSES[task.effort]
-    whole = None
-    for _ in range(_RETRIES):
-        search.run(start)
-        if search.held is None:
-            return whole
-        search.improve(_IMPROVE[task.effort])
-        whole = task.whole(search.held, passes=passes, entering=3)
-        if task.found is None:
-            return whole
-        error = task.truth(whole)
-        if error <= task.tolerance:
-            return whole
-        search.tighten(0.99 * task.tolerance / error)
-        start = None
-    return whole
+        Raises
+        ------
+        InputError
+            If it is of another run, or damaged.
+        """
+        check_settings(state, self.settings)
+        check_size(state.best, self.data.n_vertices, self.data.n_frames)
+        with taking_up():
+            self.clock.before = float(state.progress["elapsed"])
+            self.search.iteration = int(state.progress["iteration"])
+            self.problem.rng.bit_generator.state = state.progress["rng"]
+        return None if state.best is None else state.best.copy()
 
+    def shortfall(self, skinning: Skinning, error: float, reason: str) -> str:
+        """What a caller reads whose tolerance is not held."""
 
-def _prune(task: _Task, whole: Skinning, prunings: list[Pruning]) -> Skinning:
-    search = task.search
-    assert search.held is not None
-    first, last = task.accepted[0], task.accepted[-1]
-    prunings.append(Pruning("bones", first[0], last[0], first[2], last[2], first[1], last[1]))
-    error = task.truth(whole)
-    if not error <= task.tolerance:
-        return whole
-    room = Room(
-        task.data, search.held, fixed=task.fixed, tolerance=task.tolerance, truth=task.truth,
-        offsets=task.offsets, streamed=task.found is not None,
-        whole=lambda model: task.whole(model, passes=1, entering=0),
-        told=lambda: search.tell("pruning", 0.95),
-    )  # fmt: skip
-    fewer, keyed, losses = room.use(whole, error)
-    prunings.extend(losses)
-    task.note(task.truth.rmse(fewer), "influences")
-    return keyed
+        def text(value: float) -> str:
+            if not self.diagonal:
+                return f"{value:.4g}"
+            return f"{value:.4g} ({100 * value / self.diagonal:.3g} % of the diagonal)"
 
-
-def _resumed(task: _Task, state: SolverState, settings: dict[str, Any]) -> Model | None:
-    check_settings(state, settings)
-    check_size(state.best, task.data.n_vertices, task.data.n_frames)
-    with taking_up():
-        task.before = float(state.progress["elapsed"])
-        task.search.iteration = int(state.progress["iteration"])
-        task.rng.bit_generator.state = state.progress["rng"]
-    return None if state.best is None else state.best.copy()
-
-
-def _answer(task: _Task, whole: Skinning, error: float, reason: str) -> str:
-    def text(value: float) -> str:
-        share = f" ({100 * value / task.diagonal:.3g} % of the diagonal)" if task.diagonal else ""
-        return f"{value:.4g}{share}"
-
-    kind = {"rmse": "RMSE", "max": "largest error"}[task.measure]
-    reached = f"{whole.n_bones} bones of at most {task.influences} influences reach a {kind} of"
-    if reason == "tolerance out of reach":
-        head = f"tolerance {text(task.asked)} is out of reach"
-        if task.least > task.search.most:
-            head += f", the motion's rank asks for at least {task.least} bones"
-    else:
-        head = f"stopped ({reason}) before tolerance {text(task.asked)} was held"
-    return f"{head}: {reached} {text(error)}"
+        kind = {"rmse": "RMSE", "max": "largest error"}[self.problem.tolerance_of]
+        if reason == "tolerance out of reach":
+            head = f"tolerance {text(self.asked)} is out of reach"
+            if self.least > self.search.most:
+                head += f", the motion's rank asks for at least {self.least} bones"
+        else:
+            head = f"stopped ({reason}) before tolerance {text(self.asked)} was held"
+        most = self.problem.influences
+        reached = f"{skinning.n_bones} bones of at most {most} influences reach a {kind} of"
+        return f"{head}: {reached} {text(error)}"

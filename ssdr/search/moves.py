@@ -26,8 +26,8 @@ __all__ = [
     "regrow_step",
     "relax",
     "reseed_step",
+    "shed_influence",
     "thin",
-    "tighten",
 ]
 
 _CANDIDATES = 32  # places where a new bone is tried by their error alone
@@ -91,7 +91,7 @@ def regrow_step(
     least, most = _REGROWN
     most = max(least + 1, min(most, model.n_bones // 4))
     count = int(rng.integers(least, most + 1))
-    regrown = _with_bones(data, model.widened(), count, rng, fixed)
+    regrown = _with_bones(data, model.with_restarted_support(), count, rng, fixed)
     alternate(data, regrown, alternations, fixed)
     while regrown.n_bones > model.n_bones:
         regrown = merge_step(data, regrown, model.n_bones, alternations, fixed)
@@ -100,7 +100,7 @@ def regrow_step(
 
 def kick(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
     """A copy after a few alternations, which keep the largest weights whether that pays or not."""
-    moved = model.widened()
+    moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_KICKS + 1))):
         bone_step(data, moved, fixed=fixed)
         vertex_step(data, moved, fixed=fixed)
@@ -123,7 +123,7 @@ def grow_and_shed(
     grown = _with_bones(data, wide, count, rng, fixed)
     polish_steps(data, grown, steps, fixed)
     for _ in range(count):
-        grown.widen()
+        grown.restart_support()
         cost = _costs(data, grown, fixed)
         grown = grown.without(np.argsort(cost, kind="stable")[:1])
         polish_steps(data, grown, _FEWEST_STEPS, fixed)
@@ -141,11 +141,11 @@ def relax(data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: 
     most = min(model.n_influences + extra, model.n_bones)
     relaxed = model.with_influences(most)
     for _ in range(most - model.n_influences):
-        relaxed = tighten(data, relaxed, fixed, steps=steps)
+        relaxed = shed_influence(data, relaxed, fixed, steps=steps)
     return relaxed
 
 
-def tighten(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Model:
+def shed_influence(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Model:
     """`steps` of the polish (in place), then a copy with one influence a vertex less."""
     polish_steps(data, model, steps, fixed)
     smaller = model.with_influences(model.n_influences - 1)
@@ -181,9 +181,23 @@ def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
                 t_weights /= t_weights.sum(axis=1, keepdims=True)
                 error = np.empty(n)
                 polish_vertices(
-                    y, data.x2[own], gram, gram4, t_rest, t_joints, t_weights, error,
-                    keep[own], not fixed.rest, 0, _ROUNDS, scratch, scratch1, 0, n,
-                )  # fmt: skip
+                    y,
+                    data.x2[own],
+                    gram,
+                    gram4,
+                    t_rest,
+                    t_joints,
+                    t_weights,
+                    error,
+                    keep[own],
+                    not fixed.rest,
+                    0,
+                    _ROUNDS,
+                    scratch,
+                    scratch1,
+                    0,
+                    n,
+                )
                 better = error < least
                 least[better], at = error[better], own[better]
                 model.joints[at], model.weights[at] = t_joints[better], t_weights[better]
@@ -246,9 +260,9 @@ def _with_bones(
 
 
 def _worst_patch(
-    data: Trajectories, model: Model, rng: np.random.Generator, share: float
+    data: Trajectories, model: Model, rng: np.random.Generator, fraction: float
 ) -> NDArray[np.intp]:
-    """The neighbourhood of `share`·V/B vertices that holds the most error, of some drawn by it."""
+    """Of some neighbourhoods of `fraction`·V/B vertices, drawn by error, the one with most."""
     n = data.n_vertices
     # drawn by their place in the order of motion, so that numbering plays no part
     order = np.argsort(data.x2, kind="stable")
@@ -256,7 +270,7 @@ def _worst_patch(
     total = float(error.sum())
     chance = None if not total > 0 else error[order] / total
     seeds = order[rng.choice(n, size=min(_CANDIDATES, n), p=chance)]
-    return _heaviest(model, error, seeds, int(share * n / model.n_bones))
+    return _heaviest(model, error, seeds, int(fraction * n / model.n_bones))
 
 
 def _heaviest(model: Model, error: Array, seeds: NDArray[np.intp], size: int) -> NDArray[np.intp]:
@@ -277,9 +291,9 @@ def _with_patch(data: Trajectories, model: Model, members: NDArray[np.intp], fix
     grown = model.with_bone(fit_patches(data, model.rest, label, 1, fixed.bone_model)[:, 0])
     members = members[~fixed.keep_weights(data.n_vertices)[members]]
     grown.support[members] = 0
-    grown.share[members] = 0.0
+    grown.support_weights[members] = 0.0
     grown.support[members, 0] = grown.n_bones - 1
-    grown.share[members, 0] = 1.0
+    grown.support_weights[members, 0] = 1.0
     grown.count[members] = 1
     return grown
 
@@ -294,7 +308,7 @@ def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fix
     error = np.maximum(model.error, 0.0) * data.importance
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
     members = _heaviest(model, error, seeds, data.n_vertices // (2 * model.n_bones))
-    grown = _with_patch(data, model.widened(), members, fixed)
+    grown = _with_patch(data, model.with_restarted_support(), members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
     if grown.objective(data) <= before:

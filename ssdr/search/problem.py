@@ -1,115 +1,286 @@
-"""Parts of a model that a caller hands over: checked, then brought to the solver's space."""
+"""A checked call of ``decompose``: what every driver solves, and the frames it is solved on."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import check_mask, check_rest, check_transforms, check_weights
-from ..errors import InputError
-from ..skinning import BoneModel
-from ..solver.trajectories import Alignment, Array, Trajectories
+from ..checks import (
+    as_sequences,
+    check_bone_model,
+    check_bones,
+    check_count,
+    check_importance,
+    check_index,
+    check_influences,
+    check_nonnegative,
+    check_rng,
+    parse_tolerance,
+)
+from ..errors import InputError, check_choice
+from ..sequence import MeshSequence
+from ..solver.model import Fixed
+from ..solver.smoothness import WeightSmoothness
+from ..solver.trajectories import Array, Trajectories, gather
+from .prescribed import Prescribed, check_prescribed
+from .progress import Callback
+from .schedule import Effort
+from .state import Checkpoint, SolverState
 
-__all__ = ["Given", "Parts", "check_parts", "fingerprint", "normalise"]
+__all__ = ["MOST_BONES", "Measure", "Problem", "check_problem"]
+
+Measure = Literal["rmse", "max"]
+
+MOST_BONES = 256  # of a tolerance, unless more are asked for: what an index of 8 bits tells apart
+# Importance relative to the largest.  Of a frame: with less, the steps of all bones together
+# would not notice what its own bones do.  Of a vertex, beside a tolerance: what counts for less
+# is held by no search.
+_LEAST_FRAME = 1e-4
+_LEAST_VERTEX = 1e-4
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Given:
-    """What the caller handed over, in normalised space."""
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Problem:
+    """A call of ``decompose`` whose arguments have been checked.
 
-    rest: Array | None = None
-    transforms: Array | None = None
-    joints: Any = None
-    weights: Array | None = None
-    rest_frame: int = 0
+    Attributes
+    ----------
+    sequences : list of MeshSequence
+        Shots of one mesh.
+    bones, influences : int
+    effort : {"fast", "balanced", "best"}
+    fixed : Fixed
+        What stays as it is, and what bones may do.
+    rng : numpy.random.Generator
+    prescribed : Prescribed
+        In the input's space, of all frames.
+    smoothness : float
+        In the mesh's units.
+    vertex_importance : (V,) array or None
+    frame_importance : (F,) array or None
+    tolerance : float, str or None
+        As :func:`~ssdr.checks.parse_tolerance` reads it.
+    tolerance_of : {"rmse", "max"}
+    max_iterations : int or None
+    time_limit : float or None
+        Seconds.
+    callback : callable or None
+    resume : SolverState or None
+    checkpoint : Checkpoint or None
+    """
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Parts:
-    """Fixed parts as the caller gave them, checked."""
-
-    rest: Array | None
-    joints: NDArray[np.int32] | None
-    weights: Array | None
-    transforms: Array | None
-    locked_vertices: NDArray[np.bool_] | None
-    locked_bones: NDArray[np.bool_] | None
+    sequences: list[MeshSequence]
+    bones: int
+    influences: int
+    effort: Effort
+    fixed: Fixed
+    rng: np.random.Generator
+    prescribed: Prescribed
+    smoothness: float
+    vertex_importance: Array | None
+    frame_importance: Array | None
+    tolerance: float | str | None
+    tolerance_of: Measure
+    max_iterations: int | None
+    time_limit: float | None
+    callback: Callback | None
+    resume: SolverState | None
+    checkpoint: Checkpoint | None
 
     @property
-    def kept_bones(self) -> NDArray[np.bool_] | None:
-        """`locked_bones` up to the last that is locked; None where none is."""
-        if self.locked_bones is None or not self.locked_bones.any():
-            return None
-        return self.locked_bones[: int(np.flatnonzero(self.locked_bones)[-1]) + 1]
+    def n_frames(self) -> int:
+        return sum(len(s) for s in self.sequences)
+
+    @property
+    def n_vertices(self) -> int:
+        return self.sequences[0].n_vertices
+
+    @property
+    def offsets(self) -> NDArray[np.int64]:
+        """(S + 1,) first frame of each shot, and the number of frames."""
+        return np.cumsum([0, *[len(s) for s in self.sequences]])
+
+    def gather(
+        self,
+        sequences: Sequence[MeshSequence],
+        frame_importance: Array | None,
+        *,
+        compress: bool = False,
+    ) -> Trajectories:
+        """Frames as the solver sees them: all of them, or those that a driver has chosen."""
+        return gather(
+            sequences,
+            bones=self.bones,
+            vertex_importance=self.vertex_importance,
+            frame_importance=frame_importance,
+            compress=compress,
+        )
+
+    def smoothness_of(self, data: Trajectories) -> WeightSmoothness | None:
+        """The penalty on the weights, where there is one."""
+        return WeightSmoothness.build(data, self.sequences[0].faces, self.smoothness)
+
+    def fingerprint(self, data: Trajectories) -> str:
+        """Tells another input from the one that a state belongs to."""
+        p = self.prescribed
+        arrays: list[Any] = [data.x2, data.centre, data.importance, data.frame_scale]
+        # faces play a part only where weights are to be smooth
+        arrays += [self.sequences[0].faces if self.smoothness > 0 else None]
+        arrays += [p.rest, p.joints, p.weights, p.transforms, p.locked_vertices, p.locked_bones]
+        digest = hashlib.sha256()
+        for array in arrays:
+            if array is not None:
+                digest.update(str(np.shape(array)).encode())
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def settings(self, **more: Any) -> dict[str, Any]:
+        """What a state has to agree with, so that a run may go on from it."""
+        return {
+            "bones": self.bones,
+            "influences": self.influences,
+            "effort": self.effort,
+            "bone_model": self.fixed.bone_model,
+            "rest_frame": self.prescribed.rest_frame,
+        } | more
 
 
-def check_parts(
-    n: int, n_frames: int, bones: int, influences: int, rest: Any, joints: Any, weights: Any,
-    transforms: Any, locked_vertices: Any, locked_bones: Any, bone_model: BoneModel = "rigid",
-) -> Parts:  # fmt: skip
-    if (joints is None) != (weights is None):
-        missing = "joints" if joints is None else "weights"
-        raise InputError(missing, "an array beside the other of joints and weights", "None")
-    rest = None if rest is None else check_rest(rest, n)
-    vertex_mask = check_mask(locked_vertices, "locked_vertices", n)
-    if weights is not None:
-        joints, weights = check_weights(joints, weights, n)
-        if joints.max() >= bones:
-            raise InputError("joints", f"indices from 0 to {bones - 1}", int(joints.max()))
-        used = int((weights > 0).sum(axis=1).max())
-        if used > influences:
-            raise InputError("weights", f"at most {influences} influences a vertex", used)
-        order = np.argsort(-weights, axis=1, kind="stable")
-        weights = np.ascontiguousarray(np.take_along_axis(weights, order, axis=1))
-        joints = np.ascontiguousarray(np.take_along_axis(joints, order, axis=1))
-        named = np.sort(np.where(weights > 0, joints, -1 - np.arange(joints.shape[1])), axis=1)
-        twice = (named[:, 1:] == named[:, :-1]).any(axis=1)
-        if twice.any():
+def check_problem(
+    sequence: Any,
+    faces: Any,
+    *,
+    bones: Any,
+    influences: Any,
+    effort: Any,
+    bone_model: Any,
+    rng: Any,
+    max_iterations: Any,
+    time_limit: Any,
+    callback: Any,
+    resume: Any,
+    checkpoint: Any,
+    rest: Any,
+    rest_frame: Any,
+    joints: Any,
+    weights: Any,
+    locked_vertices: Any,
+    transforms: Any,
+    locked_bones: Any,
+    smoothness: Any,
+    vertex_importance: Any,
+    frame_importance: Any,
+    tolerance: Any,
+    tolerance_of: Any,
+) -> Problem:
+    """Check every argument of ``decompose``.
+
+    Raises
+    ------
+    InputError, FormatError
+        Before anything has been computed.
+    """
+    sequences = as_sequences(sequence, faces)
+    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    if bones is None and tolerance is None:
+        raise InputError("bones", f"an integer from 1 to {n}, or a tolerance", "None")
+    bones = check_bones(min(n, MOST_BONES) if bones is None else bones, n)
+    influences = check_influences(influences)
+    check_choice(effort, "effort", Effort)
+    bone_model = check_bone_model(bone_model)
+    check_choice(tolerance_of, "tolerance_of", Measure)
+    if max_iterations is not None:
+        max_iterations = check_count(max_iterations, "max_iterations", "an integer >= 1 or None")
+    _check_time_limit(time_limit)
+    if callback is not None and not callable(callback):
+        raise InputError("callback", "a function of one Progress, or None", repr(callback))
+    if resume is not None and not isinstance(resume, (SolverState, str, Path)):
+        raise InputError(
+            "resume", "a SolverState (result.state) or the path of one", type(resume).__name__
+        )
+    rest_frame = check_index(rest_frame, "rest_frame", n_frames)
+    smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
+    if smoothness > 0 and len(sequences[0].faces) == 0:
+        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    generator = check_rng(rng)
+    prescribed = check_prescribed(
+        (n_frames, n, bones, influences),
+        bone_model,
+        rest=rest,
+        rest_frame=rest_frame,
+        joints=joints,
+        weights=weights,
+        transforms=transforms,
+        locked_vertices=locked_vertices,
+        locked_bones=locked_bones,
+    )
+    vertex_importance = check_importance(vertex_importance, "vertex_importance", n)
+    frame_importance = check_importance(frame_importance, "frame_importance", n_frames)
+    if frame_importance is not None and not (frame_importance > 0).all():
+        raise InputError("frame_importance", "numbers > 0", float(frame_importance.min()))
+    if frame_importance is not None:
+        frame_importance = np.maximum(frame_importance, _LEAST_FRAME)
+    fixed = Fixed(
+        rest=rest is not None,
+        weights=prescribed.locked_vertices,
+        bones=prescribed.fixed_bones,
+        bone_model=bone_model,
+    )
+    problem = Problem(
+        sequences=sequences,
+        bones=bones,
+        influences=influences,
+        effort=effort,
+        fixed=fixed,
+        rng=generator,
+        prescribed=prescribed,
+        smoothness=float(smoothness),
+        vertex_importance=vertex_importance,
+        frame_importance=frame_importance,
+        tolerance=tolerance,
+        tolerance_of=tolerance_of,
+        max_iterations=max_iterations,
+        time_limit=time_limit,
+        callback=callback,
+        resume=SolverState.load(resume) if isinstance(resume, (str, Path)) else resume,
+        checkpoint=None if checkpoint is None else Checkpoint(checkpoint),
+    )
+    _check_tolerance(problem)
+    return problem
+
+
+def _check_tolerance(problem: Problem) -> None:
+    """Whether what is asked for goes together with a tolerance, or without one."""
+    if problem.tolerance is None:
+        if problem.tolerance_of != "rmse":
             raise InputError(
-                "joints", "no bone twice at a vertex", f"one twice at vertex {int(twice.argmax())}"
+                "tolerance_of", "'rmse' without a tolerance", repr(problem.tolerance_of)
             )
-        joints[weights == 0] = 0
-        if vertex_mask is None:
-            vertex_mask = np.ones(n, dtype=bool)
-    elif vertex_mask is not None:
-        raise InputError("locked_vertices", "None without joints and weights", "a mask")
-    bone_mask = None
-    if transforms is not None:
-        transforms = check_transforms(transforms, n_frames, bone_model)
-        count = transforms.shape[1]
-        if count > bones:
-            raise InputError("transforms", f"at most {bones} bones, as asked for", count)
-        if weights is not None and count != bones:
-            raise InputError("transforms", f"{bones} bones beside given weights", count)
-        bone_mask = check_mask(locked_bones, "locked_bones", count)
-        if bone_mask is None:
-            bone_mask = np.ones(count, dtype=bool)
-    elif locked_bones is not None:
-        raise InputError("locked_bones", "None without transforms", "a mask")
-    return Parts(rest, joints, weights, transforms, vertex_mask, bone_mask)
+        return
+    for name in ("weights", "transforms"):
+        if getattr(problem.prescribed, name) is not None:
+            raise InputError(name, "None beside a tolerance", "an array")
+    if problem.smoothness > 0:
+        raise InputError("smoothness", "0 beside a tolerance", "more")
+    parse_tolerance(problem.tolerance, 1.0)
+    importance = problem.vertex_importance
+    if importance is not None and importance.min() < _LEAST_VERTEX:
+        raise InputError(
+            "vertex_importance",
+            f"numbers > 0 (at least {_LEAST_VERTEX:g} of the largest) beside a tolerance, "
+            "which bounds the plain error",
+            f"{importance.min():.3g} of the largest",
+        )
 
 
-def normalise(data: Alignment, parts: Parts, rest_frame: int) -> Given:
-    """Fixed parts in the solver's space."""
-    origin = data.centre[:1] if parts.rest is None else parts.rest
-    rest, transforms = data.from_world(origin, parts.transforms)
-    return Given(
-        rest=None if parts.rest is None else np.ascontiguousarray(rest), transforms=transforms,
-        joints=parts.joints, weights=parts.weights, rest_frame=int(rest_frame),
-    )  # fmt: skip
-
-
-def fingerprint(data: Trajectories, parts: Parts, faces: NDArray[np.integer] | None = None) -> str:
-    """Tells another input from the one that a state belongs to; `faces` where they count."""
-    digest = hashlib.sha256()
-    arrays: list[Any] = [data.x2, data.centre, data.importance, data.frame_scale, faces]
-    arrays += [getattr(parts, f.name) for f in dataclasses.fields(parts)]
-    for array in arrays:
-        if array is not None:
-            digest.update(str(np.shape(array)).encode())
-            digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+def _check_time_limit(seconds: Any) -> None:
+    if seconds is None:
+        return
+    number = isinstance(seconds, (int, float, np.integer, np.floating))
+    if not number or isinstance(seconds, bool) or not seconds > 0:
+        raise InputError("time_limit", "a number of seconds > 0 or None", repr(seconds))

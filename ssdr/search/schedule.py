@@ -1,203 +1,289 @@
-"""The order of the solver's steps, for every effort.
+"""Which stages in which order, for every effort.
 
-start -> alternate                                      a first model, soon
-start -> alternate -> merge -> alternate -> re-seed -> relax -> polish
-start -> alternate -> relax -> search, then time and again regrow -> relax -> search
-spread -> polish                                        a model of some frames, on more
+    fast       a first model, soon; bones too many, merged; polish
+    balanced   a first model; bones too many, merged; re-seed; relax; polish
+    best       a start relaxed and searched; then the best model rebuilt time and again
+
+Every schedule reads from top to bottom.  Bones that stretch, a smoothness penalty and parts
+that the caller prescribed have schedules of their own.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-from typing import Literal
+from typing import Literal, get_args
 
 from ..solver.model import Fixed
-from .problem import Given
+from .prescribed import Prescribed
+from .run import Stage
+from .stages import (
+    Alternate,
+    Compress,
+    Merge,
+    Polish,
+    QuickStart,
+    Recall,
+    Regrow,
+    Relax,
+    Reseed,
+    Search,
+    Spread,
+    Start,
+)
 
-__all__ = ["EFFORTS", "Op", "make_plan", "plan_print", "settling_plan"]
+__all__ = ["Effort", "Schedule", "fingerprint", "schedule_for", "settling_schedule"]
 
-Phase = Literal[
-    "quick", "compress", "start", "alternate", "merge", "reseed", "regrow", "relax", "search",
-    "polish", "recall", "spread",
-]  # fmt: skip
+Effort = Literal["fast", "balanced", "best"]
+Schedule = tuple[Stage, ...]
 
-_SETTLING = {"fast": 6, "balanced": 20, "best": 60}  # steps of a polish on more frames
+# On the frames as they are and without a bone too many: what it finds is soon there to be had,
+# and now and then stays the best.
+FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress())
+
+# The longest part of "balanced": six polish steps a number of influences, where "best" takes
+# eight, and an end where eight steps gain less than 1 % of the error.
+RELAXED: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=40, gain=0.01))
+
+
+def merged_start(
+    factor: float, before: int, after: int, *, branch: bool = False, rigid: bool = False
+) -> Schedule:
+    """Start with `factor` times the bones asked for and merge them down.
+
+    `before` and `after` are the most alternations on either side of the merge.
+    """
+    return (
+        Start(factor=factor, branch=branch, rigid=rigid),
+        Alternate(steps=before, branch=branch, rigid=rigid),
+        Merge(branch=branch, rigid=rigid),
+        Alternate(steps=after, branch=branch, rigid=rigid),
+    )
+
+
+# --- rigid bones, nothing prescribed -----------------------------------------------------------
+
+FAST: Schedule = (
+    *FIRST_MODEL,
+    *merged_start(1.6, 6, 4),
+    Recall(),
+    Polish(steps=6),
+)
+
+BALANCED: Schedule = (
+    *FIRST_MODEL,
+    *merged_start(1.6, 12, 6),
+    Recall(),
+    Reseed(),
+    *RELAXED,
+)
 
 
 @dataclasses.dataclass(frozen=True)
-class Op:
-    """One entry of the plan.
+class _Tries:
+    """How much "best" searches, by the size of the problem.
 
-    `count` steps at most; `amount` is the bones to start with relative to those
-    asked for (start), alternations a step (merge, reseed) or after each change of a step
-    (regrow), polish steps at each number of influences (relax); failures in a row at
-    which to stop (`patience`: reseed, search, regrow, where 0 is one step whatever comes
-    of it), relative gain at which to stop (`tolerance`: of three alternations, of eight
-    polish steps) or that makes a try a success (of the objective, search); ratio to the
-    objective of the search that ended lowest, after as many tries, at which a search
-    gives up (`race`: before the first, after four or more; 0, never); `cost` in
-    alternations a step, for the time left; draws of its own, from those of an `aside`
-    start on: given up, it leaves no trace in what comes after (`aside`); with rigid
-    bones whatever was asked for (`rigid`).
+    Attributes
+    ----------
+    first : int
+        Tries of the search of a start.
+    before, after : int
+        How often the best model is rebuilt before the merged start is set beside it, and after.
+    last : int
+        Tries of the search in the end.
     """
 
-    phase: Phase
-    count: int = 1
-    amount: float = 0.0
-    patience: int = 0
-    tolerance: float = 0.0
-    cost: float = 1.0
-    race: tuple[float, float] = (0.0, 0.0)
-    aside: bool = False
-    rigid: bool = False
+    first: int
+    before: int
+    after: int
+    last: int
 
 
-# On the frames as they are and without a bone too many: what it finds is soon there to be
-# had, and now and then stays the best.
-_FIRST = [Op("quick", cost=8), Op("alternate", count=20, tolerance=0.01), Op("compress", cost=4)]
+# Fitted on a dozen sequences (docs/theory.md).  Small problems, below 2e6 vertices × frames ×
+# bones: where a rebuild takes seconds the first model is rebuilt six times before the merged
+# start is set beside it (ea_bone with 5 bones: 3.95 for 4.49 without).  Large ones, above 1e7:
+# four rebuilds in place of six, for the time that they take.
+_SMALL = _Tries(first=10, before=6, after=6, last=10)
+_MIDDLE = _Tries(first=10, before=0, after=6, last=10)
+_LARGE = _Tries(first=6, before=0, after=4, last=6)
+_MIDDLE_SIZE, _LARGE_SIZE = 2e6, 1e7
+_MOST_TRIES_OF_A_REBUILD = 6
+# A search gives up that is behind the best one by 8 % before its first try, or by 2 % later.
+_RACE = (1.08, 1.02)
+# From so many bones on alternations alone put many of them in better places; and now and then a
+# start ends where no rebuilding helps: so there are several, with few tries of each.
+_MANY_BONES, _STARTS, _TRIES_OF_A_START = 24, 3, 4
 
 
-def _begin(factor: float, first: int, second: int) -> list[Op]:
-    return [
-        Op("start", amount=factor, cost=8),
-        Op("alternate", count=first),
-        Op("merge", count=1000, amount=4, cost=20),
-        Op("alternate", count=second),
-    ]
+def judged(tries: int, *, branch: bool = False) -> Schedule:
+    """What bones in other places are worth shows only once weights have followed them."""
+    return (
+        Relax(branch=branch),
+        Polish(steps=8, branch=branch),
+        Search(steps=tries, patience=tries, race=_RACE, branch=branch),
+    )
 
 
-def _polish(count: int, tolerance: float) -> Op:
-    return Op("polish", count=count, tolerance=tolerance, cost=6)
+def best(bones: int, size: float, *, stretching: bool) -> Schedule:
+    """A start relaxed and searched; then the best model so far rebuilt time and again.
 
-
-_RESEED = Op("reseed", count=16, amount=4, patience=4, cost=6)
-_MOST_EXTRA = 4  # influences more for a while: a vertex of the polish costs (K + 2)² numbers
-_RELAX = Op("relax", count=_MOST_EXTRA, amount=8, cost=40)
-
-
-def _search(count: int, race: tuple[float, float] = (0.0, 0.0)) -> Op:
-    return Op("search", count=count, patience=count, tolerance=1e-3, cost=60, race=race)
-
-
-# "best", by vertices × frames × bones: tries at first; how often the model is rebuilt before
-# the merged start and after it; tries in the end
-_BEST = {1e7: (6, 0, 4, 6), 2e6: (10, 0, 6, 10), 0.0: (10, 6, 6, 10)}
-_MOST_TRIES, _RACE = 6, (1.08, 1.02)  # of what was rebuilt
-# From so many bones on alternations alone put many of them in better places; and now and
-# then a start ends where no rebuilding helps: so there are some, and few tries of each.
-_MANY_BONES, _STARTS, _START_TRIES = 24, 3, 4
-
-
-def _best(tries: int, before: int, after: int, last: int, *, many_bones: bool) -> list[Op]:
-    """A start relaxed and searched; then the best model rebuilt time and again.
-
-    What bones in other places are worth shows only once influences and weights have
-    followed them: each change is relaxed, polished and searched before it is judged.
     Which start leads further shows only once it has been rebuilt, too: where that takes
     seconds, the first model is, before another is set beside it.
     """
-
-    def judged(tries: int) -> list[Op]:
-        return [_RELAX, _polish(8, 0.0), _search(tries, _RACE)]
-
-    first, begun = [*_FIRST, *judged(tries)], tries
-    if many_bones:
-        start = [
-            Op("start", amount=1.0, cost=8), Op("alternate", count=12),
-            Op("regrow", count=10, amount=3, patience=8, cost=20), *judged(_START_TRIES),
-        ]  # fmt: skip
-        first, begun = [*_FIRST, *_STARTS * start], _START_TRIES
-    # small smooth motions, such as a beam's, are where the other starts end far above it
-    merged = [*_begin(1.6, 12, 6), _RESEED, *judged(begun)]
-    merged = [dataclasses.replace(op, aside=True) for op in merged]
-    rebuild = [Op("recall", cost=0), Op("regrow", amount=3, cost=20)]
-    rebuild += judged(min(tries, _MOST_TRIES))
-    return [
-        *first, *before * rebuild, *merged, *after * rebuild,
-        Op("recall", cost=0), _search(last), Op("recall", cost=0), _polish(60, 0.002),
-    ]  # fmt: skip
-
-
-_RELAXED = [dataclasses.replace(_RELAX, amount=6, cost=30), _polish(40, 0.01)]
-EFFORTS: dict[str, list[Op]] = {
-    "fast": [*_FIRST, *_begin(1.6, 6, 4), Op("recall", cost=0), _polish(6, 0.0)],
-    "balanced": [
-        *_FIRST,
-        *_begin(1.6, 12, 6),
-        Op("recall", cost=0),
-        _RESEED,
-        *_RELAXED,
-    ],
-}
-# where there is a penalty, of which the changes that follow a start know nothing
-_PLAIN: dict[str, list[Op]] = {
-    "fast": [_polish(6, 0.0)],
-    "balanced": _RELAXED,
-    "best": [_RELAX, _polish(60, 0.002)],
-}
-_SMOOTH_BEST = [*_FIRST, *_begin(1.6, 12, 6), *_begin(2.2, 12, 6), Op("recall", cost=0)]
-
-
-def make_plan(
-    effort: str, *, fixed: Fixed, bones: int, given: Given, smooth: bool, size: float
-) -> list[Op]:
-    """The plan of an effort, less what fixed parts and smoothness rule out.
-
-    `size` is vertices × frames × bones.
-    """
-    if effort != "best":
-        plan = list(EFFORTS[effort])
-    elif smooth:
-        plan = list(_SMOOTH_BEST)
-    else:
-        counts = next(counts for least, counts in _BEST.items() if size >= least)
-        plan = _best(*counts, many_bones=bones >= _MANY_BONES)
-    all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
-    if given.weights is not None or all_bones:
-        # nothing to place: one start, then down to the nearest minimum
-        steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
-        plan = [
-            Op("compress", cost=4), Op("start", amount=1.0, cost=8),
-            Op("alternate", count=10), _polish(steps, 1e-3),
-        ]  # fmt: skip
-    elif fixed.bone_model != "rigid" and given.transforms is None and not smooth:
-        plan = _with_rigid_start(plan, effort)
-    if smooth:
-        # the polish does not know the penalty: alternate until it settles; then once more from
-        # where the polish goes without it, which now and then leads further
-        steps = {"fast": 20, "balanced": 100, "best": 400}[effort]
-        without = [op for op in plan if op.phase not in ("polish", "relax", "search")]
-        settle = Op("alternate", count=steps)
-        again = [] if given.weights is not None or all_bones else [*_PLAIN[effort], settle]
-        plan = [*without, settle, *again]
-    return plan
-
-
-def _with_rigid_start(plan: list[Op], effort: str) -> list[Op]:
-    """The plan of bones that stretch, lest they end above rigid ones.
-
-    A bone may not turn inside out on its way, and where a part is thin that bars many a
-    way from its own start. Which start leads further shows only in the end.
-    """
-    start = [dataclasses.replace(op, rigid=True) for op in _begin(1.6, 12, 6)]
-    if effort != "fast":
-        start += [_polish(8, 0.0), *_RELAXED]
-    start = [dataclasses.replace(op, aside=True) for op in start]
-    # what is recalled after it may then be either
-    recalled = next(k for k, op in enumerate(plan) if op.phase == "recall")
-    at = len(plan) if effort == "balanced" else recalled
-    return [*plan[:at], *start, *plan[at:]]
-
-
-def settling_plan(effort: str, smooth: bool) -> list[Op]:
-    """What a model of some frames goes through when it is carried to more of them."""
-    steps = Op(
-        "alternate" if smooth else "polish", count=_SETTLING[effort], tolerance=0.002, cost=6
+    tries = _LARGE if size >= _LARGE_SIZE else _MIDDLE if size >= _MIDDLE_SIZE else _SMALL
+    regrown_start = (
+        Start(),
+        Alternate(steps=12),
+        Regrow(steps=10, patience=8),
+        *judged(_TRIES_OF_A_START),
     )
-    return [Op("spread", cost=12), steps]
+    many = bones >= _MANY_BONES
+    rebuild = (Recall(), Regrow(), *judged(min(tries.first, _MOST_TRIES_OF_A_REBUILD)))
+    rigid_first = rigid_start("best") if stretching else ()
+    return (
+        *FIRST_MODEL,
+        *(_STARTS * regrown_start if many else judged(tries.first)),
+        *(rigid_first if tries.before else ()),
+        *tries.before * rebuild,
+        # on small smooth motions, such as a beam's, the other starts end far above this one
+        *merged_start(1.6, 12, 6, branch=True),
+        Reseed(branch=True),
+        *judged(_TRIES_OF_A_START if many else tries.first, branch=True),
+        *(() if tries.before else rigid_first),
+        *tries.after * rebuild,
+        Recall(),
+        Search(steps=tries.last, patience=tries.last),
+        Recall(),
+        Polish(steps=60, gain=0.002),
+    )
 
 
-def plan_print(plan: list[Op]) -> str:
-    """Tells the steps of one version of this package from those of another."""
-    return hashlib.sha256(repr([plan, sorted(_SETTLING.items())]).encode()).hexdigest()
+# --- bones that stretch ------------------------------------------------------------------------
+
+
+def rigid_start(effort: Effort) -> Schedule:
+    """A start from rigid bones, beside the one from bones that stretch.
+
+    A bone may not turn inside out on its way, and where a part is thin that bars many a way
+    from its own start.  Which start leads further shows only in the end.
+    """
+    start = merged_start(1.6, 12, 6, branch=True, rigid=True)
+    if effort == "fast":
+        return start
+    settle = (Polish(steps=8), *RELAXED)
+    return (*start, *(dataclasses.replace(stage, branch=True) for stage in settle))
+
+
+FAST_STRETCHING: Schedule = (
+    *FIRST_MODEL,
+    *merged_start(1.6, 6, 4),
+    *rigid_start("fast"),
+    Recall(),
+    Polish(steps=6),
+)
+
+BALANCED_STRETCHING: Schedule = (*BALANCED, *rigid_start("balanced"))
+
+
+# --- weights or all bones prescribed -----------------------------------------------------------
+
+
+def nothing_to_place(effort: Effort) -> Schedule:
+    """One start, then down to the nearest minimum."""
+    steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
+    return (
+        Compress(),
+        Start(),
+        Alternate(steps=10),
+        Polish(steps=steps, gain=1e-3),
+    )
+
+
+# --- a penalty on weights that are not smooth --------------------------------------------------
+
+
+def smooth(effort: Effort, *, placed: bool) -> Schedule:
+    """The polish does not know the penalty: alternate until that settles.
+
+    Then once more from where the polish leads without it, which now and then is further.
+    `placed`: weights or all bones are prescribed.
+    """
+    settle = Alternate(steps={"fast": 20, "balanced": 100, "best": 400}[effort])
+    if placed:
+        return (Compress(), Start(), Alternate(steps=10), settle)
+    if effort == "fast":
+        return (
+            *FIRST_MODEL,
+            *merged_start(1.6, 6, 4),
+            Recall(),
+            settle,
+            Polish(steps=6),
+            settle,
+        )
+    if effort == "balanced":
+        return (
+            *FIRST_MODEL,
+            *merged_start(1.6, 12, 6),
+            Recall(),
+            Reseed(),
+            settle,
+            *RELAXED,
+            settle,
+        )
+    return (
+        *FIRST_MODEL,
+        *merged_start(1.6, 12, 6),
+        *merged_start(2.2, 12, 6),
+        Recall(),
+        settle,
+        Relax(),
+        Polish(steps=60, gain=0.002),
+        settle,
+    )
+
+
+# --- which of them -----------------------------------------------------------------------------
+
+
+def schedule_for(
+    effort: Effort, *, fixed: Fixed, bones: int, prescribed: Prescribed, smoothed: bool, size: float
+) -> Schedule:
+    """The schedule of a call.
+
+    Parameters
+    ----------
+    effort : {"fast", "balanced", "best"}
+    fixed : Fixed
+    bones : int
+    prescribed : Prescribed
+    smoothed : bool
+        Whether there is a penalty on weights.
+    size : float
+        Vertices × frames × bones.
+    """
+    all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
+    placed = prescribed.weights is not None or all_bones
+    if smoothed:
+        return smooth(effort, placed=placed)
+    if placed:
+        return nothing_to_place(effort)
+    stretching = fixed.bone_model != "rigid" and prescribed.transforms is None
+    if effort == "best":
+        return best(bones, size, stretching=stretching)
+    if stretching:
+        return FAST_STRETCHING if effort == "fast" else BALANCED_STRETCHING
+    return FAST if effort == "fast" else BALANCED
+
+
+def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:
+    """What a model of some frames goes through when it is carried over to more of them."""
+    steps = {"fast": 6, "balanced": 20, "best": 60}[effort]
+    if smoothed:
+        return (Spread(), Alternate(steps=steps, gain=0.002, cost=6))
+    return (Spread(), Polish(steps=steps, gain=0.002))
+
+
+def fingerprint(schedule: Schedule) -> str:
+    """Tells the stages of one version of this package from those of another."""
+    settling = [settling_schedule(e, smoothed=False) for e in get_args(Effort)]
+    return hashlib.sha256(repr((schedule, settling)).encode()).hexdigest()

@@ -16,15 +16,20 @@ from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError, SsdrWarning
 from ..solver.model import Model
-from ..streaming.scan import Scan, _scan
 
-__all__ = ["SolverState", "check_settings", "check_size", "taking_up"]
+__all__ = [
+    "Checkpoint",
+    "SolverState",
+    "check_settings",
+    "check_size",
+    "model_of",
+    "packed",
+    "taking_up",
+]
 
-_VERSION = 2
-_MODEL = tuple(f.name for f in dataclasses.fields(Model))
-
-
-_EVERY = 60.0  # seconds between two checkpoints
+_VERSION = 3
+_CHECKPOINT_SECONDS = 60.0  # between two checkpoints: what a killed process loses at most
+_DRIVER = "driver_"  # prefix, in a file, of the arrays that a driver adds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,17 +44,18 @@ class SolverState:
     settings : dict
         What the run was asked for; resuming with anything else is an error.
     progress : dict
-        Place in the plan, random generator, damping, elapsed time.
+        Place in the schedule, random generator, damping, elapsed time.
     history : (n, 3) float64
         Iteration, elapsed seconds, objective of each accepted model.
     phases : tuple of str
         Phase of each accepted model.
     current, best : Model or None
         Of the frames that are solved in memory.
-    scan : Scan or None
-        Where frames are streamed: what the first walk over them found.
-    whole : Model or None
-        Of all streamed frames, once a pass over them has been made.
+    driver : dict of str to array
+        What the driver of the run adds: where frames are streamed, what the walks over all of
+        them found.
+    source : str
+        The file that it was read from, for messages.
     """
 
     settings: dict[str, Any]
@@ -58,18 +64,8 @@ class SolverState:
     phases: tuple[str, ...]
     current: Model | None
     best: Model | None
-    scan: Scan | None = None
-    whole: Model | None = None
-
-    @property
-    def passes(self) -> list[list[float]]:
-        """Iteration, elapsed seconds and objective of each pass over streamed frames."""
-        return list(self.progress.get("passes", []))
-
-    @property
-    def settling(self) -> bool:
-        """Whether the models are of more frames than the telling ones."""
-        return bool(self.progress.get("settling"))
+    driver: dict[str, NDArray[Any]] = dataclasses.field(default_factory=dict)
+    source: str = "a state"
 
     def __repr__(self) -> str:
         s, model = self.settings, "none yet" if self.best is None else "one"
@@ -95,16 +91,8 @@ class SolverState:
             "ssdr_state": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
             "history": self.history,
         }
-        if self.scan is not None:
-            a = self.scan.alignment
-            arrays |= {
-                "scan_centre": a.centre, "scan_turn": a.turn, "scan_scale": np.array(a.scale),
-                "scan_chosen": self.scan.chosen, "scan_nearest": self.scan.nearest,
-            }  # fmt: skip
-        models = (("current", self.current), ("best", self.best), ("whole", self.whole))
-        for prefix, model in models:
-            if model is not None:
-                arrays |= {f"{prefix}_{name}": getattr(model, name) for name in _MODEL}
+        arrays |= packed("current_", self.current) | packed("best_", self.best)
+        arrays |= {_DRIVER + name: array for name, array in self.driver.items()}
         write_arrays(path, arrays, compress=False)
         return path
 
@@ -115,8 +103,9 @@ class SolverState:
         Raises
         ------
         FormatError
-            If the file is not a state, or its arrays are damaged (what its progress
-            holds is checked where it is taken up, by ``ssdr.decompose``).
+            If the file is not a state, is one of another version, or its arrays are damaged
+            (what a driver has added, and what its progress holds, is checked where it is taken
+            up, by ``ssdr.decompose``).
         """
         from ..io.arrays.archive import read_arrays
 
@@ -124,34 +113,29 @@ class SolverState:
         arrays = read_arrays(
             path,
             required=("ssdr_state", "history"),
-            optional=("current_*", "best_*", "whole_*", "scan_*"),
+            optional=("current_*", "best_*", _DRIVER + "*"),
         )
         try:
             header = json.loads(bytes(arrays["ssdr_state"]).decode())
             if header["version"] != _VERSION:
-                raise FormatError(f"{path}: state of version {header['version']}, not {_VERSION}")
-            models = [_model(arrays, prefix) for prefix in ("current", "best", "whole")]
-            found = _scan(arrays)
-            state = SolverState(
-                settings=dict(header["settings"]), progress=dict(header["progress"]),
+                raise FormatError(
+                    f"{path}: state of version {header['version']}, not {_VERSION}, which this "
+                    "version of ssdr writes; begin anew, or go on with the ssdr that wrote it"
+                )
+            return SolverState(
+                settings=dict(header["settings"]),
+                progress=dict(header["progress"]),
                 history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 3),
-                phases=tuple(header["phases"]), current=models[0], best=models[1],
-                scan=found, whole=models[2],
-            )  # fmt: skip
-            passes = np.asarray(state.passes, dtype=np.float64).reshape(-1, 3)
-            if not np.isfinite(passes).all() or (models[2] is not None) != (len(passes) > 0):
-                raise ValueError("passes and their model do not fit")
-            if models[2] is not None and (
-                found is None or len(models[2].transforms) != found.alignment.n_frames
-            ):
-                raise ValueError("whole_transforms does not fit the scan")
-            if models[2] is not None and (
-                models[1] is None
-                or models[1].transforms.shape[1:] != models[2].transforms.shape[1:]
-                or models[1].joints.shape != models[2].joints.shape
-            ):
-                raise ValueError("whole_joints does not fit best_joints")
-            return state
+                phases=tuple(header["phases"]),
+                current=model_of(arrays, "current_"),
+                best=model_of(arrays, "best_"),
+                driver={
+                    name[len(_DRIVER) :]: array
+                    for name, array in arrays.items()
+                    if name.startswith(_DRIVER)
+                },
+                source=str(path),
+            )
         except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
             if isinstance(error, FormatError):
                 raise
@@ -161,14 +145,14 @@ class SolverState:
 def check_settings(state: SolverState, settings: dict[str, Any]) -> None:
     """Whether a run asked for by these settings may go on from the state."""
     for key, value in settings.items():
-        found = state.settings.get(key)
-        if key == "max_iterations" or found == value:
+        there = state.settings.get(key)
+        if there == value:
             continue
-        expected, got = f"a state of a run with {key} = {value!r}", repr(found)
+        expected, got = f"a state of a run with {key} = {value!r}", repr(there)
         if key == "input":
             expected = "a state of a run on these very frames, importances and fixed parts"
             got = "one on others"
-        elif key == "plan":
+        elif key == "schedule":
             expected, got = "a state of this version of ssdr", "one of other steps"
         raise InputError("resume", expected, got)
 
@@ -188,35 +172,6 @@ def taking_up() -> Iterator[None]:
         raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error
 
 
-def _model(arrays: dict[str, Any], prefix: str) -> Model | None:
-    if f"{prefix}_rest" not in arrays:
-        return None
-    parts = {name: np.ascontiguousarray(arrays[f"{prefix}_{name}"]) for name in _MODEL}
-    n, k = parts["joints"].shape
-    frames, bones = parts["transforms"].shape[:2]
-    wanted = {
-        "transforms": (frames, bones, 3, 4), "rest": (n, 3), "weights": (n, k), "error": (n,),
-        "count": (n,), "share": parts["support"].shape, "joints": (n, k),
-    }  # fmt: skip
-    for name, shape in wanted.items():
-        kind = "i" if name in ("joints", "support", "count") else "f"
-        if parts[name].shape != shape or parts[name].dtype.kind != kind:
-            raise ValueError(f"{prefix}_{name} has shape {parts[name].shape}")
-    if parts["support"].shape[0] != n or parts["support"].shape[1] < k:
-        raise ValueError(f"{prefix}_support has shape {parts['support'].shape}")
-    for name in ("joints", "support"):
-        parts[name] = parts[name].astype(np.int32)
-        if parts[name].min() < 0 or parts[name].max() >= bones:
-            raise ValueError(f"{prefix}_{name} names a bone that is not there")
-    parts["count"] = parts["count"].astype(np.int32)
-    if parts["count"].min() < 1 or parts["count"].max() > parts["support"].shape[1]:
-        raise ValueError(f"{prefix}_count is out of range")
-    for name in ("transforms", "rest", "weights", "share", "error"):
-        if not np.isfinite(parts[name]).all():
-            raise ValueError(f"{prefix}_{name} holds NaN or Inf")
-    return Model(**parts)
-
-
 class Checkpoint:
     """A file that holds the latest state worth keeping."""
 
@@ -230,7 +185,7 @@ class Checkpoint:
 
     def offer(self, state: Callable[[], SolverState]) -> None:
         """Save a state if the last one is a while ago."""
-        if time.monotonic() - self._last >= _EVERY:
+        if time.monotonic() - self._last >= _CHECKPOINT_SECONDS:
             self.save(state())
 
     def save(self, state: SolverState) -> None:
@@ -240,3 +195,58 @@ class Checkpoint:
         except OSError as error:
             warnings.warn(f"no checkpoint at {self.path}: {error}", SsdrWarning, stacklevel=4)
         self._last = time.monotonic()
+
+
+# --- models as arrays --------------------------------------------------------------------------
+
+_FIELDS = tuple(f.name for f in dataclasses.fields(Model))
+# name: kind of numbers, shape in terms of the sizes below, where an integer lies
+_ARRAYS: dict[str, tuple[str, str]] = {
+    "transforms": ("f", "FB34"),
+    "rest": ("f", "V3"),
+    "support": ("i", "VS"),
+    "support_weights": ("f", "VS"),
+    "count": ("i", "V"),
+    "joints": ("i", "VK"),
+    "weights": ("f", "VK"),
+    "error": ("f", "V"),
+}
+
+
+def packed(prefix: str, model: Model | None) -> dict[str, Any]:
+    """The arrays of a model by name."""
+    return {} if model is None else {prefix + name: getattr(model, name) for name in _FIELDS}
+
+
+def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
+    """The model whose arrays have this prefix; None where there is none.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If an array is missing or damaged.
+    """
+    if f"{prefix}rest" not in arrays:
+        return None
+    parts = {name: np.ascontiguousarray(arrays[prefix + name]) for name in _FIELDS}
+    n, k = parts["joints"].shape
+    frames, bones = parts["transforms"].shape[:2]
+    sizes = {"F": frames, "B": bones, "V": n, "K": k, "3": 3, "4": 4}
+    sizes["S"] = max(k, parts["support"].shape[1])
+    least_and_most = {
+        "joints": (0, bones - 1),
+        "support": (0, bones - 1),
+        "count": (1, sizes["S"]),
+    }
+    for name, (kind, shape) in _ARRAYS.items():
+        array = parts[name]
+        if array.shape != tuple(sizes[axis] for axis in shape) or array.dtype.kind != kind:
+            raise ValueError(f"{prefix}{name} has shape {array.shape}, dtype {array.dtype}")
+        if kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{prefix}{name} holds NaN or Inf")
+        if kind == "i":
+            least, most = least_and_most[name]
+            if array.size and not (least <= array.min() and array.max() <= most):
+                raise ValueError(f"{prefix}{name} is out of range")
+            parts[name] = array.astype(np.int32)
+    return Model(**parts)

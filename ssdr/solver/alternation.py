@@ -34,12 +34,24 @@ def vertex_step(
         def work(_: int, i: int, k: int) -> None:
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             solve_vertices(
-                y, data.x2[i:k], gram, pairs,
-                none if pull is None else pull[i:k], none1 if stiff is None else stiff[i:k],
-                model.rest[i:k], model.support[i:k], model.share[i:k], model.count[i:k],
-                model.joints[i:k], model.weights[i:k], model.error[i:k],
-                keep[i:k], not fixed.rest, 0, k - i,
-            )  # fmt: skip
+                y,
+                data.x2[i:k],
+                gram,
+                pairs,
+                none if pull is None else pull[i:k],
+                none1 if stiff is None else stiff[i:k],
+                model.rest[i:k],
+                model.support[i:k],
+                model.support_weights[i:k],
+                model.count[i:k],
+                model.joints[i:k],
+                model.weights[i:k],
+                model.error[i:k],
+                keep[i:k],
+                not fixed.rest,
+                0,
+                k - i,
+            )
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
     # differences of large numbers: what is below rounding is zero
@@ -86,9 +98,18 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
             cost = np.zeros(n_bones)
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             removal_cost(
-                y, data.x2[i:k], gram, model.rest[i:k], model.support[i:k], model.share[i:k],
-                model.count[i:k], data.importance[i:k], cost, 0, k - i,
-            )  # fmt: skip
+                y,
+                data.x2[i:k],
+                gram,
+                model.rest[i:k],
+                model.support[i:k],
+                model.support_weights[i:k],
+                model.count[i:k],
+                data.importance[i:k],
+                cost,
+                0,
+                k - i,
+            )
             return cost
 
         parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))

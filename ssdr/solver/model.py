@@ -27,7 +27,7 @@ class Model:
     transforms: Array  # (F, B, 3, 4)
     rest: Array  # (V, 3)
     support: NDArray[np.int32]  # (V, SLOTS)
-    share: Array  # (V, SLOTS)
+    support_weights: Array  # (V, SLOTS)
     count: NDArray[np.int32]  # (V,)
     joints: NDArray[np.int32]  # (V, K)
     weights: Array  # (V, K)
@@ -45,38 +45,45 @@ class Model:
         return Model(**{f.name: getattr(self, f.name).copy() for f in dataclasses.fields(self)})
 
     @staticmethod
-    def start(transforms: Array, rest: Array, label: NDArray[np.intp], influences: int) -> Model:
+    def start(
+        transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
+    ) -> Model:
         """One bone a vertex."""
         n = len(rest)
         slots = max(SLOTS, influences)
         support = np.zeros((n, slots), dtype=np.int32)
-        share = np.zeros((n, slots))
+        support_weights = np.zeros((n, slots))
         joints = np.zeros((n, influences), dtype=np.int32)
         weights = np.zeros((n, influences))
         support[:, 0] = joints[:, 0] = label
-        share[:, 0] = weights[:, 0] = 1.0
+        support_weights[:, 0] = weights[:, 0] = 1.0
         return Model(
-            transforms=transforms, rest=rest.copy(), support=support, share=share,
-            count=np.ones(n, dtype=np.int32), joints=joints, weights=weights,
+            transforms=transforms,
+            rest=rest.copy(),
+            support=support,
+            support_weights=support_weights,
+            count=np.ones(n, dtype=np.int32),
+            joints=joints,
+            weights=weights,
             error=np.full(n, np.inf),
-        )  # fmt: skip
+        )
 
     def objective(self, data: Trajectories) -> float:
         return float(data.importance @ self.error)
 
-    def widen(self) -> None:
-        """Let the unpruned support restart from the kept weights."""
+    def restart_support(self) -> None:
+        """Let the unpruned support restart from the weights that were kept."""
         k = self.n_influences
         self.support[:] = 0
-        self.share[:] = 0.0
+        self.support_weights[:] = 0.0
         self.support[:, :k] = self.joints
-        self.share[:, :k] = self.weights
+        self.support_weights[:, :k] = self.weights
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
-    def widened(self) -> Model:
-        """A copy whose unpruned support restarts from the kept weights."""
+    def with_restarted_support(self) -> Model:
+        """A copy whose unpruned support restarts from the weights that were kept."""
         model = self.copy()
-        model.widen()
+        model.restart_support()
         return model
 
     def with_influences(self, count: int) -> Model:
@@ -97,14 +104,16 @@ class Model:
         room = ((0, 0), (0, max(0, count - k)))
         wide = ((0, 0), (0, max(0, count - self.support.shape[1])))
         model = Model(
-            transforms=self.transforms.copy(), rest=self.rest.copy(),
-            support=np.pad(self.support, wide), share=np.pad(self.share, wide),
+            transforms=self.transforms.copy(),
+            rest=self.rest.copy(),
+            support=np.pad(self.support, wide),
+            support_weights=np.pad(self.support_weights, wide),
             count=self.count.copy(),
             joints=np.ascontiguousarray(np.pad(joints, room)),
             weights=np.ascontiguousarray(np.pad(weights, room)),
             error=self.error.copy(),
-        )  # fmt: skip
-        model.widen()
+        )
+        model.restart_support()
         return model
 
     def without(self, bones: NDArray[np.intp]) -> Model:
@@ -113,26 +122,30 @@ class Model:
         rank = np.full(self.n_bones, -1, dtype=np.int32)
         rank[keep] = np.arange(len(keep))
         slots = np.arange(self.support.shape[1])
-        share = np.where(slots < self.count[:, None], self.share, 0.0)
-        share[rank[self.support] < 0] = 0.0
-        order = np.argsort(-share, axis=1, kind="stable")
-        share = np.take_along_axis(share, order, axis=1)
+        support_weights = np.where(slots < self.count[:, None], self.support_weights, 0.0)
+        support_weights[rank[self.support] < 0] = 0.0
+        order = np.argsort(-support_weights, axis=1, kind="stable")
+        support_weights = np.take_along_axis(support_weights, order, axis=1)
         support = np.take_along_axis(np.maximum(rank[self.support], 0), order, axis=1)
-        empty = share[:, 0] <= 0
-        share[empty, 0] = 1.0
+        empty = support_weights[:, 0] <= 0
+        support_weights[empty, 0] = 1.0
         support[empty, 0] = 0
-        count = np.maximum((share > 0).sum(axis=1), 1).astype(np.int32)
-        share /= share.sum(axis=1, keepdims=True)
-        support[share <= 0] = 0
+        count = np.maximum((support_weights > 0).sum(axis=1), 1).astype(np.int32)
+        support_weights /= support_weights.sum(axis=1, keepdims=True)
+        support[support_weights <= 0] = 0
         k = self.n_influences
-        weights = share[:, :k] / share[:, :k].sum(axis=1, keepdims=True)
+        weights = support_weights[:, :k] / support_weights[:, :k].sum(axis=1, keepdims=True)
         return Model(
-            transforms=np.ascontiguousarray(self.transforms[:, keep]), rest=self.rest.copy(),
-            support=np.ascontiguousarray(support, dtype=np.int32), share=share, count=count,
+            transforms=np.ascontiguousarray(self.transforms[:, keep]),
+            rest=self.rest.copy(),
+            support=np.ascontiguousarray(support, dtype=np.int32),
+            support_weights=support_weights,
+            count=count,
             # a copy also where all of the support is kept: steps write to both
-            joints=np.array(support[:, :k], dtype=np.int32, order="C"), weights=weights,
+            joints=np.array(support[:, :k], dtype=np.int32, order="C"),
+            weights=weights,
             error=self.error.copy(),
-        )  # fmt: skip
+        )
 
     def with_bone(self, transform: Array) -> Model:
         """A copy with one bone more, (F, 3, 4), that nothing uses yet."""

@@ -1,14 +1,7 @@
-"""Sequences that do not fit into memory: solve on telling frames, finish on all of them.
+"""The first walk over frames that do not fit into memory: how they lie, and which represent them.
 
-    scan (one pass) -> frames that differ most -> the usual run on those
-         -> the polish, on as many as may be held: what few frames leave open
-         -> passes over all frames, each an exact alternation: bones of every
-            frame, then weights and rest pose from the sums that the pass gathers
-
-Each walk over the frames is a function of a span of them, called here or by the
-workers of a cluster (`chunked`), and a sum in the order of the spans.  A pass
-keeps a block of frames, the transforms and two (V, 4B) matrices; what it states is
-the error over all frames, not an estimate from a part of them.
+Frames are compared by a few vertices after alignment, and chosen by farthest-point sampling,
+so that rare poses are among the representative ones.
 """
 
 from __future__ import annotations
@@ -20,22 +13,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.initialization import farthest_points
 from ..solver.trajectories import Alignment, Array, centred, scale_of, turn_onto
-from .executor import Executor, Frames, Local, Walk, spans_of
 
-__all__ = ["Scan", "needs_streaming", "scan", "subset"]
+__all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
-_SUBSET = 128 << 20  # bytes of those of the telling frames
-_FEWEST, _MOST = 120, 1000  # telling frames
-_SETTLED = 512 << 20  # bytes of the trajectories of the frames on which their model settles
-_MOST_SETTLED = 4000
-_PROBES = 64  # vertices by which frames are compared
+_SUBSET = 128 << 20  # bytes of those of the representative frames
+_FEWEST, _MOST = 120, 1000  # representative frames
+# Bytes of the trajectories of the frames on which their model settles, and frames at most: half
+# of what is held at once, for the polish needs as much again.
+_SETTLED, _MOST_SETTLED = 512 << 20, 4000
+_PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
-Told = Callable[[float], Any]
+OnProgress = Callable[[float], Any]  # called with the fraction that is done
 
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
@@ -46,15 +40,15 @@ def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """What the first pass found.
+    """What the first walk over the frames found.
 
     Attributes
     ----------
     alignment : Alignment
         Of all frames.
     chosen : (S,) int64
-        Telling frames, ascending; the first frame is one of them.  After
-        :meth:`widened` others as well.
+        Representative frames, ascending; the first frame is one of them.  After
+        :meth:`extended` others as well.
     nearest : (F,) int64
         For each frame, the position in `chosen` of the one that it is most like.
     """
@@ -63,14 +57,54 @@ class Scan:
     chosen: NDArray[np.int64]
     nearest: NDArray[np.int64]
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """What :meth:`of_arrays` needs, by name."""
+        a = self.alignment
+        return {
+            "centre": a.centre,
+            "turn": a.turn,
+            "scale": np.array(a.scale),
+            "chosen": self.chosen,
+            "nearest": self.nearest,
+        }
+
+    @staticmethod
+    def of_arrays(arrays: dict[str, NDArray[Any]]) -> Scan:
+        """The scan whose arrays these are.
+
+        Raises
+        ------
+        KeyError, ValueError
+            If one is missing or damaged.
+        """
+        centre = np.ascontiguousarray(arrays["centre"], dtype=np.float64)
+        turn = np.ascontiguousarray(arrays["turn"], dtype=np.float64)
+        scale = float(np.asarray(arrays["scale"]).item())
+        chosen = np.ascontiguousarray(arrays["chosen"], dtype=np.int64)
+        nearest = np.ascontiguousarray(arrays["nearest"], dtype=np.int64)
+        n = len(centre)
+        if centre.shape != (n, 3) or turn.shape != (n, 3, 3) or nearest.shape != (n,):
+            raise ValueError(f"centre has shape {centre.shape}")
+        if not (np.isfinite(centre).all() and np.isfinite(turn).all() and 0 < scale < np.inf):
+            raise ValueError("the alignment holds NaN or Inf")
+        if chosen.ndim != 1 or len(chosen) == 0 or (np.diff(chosen) <= 0).any():
+            raise ValueError("chosen is not ascending")
+        if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
+            raise ValueError("a frame is named that is not there")
+        return Scan(
+            alignment=Alignment(centre=centre, turn=turn, scale=scale),
+            chosen=chosen,
+            nearest=nearest,
+        )
+
     def importance(self, frames: Array | None) -> Array:
-        """(S,) importance of the telling frames: that of the frames they stand for."""
-        whole = np.ones(len(self.nearest)) if frames is None else frames
-        counts = np.bincount(self.nearest, weights=whole, minlength=len(self.chosen))
+        """(S,) importance of the representative frames: that of the frames they stand for."""
+        each = np.ones(len(self.nearest)) if frames is None else frames
+        counts = np.bincount(self.nearest, weights=each, minlength=len(self.chosen))
         return counts.astype(np.float64)
 
-    def widened(self, n_vertices: int) -> Scan | None:
-        """As many frames, evenly spread, as may be held, and the telling ones.
+    def extended(self, n_vertices: int) -> Scan | None:
+        """As many frames, evenly spread, as may be held, and the representative ones.
 
         None where that would not be many more.
         """
@@ -92,31 +126,31 @@ def scan(
     keep: Sequence[int] = (),
     *,
     executor: Executor | None = None,
-    told: Told | None = None,
+    on_progress: OnProgress | None = None,
 ) -> Scan:
-    """Walk over all frames once: alignment, size, and which frames tell most.
+    """Walk over all frames once: alignment, size, and which frames represent the others.
 
     Frames are compared by a few vertices after alignment and chosen by
     farthest-point sampling, so that rare poses are among them; `keep` are chosen
-    in any case.  `told` hears the share of the frames that are done.
+    in any case.  `on_progress` is called with the fraction of the frames that is done.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
-    share = None if importance is None else importance / importance.sum()
+    weight = None if importance is None else importance / importance.sum()
     probes = np.linspace(0, n - 1, min(n, _PROBES)).astype(np.int64)
-    first, _ = centred(sequences[0].frames(0), share)
+    first, _ = centred(sequences[0].frames(0), weight)
     spans = spans_of(n_frames)
     parts = []
     walk = (executor or Local()).map(
-        Walk(_scan_span, sequences, spans, shared=(first, share, probes))
+        Walk(_scan_span, sequences, spans, shared=(first, weight, probes))
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
-        if told is not None:
-            told(stop / n_frames)
+        if on_progress is not None:
+            on_progress(stop / n_frames)
     centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
     turn[0] = np.eye(3)
     size, spread = sum(p[3] for p in parts), max(p[4] for p in parts)
-    seeds, nearest = farthest_points(features, min(_telling(n), n_frames), 0)
+    seeds, nearest = farthest_points(features, min(_representatives(n), n_frames), 0)
     chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
     where = np.searchsorted(chosen, seeds)[nearest]
     where[chosen] = np.arange(len(chosen))
@@ -128,13 +162,13 @@ def scan(
     )
 
 
-def _telling(n_vertices: int) -> int:
+def _representatives(n_vertices: int) -> int:
     return int(np.clip(_SUBSET // (24 * n_vertices), _FEWEST, _MOST))
 
 
 @serial_blas()
 def _scan_span(
-    frames: Frames, first: Array, share: Array | None, probes: NDArray[np.int64]
+    frames: Frames, first: Array, weight: Array | None, probes: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, float, float]:
     centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
     features = np.empty((len(frames), 3 * len(probes)))
@@ -142,8 +176,8 @@ def _scan_span(
     for start, block in frames.blocks():
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
-            here, centre[start + i : start + k] = centred(block[i:k], share)
-            turned = turn_onto(here, first, share)
+            here, centre[start + i : start + k] = centred(block[i:k], weight)
+            turned = turn_onto(here, first, weight)
             turn[start + i : start + k] = turned
             seen = np.matmul(here[:, probes], turned)
             features[start + i : start + k] = seen.reshape(k - i, -1)
@@ -187,31 +221,3 @@ def _pick_span(frames: Frames, wanted: NDArray[np.int64]) -> NDArray[np.floating
                     out.append(block[mine[(mine >= 0) & (mine < len(block))]])
         offset += last - first
     return np.concatenate(out)
-
-
-def _scan(arrays: dict[str, Any]) -> Scan | None:
-    if "scan_centre" not in arrays:
-        return None
-    centre, turn = (
-        np.ascontiguousarray(arrays[f"scan_{name}"], dtype=np.float64)
-        for name in ("centre", "turn")
-    )
-    scale = float(np.asarray(arrays["scan_scale"]).item())
-    chosen, nearest = (
-        np.ascontiguousarray(arrays[f"scan_{name}"], dtype=np.int64)
-        for name in ("chosen", "nearest")
-    )
-    n = len(centre)
-    if centre.shape != (n, 3) or turn.shape != (n, 3, 3) or nearest.shape != (n,):
-        raise ValueError(f"scan_centre has shape {centre.shape}")
-    if not (np.isfinite(centre).all() and np.isfinite(turn).all() and 0 < scale < np.inf):
-        raise ValueError("scan holds NaN or Inf")
-    if chosen.ndim != 1 or len(chosen) == 0 or (np.diff(chosen) <= 0).any():
-        raise ValueError("scan_chosen is not ascending")
-    if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
-        raise ValueError("scan names a frame that is not there")
-    return Scan(
-        alignment=Alignment(centre=centre, turn=turn, scale=scale),
-        chosen=chosen,
-        nearest=nearest,
-    )

@@ -129,10 +129,16 @@ class Cluster:
                 pieces = [self._portable(*p) for p in walk.pieces(k)]
                 waiting.append(
                     self.client.submit(
-                        _remote, walk.function, pieces, walk.n_vertices, walk.arguments(k),
-                        common, pure=False, retries=2,
+                        _remote,
+                        walk.function,
+                        pieces,
+                        walk.n_vertices,
+                        walk.arguments(k),
+                        common,
+                        pure=False,
+                        retries=2,
                     )
-                )  # fmt: skip
+                )
                 if len(waiting) >= room:
                     yield waiting.popleft().result()
             while waiting:
@@ -178,9 +184,11 @@ class _MappedFile:
         begin = int(array.offset) - int(array.offset) % _granularity()
         mapped = np.frombuffer(array._mmap, dtype=np.uint8)  # type: ignore[attr-defined]
         return _MappedFile(
-            path=str(array.filename), dtype=array.dtype.str, shape=array.shape,
+            path=str(array.filename),
+            dtype=array.dtype.str,
+            shape=array.shape,
             offset=begin + int(array.ctypes.data) - int(mapped.ctypes.data),
-        )  # fmt: skip
+        )
 
     def open(self) -> np.memmap[Any, Any]:
         return np.memmap(

@@ -1,0 +1,97 @@
+"""Errors against the frames themselves, in one walk over all of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.lbs import squared_error_range
+from ..parallel import chunk_bounds, run_chunks
+from ..sequence import MeshSequence
+from ..skinning import skin
+from .executor import Executor, Frames, Local, Walk, spans_of
+
+__all__ = ["largest_error", "squared_error"]
+
+Array = NDArray[np.float64]
+
+_CHUNK = 512  # vertices a chunk of work, as in the solver
+
+
+def squared_error(
+    sequences: Sequence[MeshSequence],
+    rest: Array,
+    joints: NDArray[np.int32],
+    weights: Array,
+    transforms: Array,
+    *,
+    executor: Executor | None = None,
+) -> Array:
+    """(V,) Σ_t |d|² of a skinning against the frames."""
+    walk = _walk(_squared_error_of_span, sequences, rest, joints, weights, transforms)
+    total = np.zeros(len(rest))
+    for part in (executor or Local()).map(walk):
+        total += part
+    return total
+
+
+def largest_error(
+    sequences: Sequence[MeshSequence],
+    rest: Array,
+    joints: NDArray[np.int32],
+    weights: Array,
+    transforms: Array,
+    *,
+    executor: Executor | None = None,
+) -> float:
+    """The largest |d| of any vertex in any frame."""
+    walk = _walk(_largest_square_of_span, sequences, rest, joints, weights, transforms)
+    return math.sqrt(max((executor or Local()).map(walk)))
+
+
+def _walk(
+    function: object,
+    sequences: Sequence[MeshSequence],
+    rest: Array,
+    joints: NDArray[np.int32],
+    weights: Array,
+    transforms: Array,
+) -> Walk:
+    spans = spans_of(len(transforms))
+    assert callable(function)
+    return Walk(
+        function,
+        sequences,
+        spans,
+        lambda k: (transforms[slice(*spans[k])],),
+        (rest, joints, weights),
+    )
+
+
+def _squared_error_of_span(
+    frames: Frames, transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array
+) -> Array:
+    total = np.zeros(len(rest))
+    for start, block in frames.blocks():
+        target = np.ascontiguousarray(block, dtype=np.float64)
+        moves = np.ascontiguousarray(transforms[start : start + len(block)])
+
+        def work(_: int, i: int, k: int, target: Array = target, moves: Array = moves) -> None:
+            squared_error_range(rest, joints, weights, moves, target, i, k, total)
+
+        run_chunks(work, chunk_bounds(len(rest), _CHUNK))
+    return total
+
+
+def _largest_square_of_span(
+    frames: Frames, transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array
+) -> float:
+    largest = 0.0
+    for start, block in frames.blocks():
+        moves = transforms[start : start + len(block)]
+        d = skin(rest, joints, weights, moves, dtype=np.float64) - block
+        largest = max(largest, float(np.einsum("tic,tic->ti", d, d).max()))
+    return largest

@@ -1,0 +1,141 @@
+"""Parts of a model that a caller hands over: checked, then brought to the solver's space."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import check_mask, check_rest, check_transforms, check_weights
+from ..errors import InputError
+from ..skinning import BoneModel
+from ..solver.trajectories import Alignment, Array
+
+__all__ = ["Prescribed", "check_prescribed"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Prescribed:
+    """Parts of a model that the caller hands over, to be kept or to start from.
+
+    Attributes
+    ----------
+    rest : (V, 3) array or None
+        To be kept.
+    rest_frame : int
+        Frame at which the rest pose starts where none is handed over.
+    joints, weights : (V, K) arrays or None
+        Kept at `locked_vertices`.
+    transforms : (F, B0, 3, 4) array or None
+        Kept for `locked_bones`.
+    locked_vertices : (V,) mask or None
+    locked_bones : (B0,) mask or None
+    """
+
+    rest: Array | None = None
+    rest_frame: int = 0
+    joints: NDArray[np.int32] | None = None
+    weights: Array | None = None
+    transforms: Array | None = None
+    locked_vertices: NDArray[np.bool_] | None = None
+    locked_bones: NDArray[np.bool_] | None = None
+
+    @property
+    def fixed_bones(self) -> NDArray[np.bool_] | None:
+        """`locked_bones` up to the last that is locked; None where none is."""
+        if self.locked_bones is None or not self.locked_bones.any():
+            return None
+        return self.locked_bones[: int(np.flatnonzero(self.locked_bones)[-1]) + 1]
+
+    def of_frames(self, chosen: NDArray[np.int64]) -> Prescribed:
+        """The same of the named frames alone, ascending; the rest frame is one of them."""
+        transforms = self.transforms
+        return dataclasses.replace(
+            self,
+            rest_frame=int(np.searchsorted(chosen, self.rest_frame)),
+            transforms=None if transforms is None else np.ascontiguousarray(transforms[chosen]),
+        )
+
+    def inside(self, alignment: Alignment) -> Prescribed:
+        """The same in the solver's space."""
+        origin = alignment.centre[:1] if self.rest is None else self.rest
+        rest, transforms = alignment.from_world(origin, self.transforms)
+        return dataclasses.replace(
+            self,
+            rest=None if self.rest is None else np.ascontiguousarray(rest),
+            transforms=transforms,
+        )
+
+
+def check_prescribed(
+    shape: tuple[int, int, int, int],
+    bone_model: BoneModel,
+    *,
+    rest: Any,
+    rest_frame: int,
+    joints: Any,
+    weights: Any,
+    transforms: Any,
+    locked_vertices: Any,
+    locked_bones: Any,
+) -> Prescribed:
+    """Check the parts that a caller hands over; `shape` is (F, V, B, K)."""
+    n_frames, n, bones, influences = shape
+    if (joints is None) != (weights is None):
+        missing = "joints" if joints is None else "weights"
+        raise InputError(missing, "an array beside the other of joints and weights", "None")
+    rest = None if rest is None else check_rest(rest, n)
+    vertex_mask = check_mask(locked_vertices, "locked_vertices", n)
+    if weights is not None:
+        joints, weights = _check_skin(joints, weights, n, bones, influences)
+        if vertex_mask is None:
+            vertex_mask = np.ones(n, dtype=bool)
+    elif vertex_mask is not None:
+        raise InputError("locked_vertices", "None without joints and weights", "a mask")
+    bone_mask = None
+    if transforms is not None:
+        transforms = check_transforms(transforms, n_frames, bone_model)
+        count = transforms.shape[1]
+        if count > bones:
+            raise InputError("transforms", f"at most {bones} bones, as asked for", count)
+        if weights is not None and count != bones:
+            raise InputError("transforms", f"{bones} bones beside given weights", count)
+        bone_mask = check_mask(locked_bones, "locked_bones", count)
+        if bone_mask is None:
+            bone_mask = np.ones(count, dtype=bool)
+    elif locked_bones is not None:
+        raise InputError("locked_bones", "None without transforms", "a mask")
+    return Prescribed(
+        rest=rest,
+        rest_frame=rest_frame,
+        joints=joints,
+        weights=weights,
+        transforms=transforms,
+        locked_vertices=vertex_mask,
+        locked_bones=bone_mask,
+    )
+
+
+def _check_skin(
+    joints: Any, weights: Any, n: int, bones: int, influences: int
+) -> tuple[NDArray[np.int32], Array]:
+    """Joints and weights, the largest weights first, no bone twice at a vertex."""
+    joints, weights = check_weights(joints, weights, n)
+    if joints.max() >= bones:
+        raise InputError("joints", f"indices from 0 to {bones - 1}", int(joints.max()))
+    used = int((weights > 0).sum(axis=1).max())
+    if used > influences:
+        raise InputError("weights", f"at most {influences} influences a vertex", used)
+    order = np.argsort(-weights, axis=1, kind="stable")
+    weights = np.ascontiguousarray(np.take_along_axis(weights, order, axis=1))
+    joints = np.ascontiguousarray(np.take_along_axis(joints, order, axis=1))
+    named = np.sort(np.where(weights > 0, joints, -1 - np.arange(joints.shape[1])), axis=1)
+    twice = (named[:, 1:] == named[:, :-1]).any(axis=1)
+    if twice.any():
+        raise InputError(
+            "joints", "no bone twice at a vertex", f"one twice at vertex {int(twice.argmax())}"
+        )
+    joints[weights == 0] = 0
+    return joints, weights

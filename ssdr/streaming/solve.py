@@ -1,0 +1,223 @@
+"""The driver for frames that do not fit into memory: solve on some, finish on all.
+
+    scan of all frames -> the usual run on the representative ones
+         -> the polish on as many as may be held: few and extreme frames leave something open
+         -> passes over all frames, each an exact alternation, while they pay
+
+Each walk over the frames is a function of a span of them, called here or by the workers of a
+cluster, and a sum in the order of the spans: the result does not depend on who works.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from ..errors import Cancelled
+from ..frames.executor import Executor, executor_for
+from ..search.prescribed import Prescribed
+from ..search.problem import Problem
+from ..search.progress import Clock, Reporter
+from ..search.run import Run
+from ..search.schedule import settling_schedule
+from ..search.solve import Outcome, begin, idle_bones, outcome_of, restore, state_of, walk
+from ..search.state import SolverState
+from ..solver.trajectories import Array, Trajectories
+from .passes import AllFrames, carried
+from .scan import Scan, scan, subset
+from .state import StreamedState
+
+__all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
+
+# Fractions of the work that are done after the scan, the run on representative frames, the run
+# on more of them: as measured at the paper's size.
+SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
+PASSES = {"fast": 1, "balanced": 4, "best": 8}  # over all frames, at most
+_ENTERING = 3  # bones that may enter a vertex's support in a pass
+_GAIN = 2e-3  # of the objective, below which another pass is not made
+
+
+def solve(problem: Problem) -> Outcome:
+    """Solve on representative frames, settle on more of them, finish on all.
+
+    Raises
+    ------
+    InputError, FormatError
+        If the state to resume from is of another run, or damaged.
+    Cancelled
+        If the callback stopped the run before there was any model.
+    """
+    clock = Clock()
+    executor = executor_for(problem.sequences)
+    streamed = None if problem.resume is None else StreamedState.of(problem.resume)
+    if streamed is None or streamed.scan.alignment.n_frames != problem.n_frames:
+        streamed = StreamedState(scan_of(problem, clock, executor))
+    few = streamed.scan
+    more = few.extended(problem.n_vertices)
+    if more is None:
+        streamed.settling = False
+
+    data, prescribed = _frames(problem, few, few.importance(problem.frame_importance), executor)
+    run, settings = begin(problem, data, prescribed, clock)
+    if more is not None and streamed.settling:
+        run = _settling(problem, few, more, run, executor)
+    if problem.resume is not None:
+        restore(run, problem.resume)
+    # passes go on where they were only under a model that is not going to change
+    if not (run.finished and (streamed.settling or more is None)):
+        streamed.passes, streamed.model, streamed.done = [], None, False
+
+    def state() -> SolverState:
+        return state_of(run, settings, streamed.progress(), streamed.arrays())
+
+    checkpoint = problem.checkpoint
+    offer = None if checkpoint is None else lambda: checkpoint.offer(state)
+    before = SCANNED if not streamed.settling else _REPRESENTED
+    after = _REPRESENTED if more is not None and not streamed.settling else _SETTLED
+    reason = walk(run, problem, save=offer, part=(before, after))
+    if more is not None and not streamed.settling and run.finished and reason != "cancelled":
+        run, streamed.settling = _settling(problem, few, more, run, executor), True
+        reason = walk(run, problem, save=offer, part=(_REPRESENTED, _SETTLED))
+    idle = idle_bones(run)
+
+    frames = _all_frames(
+        problem, more if streamed.settling and more is not None else few, run, executor
+    )
+    run.release()
+    hurried = reason in ("cancelled", "iterations")
+    save = None if checkpoint is None else lambda: checkpoint.save(state())
+    if _passes(problem, run, frames, streamed, save, hurried=hurried):
+        reason = "cancelled"
+    assert streamed.model is not None
+    return outcome_of(
+        problem,
+        few.alignment,
+        streamed.model,
+        [(*record, "all frames") for record in streamed.passes],
+        importance=run.data.importance,
+        reason=reason,
+        state=state(),
+        idle=idle,
+        executor=executor,
+    )
+
+
+def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
+    """The first walk over the frames, reported."""
+    report = Reporter(problem.callback, clock, problem.time_limit)
+
+    def on_progress(done: float) -> None:
+        if report("scan", iteration=0, rmse=math.inf, fraction=SCANNED * done):
+            raise Cancelled("stopped by the callback before there was any model")
+
+    return scan(
+        problem.sequences,
+        problem.vertex_importance,
+        [problem.prescribed.rest_frame],
+        executor=executor,
+        on_progress=on_progress,
+    )
+
+
+def _frames(
+    problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
+) -> tuple[Trajectories, Prescribed]:
+    """The chosen frames in memory, and what was prescribed of them."""
+    sequence = subset(problem.sequences, chosen.chosen, executor=executor)
+    data = problem.gather([sequence], importance)
+    return data, problem.prescribed.of_frames(chosen.chosen).inside(data)
+
+
+def _settling(problem: Problem, few: Scan, more: Scan, first: Run, executor: Executor) -> Run:
+    """What settles the model of representative frames on more of them.
+
+    Representative frames alone, few and extreme, lead weights to follow what only they do.
+    """
+    first.release()
+    importance = problem.frame_importance
+    data, prescribed = _frames(
+        problem, more, None if importance is None else importance[more.chosen], executor
+    )
+    smoothness = problem.smoothness_of(data)
+    schedule = settling_schedule(problem.effort, smoothed=smoothness is not None)
+    run = first.followed_by(data, schedule, prescribed, smoothness)
+    if first.best is not None:  # else it is restored
+        run.model = carried(
+            first.best,
+            few.nearest[more.chosen],
+            first.data.scale / data.scale,
+            prescribed.transforms,
+            problem.fixed,
+        )
+    return run
+
+
+def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
+    """The model of a run on some frames, ready for passes over all of them."""
+    fixed = problem.fixed
+    if run.smoothness is not None:
+        # a pass knows nothing of the penalty: weights stay as the run left them
+        fixed = dataclasses.replace(fixed, weights=np.ones(run.data.n_vertices, dtype=bool))
+    return AllFrames(
+        problem.sequences,
+        chosen,
+        run.data,
+        run.best_model,
+        fixed=fixed,
+        prescribed=problem.prescribed.inside(chosen.alignment).transforms,
+        importance=problem.frame_importance,
+        executor=executor,
+    )
+
+
+def _passes(
+    problem: Problem,
+    run: Run,
+    frames: AllFrames,
+    streamed: StreamedState,
+    save: Callable[[], None] | None,
+    *,
+    hurried: bool,
+) -> bool:
+    """Passes until they do not pay, one if `hurried`; whether the caller stopped them."""
+    if streamed.model is None:
+        streamed.model = frames.model
+    else:
+        frames.restore(streamed.model.copy(), len(streamed.passes))
+    report = Reporter(problem.callback, run.clock, problem.time_limit)
+    most = PASSES[problem.effort]
+    unit = frames.alignment.scale / math.sqrt(problem.n_frames * problem.n_vertices)
+    stopped = False
+
+    def on_progress(done: float) -> None:
+        nonlocal stopped
+        count = len(streamed.passes)
+        value = streamed.passes[-1][2] if streamed.passes else math.inf
+        stopped |= report(
+            "all frames",
+            iteration=run.iteration + count,
+            rmse=unit * math.sqrt(value),
+            fraction=_SETTLED + (1 - _SETTLED) * (count + done) / most,
+        )
+
+    while not (streamed.done or stopped):
+        count = len(streamed.passes)
+        last = streamed.passes[-1][2] if streamed.passes else math.inf
+        value = frames.pass_over(
+            entering=0 if run.smoothness else _ENTERING, on_progress=on_progress
+        )
+        if value >= last:
+            streamed.done = True
+            frames.restore(streamed.model, count)
+            break
+        streamed.passes.append((run.iteration + count + 1, run.clock.elapsed, value))
+        streamed.done = value > (1 - _GAIN) * last or count + 1 >= most
+        streamed.model = frames.model if streamed.done else frames.model.copy()
+        if save is not None and not streamed.done:
+            save()
+        if hurried or report.out_of_time:
+            break
+    return stopped
