@@ -30,6 +30,7 @@ import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
 import ssdr
+from ssdr.streaming.state import StreamedState
 
 VERTICES, FRAMES, BONES, INFLUENCES = 12_273, 40_000, 80, 8
 COLUMNS, RINGS, REACH, SWING = 16, 5, 0.18, 0.08
@@ -213,11 +214,13 @@ def measured(
     follow.lap("error and result")
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     memory.over.set()
+    streamed = StreamedState.of(result.state)
     return result, {
         "effort": effort, "wall_s": wall, "cpu_s": cpu, "compile_s": result.compile_seconds,
         "anonymous_MiB": memory.most, "rmse": result.rmse, "stop": result.stop_reason,
-        "telling_frames": 0 if result.state.scan is None else len(result.state.scan.chosen),
-        "passes": [p[2] for p in result.state.passes], "phases_wall_cpu_s": follow.phases,
+        "representative_frames": 0 if streamed is None else len(streamed.scan.chosen),
+        "passes": [] if streamed is None else [p[2] for p in streamed.passes],
+        "phases_wall_cpu_s": follow.phases,
         "resumed": resume, "threads": ssdr.get_threads(), "machine": rates,
     }  # fmt: skip
 

@@ -33,9 +33,10 @@ from common import IMAGES, RESULTS, load, machine, pyplot, save_figure, table, t
 
 import ssdr
 from ssdr.parallel import serial_blas
-from ssdr.solver import model as steps
-from ssdr.solver import polish as projection
+from ssdr.solver import alternation, moments
+from ssdr.solver import polish as polishing
 from ssdr.solver.initialization import start_model
+from ssdr.solver.model import Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 CASES = [("horse_gallop", 20), ("samba", 60)]
@@ -74,24 +75,24 @@ class Watch:
 
 
 BONE = [
-    ("sums", steps, "bone_moments"),
+    ("sums", moments, "bone_moments"),
     ("expansion", Trajectories, "expand"),
-    ("sweeps", steps, "sweep_bones"),
+    ("sweeps", alternation, "sweep_bones"),
 ]
 VERTEX = [
-    ("sums", steps, "transform_sums"),
-    ("chunks", steps, "run_chunks"),
-    ("kernel", steps, "solve_vertices"),
+    ("sums", alternation, "transform_sums"),
+    ("chunks", alternation, "run_chunks"),
+    ("kernel", alternation, "solve_vertices"),
 ]
 POLISH = [
-    ("bone sums", projection, "bone_sums"),
-    ("preconditioner", projection.Polish, "_preconditioner"),
-    ("solve", projection.Polish, "_solve"),
-    ("elimination", projection.Polish, "_eliminate"),
-    ("tangents", projection.Polish, "_image"),
-    ("tangents", projection.Polish, "_pullback"),
-    ("vertex step", projection.Polish, "_vertex_step"),
-    ("vertex kernel", projection, "polish_vertices"),
+    ("bone sums", polishing, "bone_sums"),
+    ("preconditioner", polishing.Polish, "_preconditioner"),
+    ("solve", polishing.Polish, "_solve"),
+    ("elimination", polishing.Polish, "_eliminate"),
+    ("tangents", polishing.Polish, "_image"),
+    ("tangents", polishing.Polish, "_pullback"),
+    ("vertex step", polishing.Polish, "_vertex_step"),
+    ("vertex kernel", polishing, "polish_vertices"),
 ]
 
 
@@ -108,7 +109,7 @@ def fastest(run: Callable[[Watch], None], targets: list[tuple[str, Any, str]], r
     return min(found, key=lambda w: w.seconds["all"])
 
 
-def prepare(name: str, bones: int) -> tuple[Trajectories, steps.Model]:
+def prepare(name: str, bones: int) -> tuple[Trajectories, Model]:
     """A model some alternations after its start, as most iterations find it."""
     if name == PAPER[0]:
         return prepare_paper()
@@ -117,13 +118,13 @@ def prepare(name: str, bones: int) -> tuple[Trajectories, steps.Model]:
     rng = np.random.default_rng(0)
     model = start_model(data, data.frame(0), bones, INFLUENCES, rng)
     for _ in range(6):
-        steps.vertex_step(data, model)
-        steps.bone_step(data, model, sweeps=SWEEPS)
-    steps.vertex_step(data, model)
+        alternation.vertex_step(data, model)
+        alternation.bone_step(data, model, sweeps=SWEEPS)
+    alternation.vertex_step(data, model)
     return data, model
 
 
-def prepare_paper() -> tuple[Trajectories, steps.Model]:
+def prepare_paper() -> tuple[Trajectories, Model]:
     """The paper's size, some alternations after each vertex had the largest of its own bones."""
     source = paper_size.Source()
     frames = np.concatenate([source.block(k, 250)[0] for k in range(0, PAPER_FRAMES, 250)])
@@ -133,16 +134,16 @@ def prepare_paper() -> tuple[Trajectories, steps.Model]:
     rest, bones = data.from_world(source.rest, source.transforms(np.arange(PAPER_FRAMES)))
     assert bones is not None
     largest = source.joints[np.arange(len(rest)), source.weights.argmax(axis=1)]
-    model = steps.Model.start(bones, rest, largest.astype(np.intp), paper_size.INFLUENCES)
+    model = Model.start(bones, rest, largest.astype(np.intp), paper_size.INFLUENCES)
     for _ in range(2):
-        steps.vertex_step(data, model)
-        steps.bone_step(data, model, sweeps=SWEEPS)
-    steps.vertex_step(data, model)
+        alternation.vertex_step(data, model)
+        alternation.bone_step(data, model, sweeps=SWEEPS)
+    alternation.vertex_step(data, model)
     return data, model
 
 
 def bounds(
-    data: Trajectories, model: steps.Model, flop: dict[str, float], rates: dict[str, Any]
+    data: Trajectories, model: Model, flop: dict[str, float], rates: dict[str, Any]
 ) -> dict[str, float]:
     """Seconds by part of an outer iteration that its operations or its bytes need."""
     f, b, v, r = data.n_frames, model.n_bones, data.n_vertices, data.z.shape[1]
@@ -168,7 +169,7 @@ def bounds(
     }
 
 
-def products(data: Trajectories, model: steps.Model) -> dict[str, float]:
+def products(data: Trajectories, model: Model) -> dict[str, float]:
     """Floating-point operations of the products of each step.
 
     G is counted whole (a product with its own transpose could save half), C = Aᵀ X through the
@@ -196,8 +197,8 @@ def alternation(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
         rates = machine()
         rate = rates["gemm_1"] if threads == 1 else rates["gemm_2"]
         bone, vertex = model.copy(), model.copy()
-        b = fastest(lambda _, m=bone: steps.bone_step(data, m, sweeps=SWEEPS), BONE, repeats)
-        v = fastest(lambda _, m=vertex: steps.vertex_step(data, m), VERTEX, repeats)
+        b = fastest(lambda _, m=bone: alternation.bone_step(data, m, sweeps=SWEEPS), BONE, repeats)
+        v = fastest(lambda _, m=vertex: alternation.vertex_step(data, m), VERTEX, repeats)
         whole = b.seconds["all"] + v.seconds["all"]
         parts: dict[str, float] = {}
         if threads == 1:
@@ -234,7 +235,7 @@ def polish(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
         ssdr.set_threads(threads)
         rates = machine()
         rate = rates["gemm_1"] if threads == 1 else rates["gemm_2"]
-        state = projection.Polish(data, model.copy())
+        state = polishing.Polish(data, model.copy())
         state.step()
         w = fastest(lambda _, s=state: s.step(), POLISH, repeats)
         s = w.seconds

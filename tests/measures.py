@@ -8,9 +8,9 @@ import motions
 import numpy as np
 
 import ssdr
-from ssdr.search.problem import Given
-from ssdr.search.run import Run
-from ssdr.search.schedule import Op
+from ssdr.search.prescribed import Prescribed
+from ssdr.search.run import Run, Stage
+from ssdr.search.stages import Alternate, Start
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import Trajectories
 
@@ -38,17 +38,19 @@ def small() -> ssdr.Decomposition:
 
 
 def solved(
-    data: Trajectories, bones: int, influences: int = 4, plan: list[Op] | None = None
+    data: Trajectories, bones: int, influences: int = 4, schedule: list[Stage] | None = None
 ) -> Model:
     run = Run(
-        data, plan or [Op("start", amount=1.0), Op("alternate", count=8)], bones=bones,
-        influences=influences, rng=np.random.default_rng(0), fixed=Fixed(), given=Given(),
-        smooth=None,
-    )  # fmt: skip
-    while not run.finished:
-        run.advance()
-    assert run.best is not None
-    return run.best
+        data,
+        schedule or [Start(), Alternate(steps=8)],
+        bones=bones,
+        influences=influences,
+        rng=np.random.default_rng(0),
+        fixed=Fixed(),
+        prescribed=Prescribed(),
+    )
+    run.drive()
+    return run.best_model
 
 
 def diagonal(array: np.ndarray) -> float:

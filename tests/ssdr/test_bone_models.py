@@ -17,10 +17,11 @@ from stretches import KINDS, MODELS, check_kind, rig, stretched
 
 import ssdr
 from ssdr import cli
+from ssdr.frames import executor
 from ssdr.solver.affine import solve_affine
 from ssdr.solver.moments import bone_sums
 from ssdr.solver.trajectories import gather
-from ssdr.streaming import executor, scan
+from ssdr.streaming import scan
 
 # exact recovery
 

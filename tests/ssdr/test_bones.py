@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 import ssdr
 from ssdr.fit import bones
+from ssdr.frames.error import squared_error
 from ssdr.solver.moments import bone_sums
 from ssdr.solver.trajectories import gather
-from ssdr.streaming.error import squared_error
 
 
 def check_rigid(transforms: np.ndarray) -> None:

@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.streaming import executor, scan
+from ssdr.frames import executor
+from ssdr.streaming import scan
 
 distributed = pytest.importorskip(
     "distributed", reason='needs Dask: pip install "ssdr[dask]"', exc_type=ImportError

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from measures import rmse_of, solved, wavy
 
 import ssdr
-from ssdr.parsimony.fewest_bones import Search
+from ssdr.parsimony.fewest_bones import FewestBones
 from ssdr.parsimony.rank import rank_bound, reduced
 from ssdr.parsimony.report import Attempt
 from ssdr.search.moves import grow_bone
@@ -144,24 +144,24 @@ def test_limits_hand_out_a_model(limit: dict[str, Any], reason: str) -> None:
     assert np.isfinite(result.rmse)
 
 
-class _Oracle(Search):
+class _Oracle(FewestBones):
     """The search over numbers of bones alone: tries hold or fail as they are told."""
 
     def __init__(self, least: int, held: int, failed: set[int], luck: Any) -> None:
-        self.least, self.luck, self.tries = least, luck, 0
-        self.held: Any = SimpleNamespace(n_bones=held, widened=SimpleNamespace)
+        self.least, self.luck, self.made = least, luck, 0
+        self.held: Any = SimpleNamespace(n_bones=held, with_restarted_support=SimpleNamespace)
         self.attempts = [Attempt(b, 2.0, 0, "start") for b in failed]
         self.given_up: list[int] = []
 
-    def _guess(self, model: Any) -> int:
+    def _removable(self, model: Any) -> int:
         return int(self.luck(1, 4))
 
     def _outcome(self, bones: int, holds: bool) -> None:
-        self.tries += 1
-        assert self.tries < 500
+        self.made += 1
+        assert self.made < 500
         assert self.least <= bones < self.held.n_bones
         if holds:
-            self.held = SimpleNamespace(n_bones=bones, widened=SimpleNamespace)
+            self.held = SimpleNamespace(n_bones=bones, with_restarted_support=SimpleNamespace)
 
     def _try(self, bones: int, *_: Any) -> Any:
         self._outcome(bones, self.luck(0, 1) == 1)
@@ -172,7 +172,7 @@ class _Oracle(Search):
         if self.held.n_bones > bones:
             self.given_up.append(bones)
 
-    zeal = SimpleNamespace(polish=1)  # type: ignore[assignment]
+    tries = SimpleNamespace(polish=1)  # type: ignore[assignment]
 
 
 @settings(max_examples=200, deadline=None)

@@ -38,7 +38,7 @@ class Tiny:
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
         self.model = Model.start(start, inner, joints[:, 0].astype(np.intp), self.k)
         self.model.joints[:], self.model.weights[:] = joints, weights
-        self.model.widen()
+        self.model.restart_support()
         self.fixed = fixed
         vertex_step(self.data, self.model, fixed=fixed)
         self.polish = Polish(self.data, self.model, fixed=fixed, conjugate_steps=2000)

@@ -22,9 +22,10 @@ from ssdr.search.moves import (
     reseed_step,
     thin,
 )
-from ssdr.search.problem import Given
-from ssdr.search.run import _SETTLE, Run
-from ssdr.search.schedule import Op, make_plan
+from ssdr.search.prescribed import Prescribed
+from ssdr.search.run import Run
+from ssdr.search.schedule import Schedule, schedule_for
+from ssdr.search.stages import POLISH_STEPS_OF_A_TRY, Merge, Regrow, Search, Start
 from ssdr.solver.alternation import alternate, vertex_step
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import FREE, Fixed, Model
@@ -205,22 +206,32 @@ def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
     assert max(ratios) < 1.1
 
 
+def new_run(data: Trajectories, stage: Search) -> Run:
+    return Run(
+        data,
+        [stage],
+        bones=BONES,
+        influences=INFLUENCES,
+        rng=np.random.default_rng(0),
+        fixed=FREE,
+        prescribed=Prescribed(),
+    )
+
+
 def test_changes_that_pay_have_more_turns() -> None:
     data, model = problem(6)
-    plan = [Op("search", count=400, patience=400, tolerance=1e-3)]
-    run = Run(
-        data, plan, bones=BONES, influences=INFLUENCES, rng=np.random.default_rng(0),
-        fixed=FREE, given=Given(), smooth=None,
-    )  # fmt: skip
+    run = new_run(data, Search(steps=400, patience=400))
     run.model = model
-    for run.count in range(8):
-        kind = run._due()
-        assert kind == run.count % 4
-        run.turns[kind] = run.count
+    memory = run.memory
+    memory.turns, memory.misses = [-4, -3, -2, -1], [0] * 4
+    for memory.count in range(8):
+        kind = Search.next_change(run)
+        assert kind == memory.count % 4
+        memory.turns[kind] = memory.count
     drawn = []
-    for run.count in range(8, 400):
-        kind = run._due()
-        run.turns[kind], run.misses[kind] = run.count, 0 if kind == 2 else 3
+    for memory.count in range(8, 400):
+        kind = Search.next_change(run)
+        memory.turns[kind], memory.misses[kind] = memory.count, 0 if kind == 2 else 3
         drawn.append(kind)
     share = np.bincount(drawn, minlength=4) / len(drawn)
     # three times as many, and none is given up for good
@@ -228,23 +239,21 @@ def test_changes_that_pay_have_more_turns() -> None:
     assert np.delete(share, 2) == pytest.approx([1 / 6] * 3, abs=0.01)
 
 
-def searched(model: Model, data: Trajectories, op: Op, lead: list[float]) -> tuple[int, Run]:
+def searched(
+    model: Model, data: Trajectories, stage: Search, leader: list[float]
+) -> tuple[int, Run]:
     """How many tries a search makes beside another's track, and its run."""
-    run = Run(
-        data, [op], bones=BONES, influences=INFLUENCES, rng=np.random.default_rng(0),
-        fixed=FREE, given=Given(), smooth=None,
-    )  # fmt: skip
-    run.model, run.lead = model.copy(), lead
-    while not run.finished:
-        run.advance()
-    return run.iteration // _SETTLE, run
+    run = new_run(data, stage)
+    run.model, run.leader = model.copy(), leader
+    run.drive()
+    return run.iteration // POLISH_STEPS_OF_A_TRY, run
 
 
 def test_a_search_that_is_well_behind_another_gives_up() -> None:
     data, model = problem(6)
-    op = Op("search", count=7, patience=7, tolerance=1e-3, race=(1.08, 1.02))
+    op = Search(steps=7, patience=7, race=(1.08, 1.02))
     tries, alone = searched(model, data, op, [])
-    own = alone.lead
+    own = alone.leader
     assert tries == len(own) - 1 == 7
     assert own[0] == pytest.approx(alone.value(model), rel=1e-12)
     assert (np.diff(own) <= 0).all()
@@ -253,7 +262,7 @@ def test_a_search_that_is_well_behind_another_gives_up() -> None:
     ahead = [value / 1.03 for value in own]
     tries, run = searched(model, data, op, ahead)
     assert tries == 4
-    assert run.lead is ahead
+    assert run.leader is ahead
     assert searched(model, data, op, [value / 1.01 for value in own])[0] == 7
     assert searched(model, data, op, ahead[:4])[0] == 7
     assert searched(model, data, dataclasses.replace(op, race=(0.0, 0.0)), ahead)[0] == 7
@@ -262,45 +271,53 @@ def test_a_search_that_is_well_behind_another_gives_up() -> None:
         assert searched(model, data, op, [value / ratio for value in own])[0] == tries
     # the lowest end leads
     behind = [value * 1.01 for value in own]
-    assert searched(model, data, op, behind)[1].lead == own
+    assert searched(model, data, op, behind)[1].leader == own
 
 
-def best_plan(bones: int, size: float) -> list[Op]:
-    return make_plan("best", fixed=FREE, bones=bones, given=Given(), smooth=False, size=size)
+def best_schedule(bones: int, size: float) -> Schedule:
+    return schedule_for(
+        "best", fixed=FREE, bones=bones, prescribed=Prescribed(), smoothed=False, size=size
+    )
+
+
+def tries(schedule: Schedule) -> int:
+    return sum(stage.steps for stage in schedule if isinstance(stage, Search))
 
 
 @pytest.mark.parametrize("size", [1e5, 8e6, 1.5e7, 1e9])
 def test_best_rebuilds_and_begins_with_regrown_starts_where_bones_are_many(size: float) -> None:
-    few, many = best_plan(23, size), best_plan(24, size)
-    for plan, starts in ((few, 0), (many, 3)):
-        begun = [op for op in plan if op.phase == "start"]
+    few, many = best_schedule(23, size), best_schedule(24, size)
+    for schedule, starts in ((few, 0), (many, 3)):
+        begun = [stage for stage in schedule if type(stage) is Start]
         # the last of them as of "balanced", with draws of its own
-        assert [op.aside for op in begun] == starts * [False] + [True]
-        assert sum(op.aside and op.phase == "merge" for op in plan) == 1
-        assert sum(op.phase == "regrow" and op.patience > 0 for op in plan) == starts
-        rebuilt = [k for k, op in enumerate(plan) if op.phase == "regrow" and not op.patience]
+        assert [stage.branch for stage in begun] == starts * [False] + [True]
+        assert sum(stage.branch and isinstance(stage, Merge) for stage in schedule) == 1
+        regrown = [(k, stage) for k, stage in enumerate(schedule) if isinstance(stage, Regrow)]
+        assert sum(stage.patience > 0 for _, stage in regrown) == starts
+        rebuilt = [k for k, stage in regrown if not stage.patience]
         for k in rebuilt:
             # of the best model, and judged only once influences and weights have followed
-            assert [op.phase for op in plan[k - 1 : k + 4]] == [
-                "recall", "regrow", "relax", "polish", "search",
-            ]  # fmt: skip
-            assert min(plan[k + 3].race) > 1
-        assert len(rebuilt) == sum(not op.patience and op.phase == "regrow" for op in few)
-        assert plan[-2].phase == "recall"
-    assert sum(op.count for op in few if op.phase == "search") >= sum(
-        op.count for op in best_plan(23, 2 * size) if op.phase == "search"
-    )
+            phases = [stage.phase for stage in schedule[k - 1 : k + 4]]
+            assert phases == ["recall", "regrow", "relax", "polish", "search"]
+            search = schedule[k + 3]
+            assert isinstance(search, Search)
+            assert min(search.race) > 1
+        assert len(rebuilt) == sum(
+            isinstance(stage, Regrow) and not stage.patience for stage in few
+        )
+        assert schedule[-2].phase == "recall"
+    assert tries(few) >= tries(best_schedule(23, 2 * size))
 
 
 @pytest.mark.parametrize(("size", "rebuilt"), [(1e5, True), (3e6, False), (1e9, False)])
 def test_small_models_are_rebuilt_before_another_start_is_set_beside_them(
     size: float, rebuilt: bool
 ) -> None:
-    plan = best_plan(5, size)
-    merged = next(k for k, op in enumerate(plan) if op.aside)
-    before, after = plan[:merged], plan[merged:]
-    assert any(op.phase == "regrow" for op in before) == rebuilt
-    assert any(op.phase == "regrow" for op in after)
+    schedule = best_schedule(5, size)
+    merged = next(k for k, stage in enumerate(schedule) if stage.branch)
+    before, after = schedule[:merged], schedule[merged:]
+    assert any(isinstance(stage, Regrow) for stage in before) == rebuilt
+    assert any(isinstance(stage, Regrow) for stage in after)
 
 
 def beam(frames: int, rings: int) -> tuple[np.ndarray, np.ndarray]:

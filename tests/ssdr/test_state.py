@@ -113,7 +113,7 @@ def test_resumed_within_the_best_effort(tmp_path: Path) -> None:
 
 def test_a_state_of_other_steps_is_refused() -> None:
     state = stopped_after(3).state
-    other = dataclasses.replace(state, settings=state.settings | {"plan": "another"})
+    other = dataclasses.replace(state, settings=state.settings | {"schedule": "another"})
     with pytest.raises(ssdr.InputError, match="this version"):
         ssdr.decompose(frames(), rig().faces, resume=other, **OPTIONS)
 

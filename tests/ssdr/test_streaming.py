@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import ssdr
+from ssdr.frames import executor
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import gather
-from ssdr.streaming import executor, scan
+from ssdr.streaming import scan
 from ssdr.streaming.passes import AllFrames, carried
+from ssdr.streaming.state import StreamedState
 
 
 @pytest.fixture
@@ -121,7 +123,9 @@ def test_a_pass_is_one_exact_alternation() -> None:
     data = gather([few], bones=4)
     model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
-    passes = AllFrames(sequences, found, data, model, fixed=Fixed(), given=None, importance=None)
+    passes = AllFrames(
+        sequences, found, data, model, fixed=Fixed(), prescribed=None, importance=None
+    )
     values = [passes.pass_over(entering=3) for _ in range(3)]
     assert values == sorted(values, reverse=True)
     rest, transforms = found.alignment.to_world(passes.model.rest, passes.model.transforms)
@@ -133,7 +137,7 @@ def test_a_pass_is_one_exact_alternation() -> None:
 @pytest.mark.usefixtures("tiny_memory")
 def test_telling_frames_are_among_the_many_on_which_the_model_settles() -> None:
     found = scan.scan([ssdr.MeshSequence(wobbly())], None, keep=[7])
-    more = found.widened(200)
+    more = found.extended(200)
     assert more is not None
     assert 80 <= len(more.chosen) < 120
     assert set(found.chosen) < set(more.chosen)
@@ -142,7 +146,7 @@ def test_telling_frames_are_among_the_many_on_which_the_model_settles() -> None:
     np.testing.assert_array_equal(
         more.chosen[more.nearest[other]], found.chosen[found.nearest[other]]
     )
-    assert found.widened(200_000_000) is None  # not even one could be held
+    assert found.extended(200_000_000) is None  # not even one could be held
 
 
 @pytest.mark.usefixtures("tiny_memory")
@@ -226,18 +230,18 @@ def test_stopped_by_the_last_step_before_it_settles_a_run_makes_one_pass_and_goe
     part = ssdr.decompose(wobbly(), bones=4, callback=stop_once)
     assert part.stop_reason == "cancelled"
     assert len(part.history) == 1
-    assert not part.state.settling
+    assert not StreamedState.of(part.state).settling
     same(whole.skinning, ssdr.decompose(wobbly(), bones=4, resume=part.state).skinning)
 
 
 def test_of_bones_to_start_from_only_locked_ones_are_given_again() -> None:
     data = gather([ssdr.MeshSequence(wobbly(12))], bones=4)
     model = start_model(data, data.frame(0), 4, 2, np.random.default_rng(0))
-    given = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
+    prescribed = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
     nearest = np.arange(20) % 12
     fixed = Fixed(bones=np.array([False, True, False]))
-    moved = carried(model, nearest, 0.5, given, fixed)
-    np.testing.assert_array_equal(moved.transforms[:, 1], given[:, 1])
+    moved = carried(model, nearest, 0.5, prescribed, fixed)
+    np.testing.assert_array_equal(moved.transforms[:, 1], prescribed[:, 1])
     np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
     for j in (0, 2, 3):
         np.testing.assert_array_equal(
@@ -252,7 +256,7 @@ def test_a_killed_run_goes_on_from_its_checkpoint(
     """What an exception at any moment leaves on disk is what SIGKILL leaves."""
     from ssdr.search import state
 
-    monkeypatch.setattr(state, "_EVERY", 0.0)
+    monkeypatch.setattr(state, "_CHECKPOINT_SECONDS", 0.0)
     frames, path, seen = wobbly(), tmp_path / "run.npz", 0
 
     def die(progress) -> bool:
@@ -264,13 +268,16 @@ def test_a_killed_run_goes_on_from_its_checkpoint(
 
     with pytest.raises(KeyboardInterrupt):
         ssdr.decompose(frames, bones=4, callback=die, checkpoint=path)
-    state = ssdr.SolverState.load(path)
-    assert len(state.passes) == 1
-    assert state.whole is not None
+    streamed = StreamedState.of(ssdr.SolverState.load(path))
+    assert streamed is not None
+    assert len(streamed.passes) == 1
+    assert streamed.model is not None
     monkeypatch.setattr(scan, "_scan_span", None)  # the first walk is not made again
     again = ssdr.decompose(frames, bones=4, resume=path, checkpoint=path)
     monkeypatch.undo()
-    assert len(ssdr.SolverState.load(path).passes) == len(again.history)
+    streamed = StreamedState.of(ssdr.SolverState.load(path))
+    assert streamed is not None
+    assert len(streamed.passes) == len(again.history)
 
 
 @pytest.mark.usefixtures("tiny_memory")
@@ -284,22 +291,29 @@ def test_a_state_of_other_frames_is_refused() -> None:
 @pytest.mark.usefixtures("tiny_memory")
 def test_a_damaged_state_is_refused(tmp_path: Path) -> None:
     path = ssdr.decompose(wobbly(), bones=3, effort="fast").state.save(tmp_path / "good.npz")
-    assert ssdr.SolverState.load(path).whole is not None
+    streamed = StreamedState.of(ssdr.SolverState.load(path))
+    assert streamed is not None
+    assert streamed.model is not None
     with np.load(path) as archive:
         good = dict(archive)
     bad: dict[str, np.ndarray | None] = {
-        "scan_nearest": good["scan_nearest"] + 10**6, "scan_chosen": good["scan_chosen"][::-1],
-        "scan_turn": good["scan_turn"] * np.nan, "scan_scale": np.array(0.0),
-        "scan_centre": good["scan_centre"][1:], "whole_transforms": good["whole_transforms"][1:],
-        "whole_weights": good["whole_weights"][:, :1], "whole_rest": None,
-    }  # fmt: skip
+        "scan_nearest": good["driver_scan_nearest"] + 10**6,
+        "scan_chosen": good["driver_scan_chosen"][::-1],
+        "scan_turn": good["driver_scan_turn"] * np.nan,
+        "scan_scale": np.array(0.0),
+        "scan_centre": good["driver_scan_centre"][1:],
+        "model_transforms": good["driver_model_transforms"][1:],
+        "model_weights": good["driver_model_weights"][:, :1],
+        "model_rest": None,
+    }
+    bad = {f"driver_{name}": value for name, value in bad.items()}
     for name, value in bad.items():
         arrays = {k: v for k, v in good.items() if k != name}
         if value is not None:
             arrays[name] = value
         np.savez(tmp_path / "bad.npz", **arrays)
         with pytest.raises(ssdr.FormatError, match=r"bad\.npz"):
-            ssdr.SolverState.load(tmp_path / "bad.npz")
+            ssdr.decompose(wobbly(), bones=3, effort="fast", resume=tmp_path / "bad.npz")
 
 
 def test_a_checkpoint_must_have_a_place(tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_step_solves_the_dense_reduced_system(kind: str, fixed: str) -> None:
     assert start is not None
     model = Model.start(start, inner, joints[:, 0].astype(np.intp), k)
     model.joints[:], model.weights[:] = joints, weights
-    model.widen()
+    model.restart_support()
     vertex_step(data, model, fixed=what)
     polish = polish_of(data, model, fixed=what)
     assert type(polish) is {"similarity": SimilarityPolish, "affine": AffinePolish}[kind]
