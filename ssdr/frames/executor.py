@@ -25,9 +25,12 @@ from ..sequence import MeshSequence, native
 
 __all__ = ["Executor", "Frames", "Local", "Walk", "executor_for", "spans_of"]
 
-_BLOCK = 32 << 20  # bytes of a block in float64
+# Bytes of a block in float64: large enough for matrix products at full speed, and a few of them
+# are held at once.
+_BLOCK = 32 << 20
 _FEWEST = 8  # frames a block, whatever their size
-_SPANS = 32  # of all frames; what a pass adds up is kept once a span on its way
+# Spans of all frames: enough for the workers of a cluster, and each sends home (V, 4B) sums.
+_SPANS = 32
 _logger = logging.getLogger(__name__)
 
 
@@ -109,7 +112,7 @@ class Local:
 class Cluster:
     """Spans on the workers of a Dask client.
 
-    All that a task needs travels with it or is read by it, so that the scheduler
+    All that a call needs travels with it or is read by it, so that the scheduler
     can give it to another worker when one is lost.
     """
 
@@ -121,7 +124,7 @@ class Cluster:
 
         waiting: collections.deque[Any] = collections.deque()
         # as many results as are being made, and no more, wait to be added up
-        room = 1 + sum(self.client.nthreads().values())
+        most_waiting = 1 + sum(self.client.nthreads().values())
         quiet = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
         with quiet:
             common = self.client.submit(_same, walk.shared, pure=False)
@@ -139,7 +142,7 @@ class Cluster:
                         retries=2,
                     )
                 )
-                if len(waiting) >= room:
+                if len(waiting) >= most_waiting:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
@@ -160,13 +163,13 @@ def _remote(
     function: Callable[..., Any],
     pieces: list[tuple[Any, int, int]],
     n_vertices: int,
-    own: tuple[Any, ...],
+    arguments: tuple[Any, ...],
     shared: tuple[Any, ...],
 ) -> Any:
     opened = tuple(
         (a.open() if isinstance(a, _MappedFile) else a, first, last) for a, first, last in pieces
     )
-    return function(Frames(opened, n_vertices), *own, *shared)
+    return function(Frames(opened, n_vertices), *arguments, *shared)
 
 
 @dataclasses.dataclass(frozen=True)

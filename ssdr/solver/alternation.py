@@ -15,6 +15,17 @@ from .trajectories import Array, Trajectories
 __all__ = ["alternate", "bone_costs", "bone_step", "vertex_step"]
 
 
+def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
+    """`count` alternations of bones, weights and rest pose (in place).
+
+    Each half is exact given the other but for the choice of a vertex's influences, which keeps
+    the largest weights whether that pays or not (Le and Deng 2012, section 3).
+    """
+    for _ in range(count):
+        bone_step(data, model, fixed=fixed)
+        vertex_step(data, model, fixed=fixed)
+
+
 def vertex_step(
     data: Trajectories,
     model: Model,
@@ -114,10 +125,3 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
 
         parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
     return np.asarray(np.sum(parts, axis=0))
-
-
-def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
-    """`count` alternations of bones, weights and rest pose (in place)."""
-    for _ in range(count):
-        bone_step(data, model, fixed=fixed)
-        vertex_step(data, model, fixed=fixed)

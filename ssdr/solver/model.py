@@ -16,8 +16,10 @@ __all__ = [
     "Model",
 ]
 
-SLOTS = 12  # size of the unpruned support that stays warm
-CHUNK = 512  # vertices a task
+# Size of the unpruned support that stays warm from step to step: beyond K, so that a bone can
+# come back, and no more than a small dense solve takes.
+SLOTS = 12
+CHUNK = 512  # vertices a chunk of work: a few milliseconds, and its arrays stay in the cache
 
 
 @dataclasses.dataclass(eq=False)
@@ -87,7 +89,7 @@ class Model:
         return model
 
     def with_influences(self, count: int) -> Model:
-        """A copy with room for `count` influences a vertex, the largest kept where they were more.
+        """A copy with `count` slots for influences, the largest kept where they were more.
 
         The error is that of before.
         """
@@ -101,7 +103,7 @@ class Model:
             total = weights.sum(axis=1, keepdims=True)
             lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
             weights = np.where(lost[:, None], weights / total, weights)
-        room = ((0, 0), (0, max(0, count - k)))
+        padding = ((0, 0), (0, max(0, count - k)))
         wide = ((0, 0), (0, max(0, count - self.support.shape[1])))
         model = Model(
             transforms=self.transforms.copy(),
@@ -109,8 +111,8 @@ class Model:
             support=np.pad(self.support, wide),
             support_weights=np.pad(self.support_weights, wide),
             count=self.count.copy(),
-            joints=np.ascontiguousarray(np.pad(joints, room)),
-            weights=np.ascontiguousarray(np.pad(weights, room)),
+            joints=np.ascontiguousarray(np.pad(joints, padding)),
+            weights=np.ascontiguousarray(np.pad(weights, padding)),
             error=self.error.copy(),
         )
         model.restart_support()

@@ -114,7 +114,7 @@ class AllFrames:
         n, n_bones = len(model.rest), model.n_bones
         y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
         spans = spans_of(n_frames)
-        given = _Model(
+        shared = _Shared(
             rest=model.rest,
             joints=model.joints,
             weights=model.weights,
@@ -133,7 +133,7 @@ class AllFrames:
                 model.transforms[span],
             )
 
-        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (given,)))
+        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
             model.transforms[start:stop] = part[0]
             y += part[1]
@@ -176,7 +176,7 @@ class AllFrames:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Model:
+class _Shared:
     """What the bones of every frame are fitted under."""
 
     rest: Array
@@ -190,13 +190,18 @@ class _Model:
 
 @serial_blas()
 def _pass_span(
-    frames: Frames, centre: Array, turn: Array, frame_scale: Array, transforms: Array, given: _Model
+    frames: Frames,
+    centre: Array,
+    turn: Array,
+    frame_scale: Array,
+    transforms: Array,
+    shared: _Shared,
 ) -> tuple[Array, Array, Array, Array]:
     """Bones of a span, and its part of Y, G and Σ|x|²."""
-    n, n_bones = len(given.rest), transforms.shape[1]
+    n, n_bones = len(shared.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
-    alignment = Alignment(centre=centre, turn=turn, scale=given.scale)
+    alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         x = alignment.inward(block, start)
@@ -207,24 +212,24 @@ def _pass_span(
             z=flat,
             q=None,
             x2=x2,
-            importance=given.importance,
+            importance=shared.importance,
             frame_scale=frame_scale[start:stop],
             centre=centre[start:stop],
             turn=turn[start:stop],
-            scale=given.scale,
+            scale=shared.scale,
             lost=0.0,
         )
         piece = Model(
             transforms=transforms[start:stop],
-            rest=given.rest,
-            joints=given.joints,
-            weights=given.weights,
-            support=given.joints,
-            support_weights=given.weights,
-            count=given.joints[:, 0],
+            rest=shared.rest,
+            joints=shared.joints,
+            weights=shared.weights,
+            support=shared.joints,
+            support_weights=shared.weights,
+            count=shared.joints[:, 0],
             error=x2,
         )
-        bone_step(part, piece, sweeps=_SWEEPS, fixed=given.fixed, leaps=given.leaps)
+        bone_step(part, piece, sweeps=_SWEEPS, fixed=shared.fixed, leaps=shared.leaps)
         hat = part.hat(piece.transforms)
         g += hat.T @ hat
 

@@ -78,15 +78,15 @@ class StreamedState:
             passes = [(int(i), float(t), float(value)) for i, t, value in numbers["passes"]]
             if not np.isfinite(np.array(passes, dtype=np.float64)).all():
                 raise ValueError("a pass without an error")
-            found = StreamedState(
+            streamed = StreamedState(
                 scan=scan,
                 settling=bool(numbers["settling"]),
                 passes=passes,
                 done=bool(numbers["done"]),
                 model=model,
             )
-        found._check(state)
-        return found
+        streamed._check(state)
+        return streamed
 
     def _check(self, state: SolverState) -> None:
         def refuse(what: str) -> FormatError:
