@@ -45,9 +45,9 @@ format: $(READY)
 	$(BIN)/ruff format .
 
 docs: $(VENV)/.docs
-	$(BIN)/python -m pytest -q tests/ssdr/test_docs.py
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/ssdr/test_docs.py
 	rm -rf $(OUT)/docs
-	$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs -d $(OUT)/docs-cache . $(OUT)/docs
+	$(BIN)/python -m sphinx -q -E -W --keep-going -b html -c docs -d $(OUT)/docs-cache . $(OUT)/docs
 	@echo 'The site: $(OUT)/docs/index.html'
 
 $(VENV)/.docs: $(READY)

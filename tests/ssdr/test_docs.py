@@ -182,7 +182,7 @@ MODULES = [render, *(m for n in ssdr.__all__ if inspect.ismodule(m := getattr(ss
 def _described() -> tuple[set[str], set[str]]:
     """Modules described as a whole, and single names, in the pages of the API."""
     text = "\n".join(map(_text, DOCS.glob("api/*.md")))
-    single = re.findall(r"^\.\. auto(?:function|class|data):: (\S+)", text, re.M)
+    single = re.findall(r"^\.\. auto(?:function|class|data):: ([\w.]+)", text, re.M)
     data = re.findall(r"^\.\. py:data:: (\S+)\n +:module: (\S+)", text, re.M)
     modules = re.findall(r"^\.\. automodule:: (\S+)", text, re.M)
     return set(modules), {*single, *(f"{module}.{name}" for name, module in data)}
