@@ -108,6 +108,14 @@ def test_what_the_contents_list_is_linked_in_the_text(page: Path) -> None:
     assert set(_entries(page)) <= linked
 
 
+@pytest.mark.parametrize("page", SITE, ids=_name)
+def test_files_that_are_named_exist(page: Path) -> None:
+    named = set(
+        re.findall(r"\b(?:benchmarks|docs|tests)/[\w/.-]+\.(?:py|md|json|csv)\b", _text(page))
+    )
+    assert {name for name in named if not (ROOT / name).exists()} == set()
+
+
 def test_every_picture_is_shown() -> None:
     shown = {_target(page, link) for page in PAGES for link in _links(page)}
     assert {p for p in (DOCS / "images").iterdir() if p not in shown} == set()
