@@ -69,11 +69,14 @@ def fit_to_restructuredtext(
 
     A norm |d| is a substitution there, and ``:ivar a, b:`` an attribute b of type a.
     """
+    example = False
     for k, line in enumerate(lines):
+        example = line.lstrip().startswith(">>>") or (example and bool(line.strip()))
+        if example:
+            continue
         line = re.sub(r"^:(ivar|vartype) [\w, ]+:", lambda m: m[0].replace(", ", ","), line)
         pieces = re.split(r"(``.*?``)", line)
-        if not line.lstrip().startswith(">>>"):
-            pieces[::2] = [piece.replace("|", r"\|") for piece in pieces[::2]]
+        pieces[::2] = [piece.replace("|", r"\|") for piece in pieces[::2]]
         lines[k] = "".join(pieces)
 
 
