@@ -18,7 +18,7 @@ help:
 	@echo 'make demo    decompose the sample that ships with the package: out/'
 	@echo 'make test    run the tests              (PYTEST="-k rigid" passes options on)'
 	@echo 'make lint    ruff, its format, mypy'
-	@echo 'make docs    check the links and run the snippets of README and docs'
+	@echo 'make docs    check the links and run the snippets of README and docs, build out/docs'
 	@echo 'make wheel   build dist/, install it into a new environment and try it'
 	@echo 'make bench   ssdr beside Dem Bones and others in ten minutes: out/bench-short/'
 	@echo 'make bench-full  all of it, hours: the tables and charts of docs/benchmarks.md'
@@ -44,8 +44,15 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-docs: $(READY)
-	$(BIN)/python -m pytest -q tests/ssdr/test_docs.py
+docs: $(VENV)/.docs
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/ssdr/test_docs.py
+	rm -rf $(OUT)/docs
+	$(BIN)/python -m sphinx -q -E -W --keep-going -b html -c docs -d $(OUT)/docs-cache . $(OUT)/docs
+	@echo 'The site: $(OUT)/docs/index.html'
+
+$(VENV)/.docs: $(READY)
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c .ci/constraints.txt -e ".[docs]"
+	@touch $@
 
 wheel: $(READY)
 	@.ci/wheel.sh

@@ -61,7 +61,7 @@ def race_chart(
     plt = pyplot()
     columns = 3
     rows = -(-len(cases) // columns)
-    figure = plt.figure(figsize=(4 * columns + 0.5, 3.3 * rows + 2.0))
+    figure = plt.figure(figsize=(4 * columns + 0.5, 3.3 * rows + 1.6))
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[1.0] * rows + [0.4])
     handles: dict[str, Any] = {}
     for k, (case, records) in enumerate(cases.items()):
@@ -95,11 +95,15 @@ def race_chart(
     waits_chart(figure.add_subplot(grid[rows, :]), everything, clock)
     labels = [label for label, _, _ in STYLE.values() if label in handles]
     labels += [label for label in handles if label not in labels]
+    # the legend gets a strip of its own above the panels, as high as its lines
+    ncols = 4
+    strip = 0.15 + 0.17 * -(-len(labels) // ncols)
+    figure.set_figheight(figure.get_figheight() + strip)
     figure.legend(
-        [handles[label] for label in labels], labels, loc="upper center", ncols=4, fontsize=8,
+        [handles[label] for label in labels], labels, loc="upper center", ncols=ncols, fontsize=8,
         frameon=False, bbox_to_anchor=(0.5, 1.0),
     )  # fmt: skip
-    figure.tight_layout(rect=(0, 0, 1, 1 - 0.55 / figure.get_figheight()))
+    figure.tight_layout(rect=(0, 0, 1, 1 - strip / figure.get_figheight()))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, metadata={"Software": None})
     plt.close(figure)

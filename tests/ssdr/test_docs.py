@@ -1,22 +1,64 @@
-"""The pages are true: links lead somewhere, snippets run as they stand."""
+"""The pages are true: links lead somewhere, snippets run, every public name is described."""
 
 from __future__ import annotations
 
+import contextlib
+import inspect
+import io
+import math
 import os
+import posixpath
 import re
 import shlex
 import subprocess
 import sys
 import warnings
+import zlib
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+import ssdr
+from ssdr import render
+
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("ssdr/samples/*.md")])
-RUN = [ROOT / "README.md", ROOT / "docs" / "getting-started.md"]
-_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+DOCS = ROOT / "docs"
+SITE = sorted(
+    [
+        *DOCS.glob("**/*.md"),
+        ROOT / "benchmarks" / "README.md",
+        ROOT / "CHANGELOG.md",
+        ROOT / "ssdr" / "samples" / "ORIGIN.md",
+    ]
+)
+PAGES = sorted({*ROOT.glob("*.md"), *SITE})
+_FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+_NUMBER = re.compile(r"\d+\.\d+(?:e[-+]?\d+)?")
+_NEEDS = "# needs: "
+
+
+def _name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def _text(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
+
+
+def _prose(page: Path) -> str:
+    return _FENCE.sub("", _text(page))
+
+
+def _links(page: Path) -> list[str]:
+    return [x for x in _LINK.findall(_prose(page)) if not re.match(r"(https?|mailto):", x)]
+
+
+def _target(page: Path, link: str) -> Path:
+    name = link.partition("#")[0]
+    return (page.parent / name).resolve() if name else page
 
 
 def _anchor(heading: str) -> str:
@@ -25,57 +67,190 @@ def _anchor(heading: str) -> str:
 
 
 def _anchors(page: Path) -> set[str]:
-    prose = _FENCE.sub("", page.read_text(encoding="utf-8"))
-    return {_anchor(h) for h in re.findall(r"^#+ (.*)$", prose, re.MULTILINE)}
+    return {_anchor(h) for h in re.findall(r"^#+ (.*)$", _prose(page), re.MULTILINE)}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+@pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_links_lead_somewhere(page: Path) -> None:
-    prose = _FENCE.sub("", page.read_text(encoding="utf-8"))
-    for link in _LINK.findall(prose):
-        if re.match(r"(https?|mailto):", link):
-            continue
-        name, _, fragment = link.partition("#")
-        target = (page.parent / name).resolve() if name else page
+    for link in _links(page):
+        target, fragment = _target(page, link), link.partition("#")[2]
         assert target.exists(), f"{page.name}: {link}"
         assert ROOT in target.parents, f"{page.name}: {link} leaves the repository"
         if fragment and target.suffix == ".md":
             assert fragment in _anchors(target), f"{page.name}: {link}"
 
 
-def test_every_page_of_docs_is_reachable_from_the_index() -> None:
-    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
-    linked = {link.partition("#")[0] for link in _LINK.findall(index)}
-    pages = {str(p.relative_to(ROOT / "docs")) for p in ROOT.glob("docs/**/*.md")}
-    assert pages - {"index.md"} <= linked
+def _entries(page: Path) -> list[str]:
+    """Pages in a page's tables of contents, from the repository's root, without suffix."""
+    folder = posixpath.dirname(_name(page))
+    return [
+        posixpath.normpath(posixpath.join(folder, line))
+        for language, text in _FENCE.findall(_text(page))
+        if language == "{toctree}"
+        for line in text.split("\n\n", 1)[1].split()
+    ]
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    named = {_name(page).removesuffix(".md"): page for page in SITE}
+    seen, new = set(), {"docs/index"}
+    while new:
+        seen |= new
+        new = {entry for name in new for entry in _entries(named[name])} - seen
+        assert new <= set(named)
+    assert seen == set(named)
+
+
+@pytest.mark.parametrize("page", [p for p in SITE if _entries(p)], ids=_name)
+def test_what_the_contents_list_is_linked_in_the_text(page: Path) -> None:
+    """Who reads the page itself, and not the site, finds the way as well."""
+    linked = {_name(_target(page, link)).removesuffix(".md") for link in _links(page)}
+    assert set(_entries(page)) <= linked
+
+
+@pytest.mark.parametrize("page", SITE, ids=_name)
+def test_files_that_are_named_exist(page: Path) -> None:
+    named = set(
+        re.findall(r"\b(?:benchmarks|docs|tests)/[\w/.-]+\.(?:py|md|json|csv)\b", _text(page))
+    )
+    assert {name for name in named if not (ROOT / name).exists()} == set()
+
+
+def test_every_picture_is_shown() -> None:
+    shown = {_target(page, link) for page in PAGES for link in _links(page)}
+    assert {p for p in (DOCS / "images").iterdir() if p not in shown} == set()
+
+
+def _same_output(said: str, printed: str) -> bool:
+    """Words and whole numbers alike, the others to a half: machines round differently."""
+    words = [" ".join(_NUMBER.sub("#", text).split()) for text in (said, printed)]
+    numbers = [[float(x) for x in _NUMBER.findall(text)] for text in (said, printed)]
+    return words[0] == words[1] and all(
+        math.isclose(a, b, rel_tol=0.5) for a, b in zip(*numbers, strict=True)
+    )
+
+
+def _runs(page: Path) -> bool:
+    return any(
+        (language == "python" and not text.startswith(_NEEDS))
+        or (language == "sh" and re.search(r"^ssdr ", text, re.MULTILINE))
+        for language, text in _FENCE.findall(_text(page))
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", RUN, ids=lambda p: p.stem)
+@pytest.mark.parametrize("page", [p for p in PAGES if _runs(p)], ids=_name)
 def test_snippets_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Python blocks share their names from top to bottom; lines that call ``ssdr`` run as well."""
+    """Python blocks have their names in common, from top to bottom; ``ssdr`` lines run as well."""
     monkeypatch.chdir(tmp_path)
+    sample = ssdr.samples.load("dancer_small")
+    ssdr.save(sample, "dance.npz")
+    np.save("dance.npy", sample.vertices)
+    np.save("faces.npy", sample.faces)
+    (tmp_path / "clips").mkdir()
+    for k, part in enumerate((slice(0, 12), slice(12, 24))):
+        np.save(f"clips/{k}.npy", sample.vertices[part])
     names: dict[str, object] = {"__name__": "__main__"}
-    ran = 0
-    for language, text in _FENCE.findall(page.read_text(encoding="utf-8")):
-        if language == "python":
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")
-                exec(compile(text, f"{page.name}", "exec"), names)
-            ran += 1
-        elif language == "sh":
-            for line in text.replace("\\\n", " ").splitlines():
-                words = shlex.split(line, comments=True)
-                if words[:1] != ["ssdr"]:
-                    continue
-                done = subprocess.run(
-                    [sys.executable, "-m", *words],
-                    env={**os.environ, "PYTHONPATH": str(ROOT)},
-                    capture_output=True,
-                    text=True,
-                    check=False,
-                    timeout=300,
-                )
-                assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
-                ran += 1
-    assert ran
+    printed = ""
+    try:
+        for language, text in _FENCE.findall(_text(page)):
+            if language == "python" and not text.startswith(_NEEDS):
+                out = io.StringIO()
+                with warnings.catch_warnings(), contextlib.redirect_stdout(out):
+                    warnings.simplefilter("error")
+                    exec(compile(text, page.name, "exec"), names)
+                printed = out.getvalue()
+            elif language == "text":
+                assert _same_output(text, printed), f"{text}\nis now\n{printed}"
+            elif language == "sh":
+                for line in text.replace("\\\n", " ").splitlines():
+                    _run(line)
+    finally:
+        ssdr.set_threads(None)
+
+
+def _run(line: str) -> None:
+    words = shlex.split(line, comments=True)
+    if words[:1] != ["ssdr"]:
+        return
+    done = subprocess.run(
+        [sys.executable, "-m", *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+
+
+MODULES = [render, *(m for n in ssdr.__all__ if inspect.ismodule(m := getattr(ssdr, n)))]
+
+
+def _described() -> tuple[set[str], set[str]]:
+    """Modules described as a whole, and single names, in the pages of the API."""
+    text = "\n".join(map(_text, DOCS.glob("api/*.md")))
+    single = re.findall(r"^\.\. auto(?:function|class|data):: ([\w.]+)", text, re.M)
+    data = re.findall(r"^\.\. py:data:: (\S+)\n +:module: (\S+)", text, re.M)
+    modules = re.findall(r"^\.\. automodule:: (\S+)", text, re.M)
+    return set(modules), {*single, *(f"{module}.{name}" for name, module in data)}
+
+
+def _thing(path: str) -> Any:
+    module, _, name = path.rpartition(".")
+    return getattr(__import__(module, fromlist=[name]), name)
+
+
+def test_every_public_name_is_in_the_api() -> None:
+    modules, single = _described()
+    assert modules == {m.__name__ for m in MODULES}
+    things = [_thing(path) for path in single]
+    for module in MODULES:
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if (inspect.isclass(thing) or inspect.isfunction(thing)) and inspect.getdoc(thing):
+                things.append(thing)
+            else:  # has no docstring of its own
+                assert f"{module.__name__}.{name}" in single
+    left = set(ssdr.__all__) - {"__version__"} - {m.__name__.partition(".")[2] for m in MODULES}
+    assert [n for n in sorted(left) if not any(getattr(ssdr, n) is t for t in things)] == []
+
+
+def test_names_at_the_top_are_listed_with_their_homes() -> None:
+    text = _text(DOCS / "api" / "ssdr.md")
+    for name in set(ssdr.__all__) - {m.__name__.partition(".")[2] for m in MODULES}:
+        assert re.search(rf"(ssdr\.(\w+\.)?|:: ){name}\b", text) or f"ssdr.{name}" in "".join(
+            _described()[1]
+        ), name
+
+
+def test_each_part_of_the_api_is_one_page() -> None:
+    linked = {_name(_target(DOCS / "api.md", link)) for link in _links(DOCS / "api.md")}
+    assert linked >= {_name(p) for p in DOCS.glob("api/*.md")}
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_holds_all_that_it_needs(tmp_path: Path) -> None:
+    for package in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(package, reason=f'{package} is missing: pip install ".[docs]"')
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-c", "docs",
+         "-d", str(tmp_path / "cache"), ".", str(tmp_path / "site")],
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stderr == ""
+    fetched = re.compile(
+        r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"(?:https?:)?//"
+        r"|<link\b(?![^>]*rel=\"(?:canonical|next|prev)\")[^>]*\bhref=\"(?:https?:)?//"
+    )
+    pages = list((tmp_path / "site").glob("**/*.html"))
+    assert len(pages) > len(SITE)
+    for page in pages:
+        assert not fetched.search(_text(page)), page
+    for style in (tmp_path / "site").glob("**/*.css"):
+        assert not re.search(r"@import|url\(\"?(?:https?:)?//", _text(style)), style
+    listed = (tmp_path / "site" / "objects.inv").read_bytes().split(b"\n", 4)[4]
+    names = {line.split()[0] for line in zlib.decompress(listed).decode().splitlines()}
+    wanted = {f"{m.__name__}.{n}" for m in MODULES for n in m.__all__} | _described()[1]
+    assert wanted <= names
