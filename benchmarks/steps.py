@@ -33,7 +33,7 @@ from common import IMAGES, RESULTS, load, machine, pyplot, save_figure, table, t
 
 import ssdr
 from ssdr.parallel import serial_blas
-from ssdr.solver import alternation, moments
+from ssdr.solver import alternation, moments, vertex_newton
 from ssdr.solver import polish as polishing
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Model
@@ -92,7 +92,7 @@ POLISH = [
     ("tangents", polishing.Polish, "_image"),
     ("tangents", polishing.Polish, "_pullback"),
     ("vertex step", polishing.Polish, "_vertex_step"),
-    ("vertex kernel", polishing, "polish_vertices"),
+    ("vertex kernel", vertex_newton, "polish_vertices"),
 ]
 
 

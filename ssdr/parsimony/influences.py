@@ -7,44 +7,28 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.polish import polish_vertices
-from ..parallel import chunk_bounds, run_chunks, serial_blas
-from ..solver.model import CHUNK, Fixed, Model
+from ..parallel import serial_blas
+from ..solver.model import Fixed, Model
 from ..solver.moments import transform_sums
 from ..solver.trajectories import Array, Trajectories
+from ..solver.vertex_newton import newton_vertices
 
 __all__ = ["Nested", "nest", "refit"]
 
 
 def refit(data: Trajectories, model: Model, *, fixed: Fixed, rounds: int = 2) -> None:
     """Weights on the supports that they have, and rest pose, under given transforms (in place)."""
-    n, n_bones, size = data.n_vertices, model.n_bones, model.n_influences + 2
-    keep = fixed.keep_weights(n)
     with serial_blas():
         _, gram, gram4, reduced = transform_sums(data, model.transforms)
-
-        def work(_: int, i: int, k: int) -> None:
-            y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
-            polish_vertices(
-                y,
-                data.x2[i:k],
-                gram,
-                gram4,
-                model.rest[i:k],
-                model.joints[i:k],
-                model.weights[i:k],
-                model.error[i:k],
-                keep[i:k],
-                not fixed.rest,
-                0,
-                rounds,
-                np.empty((k - i, size, size)),
-                np.empty((k - i, size)),
-                0,
-                k - i,
-            )
-
-        run_chunks(work, chunk_bounds(n, CHUNK))
+        newton_vertices(
+            lambda i, k: data.z[i:k] @ reduced,
+            data.x2,
+            (gram, gram4),
+            model,
+            fixed=fixed,
+            entering=0,
+            rounds=rounds,
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
 from ..solver.bone_models import normalise_gauge, polish_of
@@ -14,6 +13,7 @@ from ..solver.initialization import fit_patches
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import transform_sums
 from ..solver.trajectories import Array, Trajectories
+from ..solver.vertex_newton import newton_rows
 
 __all__ = [
     "drop_influence",
@@ -184,33 +184,23 @@ def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
 
         def work(_: int, i: int, j: int) -> None:
             some = rows[i:j]
-            n = len(some)
-            y = (data.z[some] @ reduced).reshape(n, 4, model.n_bones)
-            scratch, scratch1 = np.empty((n, k + 2, k + 2)), np.empty((n, k + 2))
-            least = np.full(n, np.inf)
-            joints, weights, rest = (a[some] for a in (model.joints, model.weights, model.rest))
+            y, x2 = data.z[some] @ reduced, data.x2[some]
+            least = np.full(len(some), np.inf)
+            joints, weights, rest = model.joints[some], model.weights[some], model.rest[some]
             for q in range(k):
                 t_joints, t_weights, t_rest = joints.copy(), weights.copy(), rest.copy()
                 t_weights[:, q] = 0.0
                 t_weights /= t_weights.sum(axis=1, keepdims=True)
-                error = np.empty(n)
-                polish_vertices(
+                error = np.empty(len(some))
+                newton_rows(
                     y,
-                    data.x2[some],
-                    gram,
-                    gram4,
-                    t_rest,
-                    t_joints,
-                    t_weights,
-                    error,
+                    x2,
+                    (gram, gram4),
+                    (t_rest, t_joints, t_weights, error),
                     keep[some],
-                    not fixed.rest,
-                    0,
-                    _ROUNDS,
-                    scratch,
-                    scratch1,
-                    0,
-                    n,
+                    move_rest=not fixed.rest,
+                    entering=0,
+                    rounds=_ROUNDS,
                 )
                 better = error < least
                 least[better], at = error[better], some[better]

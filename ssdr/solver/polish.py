@@ -20,7 +20,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.polish import polish_vertices
 from ..kernels.schur import (
     apply_vertex_step,
     move_bones,
@@ -33,6 +32,7 @@ from .affine import flat_blocks
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, transform_sums
 from .trajectories import Array, Trajectories
+from .vertex_newton import newton_vertices
 
 __all__ = ["Polish"]
 
@@ -184,26 +184,25 @@ class Polish:
         return True
 
     def _vertex_step(self, model: Model, *, entering: int, rounds: int) -> _Eliminated:
-        data, n_bones = self.data, model.n_bones
-        size = model.n_influences + 2
+        data, size = self.data, model.n_influences + 2
         left = _Eliminated(
             inverse=np.empty((data.n_vertices, size, size)),
             gradient=np.empty((data.n_vertices, size)),
             hat=np.empty(0),
         )
-        move_rest = not self.fixed.rest
         with serial_blas():
             left.hat, gram, gram4, reduced = transform_sums(data, model.transforms)
-
-            def work(_: int, i: int, k: int) -> None:
-                y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
-                polish_vertices(
-                    y, data.x2[i:k], gram, gram4, model.rest[i:k], model.joints[i:k],
-                    model.weights[i:k], model.error[i:k], self._keep[i:k], move_rest,
-                    entering, rounds, left.inverse[i:k], left.gradient[i:k], 0, k - i,
-                )  # fmt: skip
-
-            run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
+            newton_vertices(
+                lambda i, k: data.z[i:k] @ reduced,
+                data.x2,
+                (gram, gram4),
+                model,
+                fixed=self.fixed,
+                entering=entering,
+                rounds=rounds,
+                inverse=left.inverse,
+                gradient=left.gradient,
+            )
         return left
 
     def _solve(self) -> tuple[Array, float]:

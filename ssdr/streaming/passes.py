@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames.executor import Executor, Frames, Local, Walk, spans_of
-from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.alternation import bone_step
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories
+from ..solver.vertex_newton import newton_vertices
 from .scan import OnProgress, Scan
 
 __all__ = ["AllFrames", "carried"]
@@ -141,38 +141,18 @@ class AllFrames:
             x2 += part[3]
             if on_progress is not None:
                 on_progress(stop / n_frames)
-        self._vertices(y, g, x2, entering)
+        with serial_blas():
+            newton_vertices(
+                lambda i, k: y[i:k],
+                x2,
+                gram_tables(g, n_bones),
+                model,
+                fixed=self.fixed,
+                entering=entering,
+                rounds=_ROUNDS,
+            )
         self.passes += 1
         return float(self.vertex_importance @ model.error)
-
-    @serial_blas()
-    def _vertices(self, y: Array, g: Array, x2: Array, entering: int) -> None:
-        model, fixed = self.model, self.fixed
-        n, n_bones, size = len(model.rest), model.n_bones, model.n_influences + 2
-        gram, gram4 = gram_tables(g, n_bones)
-        keep = fixed.keep_weights(n)
-
-        def work(_: int, i: int, k: int) -> None:
-            polish_vertices(
-                y[i:k].reshape(k - i, 4, n_bones),
-                x2[i:k],
-                gram,
-                gram4,
-                model.rest[i:k],
-                model.joints[i:k],
-                model.weights[i:k],
-                model.error[i:k],
-                keep[i:k],
-                not fixed.rest,
-                entering,
-                _ROUNDS,
-                np.empty((k - i, size, size)),
-                np.empty((k - i, size)),
-                0,
-                k - i,
-            )
-
-        run_chunks(work, chunk_bounds(n, CHUNK))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
