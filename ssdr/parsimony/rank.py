@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..parallel import serial_blas
-from ..solver.trajectories import Trajectories
+from ..solver.trajectories import Trajectories, truncated_basis
 
 __all__ = ["rank_bound", "rank_of", "reduced"]
 
@@ -44,17 +44,9 @@ def reduced(data: Trajectories, allowed: float) -> Trajectories:
         return data
     x = data.z * np.sqrt(data.importance)[:, None]
     with serial_blas():
-        wide = x.shape[1] > x.shape[0]
-        values, vectors = np.linalg.eigh(x @ x.T if wide else x.T @ x)
-        values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-        tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
-        keep = max(1, int(np.argmax(tail <= max(_TAIL * allowed, 1e-15 * tail[0]))))
-        if keep > 0.8 * x.shape[1]:
+        basis = truncated_basis(x, lambda tail: max(_TAIL * allowed, 1e-15 * tail[0]))
+        if basis is None:
             return data
-        basis = np.ascontiguousarray(vectors[:, :keep])
-        if wide:
-            scaled = basis / np.sqrt(np.maximum(values[:keep], 1e-300))
-            basis = np.ascontiguousarray(np.linalg.qr(x.T @ scaled)[0])
         z = np.ascontiguousarray(data.z @ basis)
         q = basis if data.q is None else np.ascontiguousarray(data.q @ basis)
     lost = max(0.0, float(data.x2.sum() - np.einsum("ij,ij->", z, z)))

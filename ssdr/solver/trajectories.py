@@ -9,7 +9,7 @@ all that matters, written as X ≈ Z Qᵀ with orthonormal Q.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,21 @@ from ..parallel import serial_blas
 from ..rigid import nearest_rotation
 from ..sequence import MeshSequence
 
-__all__ = [ "Alignment", "Trajectories", "centred", "gather", "scale_of",
+__all__ = [
+    "Alignment",
+    "Trajectories",
+    "centred",
+    "gather",
+    "scale_of",
+    "truncated_basis",
     "turn_onto",
-]  # fmt: skip
+]
 
 Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
+_MOST_COLUMNS = 0.8  # of all, beyond which a basis saves less than it costs
+_NOISE = 1e-15  # of the energy: rounding
 _AT_ONCE = 64  # frames that are aligned together
 _APART = f"distances of less than {LARGEST:g} times the mesh's size"
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
@@ -254,34 +262,50 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
         return x, None
     if min(n_rows, n_columns) > _GRAM_LIMIT:
         return _sketch(x, energy, rank)
-    wide = n_columns > n_rows
+    q = truncated_basis(x, lambda tail: max(_TAIL * tail[rank], _NOISE * energy))
+    return (x, None) if q is None else (np.ascontiguousarray(x @ q), q)
+
+
+def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None:
+    """Orthonormal columns that hold the rows of x but for a little of their squares.
+
+    Parameters
+    ----------
+    x : (n, m) array
+    allowed : callable
+        What may be lost, given the squares ``tail[k]`` beyond each number k of columns.
+
+    Returns
+    -------
+    (m, k) array or None
+        None where nearly all columns are needed.
+    """
+    wide = x.shape[1] > x.shape[0]
     values, vectors = np.linalg.eigh(x @ x.T if wide else x.T @ x)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)  # tail[k]: energy from k on
-    allowed = max(_TAIL * tail[rank], 1e-15 * energy)
-    keep = max(1, int(np.argmax(tail <= allowed)))
-    if keep > 0.8 * n_columns:
-        return x, None
+    tail = np.append(np.cumsum(values[::-1])[::-1], 0.0)
+    keep = max(1, int(np.argmax(tail <= allowed(tail))))
+    if keep > _MOST_COLUMNS * x.shape[1]:
+        return None
+    basis = np.ascontiguousarray(vectors[:, :keep])
     if wide:
-        q = x.T @ (vectors[:, :keep] / np.sqrt(np.maximum(values[:keep], 1e-300)))
-        q, _ = np.linalg.qr(q)
-    else:
-        q = np.ascontiguousarray(vectors[:, :keep])
-    return np.ascontiguousarray(x @ q), q
+        scaled = basis / np.sqrt(np.maximum(values[:keep], 1e-300))
+        basis = np.ascontiguousarray(np.linalg.qr(x.T @ scaled)[0])
+    return basis
 
 
 def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
     """Randomised range finder (Halko et al. 2011), grown until the tail is small enough."""
     rng = np.random.default_rng(0)
     keep = rank + 64
-    while keep < 0.8 * min(x.shape):
+    while keep < _MOST_COLUMNS * min(x.shape):
         q, _ = np.linalg.qr(x.T @ (x @ (x.T @ rng.standard_normal((len(x), keep)))))
         z = x @ q
         values, vectors = np.linalg.eigh(z.T @ z)
         values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
         lost = max(0.0, energy - float(values.sum()))
         beyond = lost + float(values[rank:].sum())
-        if lost <= max(_TAIL * beyond, 1e-15 * energy) or lost <= 1e-13 * energy:
+        if lost <= max(_TAIL * beyond, _NOISE * energy) or lost <= 1e-13 * energy:
             return np.ascontiguousarray(z @ vectors), np.ascontiguousarray(q @ vectors)
         keep *= 2
     return x, None
