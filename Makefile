@@ -59,11 +59,11 @@ wheel: $(READY)
 
 # Both go on where they were stopped.
 bench: $(VENV)/.bench
-	$(BIN)/python benchmarks/bench.py --short --limit 480
+	$(BIN)/python benchmarks/peers/race.py --short --limit 480
 
 bench-full: $(VENV)/.bench
-	$(BIN)/python benchmarks/bench.py
-	$(BIN)/python benchmarks/report.py
+	$(BIN)/python benchmarks/peers/race.py
+	$(BIN)/python benchmarks/tools/pages.py
 
 $(VENV)/.bench: $(READY)
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -c .ci/constraints.txt -e ".[bench]"

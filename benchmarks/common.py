@@ -203,10 +203,16 @@ def pyplot() -> Any:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    plt.rcParams.update({
-        "figure.dpi": 100, "font.size": 9, "axes.grid": True, "grid.alpha": 0.3,
-        "axes.spines.top": False, "axes.spines.right": False,
-    })  # fmt: skip
+    plt.rcParams.update(
+        {
+            "figure.dpi": 100,
+            "font.size": 9,
+            "axes.grid": True,
+            "grid.alpha": 0.3,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+        }
+    )
     return plt
 
 
@@ -216,7 +222,7 @@ def plain_log_ticks(axis: Any) -> None:
 
     axis.yaxis.set_major_formatter("{x:g}")
     low, high = axis.get_ylim()
-    if low > 0 and high > 1e4 * low:  # there is no room for more than the decades
+    if low > 0 and high > 1e4 * low:  # the decades alone fill the axis
         return
     axis.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
     axis.yaxis.set_minor_formatter("{x:g}")

@@ -8,8 +8,6 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 from garmentnet.checkpoint import (
     Checkpoint,
     load_checkpoint,
@@ -22,6 +20,7 @@ from garmentnet.clips import ClipStore
 from garmentnet.ensemble import Kernel
 from garmentnet.parameters import SimulationParameters
 from garmentnet.skeleton import Skeleton
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError, SsdrError
 
 

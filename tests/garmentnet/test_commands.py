@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("torch")
 
-import toy_store as toy
 from typer.testing import CliRunner
 
 from garmentnet.bones import virtual_bones
@@ -24,6 +23,7 @@ from garmentnet.configs import load_config
 from garmentnet.ensemble import Kernel
 from garmentnet.files import writing
 from garmentnet.parameters import SimulationParameters
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError, SsdrError
 
 RUN = CliRunner()

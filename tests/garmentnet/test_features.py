@@ -3,11 +3,11 @@ import pytest
 
 pytest.importorskip("torch")
 
-import toy_store as toy
 from scipy.spatial.transform import Rotation
 
 from garmentnet.configs import FeatureOptions, load_config
 from garmentnet.features import Normaliser, PoseFeatures, check_joints
+from helpers import toy_store as toy
 from ssdr.errors import InputError
 
 FAITHFUL, ROOTED = load_config("faithful").features, load_config("rooted").features

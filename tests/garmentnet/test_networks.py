@@ -6,13 +6,13 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from garmentnet.high_frequency import EdgeConv, HighFrequency, neighbour_table
 from garmentnet.low_frequency import BoneCode
+from helpers import toy_store as toy
 from ssdr.errors import InputError
 
 

@@ -6,13 +6,12 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 import ssdr
 from garmentnet.checkpoint import Checkpoint
 from garmentnet.ensemble import Kernel
 from garmentnet.parameters import SimulationParameters
 from garmentnet.predict import predict, read_joints, save_prediction, trained_range
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError, SsdrWarning
 
 

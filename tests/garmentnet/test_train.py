@@ -7,13 +7,12 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 from garmentnet.clips import ClipStore
 from garmentnet.configs import Config, load_config, override, preset_names
 from garmentnet.streams import batches, load_tracks
 from garmentnet.tasks import LowTask
 from garmentnet.train import choose_clips, train
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError
 
 

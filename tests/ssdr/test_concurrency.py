@@ -6,11 +6,11 @@ import threading
 import time
 from collections.abc import Callable
 
-import motions
 import numpy as np
-from measures import bits, frames
 
 import ssdr
+from helpers import motions
+from helpers.measures import bits, frames
 from ssdr.kernels.bones import sweep_bones
 from ssdr.solver.moments import bone_sums, neighbours
 from ssdr.solver.trajectories import gather

@@ -7,14 +7,14 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import motions
 import numpy as np
 import pytest
 import threadpoolctl
-from measures import bits, diagonal, frames, rig, rmse_of
-from promises import check
 
 import ssdr
+from helpers import motions
+from helpers.measures import bits, diagonal, frames, rig, rmse_of
+from helpers.promises import check
 
 # exact data
 
@@ -127,9 +127,14 @@ def test_plain_alternation_is_beaten() -> None:
     for _ in range(30):
         w = ssdr.fit_weights(frames(), rest=rest, transforms=transforms)
         b = ssdr.fit_bones(
-            frames(), rest=rest, joints=w.joints, weights=w.weights, transforms=transforms,
-            locked_bones=[], max_sweeps=5,
-        )  # fmt: skip
+            frames(),
+            rest=rest,
+            joints=w.joints,
+            weights=w.weights,
+            transforms=transforms,
+            locked_bones=[],
+            max_sweeps=5,
+        )
         transforms = b.transforms
         rest = ssdr.fit_rest_pose(
             frames(), joints=w.joints, weights=w.weights, transforms=transforms, rest=rest

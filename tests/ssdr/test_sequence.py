@@ -1,7 +1,8 @@
+"""Mesh sequences: what they refuse, read lazily and keep; welding against a naive twin."""
+
 from __future__ import annotations
 
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssdr
+from helpers import naive
 from ssdr import InputError, MeshSequence
 
 FACES = np.array([[0, 1, 2]])
@@ -199,18 +201,6 @@ def test_diagonal_is_that_of_the_largest_frame():
     assert MeshSequence(array).diagonal() == MeshSequence(array + 7).diagonal()
 
 
-def naive_weld(vertices, distance):
-    """Groups by brute force: connected where every frame is within the distance."""
-    n = vertices.shape[1]
-    group = list(range(n))
-    for i, j in itertools.combinations(range(n), 2):
-        gap = np.sqrt(((vertices[:, i] - vertices[:, j]) ** 2).sum(axis=1)).max()
-        if gap <= distance:
-            old, new = max(group[i], group[j]), min(group[i], group[j])
-            group = [new if g == old else g for g in group]
-    return group
-
-
 @settings(deadline=None, max_examples=60)
 @given(st.data())
 def test_weld_agrees_with_a_naive_twin(data):
@@ -228,7 +218,7 @@ def test_weld_agrees_with_a_naive_twin(data):
     corners = np.broadcast_to([[-1.0, -1, -1], [3, 3, 3]], (n_frames, 2, 3))
     vertices = np.concatenate([corners, vertices], axis=1)
     welded, report = MeshSequence(vertices).weld(tolerance)
-    expected = naive_weld(vertices, tolerance * np.sqrt(48))
+    expected = naive.weld(vertices, tolerance * np.sqrt(48))
     _, keep = np.unique(expected, return_index=True)
     assert report.before == n_vertices + 2
     assert report.after == welded.n_vertices == len(keep)

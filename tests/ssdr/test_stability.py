@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from stability_cases import CASES, GROUPS, Case, Problem, invalid, plain, run
 
 import ssdr
+from helpers.stability_cases import CASES, GROUPS, Case, Problem, invalid, plain, run
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

@@ -1,0 +1,110 @@
+"""Run by a Python with bpy: render one frame of files beside each other, by Cycles on the CPU.
+
+    python benchmarks/interchange/blender_picture.py out.png FRAME file.glb|file.usdc|frame.obj ...
+
+Each file is imported by Blender's own importer; the materials are those of the file.
+"""
+
+import argparse
+import math
+
+import numpy as np
+
+try:
+    import bpy
+    from mathutils import Vector
+except ModuleNotFoundError:  # --help works anywhere
+    bpy = None
+
+
+def load(path):
+    before = set(bpy.context.scene.objects)
+    if path.endswith((".glb", ".gltf")):
+        bpy.ops.import_scene.gltf(filepath=path)
+    elif path.endswith(".fbx"):
+        bpy.ops.import_scene.fbx(filepath=path, anim_offset=0.0)
+    elif path.endswith(".obj"):
+        bpy.ops.wm.obj_import(filepath=path)
+    else:
+        bpy.ops.wm.usd_import(filepath=path)
+    return [o for o in bpy.context.scene.objects if o not in before]
+
+
+def bounds(items):
+    graph = bpy.context.evaluated_depsgraph_get()
+    points = []
+    for item in items:
+        if item.type == "MESH" and not item.name.startswith("Icosphere"):
+            shown = item.evaluated_get(graph)
+            mesh = shown.to_mesh()
+            matrix = np.array(shown.matrix_world)
+            local = np.array([v.co for v in mesh.vertices])
+            points.append(local @ matrix[:3, :3].T + matrix[:3, 3])
+            shown.to_mesh_clear()
+    points = np.concatenate(points)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("out")
+    parser.add_argument("frame", type=int)
+    parser.add_argument("files", nargs="+")
+    args = parser.parse_args()
+    if bpy is None:
+        parser.error("this Python has no bpy")
+    out, frame, files = args.out, args.frame, args.files
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps = 24
+    groups = [load(path) for path in files]
+    scene.frame_set(frame)
+    low, high = bounds(groups[0])
+    width = 1.2 * max(high[0] - low[0], 0.5 * (high[2] - low[2]))
+    for k, items in enumerate(groups):
+        # A parent, as the location of an imported object may be animated.
+        holder = bpy.data.objects.new(f"place_{k}", None)
+        holder.location.x = k * width
+        scene.collection.objects.link(holder)
+        for item in items:
+            if item.parent is None:
+                item.parent = holder
+            if item.type == "ARMATURE" or item.name.startswith("Icosphere"):
+                item.hide_render = True
+    center = Vector(
+        (
+            (low[0] + high[0] + (len(groups) - 1) * width) / 2,
+            (low[1] + high[1]) / 2,
+            (low[2] + high[2]) / 2,
+        )
+    )
+    tall = float(high[2] - low[2]) * 1.1
+    wide = width * len(groups)
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.data.type = "ORTHO"
+    camera.data.ortho_scale = max(wide, tall)
+    camera.location = center + Vector((0, -50 * tall, 0))
+    camera.data.clip_end = 1000 * tall
+    camera.rotation_euler = (math.pi / 2, 0, 0)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy = 2
+    sun.rotation_euler = (0.8, 0.2, 0.5)
+    scene.collection.objects.link(sun)
+    world = bpy.data.worlds.new("world")
+    scene.world = world
+    world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs[0].default_value = (0.35, 0.35, 0.38, 1)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 16
+    scene.cycles.use_denoising = False
+    scene.view_settings.view_transform = "Standard"
+    scene.render.resolution_x = 1200
+    scene.render.resolution_y = round(1200 * tall / max(wide, tall))
+    scene.render.filepath = out
+    bpy.ops.render.render(write_still=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,206 @@
+"""What the benchmarks compute themselves: errors, sizes, times; how records become tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from benchmarks import common
+from benchmarks.peers import model_size, report, tables
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _model(seed: int = 0) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    n, f, b, k = 30, 70, 6, 3
+    rest = rng.standard_normal((n, 3))
+    joints = np.argsort(rng.random((n, b)), axis=1)[:, :k]
+    weights = rng.dirichlet(np.ones(k), n)
+    return rest, joints, weights, rng.standard_normal((f, b, 3, 4))
+
+
+def test_the_error_is_the_same_by_two_ways_of_skinning() -> None:
+    rest, joints, weights, transforms = _model()
+    skinned = common.reskin(rest, joints, weights, transforms)
+    frames = skinned + 0.1 * np.random.default_rng(1).standard_normal(skinned.shape)
+    fast = model_size.skinned_e(frames, rest, model_size.dense(joints, weights, 6), transforms)
+    assert fast == pytest.approx(common.error_e(frames, skinned), rel=1e-12)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_stored_weights_are_whole_steps_that_sum_to_one(bits: int) -> None:
+    weights = _model()[2]
+    weights[0] = (1.0, 0.0, 0.0)
+    out = model_size.stored_weights(weights, bits)
+    top = 2**bits - 1
+    np.testing.assert_allclose(out * top, np.rint(out * top), atol=1e-9)
+    np.testing.assert_array_equal(np.rint(out * top).sum(axis=1), top)
+    assert abs(out - weights).max() <= 1 / top
+    assert (out >= 0).all()
+    np.testing.assert_array_equal(out[0], weights[0])
+
+
+def test_bytes_by_hand_and_by_the_package() -> None:
+    # 10 + 5 positions, 10 counts, 37 pairs of two bytes, 3 x 5 keys of seven float32
+    assert model_size.model_bytes(10, 3, 5, 37, 8) == 180 + 10 + 74 + 420
+    assert model_size.model_bytes(10, 3, 300, 37, 8, "affine") == 12 * 310 + 10 + 111 + 48 * 900
+    rest, joints, weights, transforms = _model()
+    transforms[..., :3] = np.eye(3)
+    model = ssdr.Skinning(rest, joints, weights, transforms)
+    assert model_size.model_bytes(30, 70, 6, 90, 16) == ssdr.parsimony.size(model).total
+
+
+def test_pca_is_the_best_linear_model() -> None:
+    rng = np.random.default_rng(2)
+    for n, f in ((50, 8), (12, 30)):
+        low = rng.standard_normal((n, 4)) @ rng.standard_normal((4, 3 * f))
+        x = low + 0.01 * rng.standard_normal(low.shape)
+        frames = x.reshape(n, f, 3).transpose(1, 0, 2)
+        values = np.linalg.svd(x - x.mean(axis=0), compute_uv=False)
+        for rank, size_, e in model_size.pca_curve(frames):
+            left = 1000 * np.sqrt((values[rank:] ** 2).sum() / x.size)
+            # the coefficients are rounded to 16 bits
+            assert e == pytest.approx(left, rel=0.02, abs=0.1)
+            assert size_ == 12 * f + rank * (2 * n + 12 * f)
+
+
+def _run(solver: str, curve: list[list[float]], **more: Any) -> dict[str, Any]:
+    return {
+        "solver": solver,
+        "sequence": "horse",
+        "bones": 5,
+        "influences": 4,
+        "threads": 1,
+        "seed": 0,
+        "curve": curve,
+        "E": curve[-1][3],
+        "bones found": 5,
+        **more,
+    }
+
+
+def test_times_are_to_within_a_percent_of_dem_bones_best() -> None:
+    slow = _run("dembones default", [[0, 1.0, 0.9, 9.0], [1, 2.0, 1.8, 6.0]])
+    best = _run("dembones 0", [[0, 1.0, 0.9, 8.0], [1, 10.0, 8.0, 4.03], [2, 20.0, 16.0, 4.0]])
+    ours = _run("ssdr balanced", [[5, 0.5, 0.4, 4.05], [6, 0.8, 0.5, 4.04], [7, 0.9, 0.6, 2.0]])
+    row = tables.summary("horse-5", [slow, best, ours])
+    assert row is not None
+    assert row["Dem Bones"] == 4.0
+    assert row["setting"] == "0"
+    assert row["Dem Bones wall s"] == 10.0
+    assert row["balanced wall s"] == 0.8
+    assert row["times faster, balanced, wall"] == pytest.approx(12.5)
+    assert row["times faster, balanced, cpu"] == pytest.approx(16.0)
+    assert row["balanced / Dem Bones"] == 0.5
+    assert row["best"] is None
+    assert tables.summary("horse-5", [ours]) is None
+
+
+def test_fewer_bones_than_asked_or_a_crash_is_a_collapse() -> None:
+    whole = _run("dembones 0", [[0, 1.0, 1.0, 3.0]])
+    assert not tables.collapsed([whole])
+    assert tables.collapsed([whole, _run("dembones 0", [[0, 1.0, 1.0, 3.0]]) | {"bones found": 4}])
+    crashed = {"solver": "dembones 0", "bones": 5, "failed": "ended with status -11", "curve": []}
+    assert tables.collapsed([whole, crashed])
+
+
+def test_front_and_interpolation_in_bytes() -> None:
+    assert tables.front_of([(3, 1), (1, 5), (2, 6), (4, 1)]) == [(1, 5), (3, 1)]
+    line = [[1, 100, 10.0], [2, 10000, 0.1]]
+    assert tables.at_bytes(line, 1000) == pytest.approx(1.0)
+    assert tables.at_bytes(line, 50) is None
+
+
+def test_exponent_of_a_sweep() -> None:
+    runs = [
+        _run("ssdr balanced", [[1, 1.0, 1.0, 1.0]], V=v, F=100)
+        | {"bones": 20, "total wall": 0.001 * v**1.5, "peak MiB": 1}
+        for v in (500, 1000, 2000)
+    ]
+    rows = tables.scaling_rows(runs, "wall")
+    assert {r["over"] for r in rows} == {"V"}
+    assert rows[0]["exponent"] == pytest.approx(1.5)
+
+
+def test_a_lost_cache_comes_back_from_the_tables(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for chart in ("race_chart", "effort_chart"):  # matplotlib is not among the tests' packages
+        monkeypatch.setattr(report, chart, lambda *_: None)
+    curve = [[0, 1.0, 0.9, 8.0], [1, 10.0, 8.0, 4.0]]
+    common_keys = {
+        "part": "race",
+        "sequence": "horse",
+        "influences": 4,
+        "seed": 0,
+        "threads": 1,
+        "revision": "abc",
+        "total wall": 10.0,
+        "total cpu": 8.0,
+    }
+    records = [
+        _run("dembones 0", curve) | common_keys | {"waits": {"import": 0.2, "import cpu": 0.1}},
+        _run("ssdr balanced", curve) | common_keys | {"walk": [{"iteration": 3, "E": 5.0}]},
+        _run("ssdr best fixed", curve) | common_keys,
+    ]
+    cache, results = tmp_path / "cache", tmp_path / "results"
+    for record in records:
+        file = cache / report.file_of(record)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(record))
+    report.report(cache, results, tmp_path / "images", "wall")
+    fresh = tmp_path / "fresh"
+    kept = fresh / report.file_of(records[2])
+    kept.parent.mkdir(parents=True)
+    kept.write_text(json.dumps(records[2]))
+    assert report.restore(results, fresh) == 2
+    report.report(fresh, tmp_path / "again", tmp_path / "images", "wall")
+    for table in ("race.json", "race.csv", "race_summary.csv"):
+        assert (results / table).read_bytes() == (tmp_path / "again" / table).read_bytes(), table
+    assert report.restore(results, fresh) == 0
+
+
+@pytest.mark.slow
+def test_a_solver_runs_in_a_process_of_its_own_and_tells_the_truth(tmp_path: Path) -> None:
+    out = tmp_path / "record.json"
+    job = {
+        "solver": "ssdr fast",
+        "sequence": "tube:200:12",
+        "bones": 4,
+        "influences": 2,
+        "seed": 0,
+        "threads": 1,
+        "iterations": 1,
+        "slice": 0.0,
+        "stops": [0.0, 1.0],
+        "out": str(out),
+    }
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "peers" / "solvers.py"), json.dumps(job)],
+        input="go\n" * 1000,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    # with slices of no length it asks for its turn before every step
+    assert done.stdout.split().count("ready") > 3
+    record = json.loads(out.read_text())
+    assert record["defects"] == []
+    assert record["E"] == pytest.approx(record["stated E"], rel=1e-9)
+    errors = [point[3] for point in record["curve"]]
+    assert errors == sorted(errors, reverse=True)
+    assert all(a[1] <= b[1] for a, b in zip(record["curve"], record["curve"][1:], strict=False))
+    assert record["curve"][-1][1] <= record["total wall"]
+    for stop in record["walk"]:
+        assert stop["E"] == pytest.approx(stop["history"], rel=1e-3)

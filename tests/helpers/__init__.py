@@ -1,0 +1,1 @@
+"""What tests and benchmarks share: motions, models, naive twins, measures, cases."""

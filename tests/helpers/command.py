@@ -1,0 +1,121 @@
+"""The command with a solver that only waits, and the command in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+import ssdr
+
+ROOT = Path(__file__).parents[2]
+
+
+def model_of(sequence, bones=2, influences=4):
+    """Bones at rest, all vertices on the first of them."""
+    n = sequence.n_vertices
+    transforms = np.zeros((sequence.n_frames, bones, 3, 4))
+    transforms[..., :3] = np.eye(3)
+    weights = np.zeros((n, influences))
+    weights[:, 0] = 1
+    return ssdr.Skinning(
+        np.asarray(sequence.vertices[0], dtype=np.float64),
+        np.zeros((n, influences), dtype=int),
+        weights,
+        transforms,
+        faces=sequence.faces,
+        fps=sequence.fps,
+        surface=sequence.surface,
+        vertex_map=sequence.vertex_map,
+    )
+
+
+class FakeState:
+    def __init__(self, steps):
+        self.steps = steps
+
+    def save(self, path):
+        np.savez(path, steps=self.steps)
+
+    @classmethod
+    def load(cls, path):
+        with np.load(path, allow_pickle=False) as file:
+            return cls(int(file["steps"]))
+
+
+def fake_decompose(sequence, *, bones, influences, callback, resume, steps=3, pause=0.0, **options):
+    """Stands in for the solver: the same arguments and results, in as many steps as asked."""
+    fake_decompose.options = options
+    began = time.perf_counter()
+    step = resume.steps if resume is not None else 0
+    reason = "converged"
+    while step < steps:
+        step += 1
+        elapsed = time.perf_counter() - began
+        progress = SimpleNamespace(
+            phase="alternate",
+            iteration=step,
+            elapsed=elapsed,
+            rmse=1.0 / step,
+            fraction=step / steps,
+            time_left=pause * (steps - step),
+        )
+        if callback(progress):
+            reason = "cancelled"
+            break
+        if pause > 1:
+            sys.stderr.write("asleep\n")
+        time.sleep(pause)
+    skinning = model_of(sequence, bones, influences)
+    if options.get("checkpoint") is not None:
+        FakeState(step).save(options["checkpoint"])
+    return SimpleNamespace(
+        skinning=skinning,
+        rmse=0.25,
+        converged=reason == "converged",
+        stop_reason=reason,
+        history=(SimpleNamespace(iteration=step, elapsed=1.0, rmse=0.25, phase="alternate"),),
+        state=FakeState(step),
+        compile_seconds=0.0,
+    )
+
+
+FAKED = textwrap.dedent(
+    """
+    import functools, sys
+    import ssdr, ssdr.cli
+    from helpers import command
+    ssdr.decompose = functools.partial(command.fake_decompose, steps={steps}, pause=0.02)
+    ssdr.SolverState = command.FakeState
+    sys.exit(ssdr.cli.main())
+    """
+)
+
+
+def start(arguments, **options):
+    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    return subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        **options,
+    )
+
+
+def wait_for(process, text):
+    """Read stderr until a line holds the text."""
+    seen = ""
+    for line in process.stderr:
+        seen += line
+        if text in line:
+            return
+    raise AssertionError(f"{text!r} never came: {seen}")

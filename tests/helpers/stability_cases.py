@@ -1,0 +1,583 @@
+"""Input on which decompositions are known to fail, as one table.
+
+Each case says what to decompose, and either which argument the error names or the
+same problem without the disturbance, whose error the disturbed one must reach.
+Errors are relative: rmse over the size that the case names (the diagonal of the
+undisturbed frames), so that shifted and scaled input can be compared.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ssdr
+from helpers import motions
+from helpers.measures import bits, diagonal
+
+SEEDS = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Arguments of one call and the size that its error is measured by."""
+
+    frames: Any
+    size: float
+    faces: Any = None
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def positions(self) -> np.ndarray:
+        """All frames (F, V, 3) in float64."""
+        parts = self.frames if isinstance(self.frames, list) else [self.frames]
+        arrays = [getattr(part, "vertices", part) for part in parts]
+        return np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays])
+
+    def solve(self, seeds: int = 1) -> ssdr.Decomposition:
+        """The best of so many seeds."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
+            results = [
+                ssdr.decompose(self.frames, self.faces, rng=seed, **({"bones": 4} | self.options))
+                for seed in range(seeds)
+            ]
+        return min(results, key=lambda result: result.rmse)
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A disturbed problem.
+
+    `refused` names the argument of the expected error.  Otherwise the relative
+    error must be at most ``factor`` times that of `undisturbed`, which may be known (0
+    where there is none: the data is exact), plus ``slack``, which is what the storage loses.
+    Of two problems that are compared the best of three seeds counts: rounding alone
+    can lead a single run to the minimum next door.  `check` is for what is no
+    matter of the error: it returns what is wrong.
+    """
+
+    name: str
+    disturbed: Callable[[], Problem]
+    undisturbed: Callable[[], Problem | float] | None = None
+    refused: str | None = None
+    factor: float = 1.1
+    slack: float = 1e-9
+    only_valid: bool = False
+    check: Callable[[Problem], str] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Cases of one kind, by the number that the design gives them.
+
+    `catches` is what a solver does that fails here.
+    """
+
+    number: int
+    title: str
+    catches: str
+    cases: list[Case]
+
+
+@functools.cache
+def rig() -> motions.Rig:
+    return motions.chain(bones=4, rows=16, frames=16)
+
+
+@functools.cache
+def base() -> np.ndarray:
+    return motions.still(motions.wobble(rig(), 0.05))
+
+
+def plain(**options: Any) -> Problem:
+    return Problem(base(), diagonal(base()), rig().faces, options)
+
+
+def changed(change: Callable[[np.ndarray], Any], faces: Any = None, **options: Any) -> Problem:
+    faces = rig().faces if faces is None else faces
+    return Problem(change(np.array(base())), diagonal(base()), faces, options)
+
+
+def put(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
+    def change(frames: np.ndarray) -> np.ndarray:
+        frames[index] = value
+        return frames
+
+    return change
+
+
+def scaled(factor: float) -> Problem:
+    return Problem(base() * factor, diagonal(base()) * factor, rig().faces)
+
+
+def still(**options: Any) -> Problem:
+    return Problem(np.repeat(base()[:1], 8, axis=0), diagonal(base()), rig().faces, options)
+
+
+def one_motion(**options: Any) -> Problem:
+    frames = np.stack(
+        [base()[0] @ motions.rotation(0.4 * t, -t, 0.2).T + [t, 0, 0] for t in range(8)]
+    )
+    return Problem(frames, diagonal(base()), rig().faces, options)
+
+
+def soup(exact: bool) -> Problem:
+    frames = rig().frames if exact else base()
+    corners = frames[:, rig().faces.ravel()]
+    return Problem(corners, diagonal(frames), np.arange(corners.shape[1]).reshape(-1, 3))
+
+
+def soup_as_importance() -> Problem:
+    """The mesh whose vertices count as often as triangles use them."""
+    count = np.bincount(rig().faces.ravel(), minlength=base().shape[1]).astype(float)
+    return plain(vertex_importance=count)
+
+
+def components() -> Problem:
+    """41 bodies, moved by ten motions, in no order."""
+    bodies = motions.boxes(41, frames=16, points=8)
+    owner = np.random.default_rng(3).permutation(np.arange(41) % 10)
+    moves = motions.boxes(10, frames=16).transforms
+    frames = motions.blend(bodies.rest, np.repeat(owner, 8)[:, None], np.ones((328, 1)), moves)
+    corner = 8 * np.arange(41)[:, None, None] + np.array([[0, 1, 2], [3, 4, 5], [5, 6, 7]])
+    return Problem(frames, diagonal(frames), corner.reshape(-1, 3), {"bones": 10})
+
+
+def few_poses(rest: np.ndarray) -> Problem:
+    return Problem(base()[[0, 5, 11]], diagonal(base()), rig().faces, {"rest": rest})
+
+
+def bent() -> Problem:
+    """Three exact poses that fold up the chain, and its straight rest pose."""
+    folded = motions.chain(bones=4, rows=16, frames=16, bend=2.5)
+    frames = folded.frames[[4, 9, 14]]
+    return Problem(frames, diagonal(frames), folded.faces, {"rest": folded.rest})
+
+
+def far_rest() -> np.ndarray:
+    return rig().rest @ motions.rotation(0, 2.0, 1.0).T + [300.0, -200.0, 50.0]
+
+
+def doubled(apart: bool) -> Problem:
+    """A sheet and its copy, at the same place or parting after the first frame."""
+    frames = np.concatenate([base(), base()], axis=1)
+    if apart:
+        half = base().shape[1]
+        body = motions.blend(
+            rig().rest,
+            np.zeros((half, 1), int),
+            np.ones((half, 1)),
+            motions.boxes(1, frames=16).transforms,
+        )
+        frames = np.concatenate([body, np.repeat(body[:1], 16, axis=0)], axis=1)
+    faces = np.concatenate([rig().faces, rig().faces + base().shape[1]])
+    return Problem(frames, diagonal(base()), faces, {"bones": 2} if apart else {})
+
+
+def teleport(frames: np.ndarray) -> np.ndarray:
+    frames[7] = frames[7] @ motions.rotation(1, 2, 3).T + [1000.0, -2000.0, 500.0]
+    return frames
+
+
+def mirrored(frames: np.ndarray) -> np.ndarray:
+    frames[8:] *= [-1, 1, 1]
+    return frames
+
+
+def flat(keep: list[int], effort: str = "best") -> Problem:
+    """The exact chain with a rest pose in a plane or on a line."""
+    rest = rig().rest * np.isin([0, 1, 2], keep)
+    frames = motions.blend(rest, rig().joints, rig().weights, rig().transforms)
+    return Problem(frames, diagonal(frames), rig().faces, {"effort": effort})
+
+
+def nearly_still() -> Problem:
+    """Exact bones that move by a hundred-thousandth of the size; measured by that motion."""
+    tiny = motions.chain(bones=4, rows=16, frames=16, bend=1e-5)
+    frames = tiny.frames
+    size = float(np.linalg.norm(frames - frames[0], axis=-1).max())
+    return Problem(frames, size, tiny.faces, {"effort": "best"})
+
+
+def flips() -> Problem:
+    """Bodies that turn by half a circle from frame to frame."""
+    bodies = motions.boxes(3, frames=10)
+    moves = bodies.transforms.copy()
+    for b in range(3):
+        axis = np.eye(3)[b]
+        for t in range(10):
+            moves[t, b, :, :3] = motions.rotation(*(np.pi * (t % 2) * axis))
+    frames = motions.blend(bodies.rest, bodies.joints, bodies.weights, moves)
+    return Problem(frames, diagonal(frames), None, {"bones": 3})
+
+
+def lonely() -> Problem:
+    """One vertex that moves by itself beside a body: a bone of almost no weight."""
+    body = motions.boxes(1, points=200, frames=10).frames
+    alone = 9 + np.random.default_rng(0).standard_normal((10, 1, 3))
+    frames = np.concatenate([body, alone], axis=1)
+    return Problem(frames, diagonal(frames), None, {"bones": 2})
+
+
+def exact() -> Problem:
+    """Frames that linear blend skinning made."""
+    frames = rig().frames
+    return Problem(frames, diagonal(frames), rig().faces, {"effort": "best"})
+
+
+NOISE = 0.01
+
+
+def noisy() -> Problem:
+    exact = motions.chain(bones=4, frames=40, rows=30)
+    frames = exact.frames
+    noise = NOISE * np.random.default_rng(0).standard_normal(frames.shape)
+    return Problem(frames + noise, diagonal(frames), exact.faces)
+
+
+def noise_floor() -> float:
+    """What is left of white noise when as many unknowns as the model has are fitted to it."""
+    problem = noisy()
+    n_frames, n = problem.frames.shape[:2]
+    unknowns = 6 * 4 * n_frames + n * (3 + 3)
+    return NOISE * np.sqrt(3 * (1 - unknowns / problem.frames.size)) / problem.size
+
+
+def few_places(bone_model: str) -> Problem:
+    """Several vertices at each place: a patch of them lies in one point, and has no rotation."""
+    rest = np.random.default_rng(4).standard_normal((150, 3)).repeat(5, axis=0)
+    frames = np.stack([rest @ motions.rotation(0.4 * t, -t, 0.2).T + [t, 0, 0] for t in range(8)])
+    return Problem(frames, diagonal(frames), None, {"bones": 40, "bone_model": bone_model})
+
+
+def one_nearly_still() -> Problem:
+    """Three bodies, one of which moves by a millionth of what the others do."""
+    bodies = motions.boxes(3, frames=16)
+    moves = bodies.transforms.copy()
+    moves[:, 1] = np.eye(3, 4)
+    moves[:, 1, :, 3] = 1e-6 * bodies.transforms[:, 1, :, 3]
+    frames = motions.blend(bodies.rest, bodies.joints, bodies.weights, moves)
+    return Problem(frames, diagonal(frames), None, {"bones": 3})
+
+
+def clips() -> Problem:
+    """The frames as three clips of one mesh."""
+    parts = [ssdr.MeshSequence(base()[a:b], rig().faces) for a, b in ((0, 5), (5, 6), (6, 16))]
+    return Problem(parts, diagonal(base()))
+
+
+def large(vertices: int, frames: int) -> Problem:
+    """A waving sheet of so many vertices; float32."""
+    rng = np.random.default_rng(0)
+    rest = rng.uniform(-1, 1, (vertices, 3)) * [10, 10, 0.1]
+    t = np.arange(frames, dtype=np.float32)[:, None]
+    out = np.empty((frames, vertices, 3), dtype=np.float32)
+    out[:] = rest
+    out[..., 2] += np.sin(0.3 * rest[:, 0] + 0.1 * t) + np.cos(0.2 * rest[:, 1] - 0.07 * t)
+    options = {"bones": 6, "effort": "fast", "max_iterations": 8}
+    return Problem(out, diagonal(out[:: max(1, frames // 20)]), None, options)
+
+
+MEMORY = """
+import sys
+from helpers.stability_cases import large, memory_used
+import ssdr
+ssdr.decompose([[[0.0, 0, 0]] * 3] * 3, bones=1)
+vertices, frames = int(sys.argv[1]), int(sys.argv[2])
+problem = large(vertices, frames)
+before = memory_used("VmRSS")
+found = ssdr.decompose(problem.frames, **problem.options)
+assert found.rmse < 0.05 * problem.size, found.rmse
+print((memory_used("VmHWM") - before) / (24 * vertices * frames), memory_used("VmHWM") - before)
+"""
+MOST_MEMORY = 6.0  # times the positions in float64
+
+
+def memory_used(what: str) -> float:
+    """Bytes of this process, now (VmRSS) or at most (VmHWM)."""
+    with open("/proc/self/status") as file:
+        line = next(line for line in file if line.startswith(what))
+    return 1024 * float(line.split()[1])
+
+
+def memory(problem: Problem) -> str:
+    """A process of its own, since the most that a process ever used cannot be reset."""
+    n_frames, n = np.asarray(problem.frames).shape[:2]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", MEMORY, str(n), str(n_frames)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
+    )
+    if done.returncode:
+        return done.stderr.strip().splitlines()[-1]
+    times, used = (float(x) for x in done.stdout.split())
+    fits = times < MOST_MEMORY or used < 2**28
+    return "" if fits else f"{times:.1f} times the positions in float64"
+
+
+def same_bits(problem: Problem) -> str:
+    threads = ssdr.get_threads()
+    found = []
+    try:
+        for count in (1, 2):
+            ssdr.set_threads(count)
+            found.append(bits(problem.solve()))
+    finally:
+        ssdr.set_threads(threads)
+    return "" if found[0] == found[1] else "other bits"
+
+
+def resumed(problem: Problem) -> str:
+    whole = problem.solve()
+    with tempfile.TemporaryDirectory() as folder:
+        half = whole.history[len(whole.history) // 2].iteration
+        stop = {"callback": lambda p: p.iteration >= half and bool(np.isfinite(p.rmse))}
+        part = dataclasses.replace(problem, options=problem.options | stop).solve()
+        if part.stop_reason != "cancelled":
+            return f"did not stop: {part.stop_reason}"
+        path = part.state.save(Path(folder) / "state.npz")
+        again = dataclasses.replace(problem, options=problem.options | {"resume": path}).solve()
+    return "" if bits(again) == bits(whole) else "other bits"
+
+
+def goes_on(problem: Problem) -> str:
+    """Another thread sleeps and wakes while the solver runs; how late, at worst."""
+    problem.solve()  # kernels are ready
+    waits = [0.0]
+    over = threading.Event()
+
+    def tick() -> None:
+        while not over.is_set():
+            began = time.perf_counter()
+            time.sleep(0.001)
+            waits.append(time.perf_counter() - began)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    began = time.perf_counter()
+    problem.solve()
+    seconds = time.perf_counter() - began
+    over.set()
+    thread.join()
+    return "" if max(waits) < 0.5 * seconds else f"waited {max(waits):.2f} of {seconds:.2f} s"
+
+
+GROUPS = [
+    Group(1, "not a number", "a NaN that spreads into every weight, or a loop that waits for it to "
+          "shrink", [
+        Case("a NaN", lambda: changed(put((3, 5, 1), np.nan)), refused="vertices"),
+        Case("an Inf", lambda: changed(put((3, 5, 1), -np.inf)), refused="vertices"),
+    ]),
+    Group(2, "no extent", "a division by a size of zero; splitting for ever what cannot be split", [
+        Case("all points identical", lambda: Problem(np.ones((5, 10, 3)), 1.0), slack=1e-9),
+        Case("all points identical, moving", lambda: Problem(
+            np.ones((5, 10, 3)) * np.arange(5.0)[:, None, None], 1.0), slack=1e-9),
+    ]),
+    Group(3, "faces that are wrong", "reading memory that is not the mesh's", [
+        Case("face index out of range", lambda: changed(np.array, faces=rig().faces + 1),
+             refused="faces"),
+        Case("face index negative", lambda: changed(np.array, rig().faces - 1), refused="faces"),
+        Case("faces of four corners", lambda: changed(np.array, [[0, 1, 2, 3]]), refused="faces"),
+    ]),
+    Group(4, "far from the origin", "digits lost in sums of squares of large coordinates", [
+        Case("offset 1e6, float64", lambda: changed(lambda f: f + 1e6), plain),
+        Case("offset 1e2, float32", lambda: changed(lambda f: (f + 1e2).astype(np.float32)), plain,
+             slack=1e-5),
+    ]),
+    Group(5, "no faces", "a start that spreads along edges", [
+        Case("point cloud", lambda: changed(np.array, faces=[]), plain),
+    ]),
+    Group(6, "vertices without a face", "a start that never comes to them", [
+        Case("unreferenced vertices", lambda: changed(np.array, rig().faces[:40]), plain),
+    ]),
+    Group(7, "triangle soup", "a start that stops at the first triangle", [
+        Case("triangle soup", lambda: soup(False), soup_as_importance),
+        Case("triangle soup, exact", lambda: soup(True), slack=1e-4),
+    ]),
+    Group(8, "many components", "bones shared out by component, not by motion", [
+        Case("41 components", components, slack=1e-6),
+    ]),
+    Group(9, "few poses", "patches compared in a rest pose that is not theirs", [
+        Case("few poses, far rest", lambda: few_poses(far_rest()),
+             lambda: few_poses(rig().rest)),
+        Case("few poses, bent far from the rest", bent, slack=1e-4),
+    ]),
+    Group(10, "numbers of bones", "fewer bones than asked for, or an index beyond the last", [
+        Case("0 bones", lambda: plain(bones=0), refused="bones"),
+        Case("V + 1 bones", lambda: plain(bones=97), refused="bones"),
+        Case("-3 bones", lambda: plain(bones=-3), refused="bones"),
+        Case("1 bone", lambda: plain(bones=1), only_valid=True),
+        Case("V bones", lambda: plain(bones=96), slack=1e-6),
+        Case("V - 1 bones", lambda: plain(bones=95), slack=1e-3),
+        Case("one vertex", lambda: Problem(base()[:, :1], diagonal(base()), None, {"bones": 1})),
+        Case("two vertices", lambda: Problem(
+            base()[:, [0, 50]], diagonal(base()), None, {"bones": 2})),
+    ]),
+    Group(11, "a sheet twice", "vertices at one place taken for one vertex", [
+        Case("duplicated sheet", lambda: doubled(False), plain),
+        Case("duplicated sheet that parts", lambda: doubled(True), slack=1e-6),
+    ]),
+    Group(12, "exact skinning", "a minimum next to the true one; an error that rises over accepted "
+          "iterations", [
+        Case("exact skinning", exact, slack=1e-4),
+    ]),
+    Group(13, "noise", "noise fitted by bones instead of left over", [
+        Case("noise", lambda: noisy(), noise_floor, factor=1.03),
+    ]),
+    Group(14, "a reflection", "a bone that turns inside out (det -1)", [
+        Case("reflection mid-sequence", lambda: changed(mirrored), only_valid=True),
+    ]),
+    Group(15, "shapes and motions of lower rank", "rotations about an axis that nothing fixes, "
+          "taken from rounding; tolerances that are lengths", [
+        Case("static", still, slack=1e-7),
+        Case("static, 20 bones", lambda: still(bones=20), slack=1e-7),
+        Case("one rigid motion", one_motion, slack=1e-7),
+        Case("one rigid motion, 20 bones", lambda: one_motion(bones=20), slack=1e-7),
+        Case("one rigid motion, vertices in fives", lambda: few_places("rigid"), slack=1e-7),
+        Case("one rigid motion, vertices in fives, scale", lambda: few_places("similarity"),
+             slack=1e-7),
+        Case("one frame", lambda: changed(lambda f: f[:1]), slack=1e-9),
+        Case("scale 1e6", lambda: scaled(1e6), plain),
+        Case("scale 1e-6", lambda: scaled(1e-6), plain),
+        Case("scale 2^20", lambda: scaled(2.0**20), plain, factor=1 + 1e-9),
+        Case("teleporting frame", lambda: changed(teleport), plain),
+        Case("planar rest pose", lambda: flat([0, 2]), slack=1e-4),
+        Case("collinear rest pose", lambda: flat([2]), slack=1e-4),
+        Case("degenerate faces", lambda: changed(
+            np.array, np.concatenate([rig().faces, [[3, 3, 3], [4, 4, 5], [0, 6, 12]]])), plain),
+        Case("degenerate faces, smooth", lambda: changed(
+            np.array, np.concatenate([rig().faces, [[3, 3, 3]]]), smoothness=0.01),
+            lambda: plain(smoothness=0.01)),
+    ]),
+    Group(16, "bones that hardly count", "a division by a weight or a motion of zero; the long way "
+          "round from one frame to the next", [
+        Case("a bone of almost no weight", lonely, slack=1e-6),
+        Case("nearly still", nearly_still, slack=1e-3),
+        Case("one bone nearly still", one_nearly_still, slack=1e-6),
+        Case("half turns from frame to frame", flips, slack=1e-6),
+    ]),
+    Group(17, "size", "tables of V × F or V × B × F that do not fit", [
+        Case("100,000 vertices", lambda: large(100_000, 12), check=memory),
+        Case("4,000 frames", lambda: large(300, 4_000), check=memory),
+    ]),
+    Group(18, "several clips", "a jump between clips taken for motion; frames in the wrong place", [
+        Case("three clips", clips, plain),
+    ]),
+    Group(19, "reproducible", "sums in the order in which threads happen to end", [
+        Case("one thread and two", plain, check=same_bits),
+    ]),
+    Group(20, "cancel and resume", "work lost when stopped; a program that stands still "
+          "meanwhile", [
+        Case("cancelled, saved, resumed", plain, check=resumed),
+        Case("other threads go on", lambda: plain(effort="best", max_iterations=60),
+             check=goes_on),
+    ]),
+    Group(21, "arrays of another kind", "a number read as another, a view read as if it "
+          "were whole", [
+        Case("no vertices", lambda: changed(lambda f: f[:, :0], faces=[]), refused="vertices"),
+        Case("no frames", lambda: changed(lambda f: f[:0]), refused="vertices"),
+        Case("one dimension too few", lambda: changed(lambda f: f[0]), refused="vertices"),
+        Case("one dimension too many", lambda: changed(lambda f: f[None]), refused="vertices"),
+        Case("two coordinates", lambda: changed(lambda f: f[..., :2]), refused="vertices"),
+        Case("complex numbers", lambda: changed(lambda f: f + 0j), refused="vertices"),
+        Case("text", lambda: changed(lambda f: f.astype("U8")), refused="vertices"),
+        Case("float16", lambda: changed(lambda f: f.astype(np.float16)), plain, slack=1e-3),
+        Case("integers", lambda: Problem(np.rint(base() * 1e4).astype(int),
+             diagonal(base()) * 1e4, rig().faces), plain, slack=1e-4),
+        Case("big-endian", lambda: changed(lambda f: f.astype(">f8")), plain),
+        Case("every other vertex of a larger array", lambda: changed(
+            lambda f: np.repeat(f, 2, axis=1)[:, ::2]), plain),
+        Case("column order", lambda: changed(np.asfortranarray), plain),
+    ]),
+]  # fmt: skip
+CASES = [case for group in GROUPS for case in group.cases]
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What came of a case; `bound` is what its relative error must not exceed."""
+
+    case: str
+    outcome: str
+    figure: float | None = None
+    undisturbed: float | None = None
+    bound: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        if self.outcome != "solved":
+            return self.outcome.startswith("refused: ")
+        return self.bound is None or bool(self.figure is not None and self.figure <= self.bound)
+
+
+@functools.cache
+def _figure(make: Callable[[], Problem | float]) -> float:
+    problem = make()
+    if isinstance(problem, float):
+        return problem
+    return problem.solve(SEEDS).rmse / problem.size
+
+
+def run(case: Case) -> Outcome:
+    """Solve a case; every model that comes back is checked from outside."""
+    problem = case.disturbed()
+    if case.check is not None:
+        fault = case.check(problem)
+        return Outcome(case.name, f"FAILED: {fault}" if fault else "solved")
+    try:
+        result = problem.solve(1 if case.undisturbed is None else SEEDS)
+    except ssdr.InputError as error:
+        if error.argument != case.refused:
+            return Outcome(case.name, f"WRONG ERROR: {error}")
+        return Outcome(case.name, f"refused: {error}")
+    if case.refused is not None:
+        return Outcome(case.name, "NOT REFUSED")
+    frames = problem.positions()
+    fault = invalid(result.skinning, frames, problem.options.get("bones", 4))
+    errors = [record.rmse for record in result.history]
+    if not fault and not problem.options.get("smoothness") and (np.diff(errors) > 0).any():
+        fault = "the error rises"
+    if fault:
+        return Outcome(case.name, f"INVALID: {fault}")
+    s = result.skinning
+    gap = motions.blend(s.rest, s.joints, s.weights, s.transforms) - frames
+    figure = float(np.sqrt((gap**2).sum(axis=-1).mean())) / problem.size
+    reported = result.rmse / problem.size
+    if abs(figure - reported) > 1e-4 * figure + 1e-9:
+        return Outcome(case.name, f"INVALID: says {reported:.3g}, is {figure:.3g}", figure)
+    before = 0.0 if case.undisturbed is None else _figure(case.undisturbed)
+    bound = None if case.only_valid else float(case.factor * before + case.slack)
+    return Outcome(case.name, "solved", figure, before, bound)
+
+
+def invalid(s: ssdr.Skinning, frames: np.ndarray, bones: int) -> str:
+    """What is wrong with a model, or an empty text."""
+    r = s.transforms[..., :3]
+    if s.bone_model == "similarity":
+        r = r / np.linalg.norm(r[..., :1], axis=-2, keepdims=True)
+    turned = np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max()
+    tests = {
+        "number of bones": s.transforms.shape == (len(frames), bones, 3, 4),
+        "rest pose": s.rest.shape == frames.shape[1:] and bool(np.isfinite(s.rest).all()),
+        "transforms": bool(np.isfinite(s.transforms).all()),
+        "rotations": bool(turned < 1e-6) and bool(np.linalg.det(r).min() > 0),
+        "weights": bool(s.weights.min() >= 0)
+        and bool(np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6),
+        "joints": bool(s.joints.min() >= 0) and bool(s.joints.max() < bones),
+    }
+    return ", ".join(name for name, good in tests.items() if not good)

@@ -1,0 +1,48 @@
+"""`ssdr info`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.command import model_of
+
+
+def test_info_counts_what_is_there(run, tmp_path):
+    # Two triangles sharing an edge, a degenerate one, a loose vertex and a doubled one.
+    points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [5, 5, 5], [0, 0, 0.0]])
+    faces = [[0, 1, 2], [0, 2, 3], [1, 1, 2]]
+    clip = ssdr.MeshSequence(np.stack([points, points + 1]), faces, 10.0)
+    ssdr.save(clip, tmp_path / "a.npz")
+    code, out, _ = run("info", tmp_path / "a.npz", "--json")
+    assert code == 0
+    d = json.loads(out)
+    assert (d["kind"], d["frames"], d["vertices"], d["triangles"]) == ("sequence", 2, 6, 3)
+    assert (d["components"], d["loose_vertices"]) == (1, 2)
+    assert (d["degenerate_triangles"], d["seams"]) == (1, 1)
+    assert d["duration"] == pytest.approx(0.2)
+    assert d["diagonal"] == pytest.approx(np.sqrt(75))
+    assert d["memory"] == 2 * 6 * 3 * 8
+    out = run("info", tmp_path / "a.npz")[1]
+    assert "--weld" in out
+    assert "1 degenerate triangles" in out
+
+
+def test_info_of_a_skinning(run, wave, tmp_path):
+    model = model_of(wave, bones=3)
+    weights = model.weights.copy()
+    weights[0, :2] = 0.5
+    joints = model.joints.copy()
+    joints[0, 1] = 1
+    model = dataclasses.replace(model, weights=weights, joints=joints)
+    ssdr.save(model, tmp_path / "m.npz")
+    d = json.loads(run("info", tmp_path / "m.npz", "--json")[1])
+    assert d["kind"] == "skinning"
+    assert d["influence_histogram"] == [11, 1, 0, 0]
+    assert d["bones_without_vertices"] == 1
+    assert d["orthonormality_error"] == 0
+    assert "move nothing" in run("info", tmp_path / "m.npz")[1]

@@ -1,0 +1,20 @@
+"""The error over all frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions, naive
+from ssdr.frames.error import squared_error
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_true_error_against_loops(kind: type, rng: np.random.Generator) -> None:
+    rig = motions.chain(bones=3, rows=6, frames=7)
+    frames = (rig.frames + 0.1 * rng.standard_normal(rig.frames.shape)).astype(kind)
+    shots = [ssdr.MeshSequence(frames[:4]), ssdr.MeshSequence(frames[4:])]
+    got = squared_error(shots, rig.rest, rig.joints, rig.weights, rig.transforms)
+    want = naive.squared_error(frames, rig.rest, rig.joints, rig.weights, rig.transforms)
+    np.testing.assert_allclose(got, want, rtol=1e-10)

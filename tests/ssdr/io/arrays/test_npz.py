@@ -1,0 +1,150 @@
+"""npz: everything goes round, and what is missing or wrong is named."""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.surfaces import same_sequence, same_surface
+from ssdr import FormatError, InputError
+
+
+@pytest.mark.parametrize("compress", [True, False])
+def test_npz_keeps_everything(tmp_path, seam, compress):
+    welded, _ = seam.weld()
+    for k, sequence in enumerate((seam, welded)):
+        report = ssdr.save(sequence, tmp_path / f"{k}.npz", compress=compress)
+        back = ssdr.load(tmp_path / f"{k}.npz")
+        assert report.bytes == (tmp_path / f"{k}.npz").stat().st_size
+        assert report.error is None
+        same_sequence(back, sequence)
+        same_surface(back.surface, sequence.surface)
+        assert back.name == "seam"
+        assert (back.vertex_map is None) == (k == 0)
+    np.testing.assert_array_equal(back.vertex_map, welded.vertex_map)
+
+
+def test_npz_is_read_by_numpy_and_numpy_is_read(tmp_path, wave):
+    ssdr.save(wave, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as archive:
+        assert {"vertices", "faces", "fps"} <= set(archive.files)
+        np.testing.assert_array_equal(archive["vertices"], wave.vertices, strict=True)
+    np.savez(
+        tmp_path / "b.npz",
+        vertices=np.asfortranarray(wave.vertices.astype(">f8")),
+        faces=wave.faces.astype(np.uint16),
+        fps=[12.5],
+        names=["unrelated"],
+    )
+    back = ssdr.load(tmp_path / "b.npz")
+    np.testing.assert_array_equal(back.vertices, wave.vertices)
+    assert back.vertices.dtype == np.float64
+    assert back.vertices.flags.c_contiguous
+    assert back.vertices.flags.writeable
+    assert (back.fps, back.name) == (12.5, "b")
+    np.savez(tmp_path / "c.npz", vertices=wave.vertices, faces=wave.faces)
+    assert ssdr.load(tmp_path / "c.npz").fps == 24
+
+
+def test_npz_has_the_same_bytes_every_time(tmp_path, seam, skinned):
+    for thing in (seam, skinned):
+        for name in ("a.npz", "b.npz"):
+            ssdr.save(thing, tmp_path / name)
+        assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+        with zipfile.ZipFile(tmp_path / "a.npz") as archive:
+            assert {i.date_time for i in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+def test_npz_can_be_mapped(tmp_path, wave):
+    ssdr.save(wave, tmp_path / "a.npz", compress=False)
+    mapped = ssdr.load(tmp_path / "a.npz", mmap=True)
+    assert isinstance(mapped.vertices, np.memmap)
+    same_sequence(mapped, wave)
+    ssdr.save(mapped, tmp_path / "copy.npz")
+    same_sequence(ssdr.load(tmp_path / "copy.npz"), wave)
+    ssdr.save(wave, tmp_path / "b.npz")
+    with pytest.raises(InputError, match="mmap: expected an uncompressed archive"):
+        ssdr.load(tmp_path / "b.npz", mmap=True)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_npz_keeps_a_skinning(tmp_path, skinned, seam, dtype):
+    keys = np.zeros((6, 5), dtype=bool)
+    keys[[0, -1]] = True
+    weights = skinned.weights.astype(dtype)
+    full = dataclasses.replace(
+        skinned,
+        weights=weights,
+        keyframes=keys,
+        bone_names=("hip", "🦴", "knee", "toe", "ear"),
+        vertex_map=np.arange(12).repeat(2),
+        bone_model="affine",
+        surface=ssdr.Surface(materials=seam.surface.materials),
+    )
+    for thing in (skinned, full):
+        report = ssdr.save(thing, tmp_path / "s.npz")
+        back = ssdr.load_skinning(tmp_path / "s.npz")
+        assert (report.influences, report.error) == (3, None)
+        for field in ("rest", "joints", "weights", "transforms", "faces"):
+            np.testing.assert_array_equal(getattr(back, field), getattr(thing, field), strict=True)
+        for field in ("bone_model", "bone_names", "name", "fps"):
+            assert getattr(back, field) == getattr(thing, field)
+    np.testing.assert_array_equal(back.keyframes, keys)
+    np.testing.assert_array_equal(back.vertex_map, full.vertex_map)
+    assert back.surface.materials[1].texture == seam.surface.materials[1].texture
+
+
+def test_a_skinning_loads_as_its_vertices(tmp_path, skinned):
+    ssdr.save(skinned, tmp_path / "s.npz")
+    baked = ssdr.load(tmp_path / "s.npz")
+    assert baked.fps == 30
+    np.testing.assert_array_equal(baked.vertices, skinned.skin(), strict=True)
+    assert ssdr.load(tmp_path / "s.npz", fps=60).fps == 60
+
+
+def test_missing_keys_are_named(tmp_path, wave, skinned):
+    np.savez(tmp_path / "a.npz", verts=wave.vertices, faces=wave.faces)
+    with pytest.raises(FormatError, match="no array vertices; it holds verts, faces"):
+        ssdr.load(tmp_path / "a.npz")
+    ssdr.save(wave, tmp_path / "b.npz")
+    with pytest.raises(FormatError, match="no array rest, joints, weights, transforms"):
+        ssdr.load_skinning(tmp_path / "b.npz")
+    ssdr.save(skinned, tmp_path / "c.npz")
+    with np.load(tmp_path / "c.npz") as source:
+        arrays = dict(source)
+    arrays["format_version"] = np.int64(2)
+    np.savez(tmp_path / "c.npz", **arrays)
+    with pytest.raises(FormatError, match="format_version 2; this release reads up to 1"):
+        ssdr.load_skinning(tmp_path / "c.npz")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("vertices", np.full((1, 3, 3), np.nan), "nan at frame 0, vertex 0"),
+        ("vertices", np.zeros((3, 3)), r"shape \(3, 3\)"),
+        ("vertices", np.zeros((1, 3, 3), dtype="U1"), "real numbers"),
+        ("faces", np.array([[0, 1, 3]]), "3 in face 0"),
+        ("faces", np.array([[0, 1, -1]]), "-1 in face 0"),
+        ("faces", np.array([[0.0, 1, 2]]), "integers"),
+        ("fps", np.array([24.0, 25.0]), "one number"),
+        ("fps", np.array(-1.0), "a positive number"),
+        ("fps", np.array("fast"), "one number"),
+        ("name", np.array(3), "one text"),
+        ("vertex_map", np.array([5]), "indices from 0 to 2"),
+        ("surface_uv", np.zeros((2, 3, 2)), "surface.uv"),
+        ("surface_uv", np.full((1, 3, 2), np.inf), "finite numbers"),
+        ("materials", np.array("[{"), "damaged"),
+        ("materials", np.array('[{"name": "x", "base_color": [1], "evil": 1}]'), "damaged"),
+        ("materials", np.array("[" * 5000), "damaged"),
+    ],
+)
+def test_arrays_that_a_sequence_must_not_have_are_refused(tmp_path, key, value, says):
+    arrays = {"vertices": np.eye(3)[None], "faces": np.array([[0, 1, 2]]), "fps": 24.0}
+    np.savez(tmp_path / "a.npz", **{**arrays, key: value})
+    with pytest.raises(FormatError, match=rf"a\.npz: .*{says}"):
+        ssdr.load(tmp_path / "a.npz")

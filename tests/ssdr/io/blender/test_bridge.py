@@ -1,0 +1,142 @@
+"""Blender as an independent importer of what is written, and as a reader of Alembic and FBX."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.rig_model import largest_distance, tube
+from ssdr.io.blender import bridge
+from ssdr.io.rig import turn_up
+
+HAVE = bool(os.environ.get("SSDR_BLENDER_PYTHON")) or importlib.util.find_spec("bpy") is not None
+
+
+needs_blender = pytest.mark.skipif(
+    not HAVE, reason="bpy is not installed and SSDR_BLENDER_PYTHON names no Python that has it"
+)
+
+
+def imported(path, fps=24.0):
+    """World vertices with y up, as Blender's own importer sees the file."""
+    job = {"action": "read", "path": str(path), "fps": fps, "resample": False, "max_bytes": 1 << 30}
+    arrays = bridge.run(job)
+    return turn_up(arrays["vertices"], "z", "y"), arrays
+
+
+@needs_blender
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"scaled": True}, {"bones": 9, "influences": 7}])
+def test_blender_plays_our_gltf(tmp_path, options):
+    model = tube(**options)
+    ssdr.save(model, tmp_path / "a.glb")
+    vertices, arrays = imported(tmp_path / "a.glb")
+    truth = model.skin()[:, arrays["vertex"]]
+    assert vertices.shape == truth.shape
+    assert largest_distance(vertices, truth) < 1e-6 * 6
+    assert len(arrays["faces"]) == len(model.faces)
+    np.testing.assert_array_equal(
+        np.bincount(arrays["material_index"]), np.bincount(model.surface.material_index)
+    )
+    assert arrays["texture_0"].tobytes() == model.surface.materials[0].texture
+
+
+@needs_blender
+@pytest.mark.slow
+def test_blender_plays_our_usd(tmp_path):
+    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+    model = tube()
+    ssdr.save(model, tmp_path / "a.usdc")
+    vertices, _ = imported(tmp_path / "a.usdc")
+    assert largest_distance(vertices, model.skin()) < 1e-6 * 6
+    cache = ssdr.MeshSequence(model.skin(), model.faces, 24)
+    ssdr.save(cache, tmp_path / "b.usdc")
+    vertices, _ = imported(tmp_path / "b.usdc")
+    assert largest_distance(vertices, model.skin()) < 1e-6 * 6
+
+
+@needs_blender
+@pytest.mark.slow
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_fbx_round_trip(tmp_path, up):
+    model = tube(frames=7)
+    report = ssdr.save(model, tmp_path / "a.fbx", up=up)
+    assert report.max_error < 3e-6
+    assert report.influences == 4
+    back = ssdr.load(tmp_path / "a.fbx", up=up)
+    assert (back.n_frames, back.fps) == (7, 24)
+    truth = model.skin()
+    # Seams are split in the file: every vertex of either must have its twin in the other.
+    ours, theirs = truth.transpose(1, 0, 2), back.vertices.transpose(1, 0, 2)
+    gap = np.sqrt(((ours[:, None] - theirs[None]) ** 2).sum(axis=-1)).max(axis=-1)
+    assert gap.min(axis=1).max() < 3e-6
+    assert gap.min(axis=0).max() < 3e-6
+    assert len(back.faces) == len(model.faces)
+    assert back.surface.materials[0].texture == model.surface.materials[0].texture
+    assert ssdr.load(tmp_path / "a.fbx", fps=48).n_frames == 13
+
+
+@needs_blender
+@pytest.mark.slow
+def test_alembic_of_blender(tmp_path):
+    model = tube(frames=5)
+    ssdr.save(model, tmp_path / "a.glb")
+    script = (
+        "import bpy, sys\n"
+        "bpy.ops.wm.read_factory_settings(use_empty=True)\n"
+        "bpy.ops.import_scene.gltf(filepath=sys.argv[1])\n"
+        "scene = bpy.context.scene\n"
+        "scene.frame_start, scene.frame_end = 0, 4\n"
+        "bpy.ops.wm.alembic_export(filepath=sys.argv[2], start=0, end=4, flatten=True)\n"
+    )
+    python = os.environ.get("SSDR_BLENDER_PYTHON") or sys.executable
+    names = [str(tmp_path / "a.glb"), str(tmp_path / "a.abc")]
+    subprocess.run([python, "-c", script, *names], check=True, capture_output=True, timeout=300)
+    back = ssdr.load(tmp_path / "a.abc")
+    assert (back.n_frames, back.fps) == (5, 24)
+    truth = model.skin()
+    gap = np.sqrt(((truth[:, :, None] - back.vertices[:, None]) ** 2).sum(axis=-1)).max(axis=0)
+    assert gap.min(axis=1).max() < 3e-6
+    assert gap.min(axis=0).max() < 3e-6
+    assert back.surface.uv is not None
+
+
+@needs_blender
+@pytest.mark.slow
+def test_damaged_files_are_blamed_on_the_file(tmp_path):
+    path = tmp_path / "a.fbx"
+    path.write_bytes(b"Kaydara FBX Binary  \x00\x1a\x00" + b"\xff" * 200)
+    with pytest.raises(ssdr.FormatError, match=r"a\.fbx: Blender failed"):
+        ssdr.load(path)
+    with pytest.raises(ssdr.FormatError, match=r"more than 0\.01 s"):
+        ssdr.load(path, time_limit=0.01)
+
+
+@needs_blender
+def test_mislabelled_files_never_reach_blender(tmp_path):
+    (tmp_path / "a.abc").write_bytes(b"PK\x03\x04" * 9)
+    with pytest.raises(ssdr.FormatError, match="zip"):
+        ssdr.load(tmp_path / "a.abc")
+
+
+def test_without_bpy_the_error_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.delenv("SSDR_BLENDER_PYTHON", raising=False)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    (tmp_path / "a.abc").write_bytes(b"Ogawa")
+    with pytest.raises(ssdr.MissingDependencyError, match=r'pip install "ssdr\[blender\]"'):
+        ssdr.load(tmp_path / "a.abc")
+    with pytest.raises(ssdr.MissingDependencyError, match="SSDR_BLENDER_PYTHON"):
+        ssdr.save(tube(frames=2), tmp_path / "a.fbx")
+    monkeypatch.setenv("SSDR_BLENDER_PYTHON", str(tmp_path / "nothing"))
+    with pytest.raises(ssdr.InputError, match="a Python with bpy"):
+        ssdr.load(tmp_path / "a.abc")
+
+
+def test_bpy_never_enters_this_process():
+    assert "bpy" not in sys.modules

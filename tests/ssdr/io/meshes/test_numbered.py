@@ -1,0 +1,103 @@
+"""Numbered meshes go round, and follow what other programs write."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+import ssdr
+from ssdr import FormatError, InputError, MeshSequence
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply"])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_numbered_meshes_go_round(tmp_path, wave, rng, suffix, dtype):
+    vertices = np.concatenate([wave.vertices, rng.normal(0, 1e3, (9, 12, 3))]).astype(dtype)
+    sequence = MeshSequence(vertices, wave.faces, 24.0)
+    report = ssdr.save(sequence, tmp_path / "out" / f"frame_%02d.{suffix}")
+    files = sorted((tmp_path / "out").iterdir())
+    assert [f.name for f in files] == [f"frame_{k:02d}.{suffix}" for k in range(13)]
+    assert report.bytes == sum(f.stat().st_size for f in files)
+    for pattern in ("", f"frame_%02d.{suffix}", f"frame_*.{suffix}", "frame_*", "*"):
+        back = ssdr.load(tmp_path / "out" / pattern)
+        np.testing.assert_array_equal(back.vertices.astype(dtype), vertices)
+        np.testing.assert_array_equal(back.faces, wave.faces)
+    one = ssdr.load(files[3])
+    assert one.n_frames == 1
+    with pytest.raises(InputError, match="one number such as %04d"):
+        ssdr.save(sequence, tmp_path / f"all.{suffix}")
+
+
+def test_files_come_in_natural_order_and_gaps_are_told(tmp_path, caplog):
+    for number in (1, 2, 10, 11, 9):
+        (tmp_path / f"m{number}.obj").write_text(f"v {number} 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with caplog.at_level(logging.WARNING, "ssdr"):
+        sequence = ssdr.load(tmp_path)
+    assert sequence.vertices[:, 0, 0].tolist() == [1, 2, 9, 10, 11]
+    assert "frames are missing after 2" in caplog.text
+    assert ssdr.load(tmp_path / "m%02d.obj").n_frames == 2
+    (tmp_path / "m01.obj").write_text("v 1 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(FormatError, match="have the same number"):
+        ssdr.load(tmp_path)
+    (tmp_path / "m3.stl").write_text("")
+    with pytest.raises(FormatError, match=r"files of \.obj, \.stl"):
+        ssdr.load(tmp_path)
+
+
+def test_topology_must_agree(tmp_path):
+    a = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 3 4\n"
+    (tmp_path / "f1.obj").write_text(a)
+    for text, says in (
+        (a + "v 2 2 2\n", r"f2\.obj: 5 vertices, but f1\.obj has 4"),
+        (a + "f 1 2 4\n", r"f2\.obj: 3 triangles, but f1\.obj has 2"),
+        (a.replace("f 2 3 4", "f 2 4 3"), r"triangle 1 is \(1, 3, 2\), in f1\.obj it is \(1, 2, 3"),
+    ):
+        (tmp_path / "f2.obj").write_text(text)
+        with pytest.raises(FormatError, match=says):
+            ssdr.load(tmp_path)
+    relative = a.replace("f 1 2 3", "f -4 2 -2")
+    (tmp_path / "f2.obj").write_text(relative)
+    assert ssdr.load(tmp_path).n_frames == 2
+
+
+def test_trimesh_agrees(tmp_path, wave):
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(wave.vertices[0], wave.faces, process=False)
+    for suffix in ("obj", "ply", "off"):
+        mesh.export(tmp_path / f"a.{suffix}")
+        back = ssdr.load(tmp_path / f"a.{suffix}")
+        np.testing.assert_allclose(back.vertices[0], wave.vertices[0], rtol=0, atol=1e-7)
+        np.testing.assert_array_equal(back.faces, wave.faces)
+    for suffix in ("obj", "ply"):
+        ssdr.save(wave, tmp_path / f"b_%d.{suffix}")
+        back = trimesh.load(tmp_path / f"b_2.{suffix}", process=False)
+        np.testing.assert_allclose(back.vertices, wave.vertices[2], rtol=0, atol=1e-7)
+        np.testing.assert_array_equal(back.faces, wave.faces)
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_stl_is_welded_the_same_in_every_frame(tmp_path, wave, caplog, text):
+    trimesh = pytest.importorskip("trimesh")
+    for k, frame in enumerate(wave.vertices):
+        trimesh.Trimesh(frame, wave.faces, process=False).export(
+            tmp_path / f"f{k}.stl", file_type="stl_ascii" if text else "stl"
+        )
+    with caplog.at_level(logging.INFO, "ssdr"):
+        sequence = ssdr.load(tmp_path)
+    assert "36 corners became 12 vertices" in caplog.text
+    assert sequence.vertex_map.shape == (36,)
+    np.testing.assert_allclose(
+        sequence.vertices[:, sequence.faces], wave.vertices[:, wave.faces], rtol=0, atol=1e-7
+    )
+    np.testing.assert_array_equal(sequence.vertex_map.reshape(-1, 3), sequence.faces)
+
+
+@pytest.mark.parametrize(
+    "counts", ["1000000000000 1 0", "3 99999999999 0", "-3 1 0", "3 -1 0", "x"]
+)
+def test_off_counts_are_not_believed(tmp_path, counts):
+    (tmp_path / "a.off").write_text(f"OFF\n{counts}\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    with pytest.raises(FormatError, match=r"a\.off"):
+        ssdr.load(tmp_path / "a.off")

@@ -1,0 +1,59 @@
+"""PLY."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+import ssdr
+from ssdr import FormatError
+
+
+def test_ply_normals_and_texture_coordinates_go_to_corners(tmp_path):
+    (tmp_path / "a.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\n"
+        "property double z\nproperty float nx\nproperty float ny\nproperty float nz\n"
+        "property float s\nproperty float t\nelement face 1\n"
+        "property list uchar uint vertex_indices\nend_header\n"
+        "0 0 0 0 0 1 0.25 0.5\n1 0 0 0 1 0 0 1\n0 1 0 1 0 0 1 0\n3 2 0 1\n"
+    )
+    surface = ssdr.load(tmp_path / "a.ply").surface
+    np.testing.assert_array_equal(surface.uv, [[[1, 0], [0.25, 0.5], [0, 1]]])
+    np.testing.assert_array_equal(surface.normals, [[[1, 0, 0], [0, 0, 1], [0, 1, 0]]])
+
+
+HEAD = "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\n"
+
+
+TAIL = "property float z\nelement face {}\nproperty list {} int vertex_indices\nend_header\n"
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize(
+    ("n_vertices", "n_faces", "count"),
+    [
+        (10**15, 1, "uchar"),
+        (3, 10**15, "uchar"),
+        (2**70, 1, "int"),
+        (0, 1, "uchar"),
+        (3, 1, "float"),
+    ],
+)
+def test_ply_counts_are_not_believed(tmp_path, kind, n_vertices, n_faces, count):
+    head = HEAD.format(kind, n_vertices) + TAIL.format(n_faces, count)
+    body = b"0 0 0 1 0 0 0 1 0 3 0 1 2" if kind == "ascii" else bytes(36) + b"\3" + bytes(12)
+    (tmp_path / "a.ply").write_bytes(head.encode() + body)
+    with pytest.raises(FormatError, match=r"a\.ply"):
+        ssdr.load(tmp_path / "a.ply")
+
+
+def test_ply_lists_are_not_believed(tmp_path):
+    head = (HEAD.format("binary_little_endian", 3) + TAIL.format(2, "int")).encode()
+    first = struct.pack("<4i", 3, 0, 1, 2)
+    for second in (struct.pack("<4i", 2**31 - 1, 0, 1, 2), struct.pack("<4i", -3, 0, 1, 2)):
+        for rows in (first + second, second + first):
+            (tmp_path / "a.ply").write_bytes(head + bytes(36) + rows)
+            with pytest.raises(FormatError, match=r"a\.ply"):
+                ssdr.load(tmp_path / "a.ply")

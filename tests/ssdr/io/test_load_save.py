@@ -1,0 +1,64 @@
+"""Loading and saving: options, missing files, welding."""
+
+from __future__ import annotations
+
+import logging
+import types
+
+import numpy as np
+import pytest
+
+import ssdr
+from ssdr import InputError
+
+
+@pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.obj", "a.pc2", "a.zarr", "f_%03d.obj", "f*"])
+def test_missing_files_are_missing(tmp_path, name):
+    with pytest.raises(FileNotFoundError):
+        ssdr.load(tmp_path / name)
+
+
+def test_options_are_checked(tmp_path, wave):
+    ssdr.save(wave, tmp_path / "a.npz")
+    with pytest.raises(InputError, match=r"options: expected fps, mmap, max_bytes .*got mesh"):
+        ssdr.load(tmp_path / "a.npz", mesh="b.obj")
+    with pytest.raises(InputError, match=r"options: expected compress .*got level"):
+        ssdr.save(wave, tmp_path / "a.npz", level=3)
+    for fps in (0, -1, np.nan, "24", True):
+        with pytest.raises(InputError, match="fps: expected a positive number"):
+            ssdr.load(tmp_path / "a.npz", fps=fps)
+    assert ssdr.load(tmp_path / "a.npz", fps=12).fps == 12
+
+
+def test_a_result_is_saved_as_its_skinning(tmp_path, skinned):
+    ssdr.save(types.SimpleNamespace(skinning=skinned), tmp_path / "s.npz")
+    np.testing.assert_array_equal(ssdr.load_skinning(tmp_path / "s.npz").rest, skinned.rest)
+
+
+def test_real_sequences_load_as_they_are(real, data_dir):
+    for name in ("fox", "ea_bone", "mannequin_rumba"):
+        with np.load(data_dir / f"{name}.npz") as archive:
+            sequence = real(name)
+            np.testing.assert_array_equal(sequence.vertices, archive["vertices"], strict=True)
+            np.testing.assert_array_equal(sequence.faces, archive["faces"])
+            assert sequence.fps == archive["fps"]
+
+
+@pytest.mark.parametrize("suffix", ["pc2", "mdd"])
+def test_results_go_back_to_the_mesh_before_welding(tmp_path, seam, suffix):
+    welded, _ = seam.weld()
+    path = tmp_path / f"a.{suffix}"
+    assert "15 welded vertices" in ssdr.save(welded, path).note
+    assert ssdr.save(welded, path, unweld=True).note == ""
+    back = ssdr.load(path, mesh=seam)
+    np.testing.assert_array_equal(back.vertices, seam.vertices, strict=True)
+    with pytest.raises(InputError, match=r"^unweld"):
+        ssdr.save(seam, path, unweld=True)
+
+
+def test_load_welds_on_request(tmp_path, seam, caplog):
+    ssdr.save(seam, tmp_path / "a.npz")
+    with caplog.at_level(logging.INFO, "ssdr"):
+        welded = ssdr.load(tmp_path / "a.npz", weld=True)
+    assert "welded 18 vertices to 15" in caplog.text
+    np.testing.assert_array_equal(welded.unweld(welded.vertices, axis=1), seam.vertices)

@@ -1,0 +1,104 @@
+"""Point caches: PC2 and MDD."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import struct
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.surfaces import same_sequence
+from ssdr import FormatError, InputError, MeshSequence
+
+
+@pytest.mark.parametrize("suffix", ["pc2", "mdd"])
+@pytest.mark.parametrize("mmap", [False, True])
+def test_point_caches_go_round(tmp_path, wave, suffix, mmap):
+    path = tmp_path / f"clip.{suffix}"
+    report = ssdr.save(wave, path)
+    assert report.error is None
+    assert report.bytes == path.stat().st_size
+    with pytest.raises(InputError, match=r"mesh: expected a mesh, .*clip\.obj beside"):
+        ssdr.load(path)
+    ssdr.save(dataclasses.replace(wave, vertices=wave.vertices[:1]), tmp_path / "clip.obj")
+    for mesh in (None, wave, wave.faces, tmp_path / "clip.obj"):
+        back = ssdr.load(path, mesh=mesh, mmap=mmap, fps=25 if suffix == "pc2" else None)
+        same_sequence(back, wave, strict=not mmap)
+        assert back.is_lazy == mmap
+        np.testing.assert_array_equal(back.frames(2), wave.frames(2), strict=True)
+    assert len(ssdr.load(path, mesh="none").faces) == 0
+    with pytest.raises(InputError, match=r"^mesh: expected a mesh of 12 vertices, got 11"):
+        ssdr.load(path, mesh=MeshSequence(wave.vertices[:, 1:]))
+
+
+def test_point_caches_follow_their_layouts(tmp_path, wave):
+    ssdr.save(wave, tmp_path / "a.pc2")
+    data = (tmp_path / "a.pc2").read_bytes()
+    assert data[:12] == b"POINTCACHE2\0"
+    assert struct.unpack("<iiffi", data[12:32]) == (1, 12, 0.0, 1.0, 4)
+    assert data[32:] == wave.vertices.astype("<f4").tobytes()
+    ssdr.save(wave, tmp_path / "a.mdd")
+    data = (tmp_path / "a.mdd").read_bytes()
+    assert struct.unpack(">ii4f", data[:24]) == (4, 12, *np.float32([0, 0.04, 0.08, 0.12]).tolist())
+    assert data[24:] == wave.vertices.astype(">f4").tobytes()
+
+
+@pytest.mark.parametrize("fps", [12.5, 23.976, 24, 29.97, 60, 120])
+def test_mdd_times_carry_the_rate(tmp_path, fps):
+    sequence = MeshSequence(np.zeros((500, 1, 3)), None, fps)
+    ssdr.save(sequence, tmp_path / "a.mdd")
+    assert ssdr.load(tmp_path / "a.mdd", mesh="none").fps == pytest.approx(fps, abs=1e-3)
+    assert ssdr.load(tmp_path / "a.mdd", mesh="none", fps=7).fps == 7
+
+
+def test_uneven_mdd_times_are_told(tmp_path, caplog):
+    head = struct.pack(">ii3f", 3, 1, 0.0, 0.04, 0.2)
+    (tmp_path / "a.mdd").write_bytes(head + bytes(36))
+    with caplog.at_level(logging.WARNING, "ssdr"):
+        assert ssdr.load(tmp_path / "a.mdd", mesh="none").fps == 10
+    assert "not even" in caplog.text
+    head = struct.pack(">ii3f", 3, 1, 0.0, 0.2, 0.1)
+    (tmp_path / "a.mdd").write_bytes(head + bytes(36))
+    with pytest.raises(FormatError, match="not increasing"):
+        ssdr.load(tmp_path / "a.mdd", mesh="none")
+
+
+def test_point_caches_of_a_skinning_state_their_error(tmp_path, skinned):
+    exact = skinned.skin()
+    for suffix in ("pc2", "mdd"):
+        report = ssdr.save(skinned, tmp_path / f"a.{suffix}")
+        back = ssdr.load(tmp_path / f"a.{suffix}", mesh="none")
+        gap = back.vertices.astype(np.float64) - exact
+        distance = np.sqrt((gap**2).sum(axis=2))
+        assert report.error == pytest.approx(np.sqrt((distance**2).mean()))
+        assert report.max_error == pytest.approx(distance.max())
+        assert 0 < report.max_error < 1e-6
+    assert back.fps == 30
+    far = dataclasses.replace(skinned, rest=skinned.rest.astype(np.float64) * 1e300)
+    with pytest.raises(InputError, match="within float32"):
+        ssdr.save(far, tmp_path / "far.pc2")
+
+
+@pytest.mark.parametrize(
+    ("points", "samples"),
+    [(2**31 - 1, 2**31 - 1), (-1, 4), (0, 4), (4, 0), (13, 4), (12, 5), (11, 4)],
+)
+def test_cache_counts_are_not_believed(tmp_path, wave, points, samples):
+    ssdr.save(wave, tmp_path / "a.pc2")
+    data = bytearray((tmp_path / "a.pc2").read_bytes())
+    struct.pack_into("<i", data, 16, points)
+    struct.pack_into("<i", data, 28, samples)
+    (tmp_path / "a.pc2").write_bytes(data)
+    ssdr.save(wave, tmp_path / "a.mdd")
+    data = bytearray((tmp_path / "a.mdd").read_bytes())
+    struct.pack_into(">ii", data, 0, samples, points)
+    (tmp_path / "a.mdd").write_bytes(data)
+    for name in ("a.pc2", "a.mdd"):
+        for mmap in (False, True):
+            with pytest.raises(
+                FormatError, match=f"{name}: states {samples} samples of {points} p"
+            ):
+                ssdr.load(tmp_path / name, mesh="none", mmap=mmap)

@@ -1,0 +1,73 @@
+"""The table of formats."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ssdr
+from ssdr import FormatError, InputError
+from ssdr.io import FORMATS
+
+
+def test_every_row_of_the_table_says_what_it_can():
+    for suffix, row in FORMATS.items():
+        assert suffix == suffix.lower()
+        assert row.read or row.write_skinning
+    assert {s for s, row in FORMATS.items() if row.extra == "blender"} == {".abc", ".fbx"}
+
+
+def test_importing_the_package_imports_no_format():
+
+    code = (
+        "import ssdr, ssdr.io, sys; ssdr.io.load; "
+        "print([m for m in ('trimesh', 'pygltflib', 'pxr', 'bpy', 'zarr', 'numba') "
+        "if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_unknown_suffixes_name_those_that_are_known(tmp_path, wave):
+    (tmp_path / "a.xyz").write_text("1 2 3")
+    (tmp_path / "a").write_text("1 2 3")
+    with pytest.raises(FormatError, match=r"a\.xyz: the suffix '\.xyz' is none of \.abc, .*\.zarr"):
+        ssdr.load(tmp_path / "a.xyz")
+    with pytest.raises(FormatError, match="a name without suffix"):
+        ssdr.load(tmp_path / "a")
+    with pytest.raises(InputError, match="path: expected a suffix of"):
+        ssdr.save(wave, tmp_path / "b.xyz")
+    with pytest.raises(InputError, match=r"path: expected a suffix of .* for a MeshSequence"):
+        ssdr.save(wave, tmp_path / "b.csv")
+    with pytest.raises(FormatError, match="no skinning can be read from"):
+        ssdr.load_skinning(tmp_path / "a.obj")
+    (tmp_path / "w.csv").write_text("")
+    with pytest.raises(FormatError, match="read_weights"):
+        ssdr.load(tmp_path / "w.csv")
+    with pytest.raises(InputError, match="thing: expected a MeshSequence"):
+        ssdr.save(wave.vertices, tmp_path / "b.npz")
+    with pytest.raises(InputError, match="path: expected a path"):
+        ssdr.load(3)
+
+
+def test_the_page_on_formats_names_them_all():
+    page = (Path(__file__).parents[3] / "docs" / "io.md").read_text(encoding="utf-8")
+    table = page[page.index("| suffix") : page.index("Options common")]
+    for suffix, row in FORMATS.items():
+        line = next(line for line in table.splitlines() if f"`{suffix}`" in line)
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        able = [row.read, row.read_skinning, row.write_sequence, row.write_skinning]
+        assert [cell == "yes" for cell in cells[2:5]] == [bool(f) for f in able[:3]]
+        assert bool(cells[5]) == bool(row.write_sequence or row.write_skinning)
+        assert cells[6] == (f"`ssdr[{row.extra}]`" if row.extra else "")
+
+
+def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    (tmp_path / "a.zarr").mkdir()
+    for act in (lambda p: ssdr.load(p), lambda p: ssdr.save(wave, p)):
+        with pytest.raises(ssdr.MissingDependencyError, match=r'pip install "ssdr\[zarr\]"'):
+            act(tmp_path / "a.zarr")

@@ -1,0 +1,61 @@
+"""The rig that engines play: weights in steps, rotations between frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+import ssdr
+from helpers.rig_model import tube
+from ssdr.io.rig import build_rig, frame_rate, quantise, unique_names
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["float32", "uint16", "uint8"]))
+def test_quantise_keeps_the_sum(seed, storage):
+    rng = np.random.default_rng(seed)
+    weights = -np.sort(-rng.dirichlet(np.full(6, 0.3), size=50), axis=1)
+    weights[weights < 1e-3] = 0
+    weights /= weights.sum(axis=1, keepdims=True)
+    _, stored, values = quantise(np.zeros(weights.shape, np.int32), weights, storage)
+    np.testing.assert_allclose(values.sum(axis=1), 1, atol=1e-7)
+    assert (stored[weights == 0] == 0).all()
+
+
+def test_between_frames_against_scipy():
+    model = tube(frames=12)
+    rig = build_rig(model)
+    total = 0.0
+    for frame in range(11):
+        moved = np.empty((model.n_bones, 3, 4))
+        for bone in range(model.n_bones):
+            turns = Rotation.from_matrix(model.transforms[frame : frame + 2, bone, :, :3])
+            middle = Slerp([0, 1], turns)(0.5).as_matrix()
+            c = model.centroids()[bone]
+            ends = model.transforms[frame : frame + 2, bone, :, :3] @ c
+            ends = ends + model.transforms[frame : frame + 2, bone, :, 3]
+            moved[bone, :, :3] = middle
+            moved[bone, :, 3] = ends.mean(axis=0) - middle @ c
+        shown = ssdr.skin(model.rest, model.joints, model.weights, moved)
+        total += ((shown - model.skin([frame, frame + 1]).mean(axis=0)) ** 2).sum(axis=1).mean()
+    assert rig.error(model, between=True).rmse == pytest.approx(np.sqrt(total / 11), rel=1e-4)
+    assert build_rig(tube(frames=1)).error(model, between=True).rmse is None
+
+
+def test_quaternions_do_not_flip():
+    rig = build_rig(tube(frames=60, bones=3))
+    assert (np.sum(rig.rotations[1:] * rig.rotations[:-1], axis=-1) > 0).all()
+    assert np.sum(rig.rotations[0] * rig.rotations[-1], axis=-1).min() < 0  # a flip was there
+
+
+def test_frame_rate():
+    ticks = np.arange(50)
+    assert frame_rate([(ticks / 24).astype(np.float32).astype(float)]) == 24
+    assert frame_rate([ticks * 1001 / 30000]) == pytest.approx(30000 / 1001)
+    assert frame_rate([np.array([0, 0.5, 2.0]), np.array([0, 1.25])]) == 24
+    assert frame_rate([np.array([0.0, 0.2, 1.4])]) == 25
+    assert frame_rate([np.zeros(1)]) is None
+    assert unique_names(["a", "a", "", "a_1", "a"]) == ("a", "a_1", "bone", "a_1_1", "a_2")

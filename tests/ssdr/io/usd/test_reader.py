@@ -1,0 +1,171 @@
+"""What is read from USD is what the file says; damage is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
+
+import ssdr
+from helpers.rig_model import baked_by_usd, largest_distance, tube
+
+pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+
+
+def test_sampling_and_fps(tmp_path):
+    ssdr.save(tube(frames=11), tmp_path / "a.usdc")
+    twice = ssdr.load(tmp_path / "a.usdc", fps=48)
+    assert (twice.n_frames, twice.fps) == (21, 48)
+    assert largest_distance(twice.vertices[::2], tube(frames=11).skin()) < 1e-6
+
+
+def test_polygons_transforms_and_primvars(tmp_path):
+    path = tmp_path / "a.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    stage.SetTimeCodesPerSecond(24)
+    top = UsdGeom.Xform.Define(stage, "/top")
+    spin = top.AddRotateZOp()
+    spin.Set(0.0, 1.0)
+    spin.Set(90.0, 4.0)
+    for k in range(2):
+        mesh = UsdGeom.Mesh.Define(stage, f"/top/m{k}")
+        mesh.CreatePointsAttr(
+            Vt.Vec3fArray([(0, 0, k), (1, 0, k), (1, 1, k), (0, 1, k), (-1, 1, k)])
+        )
+        mesh.CreateFaceVertexCountsAttr([5])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 3, 4])
+        mesh.CreateDisplayColorAttr([(1, 0, k)])
+        uv = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+            "uvs", Sdf.ValueTypeNames.TexCoord2fArray, "vertex"
+        )
+        uv.Set([(i, k) for i in range(5)])
+    mesh.CreateOrientationAttr("leftHanded")
+    hidden = UsdGeom.Mesh.Define(stage, "/top/hidden")
+    hidden.CreateVisibilityAttr("invisible")
+    stage.GetRootLayer().Save()
+    del stage, mesh, hidden, top, spin, uv
+    sequence = ssdr.load(path)
+    fan = [[0, 1, 2], [0, 2, 3], [0, 3, 4]]
+    other = [[7, 6, 5], [8, 7, 5], [9, 8, 5]]
+    np.testing.assert_array_equal(sequence.faces, fan + other)
+    assert sequence.n_frames == 4
+    np.testing.assert_allclose(sequence.vertices[3, 1], [0, 1, 0], atol=1e-6)
+    angle = np.deg2rad(30)
+    np.testing.assert_allclose(
+        sequence.vertices[1, 1], [np.cos(angle), np.sin(angle), 0], atol=1e-6
+    )
+    np.testing.assert_array_equal(sequence.surface.uv[0], [[0, 0], [1, 0], [2, 0]])
+    assert [m.base_color[2] for m in sequence.surface.materials] == [0, 1]
+    model = ssdr.load_skinning(path)
+    assert model.names() == ("m0", "m1")
+    assert largest_distance(model.skin(), sequence.vertices) < 1e-6
+
+
+def test_blend_shapes_and_bind_transform_against_usd(tmp_path):
+    ssdr.save(tube(frames=6), tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/tube/Mesh"))
+    shape = UsdSkel.BlendShape.Define(stage, "/tube/Mesh/bulge")
+    rows = np.arange(0, 250, 7, dtype=np.int32)
+    shape.CreateOffsetsAttr([(0.3, 0.1 * i, -0.2) for i in range(len(rows))])
+    shape.CreatePointIndicesAttr(Vt.IntArray.FromNumpy(rows))
+    binding = UsdSkel.BindingAPI(mesh)
+    binding.CreateBlendShapesAttr(["bulge"])
+    binding.CreateBlendShapeTargetsRel().SetTargets([shape.GetPath()])
+    binding.GetGeomBindTransformAttr().Set(Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(0.5, 0, 0.25)))
+    animation = UsdSkel.Animation(stage.GetPrimAtPath("/tube/Skeleton/Animation"))
+    animation.CreateBlendShapesAttr(["bulge"])
+    weights = animation.CreateBlendShapeWeightsAttr()
+    for frame in range(6):
+        weights.Set([frame / 5], frame)
+    UsdGeom.Xformable(stage.GetPrimAtPath("/tube")).AddTranslateOp().Set(Gf.Vec3d(1, 2, 3))
+    stage.GetRootLayer().Export(str(tmp_path / "b.usda"))
+    sequence = ssdr.load(tmp_path / "b.usda")
+    truth = baked_by_usd(tmp_path / "b.usda", range(6))
+    assert largest_distance(sequence.vertices, truth) < 5e-6
+    assert largest_distance(sequence.vertices, tube(frames=6).skin()) > 1
+    with pytest.raises(ssdr.FormatError, match="blend shapes"):
+        ssdr.load_skinning(tmp_path / "b.usda")
+
+
+def edited(tmp_path, change):
+    ssdr.save(tube(frames=3), tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    change(stage, UsdGeom.Mesh(stage.GetPrimAtPath("/tube/Mesh")))
+    stage.GetRootLayer().Export(str(tmp_path / "b.usda"))
+    return tmp_path / "b.usda"
+
+
+def _joints(value):
+    def change(_, mesh):
+        primvar = UsdSkel.BindingAPI(mesh).GetJointIndicesPrimvar()
+        values = np.array(primvar.Get())
+        values[5] = value
+        primvar.Set(Vt.IntArray.FromNumpy(values))
+
+    return change
+
+
+def _faces(_, mesh):
+    values = np.array(mesh.GetFaceVertexIndicesAttr().Get())
+    values[5] = 10**6
+    mesh.GetFaceVertexIndicesAttr().Set(Vt.IntArray.FromNumpy(values))
+
+
+def _nan(_, mesh):
+    points = np.array(mesh.GetPointsAttr().Get())
+    points[3, 1] = np.nan
+    mesh.GetPointsAttr().Set(Vt.Vec3fArray.FromNumpy(points))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_joints(99), "joint index outside 0 to 4"),
+        (_joints(-1), "joint index outside 0 to 4"),
+        (_faces, "1000000 for 254 points"),
+        (_nan, "finite"),
+        (lambda _, m: m.GetFaceVertexCountsAttr().Set([3, 3]), "add up to 6"),
+        (lambda _, m: m.GetPointsAttr().Set([]), "no points"),
+        (lambda _, m: m.GetPointsAttr().Set([(0, 0, 0)]), "for 1 points"),
+        (lambda s, _: s.SetEndTimeCode(1e15), "max_bytes"),
+        (lambda s, _: s.SetEndTimeCode(-5), "time codes run"),
+        (lambda s, _: s.RemovePrim("/tube/Mesh"), "no visible mesh"),
+        (
+            lambda _, m: UsdSkel.BindingAPI(m).GetJointWeightsPrimvar().Set([0.0] * 254 * 4),
+            "all zero",
+        ),
+    ],
+)
+def test_damaged_scenes(tmp_path, change, message):
+    with pytest.raises(ssdr.FormatError, match=message):
+        ssdr.load(edited(tmp_path, change))
+
+
+def test_truncated_and_mislabelled(tmp_path):
+    ssdr.save(tube(frames=3), tmp_path / "a.usdc")
+    ssdr.save(tube(frames=3), tmp_path / "a.usda")
+    for name in ("a.usdc", "a.usda"):
+        data = (tmp_path / name).read_bytes()
+        for end in (0, 10, len(data) // 2):
+            target = tmp_path / f"{end}_{name}"
+            target.write_bytes(data[:end])
+            with pytest.raises(ssdr.FormatError, match=name):
+                ssdr.load(target)
+    (tmp_path / "zip.usdc").write_bytes(b"PK\x03\x04" * 50)
+    with pytest.raises(ssdr.FormatError, match="zip"):
+        ssdr.load(tmp_path / "zip.usdc")
+
+
+def test_textures_outside_the_folder_are_left_out(tmp_path, caplog):
+    (tmp_path / "secret.png").write_bytes(b"\x89PNG secret")
+    inner = tmp_path / "scene"
+    inner.mkdir()
+
+    def change(stage, _):
+        shader = UsdShade.Shader(stage.GetPrimAtPath("/tube/Looks/checker/Texture"))
+        shader.GetInput("file").Set("../secret.png")
+
+    path = edited(inner, change)
+    assert ssdr.load(path).surface.materials[0].texture is None
+    assert "outside" in caplog.text

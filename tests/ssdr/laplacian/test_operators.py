@@ -1,0 +1,114 @@
+"""Laplacians and masses against loops, hand calculation and analysis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers import naive
+from helpers.surfaces import grid, sphere
+from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix, uniform_laplacian
+
+
+@st.composite
+def soups(draw):
+    """Random triangles on few vertices: non-manifold, open, repeated, in several pieces."""
+    n = draw(st.integers(3, 9))
+    count = draw(st.integers(1, 14))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    faces = np.stack([rng.permutation(n)[:3] for _ in range(count)])
+    return rng.normal(size=(n, 3)), faces.astype(np.int32)
+
+
+def test_one_triangle_by_hand():
+    # 3-4-5: cot at the right angle is 0, at the others 4/3 and 3/4; half of each is the weight.
+    vertices = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]])
+    expected = np.array(
+        [
+            [3 / 8 + 4 / 6, -3 / 8, -4 / 6],
+            [-3 / 8, 3 / 8, 0.0],
+            [-4 / 6, 0.0, 4 / 6],
+        ]
+    )
+    # The edge 0-1 (length 4) is opposite to vertex 2, whose cotangent is 3/4; 0-2 to vertex 1.
+    matrix = cotangent_laplacian(vertices, [[0, 1, 2]]).toarray()
+    np.testing.assert_allclose(matrix, expected, atol=1e-15)
+    np.testing.assert_allclose(mass_matrix(vertices, [[0, 1, 2]]).diagonal(), [2, 2, 2])
+    np.testing.assert_allclose(
+        mass_matrix(vertices, [[0, 1, 2]], kind="voronoi").diagonal(), [3, 1.5, 1.5]
+    )
+    np.testing.assert_array_equal(
+        uniform_laplacian([[0, 1, 2]], 3).toarray(), [[2, -1, -1], [-1, 2, -1], [-1, -1, 2]]
+    )
+
+
+@given(soups())
+@settings(max_examples=40, deadline=None)
+def test_matrices_equal_naive_loops(soup):
+    vertices, faces = soup
+    n = len(vertices)
+    np.testing.assert_array_equal(
+        uniform_laplacian(faces, n).toarray(), naive.uniform_laplacian(faces, n)
+    )
+    expected = naive.cotangent_laplacian(vertices, faces)
+    np.testing.assert_allclose(
+        cotangent_laplacian(vertices, faces).toarray(),
+        expected,
+        atol=1e-8 * max(1.0, np.abs(expected).max()) ** 2,
+    )
+    used = np.unique(faces)
+    for kind, twin in (("barycentric", naive.barycentric_mass), ("voronoi", naive.voronoi_mass)):
+        got = mass_matrix(vertices, faces, kind=kind).diagonal()
+        np.testing.assert_allclose(got[used], twin(vertices, faces)[used], rtol=1e-6)
+        assert got.min() > 0
+
+
+@given(soups())
+@settings(max_examples=30, deadline=None)
+def test_symmetric_semi_definite_with_constants_in_the_null_space(soup):
+    vertices, faces = soup
+    for matrix in (
+        uniform_laplacian(faces, len(vertices)).toarray(),
+        cotangent_laplacian(vertices, faces).toarray(),
+    ):
+        size = np.abs(matrix).max()
+        np.testing.assert_array_equal(matrix, matrix.T)
+        np.testing.assert_allclose(matrix.sum(axis=1), 0, atol=1e-13 * size)
+        assert np.linalg.eigvalsh(matrix).min() >= -1e-12 * size
+
+
+def test_linear_precision_on_a_flat_patch():
+    vertices, faces = grid(7, 6, jitter=0.04, rng=np.random.default_rng(0))
+    inner = np.ones((8, 7), dtype=bool)
+    inner[[0, -1]] = inner[:, [0, -1]] = False
+    linear = vertices @ np.array([[1.0, -2.0], [0.5, 3.0], [0, 0]]) + 5
+    residual = cotangent_laplacian(vertices, faces) @ linear
+    np.testing.assert_allclose(residual[inner.ravel()], 0, atol=1e-13)
+    assert np.abs(residual[~inner.ravel()]).max() > 0.01  # a boundary has a flux
+
+
+def test_area_of_the_mesh_is_shared_out():
+    vertices, faces = sphere()
+    area = trimesh.Trimesh(vertices, faces, process=False).area
+    for kind in ("barycentric", "voronoi"):
+        assert mass_matrix(vertices, faces, kind=kind).diagonal().sum() == pytest.approx(area)
+
+
+def test_scale_and_rigid_motion_leave_the_cotangents_alone():
+    vertices, faces = sphere()
+    base = cotangent_laplacian(vertices, faces).toarray()
+    rotation = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    moved = cotangent_laplacian(1e6 * vertices @ rotation + 3e6, faces).toarray()
+    np.testing.assert_allclose(moved, base, atol=1e-9)
+
+
+def test_slivers_keep_the_matrix_semi_definite():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0, 0], [0.5, 1e-12, 0], [0.3, 1e-5, 0]])
+    for third in (2, 3, 4):
+        matrix = cotangent_laplacian(points, [[0, 1, third]]).toarray()
+        assert np.isfinite(matrix).all()
+        assert np.linalg.eigvalsh(matrix).min() >= -1e-10 * np.abs(matrix).max()
+        assert np.abs(matrix).max() <= 2e6

@@ -1,0 +1,141 @@
+"""All metrics in one call; what every one of them refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.surfaces import animation
+from ssdr import InputError, MeshSequence
+from ssdr.metrics import compare, distances, hausdorff, rmse, sted
+
+
+def test_chunks_and_files_give_the_same(monkeypatch, tmp_path):
+    a, faces = animation(F=12)
+    b, _ = animation(1, F=12)
+    whole = compare(a, b, faces).as_dict(arrays=True)
+    np.save(tmp_path / "a.npy", a)
+    mapped = MeshSequence(np.load(tmp_path / "a.npy", mmap_mode="r"), faces)
+    assert mapped.is_lazy
+    monkeypatch.setattr("ssdr.metrics.inputs._CHUNK_BYTES", 1)
+    parts = compare(mapped, b).as_dict(arrays=True)
+
+    def same(x, y):
+        if isinstance(x, dict):
+            assert x.keys() == y.keys()
+            for key in x:
+                same(x[key], y[key])
+        else:
+            np.testing.assert_allclose(x, y, rtol=1e-12)
+
+    same(parts, whole)
+
+
+def test_compare_has_them_all():
+    a, faces = animation(F=5)
+    b, _ = animation(1, F=5)
+    result = compare(MeshSequence(a, faces), b)
+    assert (result.n_frames, result.n_vertices) == a.shape[:2]
+    d, h, s = distances(a, b), hausdorff(a, b, faces), sted(a, b, faces)
+    for name in ("rmse", "coordinate_rmse", "E", "percent_of_diagonal", "mean", "max"):
+        assert getattr(result, name) == getattr(d, name)
+    assert result.hausdorff.surface_max == h.surface_max
+    assert result.sted.value == s.value
+    plain = json.loads(json.dumps(result.as_dict()))
+    assert plain["rmse"] == d.rmse
+    assert plain["hausdorff"]["vertex_mean"] == h.vertex_mean
+    assert plain["sted"]["temporal"] == s.temporal
+    assert "per_frame" not in plain
+    full = json.loads(json.dumps(result.as_dict(arrays=True)))
+    np.testing.assert_allclose(full["per_vertex"], d.per_vertex)
+    np.testing.assert_allclose(full["hausdorff"]["surface_per_frame"], h.surface_per_frame)
+    table = str(result)
+    for text in (f"{d.rmse:.6g}", f"{h.surface_max:.6g}", f"{s.value:.4g}", "5 frames"):
+        assert text in table
+
+
+def test_no_share_of_a_diagonal_of_zero_in_json():
+    result = compare(np.zeros((3, 4, 3)), np.ones((3, 4, 3)))
+    assert result.percent_of_diagonal == math.inf
+    assert json.loads(json.dumps(result.as_dict(), allow_nan=False))["percent_of_diagonal"] is None
+
+
+def test_compare_of_parts_and_options():
+    a, faces = animation(F=5)
+    b, _ = animation(1, F=5)
+    bare = compare(a, b, hausdorff=False, sted=False)
+    assert bare.hausdorff is None
+    assert bare.sted is None
+    assert set(bare.as_dict()) == {
+        "n_frames",
+        "n_vertices",
+        "rmse",
+        "coordinate_rmse",
+        "E",
+        "percent_of_diagonal",
+        "mean",
+        "max",
+        "max_frame",
+        "max_vertex",
+        "diagonal",
+    }
+    assert "STED" not in str(bare)
+    cloud = compare(a, b)
+    assert cloud.hausdorff.surface_max is None
+    assert cloud.sted.spatial == 0
+    assert "surfaces" not in str(cloud)
+    options = compare(
+        a, b, faces, hausdorff_options={"subdivisions": 2}, sted_options={"window": 3}
+    )
+    assert (options.hausdorff.subdivisions, options.sted.window) == (2, 3)
+
+
+def test_same_bits_for_any_number_of_threads():
+    a, faces = animation(F=30, subdivisions=2)
+    b, _ = animation(1, F=30, subdivisions=2)
+    try:
+        results = []
+        for threads in (1, 2, 3):
+            ssdr.set_threads(threads)
+            results.append(json.dumps(compare(a, b, faces).as_dict(arrays=True)))
+    finally:
+        ssdr.set_threads(None)
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.parametrize(
+    ("function", "change", "argument"),
+    [
+        (compare, {"other": np.zeros((5, 41, 3))}, "other"),
+        (compare, {"other": np.zeros((4, 42, 3))}, "other"),
+        (compare, {"other": np.zeros((42, 3))}, "other"),
+        (compare, {"reference": np.full((5, 42, 3), np.nan)}, "reference"),
+        (compare, {"other": np.full((5, 42, 3), np.inf)}, "other"),
+        (compare, {"reference": "abc"}, "reference"),
+        (compare, {"faces": [[0, 1, 42]]}, "faces"),
+        (rmse, {"other": np.zeros((5, 41, 3))}, "other"),
+        (distances, {"other": np.zeros((5, 41, 3))}, "other"),
+        (hausdorff, {"other": np.zeros((4, 42, 3))}, "other"),
+        (hausdorff, {"subdivisions": 0}, "subdivisions"),
+        (hausdorff, {"subdivisions": 1.5}, "subdivisions"),
+        (hausdorff, {"other_faces": [[0, 1, 42]]}, "faces"),
+        (sted, {"neighbourhood": 0}, "neighbourhood"),
+        (sted, {"neighbourhood": True}, "neighbourhood"),
+        (sted, {"window": 4}, "window"),
+        (sted, {"window": 0}, "window"),
+        (sted, {"dt": 0}, "dt"),
+        (sted, {"dt": np.nan}, "dt"),
+        (sted, {"c": -1}, "c"),
+        (sted, {"normaliser": "size"}, "normaliser"),
+        (sted, {"normaliser": 0.0}, "normaliser"),
+    ],
+)
+def test_bad_input(function, change, argument):
+    arguments = {"reference": np.zeros((5, 42, 3)), "other": np.zeros((5, 42, 3))} | change
+    with pytest.raises(InputError) as error:
+        function(**arguments)
+    assert error.value.argument == argument

@@ -1,0 +1,79 @@
+"""Distances and RMSE against loops and published figures."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssdr import MeshSequence
+from ssdr.metrics import distances, rmse
+
+seeds = st.integers(0, 10**6)
+
+
+DATA = Path(
+    os.environ.get("SSDR_TEST_DATA", Path(__file__).resolve().parents[4] / "shared" / "data")
+)
+
+
+@given(seed=seeds, F=st.integers(1, 4), V=st.integers(1, 6))
+@settings(max_examples=30, deadline=None)
+def test_distances_equal_naive_loops(seed, F, V):
+    a, b = np.random.default_rng(seed).normal(size=(2, F, V, 3))
+    table = [[math.dist(a[t, i], b[t, i]) for i in range(V)] for t in range(F)]
+    square = [[d * d for d in row] for row in table]
+    total = sum(map(sum, square))
+    d = distances(a, b)
+    assert d.rmse == pytest.approx(math.sqrt(total / (F * V)))
+    assert rmse(a, b) == pytest.approx(d.rmse)
+    assert d.coordinate_rmse == pytest.approx(math.sqrt(total / (3 * F * V)))
+    assert pytest.approx(1000 * np.linalg.norm((a - b).ravel()) / math.sqrt(3 * F * V)) == d.E
+    assert d.mean == pytest.approx(sum(map(sum, table)) / (F * V))
+    assert d.max == pytest.approx(max(map(max, table)))
+    assert table[d.max_frame][d.max_vertex] == pytest.approx(d.max)
+    np.testing.assert_allclose(d.per_frame, [math.sqrt(sum(row) / V) for row in square])
+    np.testing.assert_allclose(
+        d.per_vertex, [math.sqrt(sum(row[i] for row in square) / F) for i in range(V)]
+    )
+    assert d.diagonal == pytest.approx(MeshSequence(a).diagonal())
+    if d.diagonal:
+        assert d.percent_of_diagonal == pytest.approx(100 * d.rmse / d.diagonal)
+
+
+def test_a_shift_by_hand():
+    a = np.zeros((2, 3, 3))
+    a[:, 1] = [3, 0, 0]
+    a[:, 2] = [0, 4, 0]
+    b = a + np.array([0, 0, 0.5])
+    d = distances(a, b)
+    assert d.rmse == d.mean == d.max == 0.5
+    assert pytest.approx(500 / math.sqrt(3)) == d.E
+    assert (d.diagonal, d.percent_of_diagonal) == (5.0, pytest.approx(10))
+    assert distances(a, a).rmse == 0
+    point = np.zeros((1, 1, 3))
+    assert distances(point, point).percent_of_diagonal == 0
+    assert distances(point, point + 1).percent_of_diagonal == math.inf
+
+
+def test_float32_is_summed_in_float64():
+    a = np.full((50, 40, 3), 1000, dtype=np.float32)
+    b = a + np.float32(0.125)
+    assert rmse(a, b) == pytest.approx(0.125 * math.sqrt(3), rel=1e-14)
+
+
+@pytest.mark.skipif(
+    not (DATA / "reference").is_dir(), reason="no real sequences (SSDR_TEST_DATA, ../shared/data)"
+)
+@pytest.mark.parametrize(("bones", "published"), [(5, 0.0268619), (10, 0.0155799), (20, 0.0098871)])
+def test_published_results_have_their_published_error(bones, published):
+    data = np.load(DATA / "ea_bone.npz", allow_pickle=False)
+    model = np.load(DATA / "reference" / f"ea_ref_Decomposition_{bones:02}.npz", allow_pickle=False)
+    points = np.c_[model["rest"], np.ones(len(model["rest"]))]
+    frames = np.einsum("vb,fbxy,vy->fvx", model["weights"], model["transforms"], points)
+    assert rmse(data["vertices"], frames) == pytest.approx(published, rel=1e-4)

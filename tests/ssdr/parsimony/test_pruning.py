@@ -1,0 +1,39 @@
+"""Pruning: every step says what it cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import ssdr
+from helpers.measures import small
+from ssdr import parsimony
+
+
+def test_every_pruning_says_what_it_cost() -> None:
+    found = small().parsimony
+    assert found is not None
+    assert [p.what for p in found.prunings] == ["bones", "influences", "keyframes"]
+    bones, influences, keyframes = found.prunings
+    assert bones.before >= bones.after == found.bones
+    assert influences.after < influences.before
+    assert influences.bytes_after < influences.bytes_before
+    assert keyframes.bytes_after <= keyframes.bytes_before
+    assert influences.error_after == keyframes.error_before
+    assert keyframes.error_after == found.error
+    assert keyframes.bytes_after == found.size.total == parsimony.size(small().skinning).total
+    assert influences.after == (small().skinning.weights > 0).sum()
+    assert small().skinning.keyframes is not None
+    assert keyframes.after == small().skinning.keyframes.sum()
+    for p in found.prunings:
+        assert p.cost == p.error_after - p.error_before
+    tried = {a.bones for a in found.attempts}
+    assert found.bones in tried
+    assert found.bones == found.least_bones or found.bones - 1 in tried
+
+
+def test_the_result_goes_through_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "model.npz"
+    ssdr.save(small(), path)
+    back = ssdr.load_skinning(path)
+    assert (back.keyframes == small().skinning.keyframes).all()
+    assert parsimony.size(back) == small().parsimony.size  # type: ignore[union-attr]

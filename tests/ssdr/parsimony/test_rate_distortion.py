@@ -1,0 +1,58 @@
+"""The curve of error over bytes, and its knee."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions
+from helpers.measures import diagonal, wavy
+from ssdr import parsimony
+from ssdr.streaming import scan
+
+
+def test_curve_of_exact_skinning_has_its_knee_there() -> None:
+    rig = motions.chain(bones=5, rows=14, frames=15)
+    curve = parsimony.curve(rig.frames, bones=10)
+    assert curve.bones.tolist() == [1, 2, 3, 4, 5, 6, 7, 8, 10]
+    assert (np.diff(curve.rmse) <= 0).all()
+    assert curve.bones[curve.knee] == 5
+    assert curve.diagonal == pytest.approx(diagonal(rig.frames))
+    assert curve.percent == pytest.approx(100 * curve.rmse / curve.diagonal)
+    assert (curve.bytes >= curve.bones * (12 + 15 * 28) + 84 * (12 + 1 + 3)).all()
+    assert (curve.bytes <= curve.bones * (12 + 15 * 28) + 84 * (12 + 1 + 4 * 3)).all()
+
+
+def test_curve_of_streamed_frames_has_the_bytes_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = wavy().copy()
+    frames[8, 40:42] += [[0, 0, -4], [0, 0, 4]]  # vertices by which frames are not compared
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1 << 10)
+    monkeypatch.setattr(scan, "_FEWEST", 6)
+    monkeypatch.setattr(scan, "_MOST", 6)
+    monkeypatch.setattr(scan, "_PROBES", 8)
+    sequence = ssdr.MeshSequence(frames)
+    assert 8 not in scan.scan([sequence], None).chosen
+    curve = parsimony.curve(frames, bones=2)
+    weights = 84 * np.array([[1 + 3, 1 + 3], [1 + 3, 1 + 2 * 3]])
+    for bones, stored, least, most in zip(curve.bones, curve.bytes, *weights, strict=True):
+        known = 84 * 12 + bones * (12 + 15 * 28)
+        assert known + least <= stored <= known + most
+    assert curve.diagonal == pytest.approx(diagonal(frames))
+
+
+def test_knee() -> None:
+    sizes = np.array([10, 20, 40, 80, 160])
+    assert parsimony.knee(sizes, np.array([1.0, 0.5, 0.01, 0.008, 0.007]), 0.0) == 2
+    assert parsimony.knee(sizes, np.array([1.0, 0.5, 0.0, 0.0, 0.0]), 1e-5) == 2
+    assert parsimony.knee(sizes, np.zeros(5), 1e-5) == 0
+    assert parsimony.knee(sizes[:1], np.ones(1), 0.0) == 0
+
+
+def test_curve_refuses_and_cancels() -> None:
+    with pytest.raises(ssdr.InputError):
+        parsimony.curve(wavy(), effort="heroic")  # type: ignore[arg-type]
+    with pytest.raises(ssdr.InputError):
+        parsimony.curve(wavy(), bones=0)
+    with pytest.raises(ssdr.Cancelled):
+        parsimony.curve(wavy(), bones=4, callback=lambda p: True)

@@ -1,0 +1,209 @@
+"""The smallest model for a tolerance: what it promises, measured from outside."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssdr
+from helpers import motions
+from helpers.measures import diagonal, largest_of, rmse_of, small, wavy
+from ssdr.streaming import scan
+
+
+@pytest.mark.parametrize(
+    ("argument", "change"),
+    [
+        ("tolerance_of", {"tolerance_of": "mean"}),
+        ("bones", {"bones": 0}),
+        ("bones", {"bones": 85}),
+        ("smoothness", {"smoothness": 0.1}),
+        ("weights", {"joints": np.zeros((84, 1), int), "weights": np.ones((84, 1))}),
+        ("transforms", {"transforms": np.tile(np.eye(4)[:3], (15, 2, 1, 1))}),
+        ("vertex_importance", {"vertex_importance": np.arange(84) < 42}),
+        ("vertex_importance", {"vertex_importance": np.where(np.arange(84) < 42, 5.0, 4e-6)}),
+    ],
+)
+def test_refuses_beside_a_tolerance(argument: str, change: dict[str, Any]) -> None:
+    rig = motions.chain(bones=5, rows=14, frames=15)
+    with pytest.raises(ssdr.InputError, match="expected") as caught:
+        ssdr.decompose(rig.frames, rig.faces, **({"tolerance": "1%"} | change))
+    assert caught.value.argument == argument
+
+
+def test_without_bones_and_without_tolerance() -> None:
+    with pytest.raises(ssdr.InputError, match="or a tolerance") as caught:
+        ssdr.decompose(wavy())
+    assert caught.value.argument == "bones"
+
+
+def test_a_static_mesh_gets_one_bone_one_influence_one_key() -> None:
+    pose = np.random.default_rng(0).standard_normal((40, 3))
+    result = ssdr.decompose(np.repeat(pose[None], 9, axis=0), tolerance="0.5%")
+    assert result.skinning.transforms.shape == (9, 1, 3, 4)
+    assert result.skinning.weights.shape == (40, 1)
+    assert result.skinning.keyframes is not None
+    assert result.skinning.keyframes.sum() == 1
+    assert result.rmse < 1e-13
+    assert result.stop_reason == "tolerance held"
+    assert result.converged
+
+
+def test_points_that_coincide_get_one_bone() -> None:
+    frames = np.repeat(np.random.default_rng(0).standard_normal((6, 1, 3)), 10, axis=1)
+    result = ssdr.decompose(frames, tolerance="0.5%")  # of a diagonal of zero
+    assert result.skinning.n_bones == 1
+    assert result.parsimony is not None
+    assert result.parsimony.held
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_rigid_boxes_get_a_bone_each(count: int) -> None:
+    rig = motions.boxes(count)
+    result = ssdr.decompose(rig.frames, tolerance="0.01%")
+    assert result.skinning.n_bones == count
+    assert result.skinning.n_influences == 1
+    bone = result.skinning.joints[:, 0].reshape(count, -1)
+    assert (bone == bone[:, :1]).all()
+    assert len(set(bone[:, 0])) == count
+
+
+@pytest.mark.parametrize("tolerance", ["0.1%", "0.001%"])
+def test_exact_skinning_gets_no_more_bones_than_it_was_made_with(tolerance: str) -> None:
+    rig = motions.chain(bones=5, rows=14, frames=15)
+    found = ssdr.decompose(rig.frames, tolerance=tolerance)
+    assert found.skinning.n_bones <= 5
+    assert found.parsimony is not None
+    assert found.parsimony.held
+    if tolerance == "0.001%":
+        assert found.skinning.n_bones == 5
+        assert found.skinning.n_influences == 2  # as it was made
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 1000), bones=st.integers(1, 4))
+def test_random_exact_skinning(seed: int, bones: int) -> None:
+    rng = np.random.default_rng(seed)
+    rest = rng.uniform(-1, 1, (60, 3))
+    frames = motions.random_skinning(rng, rest, 10, bones, 2)
+    result = ssdr.decompose(frames, tolerance="0.05%")
+    assert result.skinning.n_bones <= bones
+    assert rmse_of(result.skinning, frames) <= 5e-4 * diagonal(frames) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("tolerance_of", ["rmse", "max"])
+def test_the_tolerance_is_held_and_said(tolerance_of: Any) -> None:
+    frames = wavy()
+    result = ssdr.decompose(frames, tolerance="1.5%", tolerance_of=tolerance_of, effort="fast")
+    found = result.parsimony
+    assert found is not None
+    rmse = rmse_of(result.skinning, frames)
+    reached = rmse if tolerance_of == "rmse" else largest_of(result.skinning, frames)
+    assert found.tolerance == pytest.approx(0.015 * diagonal(frames))
+    assert reached <= found.tolerance
+    assert found.held
+    assert found.error == pytest.approx(reached, rel=1e-9)
+    assert result.rmse == pytest.approx(rmse, rel=1e-9)
+    assert result.history[-1].rmse == result.rmse
+    assert found.tolerance_of == tolerance_of
+    assert (found.bones, found.influences) == (
+        result.skinning.n_bones,
+        result.skinning.n_influences,
+    )
+    assert found.least_bones <= found.bones
+    assert not result.warnings
+
+
+def test_a_stricter_measure_never_gets_fewer_bones() -> None:
+    loose = small().parsimony
+    strict = ssdr.decompose(wavy(), tolerance="0.8%", tolerance_of="max", effort="fast").parsimony
+    assert loose is not None
+    assert strict is not None
+    assert strict.bones > loose.bones
+
+
+def test_bounds_on_bones_and_influences_are_kept() -> None:
+    with pytest.warns(ssdr.SsdrWarning, match="out of reach"):
+        few = ssdr.decompose(wavy(), tolerance="0.3%", bones=2, effort="fast")
+    assert few.skinning.n_bones == 2
+    one = ssdr.decompose(wavy(), tolerance="3%", influences=1, effort="fast")
+    assert one.skinning.n_influences == 1
+    assert one.parsimony is not None
+    assert one.parsimony.held
+    exact = ssdr.decompose(wavy(), tolerance="0.8%", bones=small().skinning.n_bones, effort="fast")
+    assert exact.skinning.n_bones == small().skinning.n_bones
+
+
+def test_an_unreachable_tolerance_says_what_was_reached() -> None:
+    with pytest.warns(ssdr.SsdrWarning) as caught:
+        result = ssdr.decompose(wavy(), tolerance="0.001%", bones=2, effort="fast")
+    (text,) = result.warnings
+    assert str(caught[0].message) == text
+    rmse = rmse_of(result.skinning, wavy())
+    assert "tolerance 5.15e-05" in text or "out of reach" in text
+    assert f"2 bones of at most 4 influences reach a RMSE of {rmse:.4g}" in text
+    assert "rank asks for at least" in text
+    assert result.stop_reason == "tolerance out of reach"
+    assert not result.converged
+    assert result.parsimony is not None
+    assert not result.parsimony.held
+    assert result.parsimony.prunings == ()
+
+
+def test_the_same_bits_again_and_with_two_threads() -> None:
+    first = small().skinning
+    try:
+        ssdr.set_threads(2)
+        again = ssdr.decompose(wavy(), tolerance="0.8%", effort="fast").skinning
+    finally:
+        ssdr.set_threads(None)
+    for name in ("rest", "joints", "weights", "transforms", "keyframes"):
+        assert (getattr(first, name) == getattr(again, name)).all(), name
+
+
+def test_size_and_place_of_the_mesh_do_not_matter() -> None:
+    base = small().skinning
+    moved = ssdr.decompose(1e3 * wavy() + 1e4, tolerance="0.8%", effort="fast").skinning
+    assert moved.n_bones == base.n_bones
+
+
+def test_several_shots_and_plain_arrays() -> None:
+    shots = [ssdr.MeshSequence(wavy()[:6]), ssdr.MeshSequence(wavy()[6:])]
+    result = ssdr.decompose(shots, tolerance="0.8%", effort="fast")
+    assert result.offsets.tolist() == [0, 6, 15]
+    assert rmse_of(result.skinning, wavy()) <= 0.008 * diagonal(wavy())
+    keys = result.skinning.keyframes
+    assert keys is not None
+    moving = keys.sum(axis=0) > 1
+    # a shot is played by itself: its ends are keys
+    assert keys[[0, 5, 6, 14]][:, moving].all()
+
+
+@pytest.mark.parametrize("bone_model", ["similarity", "affine"])
+def test_other_bone_models(bone_model: Any) -> None:
+    frames = wavy()
+    result = ssdr.decompose(frames, tolerance="0.8%", bone_model=bone_model, effort="fast")
+    assert result.skinning.bone_model == bone_model
+    assert rmse_of(result.skinning, frames) <= 0.008 * diagonal(frames)
+
+
+def test_frames_that_are_streamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1 << 10)
+    monkeypatch.setattr(scan, "_FEWEST", 8)
+    monkeypatch.setattr(scan, "_MOST", 9)
+    assert scan.needs_streaming([ssdr.MeshSequence(wavy())])
+    result = ssdr.decompose(wavy(), tolerance="0.8%", effort="fast")
+    assert result.skinning.n_frames == 15
+    assert rmse_of(result.skinning, wavy()) <= 0.008 * diagonal(wavy())
+    assert result.skinning.n_bones <= small().skinning.n_bones + 1
+
+
+def test_no_warning_where_the_tolerance_is_held() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ssdr.decompose(wavy(), tolerance="5%", effort="fast")

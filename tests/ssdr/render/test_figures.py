@@ -1,0 +1,175 @@
+"""Pictures, contact sheets and films."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import ssdr
+from ssdr import render
+
+
+@pytest.fixture
+def model(wave):
+    """Two bones over the waving grid: near it, not on it."""
+    x = wave.vertices[0, :, 0].astype(np.float64) / 2
+    transforms = np.zeros((wave.n_frames, 2, 3, 4))
+    transforms[..., :3] = np.eye(3)
+    transforms[:, 1, 2, 3] = 0.2 * np.arange(wave.n_frames)
+    return ssdr.Skinning(
+        wave.vertices[0],
+        np.tile([0, 1], (len(x), 1)),
+        np.stack([1 - x, x], axis=1),
+        transforms,
+        faces=wave.faces,
+        fps=wave.fps,
+    )
+
+
+def is_drawn(picture):
+    return np.asarray(picture.convert("L")).std() > 3
+
+
+@pytest.mark.parametrize("style", ["plain", "weights", "bones", "error"])
+def test_every_style_draws_something_of_its_own(model, wave, style):
+    picture = render.render_frame(model, 1, style=style, reference=wave, size=(120, 90))
+    assert picture.size == (120, 90)
+    assert picture.mode == "RGB"
+    assert is_drawn(picture)
+    other = render.render_frame(
+        model, 1, style="plain" if style != "plain" else "weights", size=(120, 90)
+    )
+    assert np.abs(np.asarray(picture, dtype=int) - np.asarray(other, dtype=int)).max() > 30
+
+
+def test_same_bits_whatever_the_number_of_threads(model):
+    pictures = []
+    try:
+        for threads in (1, 3):
+            ssdr.set_threads(threads)
+            pictures.append(np.asarray(render.render_frame(model, 2, size=(200, 200))))
+    finally:
+        ssdr.set_threads(None)
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_error_saturates_at_the_scale(wave):
+    moved = dataclasses.replace(wave, vertices=wave.vertices + np.float32(0.5))
+    kwargs = {"reference": wave, "style": "error", "size": (100, 100), "azimuth": 0.0}
+    low = np.asarray(render.render_frame(moved, 0, scale=1e3, **kwargs), dtype=int)
+    high = np.asarray(render.render_frame(moved, 0, scale=0.1, **kwargs), dtype=int)
+    covered = np.abs(high - low).sum(axis=2) > 200
+    assert covered.mean() > 0.05
+    assert low[covered].mean() > high[covered].mean() + 60
+
+
+def test_contact_sheet_has_its_rows_and_columns(model, wave, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    full = render.contact_sheet(model, reference=wave, frames=3, width=600)
+    short = render.contact_sheet(model, frames=[0, -1], width=600)
+    assert full.width == short.width == 600
+    assert full.height > short.height
+    render.write_picture(full, tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as back:
+        back.load()
+        assert back.format == "PNG"
+        assert is_drawn(back)
+        np.testing.assert_array_equal(np.asarray(back), np.asarray(full))
+    assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+
+
+def test_subjects_of_every_kind(model, wave, seam):
+    cloud = ssdr.MeshSequence(wave.vertices, fps=wave.fps)
+    assert is_drawn(render.contact_sheet(cloud, frames=2, width=400))
+    single = ssdr.MeshSequence(np.zeros((1, 1, 3)))
+    assert is_drawn(render.render_frame(single, size=(64, 64)))
+
+    class Result:
+        skinning = model
+
+    assert is_drawn(render.render_frame(Result(), size=(64, 64)))
+    welded, _ = seam.weld()
+    other = dataclasses.replace(welded, vertices=welded.vertices * np.float32(1.01))
+    picture = render.contact_sheet(other, reference=seam, frames=2, width=400)
+    assert is_drawn(picture)
+
+
+def test_far_travel_is_followed(wave):
+    steps = np.float32(100) * np.arange(4, dtype=np.float32)[:, None, None] * np.float32([1, 0, 0])
+    walking = dataclasses.replace(wave, vertices=wave.vertices + steps)
+    still = np.asarray(render.render_frame(wave, 3, size=(100, 100), azimuth=20.0), dtype=int)
+    moved = np.asarray(render.render_frame(walking, 3, size=(100, 100), azimuth=20.0), dtype=int)
+    assert is_drawn(Image.fromarray(moved.astype(np.uint8)))
+    assert (np.abs(still - moved).sum(axis=2) > 60).mean() < 0.2
+
+
+def test_film_is_complete_and_written_at_once(model, wave, tmp_path):
+    done = []
+    path = render.animate(
+        model,
+        tmp_path / "film.gif",
+        style=["weights", "bones"],
+        reference=wave,
+        size=(64, 48),
+        callback=done.append,
+    )
+    with Image.open(path) as film:
+        assert film.n_frames == wave.n_frames
+        assert film.size == (3 * 64, 48)
+        assert film.info["duration"] == 40
+    assert done[-1] == 1.0
+    with pytest.raises(ssdr.FormatError, match=r"film\.mp4"):
+        render.animate(model, tmp_path / "film.mp4")
+    assert [p.name for p in tmp_path.iterdir()] == ["film.gif"]
+
+
+def test_a_picture_that_fails_leaves_the_old_one(tmp_path):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+
+    class Broken(Image.Image):
+        def save(self, *args, **kwargs):
+            raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        render.write_picture(Broken(), path)
+    assert path.read_bytes() == b"old"
+    assert len(list(tmp_path.iterdir())) == 1
+    with pytest.raises(ssdr.FormatError, match="not the name of a picture"):
+        render.write_picture(Image.new("RGB", (4, 4)), tmp_path / "a.xyz")
+
+
+@pytest.mark.parametrize(
+    ("argument", "options"),
+    [
+        ("frames", {"frame": 9}),
+        ("style", {"style": "glossy"}),
+        ("reference", {"style": "error"}),
+        ("size", {"size": (1, 100)}),
+        ("supersample", {"supersample": 9}),
+        ("up", {"up": "w"}),
+        ("up", {"up": "--y"}),
+        ("elevation", {"elevation": 100.0}),
+        ("azimuth", {"azimuth": float("nan")}),
+    ],
+)
+def test_bad_options_are_named(model, argument, options):
+    with pytest.raises(ssdr.InputError) as caught:
+        render.render_frame(model, **options)
+    assert caught.value.argument == argument
+
+
+def test_subject_and_reference_must_match(model, wave):
+    with pytest.raises(ssdr.InputError, match="reference"):
+        render.render_frame(model, reference=ssdr.MeshSequence(wave.vertices[:2], wave.faces))
+    with pytest.raises(ssdr.InputError, match="subject"):
+        render.render_frame(np.zeros((2, 3, 3)))
+    with pytest.raises(ssdr.InputError, match="bones"):
+        render.render_frame(wave, style="bones")
+    with pytest.raises(ssdr.InputError, match="frames"):
+        render.contact_sheet(wave, frames=[])
+    with pytest.raises(ssdr.InputError, match="width"):
+        render.contact_sheet(wave, width=10)

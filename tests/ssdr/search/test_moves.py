@@ -1,0 +1,216 @@
+"""Changes of a model that a search tries: bones that grow, influences that come and go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssdr
+from helpers import naive
+from helpers.blends import BONES, INFLUENCES, problem, squared_error
+from helpers.measures import rmse_of, solved
+from ssdr.search.moves import (
+    drop_influence,
+    grow_and_shed,
+    grow_bone,
+    kick,
+    loosen,
+    polish_steps,
+    regrow_step,
+    relax,
+    reseed_step,
+    thin,
+)
+from ssdr.solver.model import FREE, Fixed, Model
+from ssdr.solver.trajectories import Trajectories, gather
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 1000), bones=st.integers(1, 5), influences=st.integers(1, 4))
+def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) -> None:
+    rng = np.random.default_rng(seed)
+    frames = rng.standard_normal((5, 30, 3)) + 2 * rng.standard_normal((1, 30, 3))
+    data = gather([ssdr.MeshSequence(frames)], bones=8)
+    model = solved(data, bones, influences)
+    grown = grow_bone(data, model, alternations=2, fixed=Fixed())
+    assert grown.n_bones == bones + 1
+    assert grown.n_influences == model.n_influences
+    assert grown.objective(data) <= model.objective(data)
+    rest, transforms = data.to_world(grown.rest, grown.transforms)
+    built = ssdr.Skinning(rest, grown.joints, grown.weights, transforms)
+    measured = rmse_of(built, frames)
+    said = data.scale * np.sqrt(max(grown.objective(data), 0.0) / (5 * 30))
+    assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
+
+
+Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
+
+
+@pytest.mark.parametrize("count", [INFLUENCES, INFLUENCES + 1, 15])
+def test_room_for_influences_and_back_is_the_same_model(count: int) -> None:
+    _, model = problem(0)
+    wide = model.with_influences(count)
+    assert wide.n_influences == count
+    assert wide.support.shape[1] >= count
+    assert (wide.weights[:, INFLUENCES:] == 0).all()
+    back = wide.with_influences(INFLUENCES)
+    for name in ("transforms", "rest", "joints", "weights", "error"):
+        assert np.array_equal(getattr(back, name), getattr(model, name))
+
+
+def test_fewer_influences_keep_the_largest() -> None:
+    _, model = problem(0)
+    rng = np.random.default_rng(0)
+    model = model.with_influences(4)
+    model.joints[:] = np.argsort(rng.random((90, BONES)), axis=1)[:, :4]
+    model.weights[:] = rng.dirichlet(np.ones(4), size=90)
+    small = model.with_influences(2)
+    for i in range(90):
+        largest = sorted(zip(model.weights[i], model.joints[i], strict=True))[-2:]
+        total = sum(w for w, _ in largest)
+        found = {int(j): w for j, w in zip(small.joints[i], small.weights[i], strict=True)}
+        assert found == pytest.approx({int(j): w / total for w, j in largest})
+
+
+@pytest.mark.parametrize("extra", [0, 1, 4, 50])
+def test_relaxed_model_is_one_of_the_same_size(extra: int) -> None:
+    data, model = problem(1)
+    before = model.copy()
+    relaxed = relax(data, model, FREE, extra=extra, steps=2)
+    assert relaxed.n_influences == INFLUENCES
+    assert relaxed.n_bones == BONES
+    assert (relaxed.weights >= 0).all()
+    assert relaxed.weights.sum(axis=1) == pytest.approx(1.0)
+    assert relaxed.objective(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
+    for name in ("transforms", "rest", "joints", "weights", "error"):
+        assert np.array_equal(getattr(before, name), getattr(model, name))
+
+
+def test_relaxing_leaves_locked_weights_and_bones_alone() -> None:
+    data, model = problem(2)
+    keep = np.zeros(90, dtype=bool)
+    keep[::3] = True
+    fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
+    relaxed = relax(data, model, fixed, extra=2, steps=2)
+    assert np.array_equal(relaxed.joints[keep], model.joints[keep])
+    assert np.array_equal(relaxed.weights[keep], model.weights[keep])
+    assert np.array_equal(relaxed.transforms[:, :2], model.transforms[:, :2])
+    assert not np.array_equal(relaxed.transforms[:, 2:], model.transforms[:, 2:])
+
+
+def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
+    gains = []
+    for seed in range(5):
+        data, model = problem(seed)
+        plain = model.copy()
+        polish_steps(data, plain, 40, FREE)
+        relaxed = relax(data, model, FREE, extra=2, steps=8)
+        polish_steps(data, relaxed, 24, FREE)
+        gains.append(relaxed.objective(data) / plain.objective(data))
+    assert np.median(gains) < 0.9
+
+
+def regrow(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    return regrow_step(data, model, rng, 3, fixed)
+
+
+CHANGES = (loosen, grow_and_shed, kick, thin, regrow)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changes_go_by_the_generator_alone(change: Change) -> None:
+    data, model = problem(3)
+    before = model.copy()
+    one, same, other = (change(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
+    assert np.array_equal(one.transforms, same.transforms)
+    assert not np.array_equal(one.transforms, other.transforms)
+    for name in ("transforms", "rest", "joints", "weights", "error"):
+        assert np.array_equal(getattr(before, name), getattr(model, name))
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changed_models_are_of_the_same_size(change: Change) -> None:
+    data, model = problem(4)
+    for seed in range(4):
+        changed = change(data, model, np.random.default_rng(seed), FREE)
+        assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
+        assert (changed.weights >= 0).all()
+        assert changed.weights.sum(axis=1) == pytest.approx(1.0)
+        assert changed.objective(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
+    data, model = problem(2)
+    keep = np.zeros(90, dtype=bool)
+    keep[::3] = True
+    fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
+    changed = change(data, model, np.random.default_rng(0), fixed)
+    assert np.array_equal(changed.transforms[:, :2], model.transforms[:, :2])
+    for i in np.flatnonzero(keep):
+        was, now = np.zeros(BONES), np.zeros(BONES)
+        was[model.joints[i]] += model.weights[i]
+        now[changed.joints[i]] += changed.weights[i]
+        assert np.array_equal(was[:2], now[:2])
+
+
+def test_regrowing_finds_what_exchanges_of_one_bone_do_not() -> None:
+    ratios = []
+    for seed in range(5):
+        data, model = problem(seed)
+        exchanged, regrown = model.copy(), model.copy()
+        rng = np.random.default_rng(seed)
+        for _ in range(40):
+            trial = reseed_step(data, exchanged, rng, 4, FREE)
+            assert trial is not None
+            if trial.objective(data) < exchanged.objective(data):
+                exchanged = trial
+        for _ in range(10):
+            trial = regrow(data, regrown, rng, FREE)
+            if trial.objective(data) < regrown.objective(data):
+                regrown = trial
+        ratios.append(regrown.objective(data) / exchanged.objective(data))
+    assert np.median(ratios) < 0.9
+
+
+def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
+    """Against each of them left out in turn, weights and position solved at length."""
+    data, model = problem(5)
+    model = model.with_influences(INFLUENCES + 1)
+    polish_steps(data, model, 10, FREE)
+    full = (model.weights > 0).all(axis=1)
+    assert full.sum() > 20
+    dropped = model.copy()
+    drop_influence(data, dropped, FREE)
+    ratios = []
+    for i in range(90):
+        if not full[i]:
+            assert np.array_equal(dropped.joints[i], model.joints[i])
+            assert np.array_equal(dropped.weights[i], model.weights[i])
+            continue
+        kept = set(dropped.joints[i][dropped.weights[i] > 0].tolist())
+        assert kept < set(model.joints[i].tolist())
+        least = min(without_slot(data, model, i, q) for q in range(INFLUENCES + 1))
+        ratios.append(dropped.error[i] / least)
+    # two rounds of Gauss–Newton, and not as many as it takes
+    assert np.quantile(ratios, 0.9) < 1.001
+    assert max(ratios) < 1.1
+
+
+def without_slot(data: Trajectories, model: Model, i: int, q: int) -> float:
+    """Squared error of vertex i without its q-th bone, by alternating least squares."""
+    bones = np.delete(model.joints[i], q)
+    weights = np.delete(model.weights[i], q)
+    weights = weights / weights.sum()
+    target = np.stack([data.frame(t)[i] for t in range(data.n_frames)])[:, None]
+    transforms = model.transforms[:, bones]
+    every = np.arange(len(bones))[None]
+    for _ in range(30):
+        p = naive.rest_position(target, every, weights[None], transforms)
+        moved = naive.bone_images(p, transforms)[0]
+        _, weights = naive.best_convex(moved, target.ravel(), len(bones))
+    return float(naive.squared_error(target, p, every, weights[None], transforms)[0])

@@ -1,0 +1,89 @@
+"""Where bones start: farthest points, rigid patches, a choice among them."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssdr
+from helpers import motions, naive
+from ssdr.solver.initialization import choose, farthest_points, fit_patches, single_bone_errors
+from ssdr.solver.trajectories import gather
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 12))
+def test_farthest_points_against_loops(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((30, 5))
+    seeds, label = farthest_points(x, count, 3)
+    want = [3]
+    while len(want) < count:
+        near = [min(np.linalg.norm(row - x[s]) for s in want) for row in x]
+        want.append(int(np.argmax(near)))
+    assert list(seeds) == want
+    distance = np.linalg.norm(x[:, None] - x[seeds][None], axis=2)
+    assert np.array_equal(label, distance.argmin(axis=1))
+
+
+def test_farthest_points_stop_at_copies() -> None:
+    x = np.repeat(np.eye(3), 4, axis=0)
+    seeds, label = farthest_points(x, 10, 0)
+    assert len(seeds) == 3
+    for s in range(3):
+        assert len(set(label[4 * s : 4 * s + 4])) == 1
+
+
+def test_patches_are_kabsch(rng: np.random.Generator) -> None:
+    frames = rng.standard_normal((4, 30, 3))
+    importance = 0.1 + rng.random(30)
+    data = gather([ssdr.MeshSequence(frames)], bones=99, vertex_importance=importance)
+    rest = rng.standard_normal((30, 3))
+    label = rng.integers(-1, 3, 30)
+    fitted = fit_patches(data, rest, label, 4)
+    for j in range(3):
+        mine = label == j
+        for t in range(4):
+            want = ssdr.kabsch(rest[mine], data.frame(t)[mine], importance[mine])
+            np.testing.assert_allclose(fitted[t, j], want, atol=1e-7)
+    assert np.array_equal(fitted[:, 3], np.tile(np.eye(4)[:3], (4, 1, 1)))
+
+
+def test_single_bone_errors_against_loops(rng: np.random.Generator) -> None:
+    frames = rng.standard_normal((5, 12, 3))
+    data = gather([ssdr.MeshSequence(frames)], bones=99)
+    rest, transforms = rng.standard_normal((12, 3)), motions.motions(rng, 5, 3)
+    inner = np.stack([data.frame(t) for t in range(5)])
+    rows = np.array([7, 2, 3])
+    cost, none = single_bone_errors(data, rest, transforms, rows)
+    assert none is None
+    best, position = single_bone_errors(data, None, transforms, rows)
+    assert position is not None
+    one = np.ones((12, 1))
+    for j in range(3):
+        joints = np.full((12, 1), j)
+        want = naive.squared_error(inner, rest, joints, one, transforms)
+        np.testing.assert_allclose(cost[:, j], want[rows], rtol=1e-9)
+        free = naive.rest_position(inner, joints, one, transforms)
+        np.testing.assert_allclose(position[:, :, j], free[rows], atol=1e-9)
+        want = naive.squared_error(inner, free, joints, one, transforms)
+        np.testing.assert_allclose(best[:, j], want[rows], rtol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(1, 5), held=st.booleans())
+def test_choice_is_greedy(seed: int, count: int, held: bool) -> None:
+    rng = np.random.default_rng(seed)
+    cost, importance = rng.random((15, 8)), rng.random(15)
+    there = rng.random(15) if held else None
+    got = choose(cost, importance, count, there)
+    chosen: list[int] = []
+    for _ in range(count):
+        totals = []
+        for j in range(8):
+            columns = cost[:, [*chosen, j]]
+            near = columns.min(axis=1) if there is None else np.minimum(columns.min(axis=1), there)
+            totals.append(np.inf if j in chosen else (importance * near).sum())
+        chosen.append(int(np.argmin(totals)))
+    assert got == chosen
