@@ -21,13 +21,13 @@ import common
 import numpy as np
 from PIL import Image, ImageDraw
 
-from garmentnet.checkpoint import load_checkpoint
-from garmentnet.features import PoseFeatures
-from garmentnet.parameters import SimulationParameters
-from garmentnet.predict import follow
-from garmentnet.scenes.dance import dance
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.networks.features import PoseFeatures
+from garmentnet.prediction.prediction import follow
+from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.scene_file import load_data_set
-from garmentnet.scenes.simulate import simulate
+from garmentnet.scenes.simulator import simulate
 from ssdr.laplacian import LaplacianSmoother
 from ssdr.render import render_frame
 

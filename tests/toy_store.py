@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from garmentnet.clips import ClipStore, SimulationParameters
-from garmentnet.skeleton import Skeleton
+from garmentnet.data.skeleton import Skeleton
+from garmentnet.data.store import ClipStore, SimulationParameters
 from ssdr import Skinning
 
 FPS = 30.0

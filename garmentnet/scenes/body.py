@@ -20,7 +20,7 @@ from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import reading, require
 from ssdr.skinning import Skinning
 
-from ..skeleton import Skeleton
+from ..data.skeleton import Skeleton
 
 __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 

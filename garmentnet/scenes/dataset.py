@@ -13,10 +13,10 @@ from typing import get_args
 from ssdr.errors import InputError
 from ssdr.io.registry import require
 
-from ..bvh import find_bvh, read_bvh, retarget
-from ..clips import ClipStore, Split
+from ..data.bvh import find_bvh, read_bvh, retarget
+from ..data.store import ClipStore, Split
 from .scene import DataSet, MotionSource, Scene
-from .simulate import versions
+from .simulator import versions
 from .workers import Progress, Run
 
 __all__ = ["Progress", "make_data_set", "open_store", "recorded_motions"]

@@ -11,14 +11,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..bvh import read_bvh, retarget
-from ..clips import Split
-from ..motion import Motion
-from ..parameters import SimulationParameters
+from ..data.bvh import read_bvh, retarget
+from ..data.motion import Motion
+from ..data.parameters import SimulationParameters
+from ..data.store import Split
 from .body import Body, default_body, load_body
-from .dance import dance
+from .dance.choreography import dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
-from .simulate import Gate, Solver
+from .simulator import Gate, Solver
 
 __all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene"]
 

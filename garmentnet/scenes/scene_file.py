@@ -12,22 +12,22 @@ from typing import Any, TypeVar
 
 from ssdr.errors import FormatError, InputError
 
-from ..clips import Split
-from ..parameters import SimulationParameters
-from .dance import DANCE_CLASSES
+from ..data.parameters import SimulationParameters
+from ..data.store import Split
+from .dance.choreography import DANCE_CLASSES
 from .garments import Dress
 from .scene import DataSet, MeshGarment, MotionSource, ParameterSet
-from .simulate import Gate, Solver
+from .simulator import Gate, Solver
 
 __all__ = ["load_data_set", "presets"]
 
-_HERE = Path(__file__).parent
+_PRESETS = Path(__file__).with_name("presets")
 T = TypeVar("T")
 
 
 def presets() -> tuple[str, ...]:
     """Names of the data sets that ship with the package."""
-    return tuple(sorted(p.stem for p in _HERE.glob("*.toml")))
+    return tuple(sorted(p.stem for p in _PRESETS.glob("*.toml")))
 
 
 def load_data_set(source: str | Path) -> DataSet:
@@ -41,7 +41,7 @@ def load_data_set(source: str | Path) -> DataSet:
     """
     path = Path(source)
     if str(source) in presets():
-        path = _HERE / f"{source}.toml"
+        path = _PRESETS / f"{source}.toml"
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -18,13 +18,13 @@ import numpy as np
 
 from ssdr.errors import SsdrError
 
-from ..clips import ClipStore
-from ..motion import Motion
-from ..parameters import SimulationParameters
+from ..data.motion import Motion
+from ..data.parameters import SimulationParameters
+from ..data.store import ClipStore
 from .body import Body, default_body
 from .garments import Dress, cut_dress
 from .scene import Scene
-from .simulate import Solver, simulate, versions
+from .simulator import Solver, simulate, versions
 
 __all__ = ["Progress", "Run"]
 

@@ -35,7 +35,7 @@ def toy_store(tmp_path_factory):
     pytest.importorskip("zarr")
     import toy_store as toy
 
-    from garmentnet.parameters import SimulationParameters as P
+    from garmentnet.data.parameters import SimulationParameters as P
 
     others = [
         (P(0.2, 0.2, 1.0), "train"), (P(2.0, 0.2, 1.0), "train"), (P(0.5, 0.2, 0.7), "train"),
@@ -46,7 +46,7 @@ def toy_store(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def toy_bones(toy_store, toy_config):
-    from garmentnet.bones import virtual_bones
+    from garmentnet.data.virtual_bones import virtual_bones
 
     return virtual_bones(toy_store, toy_config().bones)
 
@@ -54,7 +54,7 @@ def toy_bones(toy_store, toy_config):
 @pytest.fixture(scope="session")
 def toy_run(toy_store, toy_config, toy_bones, tmp_path_factory):
     """Folder of a finished run of the rooted configuration."""
-    from garmentnet.train import train
+    from garmentnet.training.run import train
 
     folder = tmp_path_factory.mktemp("run")
     train(toy_store, toy_config(), folder)
@@ -63,7 +63,7 @@ def toy_run(toy_store, toy_config, toy_bones, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def toy_network(toy_run):
-    from garmentnet.checkpoint import load_checkpoint
+    from garmentnet.networks.checkpoint import load_checkpoint
 
     return load_checkpoint(toy_run / "checkpoint.safetensors")
 
@@ -71,8 +71,8 @@ def toy_network(toy_run):
 @pytest.fixture(scope="session")
 def toy_faithful(toy_store, toy_config, toy_bones, tmp_path_factory):
     """A network of the faithful configuration, hardly trained."""
-    from garmentnet.checkpoint import load_checkpoint
-    from garmentnet.train import train
+    from garmentnet.networks.checkpoint import load_checkpoint
+    from garmentnet.training.run import train
 
     folder = tmp_path_factory.mktemp("faithful")
     return load_checkpoint(

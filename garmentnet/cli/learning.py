@@ -1,0 +1,220 @@
+"""``garmentnet train, evaluate, predict, demo``: what learns, from the command line.
+
+Nothing heavy is imported before a command runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ssdr.errors import InputError
+
+__all__ = ["demo", "evaluate", "output_folder", "predict", "train"]
+
+
+def output_folder() -> Path:
+    """Where data and checkpoints go: ``$GARMENTNET_DATA``, else ``out`` in the working folder."""
+    return Path(os.environ.get("GARMENTNET_DATA") or "out")
+
+
+def train(
+    config: Annotated[
+        str, typer.Argument(metavar="CONFIG", help="A .toml, or a preset: faithful, rooted.")
+    ] = "faithful",
+    store: Annotated[
+        Path | None, typer.Option("--store", "-s", help="Folder of clips; else data.store.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder of the run.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Instead of train.seed.")] = None,
+    ensemble: Annotated[
+        bool, typer.Option("--ensemble", help="A network for every training set, and the kernel.")
+    ] = False,
+    start: Annotated[
+        Path | None,
+        typer.Option("--start", help="Checkpoint to start from; the base of --ensemble."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="SECTION.NAME=VALUE", help="Change a setting; repeatable."),
+    ] = None,
+) -> None:
+    """Train networks on a store; the same command again goes on where it was stopped."""
+    from ..configs.config import load_config, override
+    from ..data.store import ClipStore
+    from ..networks.checkpoint import load_checkpoint
+    from ..training.ensemble import train_ensemble
+    from ..training.run import train as train_network
+
+    changes = list(settings or [])
+    if seed is not None:
+        changes.append(f"train.seed={seed}")
+    chosen = override(load_config(config), changes)
+    source = store or (Path(chosen.data.store) if chosen.data.store else None)
+    if source is None:
+        raise InputError("--store", "a folder of clips, here or as data.store", "nothing")
+    clips = ClipStore.open(source)
+    stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
+    folder = output or output_folder() / "runs" / stem
+    with _bar() as show:
+        if ensemble:
+            path = train_ensemble(
+                clips, chosen, folder, base=load_checkpoint(start) if start else None,
+                callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction, p.time_left),
+                progress=lambda text, share: show(text, share, None),
+            )  # fmt: skip
+        else:
+            path = train_network(
+                clips, chosen, folder,
+                start=load_checkpoint(start) if start else None,
+                callback=lambda p: show(_epoch(p), p.fraction, p.time_left),
+                progress=lambda text, share: show(text, share, None),
+            )  # fmt: skip
+    typer.echo(str(path))
+
+
+def evaluate(
+    checkpoints: Annotated[
+        list[Path], typer.Argument(metavar="CHECKPOINT...", help="One or more to compare.")
+    ],
+    store: Annotated[Path, typer.Option("--store", "-s", help="Folder of clips.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for tables and pictures.")
+    ] = None,
+    baselines: Annotated[
+        bool, typer.Option(help="Train and score what the networks must beat.")
+    ] = True,
+    pictures: Annotated[int, typer.Option(help="Test clips to draw, per checkpoint.")] = 1,
+) -> None:
+    """The paper's table on unseen motions and unseen parameters, beside baselines and floors."""
+    from ..data.store import ClipStore
+    from ..evaluation.reporting import report
+
+    folder = output or output_folder() / "evaluation"
+    with _bar() as show:
+        text = report(
+            checkpoints, ClipStore.open(store), folder, baselines=baselines, pictures=pictures,
+            progress=lambda name, share: show(name, share, None),
+        )  # fmt: skip
+    typer.echo(text)
+    typer.echo(str(folder))
+
+
+def predict(
+    checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT")],
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help=".bvh, .npz or a clip.")],
+    output: Annotated[
+        list[Path],
+        typer.Option("--output", "-o", help="out.{mp4,gif,png,glb,usda,pc2,npz}; repeatable."),
+    ],
+    bending: Annotated[float | None, typer.Option(help="Bending stiffness.")] = None,
+    density: Annotated[float | None, typer.Option(help="kg/m².")] = None,
+    time_scale: Annotated[float | None, typer.Option(help="Seconds of cloth per second.")] = None,
+    detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
+) -> None:
+    """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
+    import warnings
+
+    from ssdr.errors import SsdrWarning
+
+    from ..data.parameters import SimulationParameters
+    from ..networks.checkpoint import load_checkpoint
+    from ..prediction.prediction import check_output, read_joints, save_prediction
+    from ..prediction.prediction import predict as run
+
+    for path in output:
+        check_output(path)
+    model = load_checkpoint(checkpoint)
+    given = {"bending": bending, "density": density, "time_scale": time_scale}
+    stated = {k: v for k, v in given.items() if v is not None}
+    several = model.kernel is not None or model.networks[0].condition
+    own = None if several else model.parameters[0]
+    usual = {k: getattr(own, k) for k in given} if own else {}
+    parameters = SimulationParameters(**(usual | stated)) if stated or several else None
+    joints = read_joints(motion, model)
+    began = time.perf_counter()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SsdrWarning)
+        result = run(model, joints, parameters, detail=detail, name=motion.stem)
+    for warning in caught:
+        if issubclass(warning.category, SsdrWarning):
+            typer.echo(f"warning: {warning.message}", err=True)
+        else:
+            warnings.warn_explicit(
+                warning.message, warning.category, warning.filename, warning.lineno
+            )
+    seconds = time.perf_counter() - began
+    rate = 1e3 * seconds / len(joints)
+    shown = parameters or own
+    of = f" of {shown}" if shown else ""
+    typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
+    for path in output:
+        with _bar() as show:
+            text = save_prediction(
+                result, path, progress=lambda share: show("drawing", share, None)
+            )
+        typer.echo(f"{path}: {text}")
+
+
+def demo(
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder; ./out/demo by default.")
+    ] = None,
+) -> None:
+    """Simulate, decompose, train for a moment, predict and draw, in a few minutes."""
+    from .demo import run_demo
+
+    with _bar() as show:
+        done = run_demo(output or output_folder() / "demo", progress=show)
+    typer.echo(json.dumps(done, indent=1))
+
+
+def _epoch(p: Any) -> str:
+    best = f"{1e3 * p.rmse:.1f} mm" if p.rmse < float("inf") else "not validated yet"
+    return f"{p.phase} {p.epoch}, loss {p.loss:.4g}, best {best}"
+
+
+@contextlib.contextmanager
+def _bar() -> Iterator[Callable[[str, float, float | None], None]]:
+    """A bar on a terminal, a line now and then elsewhere; both on stderr."""
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn
+
+        columns = (
+            TextColumn("{task.description}"), BarColumn(),
+            TextColumn("{task.percentage:>3.0f} %  {task.fields[left]}"),
+        )  # fmt: skip
+        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("", total=1.0, left="")
+            yield lambda text, share, left: bar.update(
+                task, description=text, completed=share, left=_left(left)
+            )
+        return
+    last, said = 0.0, ""
+
+    def line(text: str, share: float, left: float | None) -> None:
+        nonlocal last, said
+        kind = text.split(",")[0]
+        if time.monotonic() - last > 10 or kind.split(" ")[0] != said:
+            last, said = time.monotonic(), kind.split(" ")[0]
+            print(f"{100 * share:3.0f} %  {text}  {_left(left)}".rstrip(), file=sys.stderr)
+
+    yield line
+
+
+def _left(seconds: float | None) -> str:
+    if seconds is None or not seconds < float("inf"):
+        return ""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s left" if minutes else f"{rest} s left"

@@ -1,0 +1,128 @@
+"""One clip of a store: its frames are read as they are asked for, reflected where that is asked."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.registry import reading
+from ssdr.sequence import MeshSequence
+from ssdr.skinning import skin
+
+from .clip_files import CLASSES, Frames, Split, check_finite, open_array
+from .parameters import SimulationParameters
+from .skeleton import mirror_transforms
+
+if TYPE_CHECKING:
+    from .store import ClipStore
+
+__all__ = ["MIRRORED", "Clip"]
+
+MIRRORED = "~mirrored"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Clip:
+    """One clip of a store.
+
+    Attributes
+    ----------
+    store : ClipStore
+    name : str
+    split : {"train", "validation", "test"}
+    motion : str
+        The motion's own name; the same motion under other parameters has the same.
+    parameters : SimulationParameters
+    seed : int
+    perturbation : float
+        Metres (standard deviation) by which the start was moved; 0 but for the second of a
+        pair that measures chaos.
+    quality : dict
+        ``accepted``, ``reason`` and what the quality gate measured.
+    provenance : dict
+        Scene, versions of the simulator: all that it takes to make the clip again.
+    n_frames : int
+    is_mirrored : bool
+        Reflected as it is read; nothing of it is stored.
+    """
+
+    store: ClipStore
+    name: str
+    split: Split
+    motion: str
+    parameters: SimulationParameters
+    seed: int
+    perturbation: float
+    quality: dict[str, Any]
+    provenance: dict[str, Any]
+    n_frames: int
+    is_mirrored: bool
+    path: Path
+
+    @property
+    def accepted(self) -> bool:
+        return bool(self.quality["accepted"])
+
+    @property
+    def fps(self) -> float:
+        return self.store.fps
+
+    @property
+    def mirrored_of(self) -> str | None:
+        """Name of the clip that this one reflects."""
+        return self.name.removesuffix(MIRRORED) if self.is_mirrored else None
+
+    @functools.cached_property
+    def sequence(self) -> MeshSequence:
+        """The garment; frames are read from disk as they are asked for."""
+        vertices = Frames(
+            open_array(self.path, "vertices", (self.n_frames, self.store.n_vertices, 3)),
+            self.path,
+            self.store.mirror_vertices if self.is_mirrored else None,
+        )
+        faces = self.store.faces
+        return MeshSequence(vertices, faces, self.fps, name=self.name, validate=not self.accepted)
+
+    @functools.cached_property
+    def joints(self) -> NDArray[np.float32]:
+        """``(F, J, 3, 4)`` transforms from the body's rest pose to the pose of each frame."""
+        shape = (self.n_frames, self.store.skeleton.n_joints, 3, 4)
+        with reading(self.path):
+            values = np.asarray(open_array(self.path, "joints", shape)[:])
+            check_finite(values, "joints", 0)
+        if self.is_mirrored:
+            values = mirror_transforms(values, self.store.skeleton.mirror())
+        return values
+
+    @functools.cached_property
+    def classes(self) -> NDArray[np.int8]:
+        """``(F,)`` class of motion of each frame, an index into :data:`CLASSES`."""
+        with reading(self.path):
+            values = np.asarray(open_array(self.path, "classes", (self.n_frames,))[:])
+            if values.min() < 0 or values.max() >= len(CLASSES):
+                raise FormatError(f"classes: {values.min()} to {values.max()}")
+        return values
+
+    def body(self, frames: Any = slice(None)) -> NDArray[np.float32]:
+        """Body vertices ``(f, V, 3)`` in the named frames."""
+        rig = self.store.body
+        return np.asarray(skin(rig.rest, rig.joints, rig.weights, self.joints[frames]))
+
+    def mirrored(self) -> Clip:
+        """The clip reflected in x; of a mirrored clip, the clip itself.
+
+        Raises
+        ------
+        InputError
+            If the garment is not symmetric.
+        """
+        if self.store.mirror_vertices is None:
+            raise InputError("clip", "a clip of a symmetric garment", self.name)
+        name = self.name.removesuffix(MIRRORED) + ("" if self.is_mirrored else MIRRORED)
+        return dataclasses.replace(self, name=name, is_mirrored=not self.is_mirrored)

@@ -1,0 +1,131 @@
+"""Motion of a body: poses over time, from a generator or from motion capture (BVH).
+
+Nothing here needs a simulator: the same code poses the body for training data and for
+prediction.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from ssdr.errors import InputError
+
+from .skeleton import Skeleton
+from .store import CLASSES
+
+__all__ = ["Motion", "interpolate", "lead_in"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """A body's pose over time.
+
+    Parameters
+    ----------
+    joints : (F, J, 3, 4) float array
+        World transforms from the rest pose to the pose of each frame, rigid.
+    classes : (F,) int array
+        Class of motion of each frame, an index into :data:`garmentnet.data.store.CLASSES`.
+    fps : float
+    name : str
+
+    Raises
+    ------
+    InputError
+        If shapes do not match, a number is not finite or a transform is not rigid.
+    """
+
+    joints: NDArray[np.float64]
+    classes: NDArray[np.int8]
+    fps: float = 30.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        joints = np.asarray(self.joints, dtype=np.float64)
+        if joints.ndim != 4 or joints.shape[2:] != (3, 4) or len(joints) < 1:
+            raise InputError("joints", "shape (F, J, 3, 4)", f"shape {joints.shape}")
+        bad = ~np.isfinite(joints).all(axis=(1, 2, 3))
+        if bad.any():
+            raise InputError("joints", "finite numbers", f"NaN or Inf in frame {bad.argmax()}")
+        rotation = joints[..., :3]
+        off = np.abs(rotation @ rotation.swapaxes(-1, -2) - np.eye(3)).max(axis=(1, 2, 3))
+        if off.max() > 1e-3 or not (np.linalg.det(rotation) > 0).all():
+            raise InputError("joints", "rigid transforms", f"not so in frame {off.argmax()}")
+        classes = np.asarray(self.classes, dtype=np.int8)
+        if classes.shape != (len(joints),) or classes.min() < 0 or classes.max() >= len(CLASSES):
+            raise InputError("classes", f"{len(joints)} indices below {len(CLASSES)}", classes)
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise InputError("fps", "a positive number", self.fps)
+        object.__setattr__(self, "joints", joints)
+        object.__setattr__(self, "classes", classes)
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.joints)
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def cut(self, start: int, stop: int, name: str | None = None) -> Motion:
+        """Frames from `start` up to `stop`."""
+        if not 0 <= start < stop <= self.n_frames:
+            raise InputError("start, stop", f"0 to {self.n_frames}", (start, stop))
+        return Motion(
+            self.joints[start:stop],
+            self.classes[start:stop],
+            self.fps,
+            self.name if name is None else name,
+        )
+
+
+def interpolate(
+    skeleton: Skeleton, joints: NDArray[np.float64], at: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """World transforms ``(n, J, 3, 4)`` at fractional frames `at`.
+
+    The root's path is linear and every relative rotation goes along its shortest arc, so that
+    no limb changes its length between frames.
+    """
+    count = len(joints)
+    at = np.clip(np.asarray(at, dtype=np.float64), 0, count - 1)
+    root, local = skeleton.pose(joints)
+    if count == 1:
+        return np.repeat(joints, len(at), axis=0)
+    frames = np.arange(count)
+    place = np.stack([np.interp(at, frames, root[:, c]) for c in range(3)], axis=1)
+    turned = np.empty((len(at), skeleton.n_joints, 3, 3))
+    for j in range(skeleton.n_joints):
+        turned[:, j] = Slerp(frames, Rotation.from_matrix(local[:, j]))(at).as_matrix()
+    return skeleton.transforms(place, turned)
+
+
+def lead_in(
+    skeleton: Skeleton, joints: NDArray[np.float64], moving: int, still: int
+) -> NDArray[np.float64]:
+    """Transforms ``(moving + still, J, 3, 4)`` that bring the body at rest to the first pose.
+
+    It starts in the rest pose, set down where the first frame stands and turned as it faces;
+    then it holds the first pose.
+    """
+    root, local = skeleton.pose(joints[:1])
+    forward = local[0, 0] @ [0.0, 0.0, 1.0]
+    # A body that looks straight up or down has no heading; its own x axis then gives one.
+    heading = math.atan2(forward[0], forward[2])
+    if math.hypot(forward[0], forward[2]) < 1e-3:
+        side = local[0, 0] @ [1.0, 0.0, 0.0]
+        heading = math.atan2(-side[2], side[0])
+    rest_root = np.array([root[0, 0], skeleton.rest[0, 1], root[0, 2]])
+    rest_local = np.broadcast_to(np.eye(3), local.shape[1:]).copy()
+    rest_local[0] = Rotation.from_euler("y", heading).as_matrix()
+    start = skeleton.transforms(rest_root[None], rest_local[None])
+    share = np.arange(moving) / max(1, moving)
+    share = share * share * (3 - 2 * share)
+    both = np.concatenate([start, joints[:1]])
+    return np.concatenate(
+        [interpolate(skeleton, both, share), np.repeat(joints[:1], still, axis=0)]
+    )

@@ -1,0 +1,394 @@
+"""Simulated clips on disk: written whole or not at all, opened lazily, checked as they are read.
+
+A store is a folder of zarr arrays: the garment and the body once, and one group a clip with the
+garment's vertices, the body's joint transforms and the class of motion of every frame.  What
+trains, evaluates and predicts needs nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import ssdr
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import free_name, remove
+from ssdr.io.registry import reading
+from ssdr.sequence import MeshSequence
+from ssdr.skinning import Skinning
+
+from .clip import MIRRORED, Clip
+from .clip_files import CLASSES, Split, check_finite, compressors, read_statement, write_clip, zarr
+from .parameters import RANGES, SimulationParameters
+from .skeleton import Skeleton
+
+__all__ = ["CLASSES", "MIRRORED", "RANGES", "Clip", "ClipStore", "SimulationParameters", "Split"]
+
+_FORMAT, _VERSION = "garmentnet clips", 1
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
+
+
+class ClipStore:
+    """A folder of clips of one garment on one body.
+
+    Made by :meth:`create`, opened by :meth:`open`.
+
+    Attributes
+    ----------
+    path : Path
+    fps : float
+    rest : (V, 3) float32
+        The garment as it was cut, on the body at rest.
+    faces : (T, 3) int32
+    body : ssdr.Skinning
+        The collider: rest pose, weights and the names of the joints; one frame, at rest.
+    skeleton : Skeleton
+    mirror_vertices : (V,) int32 or None
+        The garment's vertex on the other side of each; None where it is not symmetric.
+    pinned : (V,) bool
+        Vertices that follow the body.
+    attributes : dict
+        What else the maker wrote down.
+    """
+
+    def __init__(self, path: Path, attributes: dict[str, Any], arrays: dict[str, Any]) -> None:
+        self.path = path
+        self.fps = float(attributes["fps"])
+        self.attributes: dict[str, Any] = dict(attributes.get("made_by", {}))
+        self.rest: NDArray[np.float32] = arrays["rest"]
+        self.faces: NDArray[np.int32] = arrays["faces"]
+        self.pinned: NDArray[np.bool_] = arrays["pinned"]
+        self.mirror_vertices: NDArray[np.int32] | None = arrays.get("mirror_vertices")
+        self.body: Skinning = arrays["body"]
+        self.skeleton = Skeleton(
+            self.body.names(), attributes["parents"], np.asarray(attributes["joint_rest"])
+        )
+
+    @property
+    def n_vertices(self) -> int:
+        return len(self.rest)
+
+    @property
+    def root(self) -> int:
+        """Index of the root joint."""
+        return 0
+
+    def __repr__(self) -> str:
+        return f"ClipStore({str(self.path)!r}, {len(self.names())} clips, V={self.n_vertices})"
+
+    @classmethod
+    def create(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        rest: ArrayLike,
+        faces: ArrayLike,
+        body: Skinning,
+        skeleton: Skeleton,
+        fps: float = 30.0,
+        mirror_vertices: ArrayLike | None = None,
+        pinned: ArrayLike | None = None,
+        attributes: Mapping[str, Any] | None = None,
+    ) -> ClipStore:
+        """Make an empty store, or open the one that is there if it is of the same garment.
+
+        Raises
+        ------
+        InputError
+            If an array is not usable, or `path` is something else or a store of another
+            garment, body or frame rate.
+        """
+        target = Path(path)
+        garment = MeshSequence(np.asarray(rest, dtype=np.float32)[None], faces, fps)
+        if body.names() != skeleton.names:
+            raise InputError("skeleton", f"the body's joints {body.names()}", skeleton.names)
+        count = garment.n_vertices
+        arrays: dict[str, Any] = {
+            "rest": garment.vertices[0],
+            "faces": garment.faces,
+            "pinned": np.zeros(count, bool) if pinned is None else np.asarray(pinned, dtype=bool),
+        }
+        if arrays["pinned"].shape != (count,):
+            raise InputError("pinned", f"shape ({count},)", arrays["pinned"].shape)
+        if mirror_vertices is not None:
+            arrays["mirror_vertices"] = _checked_mirror(mirror_vertices, garment)
+        stated = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "fps": garment.fps,
+            "root": 0,
+            "parents": skeleton.parents.tolist(),
+            "joint_rest": skeleton.rest.tolist(),
+            "joint_names": list(skeleton.names),
+            "mirror_joints": skeleton.mirror().tolist(),
+            "classes": list(CLASSES),
+            "made_by": json.loads(json.dumps(dict(attributes or {}))),
+        }
+        if target.exists():
+            there = cls.open(target)
+            _check_same(there, stated, arrays, body)
+            return there
+        if not target.parent.is_dir():
+            raise InputError("path", "a folder in a folder that exists", str(target))
+        temporary = free_name(target)
+        try:
+            group = zarr().create_group(store=str(temporary), attributes=stated)
+            for name, values in arrays.items():
+                group.create_array(name, data=values, compressors=compressors())
+            (temporary / "clips").mkdir()
+            ssdr.save(body, temporary / "body.npz")
+            os.replace(temporary, target)
+        except BaseException:
+            remove(temporary)
+            raise
+        return cls.open(target)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> ClipStore:
+        """Open a store.
+
+        Raises
+        ------
+        FormatError
+            If it is not a store of clips or a part of it is missing or damaged.
+        """
+        target = Path(path)
+        if not target.is_dir():
+            raise FormatError(f"{target}: no such folder")
+        if not (target / "zarr.json").is_file():
+            raise FormatError(f"{target}: not a store of clips (no zarr.json)")
+        with reading(target):
+            group = zarr().open_group(str(target), mode="r")
+            attributes = dict(group.attrs)
+            if attributes.get("format") != _FORMAT:
+                raise FormatError("not a store of clips (no such attribute format)")
+            if attributes.get("version") != _VERSION:
+                raise FormatError(f"version {attributes.get('version')}, this reads {_VERSION}")
+            arrays: dict[str, Any] = {
+                name: np.asarray(group[name][:])
+                for name in ("rest", "faces", "pinned", "mirror_vertices")
+                if name in group or name != "mirror_vertices"
+            }
+            MeshSequence(arrays["rest"][None], arrays["faces"])
+            arrays["body"] = ssdr.load_skinning(target / "body.npz")
+            if list(attributes["classes"]) != list(CLASSES):
+                raise FormatError(f"other classes of motion: {attributes['classes']}")
+            return cls(target, attributes, arrays)
+
+    def names(
+        self,
+        split: Split | None = None,
+        parameters: SimulationParameters | None = None,
+        accepted: bool | None = True,
+        perturbed: bool | None = False,
+    ) -> tuple[str, ...]:
+        """Names of the clips, sorted; those chosen by what is given.
+
+        Parameters
+        ----------
+        split : {"train", "validation", "test"}, optional
+        parameters : SimulationParameters, optional
+        accepted : bool or None
+            Whether the quality gate took them; None: either.
+        perturbed : bool or None
+            Whether their start was moved to measure chaos; None: either.
+        """
+        if split is not None and split not in get_args(Split):
+            raise InputError("split", f"one of {get_args(Split)}", repr(split))
+        chosen = []
+        for name in self._present():
+            stated = self._stated(name)
+            if split is not None and stated["split"] != split:
+                continue
+            if parameters is not None and stated["parameters"] != dataclasses.asdict(parameters):
+                continue
+            if accepted is not None and stated["quality"]["accepted"] is not accepted:
+                continue
+            if perturbed is not None and (stated["perturbation"] > 0) is not perturbed:
+                continue
+            chosen.append(name)
+        return tuple(chosen)
+
+    def clip(self, name: str) -> Clip:
+        """The clip `name`; with :data:`MIRRORED` behind its name, reflected.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        FormatError
+            If it is damaged.
+        """
+        if name.endswith(MIRRORED):
+            return self.clip(name.removesuffix(MIRRORED)).mirrored()
+        if name not in self:
+            raise InputError("name", f"a clip of {self.path}", repr(name))
+        stated = self._stated(name)
+        path = self.path / "clips" / name
+        with reading(path):
+            return Clip(
+                store=self,
+                name=name,
+                split=stated["split"],
+                motion=str(stated["motion"]),
+                parameters=SimulationParameters(**stated["parameters"]),
+                seed=int(stated["seed"]),
+                perturbation=float(stated["perturbation"]),
+                quality=dict(stated["quality"]),
+                provenance=dict(stated["provenance"]),
+                n_frames=int(stated["frames"]),
+                is_mirrored=False,
+                path=path,
+            )
+
+    def clips(self, *args: Any, **kwargs: Any) -> Iterator[Clip]:
+        """The clips that :meth:`names` chooses."""
+        return (self.clip(name) for name in self.names(*args, **kwargs))
+
+    def parameters(self) -> tuple[SimulationParameters, ...]:
+        """The parameter sets of accepted clips, those with most clips first."""
+        count: dict[SimulationParameters, int] = {}
+        for clip in self.clips():
+            count[clip.parameters] = count.get(clip.parameters, 0) + 1
+        return tuple(sorted(count, key=lambda p: (-count[p], dataclasses.astuple(p))))
+
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Names of accepted clips with the same one from a start that was moved a little."""
+        found = []
+        for twin in self.clips(perturbed=True):
+            original = str(twin.provenance.get("repeat_of", ""))
+            if original in self and self._stated(original)["quality"]["accepted"]:
+                found.append((original, twin.name))
+        return tuple(found)
+
+    def __contains__(self, name: object) -> bool:
+        return (
+            isinstance(name, str)
+            and bool(_NAME.match(name))
+            and (self.path / "clips" / name / "zarr.json").is_file()
+        )
+
+    def add(
+        self,
+        name: str,
+        *,
+        vertices: ArrayLike,
+        joints: ArrayLike,
+        classes: ArrayLike,
+        split: Split,
+        motion: str,
+        parameters: SimulationParameters,
+        seed: int,
+        quality: Mapping[str, Any],
+        provenance: Mapping[str, Any],
+        perturbation: float = 0.0,
+    ) -> Clip:
+        """Write a clip; it appears when it is complete.
+
+        Parameters
+        ----------
+        name : str
+            Letters, digits, ``_``, ``.`` and ``-``.
+        vertices : (F, V, 3) array
+        joints : (F, J, 3, 4) array
+            From the body's rest pose to the pose of each frame.
+        classes : (F,) int array
+        split, motion, parameters, seed, quality, provenance, perturbation
+            As in :class:`Clip`.  `quality` must state ``accepted``; only clips that are not may
+            hold NaN or Inf.
+
+        Raises
+        ------
+        InputError
+            If the name is taken or not usable, shapes do not match or numbers are not finite.
+        """
+        if not (isinstance(name, str) and _NAME.match(name)):
+            raise InputError("name", "letters, digits, '_', '.' and '-'", repr(name))
+        target = self.path / "clips" / name
+        if target.exists():
+            raise InputError("name", "a clip that is not in the store", repr(name))
+        if split not in get_args(Split):
+            raise InputError("split", f"one of {get_args(Split)}", repr(split))
+        accepted = quality.get("accepted")
+        if not isinstance(accepted, bool):
+            raise InputError("quality", "a bool 'accepted'", quality)
+        v = np.asarray(vertices, dtype=np.float32)
+        if v.ndim != 3 or v.shape[1:] != (self.n_vertices, 3) or len(v) < 1:
+            raise InputError("vertices", f"shape (F, {self.n_vertices}, 3)", f"shape {v.shape}")
+        frames = len(v)
+        m = np.asarray(joints, dtype=np.float32)
+        wanted = (frames, self.skeleton.n_joints, 3, 4)
+        if m.shape != wanted or not np.isfinite(m).all():
+            raise InputError("joints", f"finite numbers of shape {wanted}", f"shape {m.shape}")
+        c = np.asarray(classes, dtype=np.int8)
+        if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
+            raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
+        if accepted:
+            check_finite(v, "vertices", 0)
+        stated = {
+            "frames": frames,
+            "fps": self.fps,
+            "split": split,
+            "motion": str(motion),
+            "parameters": dataclasses.asdict(parameters),
+            "seed": int(seed),
+            "perturbation": float(perturbation),
+            "quality": json.loads(json.dumps(dict(quality))),
+            "provenance": json.loads(json.dumps(dict(provenance))),
+        }
+        write_clip(target, {"vertices": v, "joints": m, "classes": c}, stated)
+        return self.clip(name)
+
+    def sweep(self) -> int:
+        """Remove what killed writers left behind; their number.  Only while nobody writes."""
+        left = [p for p in (self.path / "clips").iterdir() if p.name.startswith(".")]
+        for path in left:
+            remove(path)
+        return len(left)
+
+    def _present(self) -> list[str]:
+        folder = self.path / "clips"
+        if not folder.is_dir():
+            raise FormatError(f"{self.path}: no folder clips")
+        return sorted(p.name for p in folder.iterdir() if p.name in self)
+
+    def _stated(self, name: str) -> dict[str, Any]:
+        return read_statement(self.path / "clips" / name)
+
+
+def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:
+    m = np.asarray(mirror, dtype=np.int32)
+    count = garment.n_vertices
+    if m.shape != (count,) or not np.array_equal(np.sort(m), np.arange(count)):
+        raise InputError("mirror_vertices", f"a permutation of {count}", f"shape {m.shape}")
+    if not np.array_equal(m[m], np.arange(count)):
+        raise InputError("mirror_vertices", "a permutation that is its own inverse", "another")
+    turned = {tuple(sorted(f)) for f in m[garment.faces].tolist()}
+    if turned != {tuple(sorted(f)) for f in garment.faces.tolist()}:
+        raise InputError("mirror_vertices", "triangles that map to triangles", "others")
+    return m
+
+
+def _check_same(
+    there: ClipStore, stated: dict[str, Any], arrays: dict[str, Any], body: Skinning
+) -> None:
+    same = (
+        there.fps == stated["fps"]
+        and np.array_equal(there.rest, arrays["rest"])
+        and np.array_equal(there.faces, arrays["faces"])
+        and np.array_equal(there.pinned, arrays["pinned"])
+        and np.array_equal(there.body.rest, body.rest)
+        and np.array_equal(there.body.weights, body.weights)
+        and there.skeleton.names == tuple(stated["joint_names"])
+        and np.array_equal(there.skeleton.rest, np.asarray(stated["joint_rest"]))
+    )
+    if not same:
+        raise InputError("path", "a new folder or a store of this garment and body", there.path)

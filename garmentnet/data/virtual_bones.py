@@ -1,0 +1,353 @@
+"""Low and high frequencies of all clips, and one set of virtual bones for them.
+
+One rest pose and one set of weights come from training frames of the training
+sets; every clip then gets its own transforms by refitting.  All of it is kept in
+a folder beside the store, clip by clip, so that it is made once and continues
+where it was stopped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import io
+import json
+import logging
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ssdr
+from ssdr import MeshSequence, Skinning
+from ssdr.errors import FormatError, InputError
+from ssdr.io.registry import reading
+from ssdr.laplacian import LaplacianSmoother
+
+from ..configs.config import BoneOptions
+from ..io.files import write_file, writing
+from ..networks.network import Subject, mesh_identity
+from .store import MIRRORED, Clip, ClipStore, SimulationParameters
+
+__all__ = ["ClipBones", "VirtualBones", "parameter_roles", "virtual_bones"]
+
+_logger = logging.getLogger(__name__)
+Progress = Callable[[str, float], None]
+
+
+def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
+    """Whether networks may learn from a parameter set: "train", "validation" or "test".
+
+    As the clips' provenance states it under ``parameter_split``; "train" where
+    it does not.
+    """
+    roles: dict[SimulationParameters, str] = {}
+    for clip in store.clips():
+        role = str(clip.provenance.get("parameter_split", "train"))
+        if roles.setdefault(clip.parameters, role) != role:
+            raise FormatError(f"{store.path}: {clip.name} puts its parameters into {role!r} too")
+    return roles
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ClipBones:
+    """What is kept of a clip; mirrored as it is read, where the clip is.
+
+    Attributes
+    ----------
+    low, high : (F, V, 3) float32, in world coordinates
+        Memory maps; `frames` of them, by :meth:`read`.
+    transforms : (F, B, 3, 4) float32
+        Of the virtual bones, fitted to `low`; of the clip that is not mirrored.
+    rmse : float
+        Of LBS against `low`, metres.
+    """
+
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    transforms: NDArray[np.float32]
+    rmse: float
+    permutation: NDArray[np.int32] | None = None
+
+    def read(self, part: str, frames: Any = slice(None)) -> NDArray[np.float32]:
+        """Frames of "low" or "high" in memory."""
+        block = np.array(getattr(self, part)[frames])  # a copy: the map cannot be written to
+        if self.permutation is not None:
+            # The operator belongs to a symmetric rest pose: it commutes with the reflection.
+            block = block[:, self.permutation] * np.array([-1, 1, 1], np.float32)
+        return block
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class VirtualBones:
+    """The bones of a garment and where their clips lie.
+
+    Attributes
+    ----------
+    folder : Path
+    store : ClipStore
+    skinning : Skinning
+        Rest pose, weights, faces; one frame, the rest pose.
+    options : BoneOptions
+    report : dict
+        Frames used and error of the decomposition.
+    """
+
+    folder: Path
+    store: ClipStore
+    skinning: Skinning
+    options: BoneOptions
+    report: dict[str, Any]
+
+    @property
+    def subject(self) -> Subject:
+        """What a network needs to know."""
+        store = self.store
+        identity = mesh_identity(store.rest, store.faces)
+        return Subject(self.skinning, store.body, store.skeleton, store.fps, identity)
+
+    def smoother(self) -> LaplacianSmoother:
+        """The operator of the split, in the metric of the garment's rest pose."""
+        return LaplacianSmoother(self.store.rest, self.store.faces, self.options.length)
+
+    def clip(self, name: str) -> ClipBones:
+        """What is kept of a clip, computed if it is not there yet.
+
+        Raises
+        ------
+        FormatError
+            If a file of it is damaged, or of another garment.
+        """
+        clip = self.store.clip(name)
+        original = clip if not clip.is_mirrored else self.store.clip(str(clip.mirrored_of))
+        base = self.folder / "clips"
+        files = {k: base / f"{original.name}.{k}.npy" for k in ("low", "high", "transforms")}
+        statement = base / f"{original.name}.json"
+        if not all(f.is_file() for f in (*files.values(), statement)):
+            self._make(original, files)
+        v, b = self.store.n_vertices, self.skinning.n_bones
+        shapes = {"low": (v, 3), "high": (v, 3), "transforms": (b, 3, 4)}
+        stated = self._statement(original.name)
+        arrays = {
+            k: _map(f, (original.n_frames, *shapes[k]), stated.get("checksums", {}).get(k))
+            for k, f in files.items()
+        }
+        return ClipBones(
+            **arrays, rmse=stated["rmse"],
+            permutation=self.store.mirror_vertices if clip.is_mirrored else None,
+        )  # fmt: skip
+
+    def _statement(self, name: str) -> dict[str, Any]:
+        stated = _document(self.folder / "clips" / f"{name}.json", ("rmse", "high_rms"))
+        if stated.get("source", "") not in ("", _digest(self.store, [name])):
+            raise InputError(
+                "store",
+                f"the clip {name} that its bones were fitted to (remove {self.folder} to fit them "
+                "again)",
+                "another of that name",
+            )
+        return stated
+
+    def _make(self, clip: Clip, files: dict[str, Path]) -> None:
+        vertices = np.asarray(clip.sequence.frames(slice(None)), np.float32)
+        low = np.asarray(self.smoother().smooth(vertices), np.float32)
+        s = self.skinning
+        fit = ssdr.fit_bones(
+            low, self.store.faces, rest=s.rest, joints=s.joints, weights=s.weights,
+            bones=s.n_bones, tolerance=1e-4, max_sweeps=30,
+        )  # fmt: skip
+        parts = {"low": low, "high": vertices - low, "transforms": fit.transforms}
+        stated: dict[str, Any] = {
+            "rmse": fit.rmse,
+            "high_rms": _rms(parts["high"]),
+            "source": _digest(self.store, [clip.name]),
+            "checksums": {},
+        }
+        for key, values in parts.items():
+            packed = io.BytesIO()
+            np.save(packed, np.asarray(values, np.float32), allow_pickle=False)
+            stated["checksums"][key] = zlib.crc32(packed.getbuffer())
+            write_file(files[key], packed.getvalue())
+        write_file(self.folder / "clips" / f"{clip.name}.json", json.dumps(stated).encode())
+
+    def prepare(self, names: Sequence[str], progress: Progress | None = None) -> dict[str, Any]:
+        """Make what is missing of the named clips.
+
+        Returns
+        -------
+        dict
+            Pooled over them: ``high_rms`` and ``rmse`` of the bones, metres, and
+            the number of ``frames``.
+        """
+        squares = {"rmse": 0.0, "high_rms": 0.0}
+        frames = 0
+        for k, name in enumerate(names):
+            plain = name.removesuffix(MIRRORED)
+            count = self.clip(plain).low.shape[0]
+            stated = self._statement(plain)
+            frames += count
+            for key in squares:
+                squares[key] += count * float(stated[key]) ** 2
+            if progress:
+                progress("refitting the bones", (k + 1) / len(names))
+        return {"frames": frames} | {
+            key: float(np.sqrt(total / max(frames, 1))) for key, total in squares.items()
+        }
+
+
+def virtual_bones(
+    store: ClipStore,
+    options: BoneOptions,
+    *,
+    folder: Path | str | None = None,
+    time_limit: float | None = None,
+    progress: Progress | None = None,
+) -> VirtualBones:
+    """The virtual bones of a store: read where they were made before, else made.
+
+    Parameters
+    ----------
+    store : ClipStore
+    options : BoneOptions
+    folder : path, optional
+        ``<store>.bones`` beside the store by default; each set of options and
+        training clips has a folder of its own in it.
+    time_limit : float, optional
+        Seconds that the decomposition may take.
+    progress : callable, optional
+        Called with what is being done and the share that is done.
+
+    Raises
+    ------
+    InputError
+        If the store has no training clips.
+    """
+    roles = parameter_roles(store)
+    names = [c.name for c in store.clips("train") if roles[c.parameters] == "train"]
+    if not names:
+        raise InputError("store", "training clips of a training set", str(store.path))
+    stated = dataclasses.asdict(options) | {
+        "garment": mesh_identity(store.rest, store.faces), "clips": names,
+    }  # fmt: skip
+    key = hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:12]
+    home = Path(folder) if folder else store.path.with_name(store.path.name + ".bones")
+    place = home / key
+    (place / "clips").mkdir(parents=True, exist_ok=True)
+    skinning_file, report_file = place / "bones.npz", place / "bones.json"
+    if not (skinning_file.is_file() and report_file.is_file()):
+        skinning, report = _decompose(store, names, options, time_limit, progress)
+        with writing(skinning_file):
+            ssdr.save(skinning, skinning_file)
+        made = stated | report | {"source": _digest(store, names)}
+        write_file(report_file, json.dumps(made, indent=1).encode())
+    skinning = ssdr.load_skinning(skinning_file)
+    if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
+        raise FormatError(f"{skinning_file}: bones of another garment, {skinning!r}")
+    known = _document(report_file, ("rmse", "high_rms"))
+    if known.get("source", "") not in ("", _digest(store, names)):
+        raise InputError(
+            "store",
+            f"the clips that its virtual bones were made from (remove {place} to make them again)",
+            "others of the same names",
+        )
+    return VirtualBones(place, store, skinning, options, known)
+
+
+def _decompose(
+    store: ClipStore,
+    names: Sequence[str],
+    options: BoneOptions,
+    time_limit: float | None,
+    progress: Progress | None,
+) -> tuple[Skinning, dict[str, Any]]:
+    began = time.perf_counter()
+    clips = [store.clip(n) for n in names]
+    total = sum(c.n_frames for c in clips)
+    wanted = np.unique(np.linspace(0, total - 1, min(total, options.frames)).astype(int))
+    smoother = LaplacianSmoother(store.rest, store.faces, options.length)
+    parts, squares, first = [], 0.0, 0
+    for clip in clips:
+        mine = wanted[(wanted >= first) & (wanted < first + clip.n_frames)] - first
+        first += clip.n_frames
+        if len(mine):
+            block = clip.sequence.frames(mine)
+            parts.append(np.asarray(smoother.smooth(block), np.float32))
+            squares += float(((block - parts[-1]).astype(np.float64) ** 2).sum())
+    frames = np.concatenate(parts)
+
+    def follow(p: Any) -> None:
+        if progress:
+            progress(f"decomposing: {p.phase}", p.fraction)
+
+    result = ssdr.decompose(
+        MeshSequence(frames, store.faces, store.fps),
+        bones=options.count,
+        influences=options.influences,
+        effort=options.effort,
+        rng=options.seed,
+        time_limit=time_limit,
+        callback=follow,
+    )
+    s = result.skinning
+    still = np.tile(np.eye(3, 4), (1, s.n_bones, 1, 1))
+    skinning = dataclasses.replace(s, transforms=still, fps=store.fps, keyframes=None)
+    report = {
+        "decomposed_frames": len(frames),
+        "rmse": result.rmse,
+        "high_rms": float(np.sqrt(squares / (len(frames) * store.n_vertices))),
+        "seconds": time.perf_counter() - began,
+        "stop_reason": result.stop_reason,
+    }
+    _logger.info("%d bones, RMSE %.3g m on %d frames", s.n_bones, result.rmse, len(frames))
+    return skinning, report
+
+
+def _rms(x: NDArray[np.floating]) -> float:
+    return float(np.sqrt((x.astype(np.float64) ** 2).sum(-1).mean()))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(f"{path}: missing or not text ({error})") from error
+
+
+def _document(path: Path, keys: Sequence[str]) -> dict[str, Any]:
+    with reading(path):
+        found = json.loads(_text(path))
+        for key in keys:
+            found[key] = float(found[key])
+        return dict(found)
+
+
+def _digest(store: ClipStore, names: Sequence[str]) -> str:
+    # What a clip states holds all that it was made from, and measures of what came out.
+    h = hashlib.sha256()
+    for name in names:
+        h.update((store.path / "clips" / name / "zarr.json").read_bytes())
+    return h.hexdigest()[:16]
+
+
+@functools.lru_cache(maxsize=4096)
+def _checksum(path: Path, size: int, changed: int) -> int:
+    # Once for every state of the file; its arguments are what tells states apart.
+    return zlib.crc32(path.read_bytes())
+
+
+def _map(path: Path, shape: tuple[int, ...], checksum: int | None) -> NDArray[np.float32]:
+    status = path.stat()
+    if checksum not in (None, _checksum(path, status.st_size, status.st_mtime_ns)):
+        raise FormatError(f"{path}: damaged (its checksum differs); without it, it is made again")
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise FormatError(f"{path}: not a NumPy array ({error})") from error
+    if array.shape != shape or array.dtype != np.float32:
+        raise FormatError(f"{path}: expected float32 {shape}, got {array.dtype} {array.shape}")
+    return np.asarray(array) if array.size == 0 else array

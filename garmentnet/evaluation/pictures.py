@@ -1,0 +1,127 @@
+"""Truth, prediction and error side by side: of a clip, and of the moments where cloth is hard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ssdr
+
+from ..data.store import CLASSES, Clip, ClipStore
+from ..data.virtual_bones import VirtualBones
+from .scores import Answer
+
+__all__ = ["HARD", "draw_clip", "draw_moments", "moments"]
+
+Array = NDArray[np.float32]
+HARD = ("spin", "kick", "squat", "stop")
+
+
+def moments(
+    store: ClipStore, names: Sequence[str], classes: Sequence[str] = HARD
+) -> list[tuple[str, str, int]]:
+    """Class, clip and frame of the strongest moment of each class that the clips have.
+
+    Of a spin the fastest, of a kick the highest foot, of a squat the lowest root;
+    of others the middle of the longest stretch.
+    """
+    best: dict[str, tuple[float, str, int]] = {}
+    for name in names:
+        clip = store.clip(name)
+        for label in classes:
+            inside = clip.classes == CLASSES.index(label)
+            if not inside.any():
+                continue
+            value = np.where(inside, _strength(clip, label, inside), -np.inf)
+            frame = int(value.argmax())
+            if label not in best or value[frame] > best[label][0]:
+                best[label] = (float(value[frame]), name, frame)
+    return [(label, *best[label][1:]) for label in classes if label in best]
+
+
+def _strength(clip: Clip, label: str, inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    skeleton, joints = clip.store.skeleton, np.asarray(clip.joints, np.float64)
+    places = skeleton.positions(joints)
+    if label == "spin":
+        root = skeleton.pose(joints)[1][:, 0]
+        turned = np.einsum("fij,fij->f", root[1:], root[:-1])
+        angle = np.arccos(np.clip((turned - 1) / 2, -1, 1))
+        return np.append(0.0, angle)
+    if label == "kick":
+        return _highest_foot(places)
+    if label == "squat":
+        return np.asarray(-places[:, 0, 1], float)
+    # How far from the ends of its stretch.
+    after = np.zeros(len(inside))
+    before = np.zeros(len(inside))
+    for f in range(1, len(inside)):
+        after[f] = after[f - 1] + 1 if inside[f] else 0
+        before[-1 - f] = before[-f] + 1 if inside[-1 - f] else 0
+    return np.minimum(after, before)
+
+
+def _highest_foot(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Feet: the two joints that are lowest over the whole clip.
+    low = np.argsort(places[..., 1].mean(axis=0))[:4]
+    return np.asarray(places[:, low, 1].max(axis=1))
+
+
+def draw_clip(
+    bones: VirtualBones, clip: Clip, answer: Answer, path: Path, *, frames: Any = 5
+) -> Path:
+    """Truth, prediction and error map of a clip, row by row, as a PNG.
+
+    Body and cloth are one mesh in it; the camera follows the root.
+    """
+    kept = bones.clip(clip.name)
+    truth = kept.read("low") + kept.read("high")
+    simulated = _scene(bones, clip, truth)
+    predicted = _scene(bones, clip, answer.low + answer.high)
+    _draw(bones, simulated, predicted, clip.fps, path, title=clip.name, frames=frames)
+    return path
+
+
+def draw_moments(
+    bones: VirtualBones, method: Callable[[Clip], Answer], names: Sequence[str], path: Path
+) -> list[tuple[str, str, int]]:
+    """One picture of :func:`moments`, a column each; which they are is returned."""
+    found = moments(bones.store, names)
+    truths, answers = [], []
+    for _, name, frame in found:
+        clip, kept = bones.store.clip(name), bones.clip(name)
+        answer = method(clip)
+        at = slice(frame, frame + 1)
+        truths.append(_scene(bones, clip, kept.read("low", at) + kept.read("high", at), at))
+        answers.append(_scene(bones, clip, (answer.low + answer.high)[at], at))
+    if found:
+        _draw(
+            bones, np.concatenate(truths), np.concatenate(answers), bones.store.fps, path,
+            title=", ".join(label for label, _, _ in found), frames=list(range(len(found))),
+        )  # fmt: skip
+    return found
+
+
+def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None)) -> Array:
+    root = clip.store.skeleton.positions(clip.joints[at])[:, :1]
+    both = np.concatenate([clip.body(at), cloth], axis=1) - root
+    return np.asarray(both, np.float32)
+
+
+def _draw(
+    bones: VirtualBones, truth: Array, answer: Array, fps: float, path: Path, *,
+    title: str, frames: Any,
+) -> None:  # fmt: skip
+    from ssdr.render import contact_sheet, write_picture
+
+    store = bones.store
+    faces = np.concatenate([store.body.faces, store.faces + store.body.n_vertices])
+    simulated = ssdr.MeshSequence(truth, faces, fps, name="simulated")
+    predicted = ssdr.MeshSequence(answer, faces, fps, name="predicted")
+    sheet = contact_sheet(
+        predicted, reference=simulated, frames=frames, styles=["plain", "error"], title=title
+    )
+    write_picture(sheet, path)

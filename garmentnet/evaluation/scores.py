@@ -1,0 +1,336 @@
+"""The paper's table on unseen motions and parameters, beside baselines, bounds and the floor.
+
+Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail
+alone; overall is G against Ĝ.  A method without two modules is split as the data
+are: its low part is its smoothed prediction, its high part the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+import ssdr
+from ssdr.metrics import compare
+
+from ..data.store import CLASSES, Clip
+from ..data.virtual_bones import VirtualBones
+from ..networks.checkpoint import Checkpoint
+from ..networks.losses import BodyShape, collision_depth
+from ..networks.network import Motion
+
+__all__ = [
+    "Answer",
+    "Row",
+    "Score",
+    "bones_themselves",
+    "chaos_floor",
+    "evaluate",
+    "looseness",
+    "network_method",
+    "plain_method",
+]
+
+PARTS = ("low", "high", "overall")
+Array = NDArray[np.float32]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Answer:
+    """A method's mesh of a clip: its two parts, whose sum is the answer."""
+
+    low: Array
+    high: Array
+
+
+Method = Callable[[Clip], Answer]
+
+
+@dataclasses.dataclass(frozen=True)
+class Score:
+    """RMSE (per-vertex, pooled), mean Hausdorff of vertices, both in mm, and STED."""
+
+    rmse: float
+    hausdorff: float
+    sted: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Row:
+    """One method.
+
+    Attributes
+    ----------
+    name : str
+    frames : int
+    low, high, overall : Score
+    per_class : dict
+        Overall RMSE, mm, of the frames of each class of motion.
+    per_vertex : (V,) float64
+        Mean overall error, mm.
+    inside : float
+        Share of the vertices inside the body.
+    depth_mean, depth_max : float
+        Of those, mm.
+    """
+
+    name: str
+    frames: int
+    low: Score
+    high: Score
+    overall: Score
+    per_class: dict[str, float]
+    per_vertex: NDArray[np.float64]
+    inside: float
+    depth_mean: float
+    depth_max: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers for JSON."""
+        plain = dataclasses.asdict(self)
+        return plain | {"per_vertex": self.per_vertex.tolist()}
+
+
+def network_method(checkpoint: Checkpoint) -> Method:
+    """A checkpoint as a method; the clip's own parameters where it reads them."""
+
+    def answer(clip: Clip) -> Answer:
+        motions = checkpoint.motions(clip.joints, clip.parameters)
+        low = np.concatenate([m.to_world(m.low) for m in motions])
+        return Answer(low, np.concatenate([_detail(m) for m in motions]))
+
+    return answer
+
+
+def plain_method(bones: VirtualBones, predict: Callable[[Any], Array]) -> Method:
+    """A function from joints to vertices as a method; split by the smoother of the data."""
+    smoother = bones.smoother()
+
+    def answer(clip: Clip) -> Answer:
+        vertices = np.asarray(predict(clip.joints), np.float32)
+        low = np.asarray(smoother.smooth(vertices), np.float32)
+        return Answer(low, vertices - low)
+
+    return answer
+
+
+def bones_themselves(bones: VirtualBones) -> Method:
+    """LBS under the fitted transforms and the true detail: what no network passes."""
+    s = bones.skinning
+
+    def answer(clip: Clip) -> Answer:
+        kept = bones.clip(clip.name)
+        low = ssdr.skin(s.rest, s.joints, s.weights, kept.transforms)
+        return Answer(np.asarray(low, np.float32), kept.read("high"))
+
+    return answer
+
+
+def evaluate(
+    bones: VirtualBones,
+    methods: Mapping[str, Method],
+    names: Sequence[str],
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> list[Row]:
+    """Score methods on clips that are not mirrored.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    methods : mapping from names to methods
+    names : sequence of str
+        Clips.
+    progress : callable, optional
+        Told the method's name and the share that is done.
+
+    Returns
+    -------
+    list of Row
+        In the order of `methods`.
+    """
+    rows = []
+    for m, (name, method) in enumerate(methods.items()):
+        total = _Total(bones)
+        for k, clip_name in enumerate(names):
+            clip = bones.store.clip(clip_name)
+            total.add(clip, method(clip))
+            if progress:
+                progress(name, (m + (k + 1) / len(names)) / len(methods))
+        rows.append(total.row(name))
+    return rows
+
+
+class _Total:
+    """Sums over clips: squares for RMSE, means over frames for the others."""
+
+    def __init__(self, bones: VirtualBones) -> None:
+        self.bones = bones
+        self.frames = 0
+        self.parts = {p: np.zeros(3) for p in PARTS}
+        self.classes: dict[str, list[float]] = {}
+        self.error = np.zeros(bones.store.n_vertices)
+        self.body = BodyShape(bones.store.body)
+        self.inside, self.depth, self.deepest = 0, 0.0, 0.0
+
+    def add(self, clip: Clip, answer: Answer) -> None:
+        kept = self.bones.clip(clip.name)
+        low, high = kept.read("low"), kept.read("high")
+        truth = low + high
+        pairs = {
+            "low": (low, answer.low),
+            "high": (truth, low + answer.high),
+            "overall": (truth, answer.low + answer.high),
+        }
+        faces, count = self.bones.store.faces, clip.n_frames
+        for part, (reference, other) in pairs.items():
+            c = compare(reference, other, faces, hausdorff_options={"surface": False})
+            assert c.hausdorff is not None
+            assert c.sted is not None
+            figures = [c.rmse**2, c.hausdorff.vertex_mean, c.sted.value]
+            self.parts[part] += count * np.array(figures)
+            if part == "overall":
+                self._by_class(clip, c.distances.per_frame)
+        self.frames += count
+        whole = answer.low + answer.high
+        self.error += np.linalg.norm(whole - truth, axis=-1).astype(np.float64).sum(axis=0)
+        self._penetration(clip, whole)
+
+    def _by_class(self, clip: Clip, per_frame: Any) -> None:
+        for label in np.unique(clip.classes):
+            chosen = np.asarray(per_frame)[clip.classes == label]
+            slot = self.classes.setdefault(CLASSES[int(label)], [0.0, 0.0])
+            slot[0] += float((chosen**2).sum())
+            slot[1] += len(chosen)
+
+    def _penetration(self, clip: Clip, vertices: Array) -> None:
+        with torch.no_grad():
+            for i in range(0, len(vertices), 64):
+                joints = torch.from_numpy(np.asarray(clip.joints[i : i + 64], np.float32))
+                body, normals = self.body(joints)
+                depth = collision_depth(torch.from_numpy(vertices[i : i + 64]), body, normals)
+                self.inside += int((depth > 0).sum())
+                self.depth += float(depth.double().sum())
+                self.deepest = max(self.deepest, float(depth.max()))
+
+    def row(self, name: str) -> Row:
+        n = max(self.frames, 1)
+        scores = {}
+        for part, sums in self.parts.items():
+            square, hausdorff, sted = sums / n
+            scores[part] = Score(1e3 * math.sqrt(square), 1e3 * float(hausdorff), float(sted))
+        return Row(
+            name, self.frames, **scores,
+            per_class={k: 1e3 * math.sqrt(s / c) for k, (s, c) in sorted(self.classes.items())},
+            per_vertex=1e3 * self.error / n,
+            inside=self.inside / (n * self.bones.store.n_vertices),
+            depth_mean=1e3 * self.depth / max(self.inside, 1),
+            depth_max=1e3 * self.deepest,
+        )  # fmt: skip
+
+
+def chaos_floor(
+    bones: VirtualBones, pairs: Iterable[tuple[str, str]] | None = None
+) -> dict[str, dict[str, float]]:
+    """RMSE / √2, mm, of clips simulated again from a start that was moved a little.
+
+    No function of the motion can be expected to do better: the mean of two such
+    runs is as far from each.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    pairs : pairs of names, optional
+        Those of the store by default.
+
+    Returns
+    -------
+    dict
+        Of each class of motion and of "all": RMSE / √2 ``low`` and ``overall``;
+        empty without pairs.
+    """
+    sums: dict[str, NDArray[np.float64]] = {}
+    smoother = bones.smoother()
+    for first, second in bones.store.pairs() if pairs is None else pairs:
+        a, b = bones.store.clip(first), bones.store.clip(second)
+        frames = min(a.n_frames, b.n_frames)
+        gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
+        # Smoothing is linear: the difference of the low parts is the smoothed difference.
+        low = np.asarray(smoother.smooth(gap))
+        squares = [(x.astype(np.float64) ** 2).sum(-1).mean(-1) for x in (low, gap)]
+        for label in [-1, *np.unique(a.classes[:frames])]:
+            chosen = a.classes[:frames] == label if label >= 0 else slice(None)
+            key = CLASSES[int(label)] if label >= 0 else "all"
+            part = np.array([squares[0][chosen].sum(), squares[1][chosen].sum(), 0.0])
+            part[2] = len(squares[0][chosen])
+            sums[key] = sums.get(key, np.zeros(3)) + part
+    return {
+        key: {
+            "low": 1e3 * math.sqrt(s[0] / s[2] / 2),
+            "overall": 1e3 * math.sqrt(s[1] / s[2] / 2),
+            "frames": float(s[2]),
+        }
+        for key, s in sums.items()
+    }
+
+
+def looseness(
+    bones: VirtualBones, names: Sequence[str], *, every: int = 5
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and deviation, mm, of every vertex's distance to the closest body vertex.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    names : sequence of str
+        Clips.
+    every : int
+        Frames from one that is looked at to the next.
+    """
+    total = square = np.zeros(bones.store.n_vertices)
+    count = 0
+    for name in names:
+        clip = bones.store.clip(name)
+        chosen = np.arange(0, clip.n_frames, every)
+        body, cloth = clip.body(chosen), clip.sequence.frames(chosen)
+        for b, v in zip(body, cloth, strict=True):
+            distance = 1e3 * cKDTree(b).query(v)[0]
+            total, square, count = total + distance, square + distance**2, count + 1
+    mean = total / count
+    return mean, np.sqrt(np.maximum(square / count - mean**2, 0))
+
+
+def by_looseness(
+    row: Row, mean: NDArray[np.float64], *, bins: int = 4
+) -> list[tuple[float, float]]:
+    """Mean distance to the body and mean error, mm, of equal shares of the vertices."""
+    parts = np.array_split(np.argsort(mean), bins)
+    return [(float(mean[p].mean()), float(row.per_vertex[p].mean())) for p in parts]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The paper's table as text: mm, mm and STED for low, high and overall."""
+    width = max([8, *(len(r.name) for r in rows)])
+    head = f"{'':<{width}}" + "".join(
+        f" | {p + ' RMSE':>12} {'Hausd.':>7} {'STED':>7}" for p in PARTS
+    )
+    lines = [head + " | inside", "-" * (len(head) + 9)]
+    for r in rows:
+        cells = [getattr(r, p) for p in PARTS]
+        text = "".join(f" | {c.rmse:12.2f} {c.hausdorff:7.1f} {c.sted:7.4f}" for c in cells)
+        lines.append(f"{r.name:<{width}}{text} | {100 * r.inside:5.2f}%")
+    return "\n".join(lines)
+
+
+def _detail(motion: Motion) -> Array:
+    if motion.high is None:
+        return np.zeros(motion.low.shape, np.float32)
+    turned = motion.high.double().cpu().numpy() @ motion.frame[..., :3].transpose(0, 2, 1)
+    return np.asarray(turned, np.float32)

@@ -1,0 +1,190 @@
+"""From joint transforms to what a network reads, and to the frame in which it answers.
+
+Everything is causal and carries its own state, so that a motion in one piece,
+in pieces and frame by frame gives the same numbers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssdr.errors import InputError
+from ssdr.rigid import sixd_from_matrix
+
+from ..configs.config import FeatureOptions
+from ..data.skeleton import Skeleton
+
+__all__ = ["Normaliser", "PoseFeatures", "PoseState", "check_joints"]
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PoseState:
+    """What the features of the next frame need of those before."""
+
+    first: Array
+    position: Array
+    velocity: Array
+    rotation: Array  # of the root, in the world
+    pose: Array  # the rotations' features, for their speed
+
+
+class PoseFeatures:
+    """Features of a pose and the moving frame of the answer.
+
+    Parameters
+    ----------
+    skeleton : Skeleton
+    options : FeatureOptions
+    fps : float
+    """
+
+    def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
+        self.skeleton, self.options, self.fps = skeleton, options, float(fps)
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        o, n = self.options, self.skeleton.n_joints
+        each = 3 if o.rotation == "vector" else 6
+        pose = n * each
+        return pose + (pose if o.velocities else 0) + 3 * o.translation + 12 * o.root_motion
+
+    def __call__(
+        self, joints: Any, state: PoseState | None = None
+    ) -> tuple[Array, Array, PoseState]:
+        """Features of consecutive frames.
+
+        Parameters
+        ----------
+        joints : (F, J, 3, 4) array
+            World transforms from the body's rest pose.
+        state : PoseState, optional
+            Of the frame before; without it the motion starts here, from rest.
+
+        Returns
+        -------
+        features : (F, D) float64
+        frame : (F, 3, 4) float64
+            From the frame of the answer to the world.
+        state : PoseState
+
+        Raises
+        ------
+        InputError
+            If a shape does not fit or a number is not finite.
+        """
+        o = self.options
+        m = check_joints(joints, self.skeleton.n_joints)
+        position, relative = self.skeleton.pose(m)
+        root = relative[:, 0].copy()
+        heading = _heading(root)
+        if o.heading_free:
+            relative[:, 0] = np.einsum("fba,fbc->fac", heading, root)
+        pose = _code(relative, o.rotation)
+        if state is None:
+            zero = np.zeros(3)
+            state = PoseState(position[0], position[0], zero, root[0], pose[0])
+        parts = [pose]
+        if o.translation:
+            parts.insert(0, position - state.first)
+        if o.velocities:
+            parts.append((pose - np.concatenate([state.pose[None], pose[:-1]])) * self.fps)
+        before = np.concatenate([state.position[None], position[:-1]])
+        velocity = (position - before) * self.fps
+        if o.root_motion:
+            change = velocity - np.concatenate([state.velocity[None], velocity[:-1]])
+            turn = root @ np.concatenate([state.rotation[None], root[:-1]]).transpose(0, 2, 1)
+            spin = Rotation.from_matrix(turn).as_rotvec() * self.fps
+            local = [np.einsum("fba,fb->fa", heading, x) for x in (velocity, change, spin)]
+            parts += [local[0], local[1] * self.fps, local[2], local[2] ** 2]
+        frame = np.zeros((len(m), 3, 4))
+        frame[:, :, :3] = np.eye(3)
+        if o.frame != "world":
+            frame[:, :, :3] = root if o.frame == "root" else heading
+            frame[:, :, 3] = position
+        new = PoseState(state.first, position[-1], velocity[-1], root[-1], pose[-1])
+        return np.concatenate(parts, axis=1), frame, new
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Normaliser:
+    """Features to numbers around 1.
+
+    Attributes
+    ----------
+    mean, deviation : (D,) float64
+    clamp : float
+        Largest absolute value on return; 0: none.
+    """
+
+    mean: Array
+    deviation: Array
+    clamp: float
+
+    @classmethod
+    def fit(cls, features: list[Array], *, floor: float, clamp: float) -> Normaliser:
+        """Mean and deviation over all frames; a deviation below `floor` counts as `floor`.
+
+        A feature that hardly moves in training would otherwise explode on a
+        motion where it does.
+        """
+        count = sum(len(f) for f in features)
+        mean = sum(f.sum(axis=0) for f in features) / count
+        square = sum(((f - mean) ** 2).sum(axis=0) for f in features) / count
+        deviation = np.sqrt(np.maximum(square, 0.0))
+        deviation = np.maximum(deviation, floor)
+        return cls(mean, np.where(deviation > 0, deviation, 1.0), clamp)
+
+    def __call__(self, features: Array) -> NDArray[np.float32]:
+        z = (features - self.mean) / self.deviation
+        return (z if self.clamp <= 0 else z.clip(-self.clamp, self.clamp)).astype(np.float32)
+
+
+def check_joints(joints: Any, n_joints: int) -> Array:
+    """Joint transforms as float64 ``(F, J, 3, 4)``.
+
+    Raises
+    ------
+    InputError
+        If the shape does not fit, a number is not finite or a 3×3 block is not a
+        rotation.
+    """
+    m = np.asarray(joints, dtype=np.float64)
+    if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):
+        raise InputError("joints", f"shape (F, {n_joints}, 3, 4)", f"shape {m.shape}")
+    bad = ~np.isfinite(m).all(axis=(2, 3))
+    if bad.any():
+        t, j = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError("joints", "finite numbers", f"NaN or Inf at frame {t}, joint {j}")
+    r = m[..., :3]
+    off = np.abs(r @ r.swapaxes(-1, -2) - np.eye(3)).max(axis=(2, 3))
+    bad = (off > 1e-3) | (np.linalg.det(r) < 0)
+    if bad.any():
+        t, j = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError("joints", "rigid transforms", f"no rotation at frame {t}, joint {j}")
+    return m
+
+
+def _heading(root: Array) -> Array:
+    # The twist about y of swing and twist: unlike the direction of the projected
+    # z axis it is well defined until the body is upside down.
+    s, c = root[:, 0, 2] - root[:, 2, 0], root[:, 0, 0] + root[:, 2, 2]
+    size = np.hypot(s, c)
+    s = np.divide(s, size, out=np.zeros_like(s), where=size > 1e-12)
+    c = np.divide(c, size, out=np.ones_like(c), where=size > 1e-12)
+    o = np.zeros_like(s)
+    return np.stack([c, o, s, o, o + 1, o, -s, o, c], axis=-1).reshape(-1, 3, 3)
+
+
+def _code(rotation: Array, kind: str) -> Array:
+    n = len(rotation)
+    if kind == "vector":
+        return Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(n, -1)
+    return np.asarray(sixd_from_matrix(rotation)).reshape(n, -1)

@@ -1,0 +1,288 @@
+"""From what a dancer wants (path, hips, arms, kicks) to joints: steps, legs by IK, arms.
+
+The feet are not animated: they stand where they stand and step when the body leaves them, so
+that every mix of moves has plausible ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+from scipy.spatial.transform import Rotation
+
+from ...data.skeleton import Skeleton
+
+__all__ = ["CHANNELS", "RATE", "pose_joints"]
+
+Float = NDArray[np.float64]
+# Samples a second of the controls; steps and jumps need a finer clock than the frames.
+RATE = 120
+# What a move may set; all are 0 at rest.  Angles in radians, lengths in metres for a leg of
+# 0.8 m, seconds.  "l" and "r" are the dancer's own sides.
+CHANNELS = (
+    "forward", "side", "turn",  # velocity in the heading's frame, rate of turn
+    "shift_x", "shift_z", "lift", "air",  # hips against the feet; height of a jump
+    "pitch", "roll", "twist",  # of the pelvis
+    "bend", "lean", "wring",  # of the spine, over three joints
+    "nod", "look",  # of the head
+    "pivot", "width", "turnout",  # feet turn with the body; stance
+    "reach_l", "sweep_l", "elbow_l", "reach_r", "sweep_r", "elbow_r",  # arms
+    "free_l", "flex_l", "open_l", "knee_l", "free_r", "flex_r", "open_r", "knee_r",  # legs
+)  # fmt: skip
+_LEG = 0.807  # of the body that the moves were made for
+_FOOT = 0.13  # ankle to ball of the foot
+
+
+def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) -> Float:
+    """Joint transforms ``(n, J, 3, 4)``, one a sample.
+
+    Parameters
+    ----------
+    skeleton : Skeleton
+        With the joints of :mod:`garmentnet.scenes.body`.
+    controls : dict of (n,) arrays
+        By the names of :data:`CHANNELS`.
+    heading : float
+        Where the dancer faces at first, radians from z toward x.
+    """
+    c = controls
+    rest = {n: skeleton.rest[j] for j, n in enumerate(skeleton.names)}
+    upper = float(np.linalg.norm(rest["shin_l"] - rest["thigh_l"]))
+    lower = float(np.linalg.norm(rest["foot_l"] - rest["shin_l"]))
+    scale = (upper + lower) / _LEG
+    yaw = heading + np.cumsum(c["turn"]) / RATE
+    velocity = _turn(yaw, c["side"], c["forward"]) * scale
+    path = np.cumsum(velocity, axis=0) / RATE
+    feet = {
+        side: _Foot(sign * (0.5 * 0.17 + 0.5 * c["width"]) * scale, sign * c["turnout"])
+        for side, sign in (("l", 1.0), ("r", -1.0))
+    }
+    _walk(feet, c, path, velocity, yaw, scale)
+    pelvis = Rotation.from_euler("YXZ", np.stack([yaw + c["twist"], c["pitch"], c["roll"]], axis=1))
+    root = np.empty((len(yaw), 3))
+    root[:, [0, 2]] = path + _turn(yaw, c["shift_x"], c["shift_z"]) * scale
+    ankle = rest["foot_l"][1]
+    root[:, 1] = rest["pelvis"][1] + (c["lift"] - 0.022) * scale
+    hips = {s: pelvis.apply(rest[f"thigh_{s}"] - rest["pelvis"]) for s in "lr"}
+    longest = 0.998 * (upper + lower)
+    too_high = np.zeros(len(yaw))
+    for side, foot in feet.items():
+        flat = np.linalg.norm(foot.place - (root + hips[side])[:, [0, 2]], axis=1)
+        reach = np.sqrt(np.maximum(longest**2 - flat**2, 0.3**2)) + 0.07 * scale
+        over = (root + hips[side])[:, 1] - (foot.height + ankle + reach)
+        too_high = np.maximum(too_high, np.where(c[f"free_{side}"] > 0.3, 0.0, over))
+    # Ahead of time and smoothly: the hips sink before the step that needs it.
+    window = RATE // 5
+    root[:, 1] -= gaussian_filter1d(maximum_filter1d(too_high, window), window / 4)
+    root[:, 1] += c["air"] * scale
+    local = _upper_body(skeleton, c, pelvis)
+    for side, foot in feet.items():
+        _leg(local, skeleton, side, foot, c, pelvis, root, hips[side], yaw, ankle)
+    rotations = np.stack([local[n].as_matrix() for n in skeleton.names], axis=1)
+    return skeleton.transforms(root, rotations)
+
+
+@dataclasses.dataclass(eq=False)
+class _Foot:
+    """A foot's home beside the hips, and where it is at every sample."""
+
+    home: Float
+    turnout: Float
+    place: Float = dataclasses.field(init=False)
+    yaw: Float = dataclasses.field(init=False)
+    height: Float = dataclasses.field(init=False)
+
+
+def _walk(
+    feet: dict[str, _Foot], c: dict[str, Float], path: Float, velocity: Float, yaw: Float,
+    scale: float,
+) -> None:  # fmt: skip
+    """Stand, and step when the body has gone too far from where a foot stands."""
+    count = len(yaw)
+    speed = np.linalg.norm(velocity, axis=1)
+    duration = np.clip(0.34 - 0.1 * speed, 0.2, 0.34)
+    airborne = c["air"] > 1e-3
+    wanted, facing, placed, turned, swing = {}, {}, {}, {}, {}
+    for side, foot in feet.items():
+        # Half a stride ahead of the body, so that the foot is under it in mid-stance.
+        ahead = velocity * (0.5 * duration + 0.12)[:, None]
+        wanted[side] = path + _turn(yaw, foot.home, np.zeros(count)) + ahead
+        facing[side] = yaw + foot.turnout
+        placed[side], turned[side] = wanted[side][0].copy(), float(facing[side][0])
+        swing[side] = (-1.0, placed[side], turned[side], 0.0)
+        foot.place, foot.height = np.empty((count, 2)), np.zeros(count)
+        foot.yaw = np.empty(count)
+    for k in range(count):
+        for side, other in (("l", "r"), ("r", "l")):
+            foot = feet[side]
+            step_yaw = yaw[k] - yaw[k - 1] if k else 0.0
+            share = 1.0 if airborne[k] else float(c["pivot"][k])
+            begun, start, start_yaw, length = swing[side]
+            if begun < 0:
+                if share > 0 and k:
+                    arm = placed[side] - path[k - 1]
+                    turn = _turn(np.array([step_yaw * share]), arm[:1], arm[1:])[0]
+                    placed[side] = path[k - 1] + turn
+                    placed[side] = placed[side] + share * (path[k] - path[k - 1])
+                    turned[side] += step_yaw * share
+                if c[f"free_{side}"][k] > 0.5:
+                    # A leg in the air comes down where it belongs.
+                    placed[side], turned[side] = wanted[side][k].copy(), float(facing[side][k])
+                off = wanted[side][k] - placed[side]
+                askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
+                far = math.hypot(*off) / (0.11 * scale) + askew / 0.6
+                partner = _far(other, wanted, facing, placed, turned, k, scale)
+                free = swing[other][0] < 0 and c[f"free_{other}"][k] < 0.3
+                if far > 1 and far >= partner and free and not airborne[k]:
+                    swing[side] = (k, placed[side].copy(), turned[side], duration[k])
+            if swing[side][0] >= 0:
+                begun, start, start_yaw, length = swing[side]
+                t = min(1.0, (k - begun) / (length * RATE))
+                s = t * t * (3 - 2 * t)
+                placed[side] = (1 - s) * start + s * wanted[side][k]
+                turn_by = math.remainder(facing[side][k] - start_yaw, math.tau)
+                turned[side] = start_yaw + s * turn_by
+                stride = math.hypot(*(wanted[side][k] - start))
+                foot.height[k] = (0.03 + 0.2 * min(stride, 0.35)) * math.sin(math.pi * t) ** 2
+                if t >= 1:
+                    swing[side] = (-1.0, placed[side], turned[side], 0.0)
+            foot.place[k], foot.yaw[k] = placed[side], turned[side]
+    for foot in feet.values():
+        foot.height = foot.height * scale + c["air"] * scale
+
+
+def _far(
+    side: str, wanted: dict[str, Float], facing: dict[str, Float], placed: dict[str, Float],
+    turned: dict[str, float], k: int, scale: float,
+) -> float:  # fmt: skip
+    off = wanted[side][k] - placed[side]
+    askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
+    return math.hypot(*off) / (0.11 * scale) + askew / 0.6
+
+
+def _leg(
+    local: dict[str, Rotation], skeleton: Skeleton, side: str, foot: _Foot, c: dict[str, Float],
+    pelvis: Rotation, root: Float, hip: Float, yaw: Float, ankle: float,
+) -> None:  # fmt: skip
+    rest = {n: skeleton.rest[skeleton.index(f"{n}_{side}")] for n in ("thigh", "shin", "foot")}
+    sign = 1.0 if side == "l" else -1.0
+    bone = [rest["shin"] - rest["thigh"], rest["foot"] - rest["shin"]]
+    upper, lower = (float(np.linalg.norm(b)) for b in bone)
+    target = np.stack([foot.place[:, 0], ankle + foot.height, foot.place[:, 1]], axis=1)
+    way = target - (root + hip)
+    distance = np.linalg.norm(way, axis=1)
+    longest = 0.998 * (upper + lower)
+    raised = np.maximum(distance - longest, 0.0)
+    reach = np.clip(distance, abs(upper - lower) + 0.05, longest)
+    along = way / distance[:, None]
+    # The knee points where the foot does, and outward when it bends.
+    bent = np.clip(1 - reach / longest, 0, 0.5)
+    pole_yaw = yaw + _wrap(foot.yaw - yaw) * 0.7 + sign * (0.1 + 0.9 * bent)
+    pole = np.stack([np.sin(pole_yaw), np.zeros_like(yaw), np.cos(pole_yaw)], axis=1)
+    pole = _unit(pole - (pole * along).sum(axis=1, keepdims=True) * along)
+    cosine = np.clip((upper**2 + reach**2 - lower**2) / (2 * upper * reach), -1, 1)
+    knee = upper * (cosine[:, None] * along + np.sqrt(1 - cosine**2)[:, None] * pole)
+    thigh = _aim(bone[0], knee, pole)
+    shin = _aim(bone[1], reach[:, None] * along - knee, pole)
+    toes = np.arcsin(np.clip(raised / _FOOT, 0, 0.85)) + np.clip(
+        4 * foot.height - 4 * c["air"], 0, 0.5
+    )
+    flat = Rotation.from_euler("YX", np.stack([foot.yaw, toes], axis=1))
+    free = c[f"free_{side}"]
+    swing = pelvis * Rotation.from_euler(
+        "ZX", np.stack([sign * c[f"open_{side}"], -c[f"flex_{side}"]], axis=1)
+    )
+    thigh = _blend(thigh, swing * _straight(bone[0]), free)
+    free_shin = swing * Rotation.from_euler("x", c[f"knee_{side}"][:, None]) * _straight(bone[1])
+    shin = _blend(shin, free_shin, free)
+    pointed = free_shin * Rotation.from_euler("x", np.full((len(yaw), 1), 0.5))
+    foot_world = _blend(flat, pointed, free)
+    local[f"thigh_{side}"] = pelvis.inv() * thigh
+    local[f"shin_{side}"] = thigh.inv() * shin
+    local[f"foot_{side}"] = shin.inv() * foot_world
+
+
+def _upper_body(skeleton: Skeleton, c: dict[str, Float], pelvis: Rotation) -> dict[str, Rotation]:
+    third = np.stack([c["wring"], c["bend"], c["lean"]], axis=1) / 3
+    spine = Rotation.from_euler("YXZ", third)
+    half = Rotation.from_euler("YX", np.stack([c["look"], c["nod"]], axis=1) / 2)
+    local = {
+        "pelvis": pelvis,
+        "abdomen": spine,
+        "spine": spine,
+        "chest": spine,
+        "neck": half,
+        "head": half,
+    }
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        rest = {n: skeleton.rest[skeleton.index(f"{n}_{side}")] for n in ("arm", "forearm", "hand")}
+        upper = _unit(rest["forearm"] - rest["arm"])
+        reach, sweep = c[f"reach_{side}"] + 0.75, c[f"sweep_{side}"]
+        # From straight down, outward or forward, to straight up.
+        toward = np.stack(
+            [
+                sign * np.sin(reach) * np.cos(sweep),
+                -np.cos(reach),
+                np.sin(reach) * np.sin(sweep),
+            ],
+            axis=1,
+        )
+        lifted = np.clip(reach - 1.3, 0, 1.4) * 0.3
+        collar = Rotation.from_euler("z", (sign * lifted)[:, None])
+        arm = collar.inv() * _arc(np.broadcast_to(upper, toward.shape), toward)
+        hinge = _unit(np.cross(upper, [0.0, 0.0, 1.0]))
+        elbow = Rotation.from_rotvec(c[f"elbow_{side}"][:, None] * hinge)
+        local[f"collar_{side}"] = collar
+        local[f"arm_{side}"] = arm
+        local[f"forearm_{side}"] = elbow
+        local[f"hand_{side}"] = Rotation.identity(len(toward))
+    return local
+
+
+def _turn(yaw: Float, x: Float, z: Float) -> Float:
+    """``(n, 2)`` x and z of vectors turned from the heading's frame to the world."""
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=1)
+
+
+def _wrap(angle: Float) -> Float:
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _unit(v: Float) -> Float:
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+
+
+def _frame(along: Float, pole: Float) -> Float:
+    x = _unit(along)
+    y = _unit(pole - (pole * x).sum(axis=-1, keepdims=True) * x)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def _aim(rest: Float, along: Float, pole: Float) -> Rotation:
+    """World rotations that carry a bone's rest direction to `along`, its front to `pole`."""
+    base = _frame(rest, np.array([0.0, 0.0, 1.0]))
+    return Rotation.from_matrix(_frame(along, pole) @ base.T)
+
+
+def _straight(bone: Float) -> Rotation:
+    """From a bone's rest direction to straight down."""
+    return Rotation.from_matrix(
+        _frame(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+        @ _frame(bone, np.array([0.0, 0.0, 1.0])).T
+    )
+
+
+def _arc(a: Float, b: Float) -> Rotation:
+    axis = np.cross(a, b)
+    size = np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.arctan2(size[:, 0], (a * b).sum(axis=1))
+    return Rotation.from_rotvec(axis / np.maximum(size, 1e-12) * angle[:, None])
+
+
+def _blend(a: Rotation, b: Rotation, share: Float) -> Rotation:
+    return a * Rotation.from_rotvec((a.inv() * b).as_rotvec() * share[:, None])

@@ -1,0 +1,301 @@
+"""From a store to an ensemble: a network for every training set, pivots, kernel, comparison."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import InputError
+
+from ..configs.config import Config
+from ..data.parameters import SimulationParameters
+from ..data.store import ClipStore
+from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..io.files import write_file
+from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from ..networks.ensemble import (
+    Kernel,
+    error_of,
+    fit_kernel,
+    gram,
+    inverse_distance,
+    left_out_errors,
+    nearest,
+    select_pivots,
+    smallest_good,
+)
+from ..networks.network import MotionNetwork
+from .run import Progress, train
+
+__all__ = ["Sweep", "compare_networks", "sweep_pivots", "train_ensemble"]
+
+Array = NDArray[np.float64]
+_CLIPS = 4  # of a parameter set, to compare networks on
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sweep:
+    """One K of the sweep.
+
+    Attributes
+    ----------
+    pivots : list of int
+        Indices of training sets.
+    kernel : Kernel
+    sigma : float
+        The best bandwidth on the validation set.
+    validation : float
+        Error of the kernel there, mm.
+    score : float
+        Mean error, mm, over the validation sets and every training set mixed
+        from the pivots other than itself: one validation set alone says little.
+    errors : dict
+        mm, of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets'
+        training motions (``train``) and test motions (``test``).
+    """
+
+    pivots: list[int]
+    kernel: Kernel
+    sigma: float
+    validation: float
+    score: float
+    errors: dict[str, dict[str, float]]
+
+
+def train_ensemble(
+    store: ClipStore,
+    config: Config,
+    folder: Path | str,
+    *,
+    base: Checkpoint | None = None,
+    bones_folder: Path | str | None = None,
+    callback: Callable[[str, Progress], bool | None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Path:
+    """Train the base network, one for every training set, and the kernel; call again to go on.
+
+    Parameters
+    ----------
+    store : ClipStore
+    config : Config
+    folder : path
+        One folder a network, ``ensemble.safetensors`` and ``ensemble.json`` with
+        the sweep over K.
+    base : Checkpoint, optional
+        The base network, where it is trained already.
+    bones_folder, progress
+        As in :func:`~garmentnet.training.run.train`.
+    callback : callable, optional
+        Told the network's name and its progress; returning True stops.
+
+    Returns
+    -------
+    Path
+        Of the ensemble's checkpoint.
+
+    Raises
+    ------
+    InputError
+        If there is only one training set, or training was stopped.
+    """
+    folder = Path(folder)
+    roles = parameter_roles(store)
+    sets = [p for p in store.parameters() if roles[p] == "train"]
+    if len(sets) < 2:
+        raise InputError("store", "two or more training sets of parameters", len(sets))
+    if config.data.condition:
+        raise InputError("data.condition", "false: an ensemble's networks read no parameters", True)
+    stopped = False
+    checkpoints: list[Checkpoint] = []
+    if base is not None:
+        base.check_fits(store)
+        if base.kernel is not None or base.parameters[0] != sets[0]:
+            raise InputError("base", f"a network of {sets[0]}", base.parameters)
+        checkpoints.append(base)
+    o = config.ensemble
+    for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
+        # By its parameters: numbers would change as the store grows.
+        name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters)) if k else "base"
+        data = dataclasses.replace(config.data, parameters=_text(parameters))
+        own = dataclasses.replace(config, data=data)
+        start = None
+        if k and o.start_from_base:
+            start = checkpoints[0]
+            own = dataclasses.replace(
+                own,
+                train=dataclasses.replace(
+                    config.train, epochs=o.epochs, high_epochs=o.high_epochs,
+                    learning_rate=o.learning_rate, high_learning_rate=o.learning_rate,
+                ),
+            )  # fmt: skip
+
+        def told(p: Progress, name: str = name) -> bool:
+            nonlocal stopped
+            stopped = bool(callback(name, p)) if callback else False
+            return stopped
+
+        path = train(
+            store, own, folder / name, start=start, bones_folder=bones_folder,
+            callback=told, progress=progress,
+        )  # fmt: skip
+        if stopped:
+            raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
+        checkpoints.append(load_checkpoint(path))
+
+    bones = virtual_bones(store, config.bones, folder=bones_folder)
+    networks = tuple(c.networks[0] for c in checkpoints)
+    sweep = sweep_pivots(store, bones, networks, sets, config, progress=progress)
+    count = o.pivots or smallest_good([s.score for s in sweep])
+    chosen = sweep[min(count, len(sweep)) - 1]
+    text = json.dumps(_report(sets, sweep, chosen), indent=1)
+    write_file(folder / "ensemble.json", text.encode())
+    return save_checkpoint(
+        Checkpoint(
+            tuple(networks[i] for i in chosen.pivots),
+            tuple(sets[i] for i in chosen.pivots),
+            chosen.kernel,
+        ),
+        folder / "ensemble.safetensors",
+    )
+
+
+def sweep_pivots(
+    store: ClipStore,
+    bones: VirtualBones,
+    networks: Sequence[MotionNetwork],
+    sets: Sequence[SimulationParameters],
+    config: Config,
+    *,
+    progress: Callable[[str, float], None] | None = None,
+) -> list[Sweep]:
+    """Pivots and kernel for K from 1 to all training sets, and their errors.
+
+    The bandwidth and the step at which g is taken come from the validation
+    sets, never from the test sets.
+    """
+    roles = parameter_roles(store)
+    by_role = {r: [p for p in store.parameters() if roles[p] == r] for r in ("validation", "test")}
+    o = config.ensemble
+
+    def grams(of: Sequence[SimulationParameters], split: str) -> list[Array]:
+        out = []
+        for k, p in enumerate(of):
+            out.append(compare_networks(store, bones, networks, p, split, o.frames))
+            if progress:
+                progress(f"comparing networks, {split} motions", (k + 1) / len(of))
+        return out
+
+    theta = np.stack([p.normalised() for p in sets])
+    own = grams(sets, "train")
+    held = [p.normalised() for p in by_role["validation"]]
+    checks = list(zip(grams(by_role["validation"], "train"), held, strict=True))
+    tests = {split: grams(by_role["test"], split) for split in ("train", "test")}
+    places = [p.normalised() for p in by_role["test"]]
+
+    sweep = []
+    for count in range(1, len(sets) + 1):
+        pivots = select_pivots(own, theta, count)
+        fits = [
+            (
+                *fit_kernel(
+                    own, theta, pivots, validation=checks, sigma=sigma, steps=o.steps,
+                    seed=config.train.seed,
+                ),
+                sigma,
+            )
+            for sigma in o.sigmas
+        ]  # fmt: skip
+        # With one pivot there is nothing to mix and every error is NaN or the same.
+        kernel, validation, sigma = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
+        ways: dict[str, Callable[[Array, Any], Array]] = {
+            "rbf": kernel.weights, "inverse distance": inverse_distance, "nearest": nearest,
+        }  # fmt: skip
+        seen = left_out_errors(kernel, own, theta, pivots)
+        for q, t in checks:
+            weights = kernel.weights(theta[pivots], t)
+            seen.append(error_of(q[np.ix_(pivots, pivots)], weights))
+        errors = {
+            way: {
+                split: 1e3 * float(np.mean([
+                    error_of(q[np.ix_(pivots, pivots)], f(theta[pivots], t))
+                    for q, t in zip(qs, places, strict=True)
+                ]))
+                for split, qs in tests.items() if qs
+            }
+            for way, f in ways.items()
+        }  # fmt: skip
+        score = 1e3 * float(np.mean(seen))
+        sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors))
+    return sweep
+
+
+def compare_networks(
+    store: ClipStore,
+    bones: VirtualBones,
+    networks: Sequence[MotionNetwork],
+    parameters: SimulationParameters,
+    split: str,
+    frames: int,
+) -> Array:
+    """Gram matrix ``(S, S)`` of all networks' residuals on one set's clips of a split.
+
+    Networks run over whole clips, at most four of them; `frames`, evenly spread, count.
+    """
+    names = [c.name for c in store.clips(split) if c.parameters == parameters]
+    if not names:
+        raise InputError("store", f"{split} motions of {parameters}", str(store.path))
+    some = np.unique(np.linspace(0, len(names) - 1, _CLIPS).astype(int))
+    names = [names[k] for k in some]
+    lengths = [store.clip(n).n_frames for n in names]
+    total, used, first = np.zeros((len(networks), len(networks))), 0, 0
+    wanted = np.unique(np.linspace(0, sum(lengths) - 1, min(frames, sum(lengths))).astype(int))
+    for name, length in zip(names, lengths, strict=True):
+        mine = wanted[(wanted >= first) & (wanted < first + length)] - first
+        first += length
+        if not len(mine):
+            continue
+        clip = store.clip(name)
+        truth = clip.sequence.frames(mine)
+        upto = clip.joints[: mine[-1] + 1]
+        answers = [n.predict(upto, frames=mine) for n in networks]
+        total += gram(answers, truth) * len(mine)
+        used += len(mine)
+    return total / used
+
+
+def _text(p: SimulationParameters) -> str:
+    return f"{p.bending!r},{p.density!r},{p.time_scale!r}"
+
+
+def _report(
+    sets: Sequence[SimulationParameters], sweep: Sequence[Sweep], chosen: Sweep
+) -> dict[str, Any]:
+    within = {}
+    for split in ("train", "test"):
+        curve = [s.errors["rbf"].get(split) for s in sweep]
+        if all(e is not None for e in curve):
+            within[split] = smallest_good([float(e) for e in curve if e is not None])
+    return {
+        "sets": [dataclasses.asdict(p) for p in sets],
+        "pivots": chosen.pivots,
+        "sigma": chosen.sigma,
+        "smallest_within_2_percent": within,
+        "sweep": [
+            {
+                "count": len(s.pivots),
+                "pivots": s.pivots,
+                "sigma": s.sigma,
+                "validation_mm": None if math.isnan(s.validation) else s.validation,
+                "score_mm": s.score,
+                "test_mm": s.errors,
+            }
+            for s in sweep
+        ],
+    }
