@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
-from garmentnet.data.store import ClipStore, SimulationParameters
+from garmentnet.data.store import ClipStore
 from ssdr import Skinning
 
 FPS = 30.0

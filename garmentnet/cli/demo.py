@@ -13,7 +13,8 @@ from ..evaluation.baselines import MeanShape, Ridge
 from ..evaluation.pictures import draw_clip
 from ..evaluation.scores import evaluate, network_method, plain_method, table
 from ..networks.checkpoint import load_checkpoint
-from ..prediction.prediction import predict, save_prediction
+from ..prediction.output import save_prediction
+from ..prediction.prediction import predict
 from ..training.run import choose_clips, train
 
 __all__ = ["run_demo"]

@@ -129,7 +129,8 @@ def predict(
 
     from ..data.parameters import SimulationParameters
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.prediction import check_output, read_joints, save_prediction
+    from ..prediction.motion_file import read_joints
+    from ..prediction.output import check_output, save_prediction
     from ..prediction.prediction import predict as run
 
     for path in output:

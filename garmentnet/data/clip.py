@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,11 @@ from ssdr.io.registry import reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import skin
 
-from .clip_files import CLASSES, Frames, Split, check_finite, open_array
+from .clip_files import Frames, Split, check_finite, open_array
+from .motion import CLASSES
+from .outfit import Outfit
 from .parameters import SimulationParameters
 from .skeleton import mirror_transforms
-
-if TYPE_CHECKING:
-    from .store import ClipStore
 
 __all__ = ["MIRRORED", "Clip"]
 
@@ -33,7 +32,8 @@ class Clip:
 
     Attributes
     ----------
-    store : ClipStore
+    outfit : Outfit
+        Garment and body; those of the store.
     name : str
     split : {"train", "validation", "test"}
     motion : str
@@ -52,7 +52,7 @@ class Clip:
         Reflected as it is read; nothing of it is stored.
     """
 
-    store: ClipStore
+    outfit: Outfit
     name: str
     split: Split
     motion: str
@@ -71,7 +71,7 @@ class Clip:
 
     @property
     def fps(self) -> float:
-        return self.store.fps
+        return self.outfit.fps
 
     @property
     def mirrored_of(self) -> str | None:
@@ -82,22 +82,22 @@ class Clip:
     def sequence(self) -> MeshSequence:
         """The garment; frames are read from disk as they are asked for."""
         vertices = Frames(
-            open_array(self.path, "vertices", (self.n_frames, self.store.n_vertices, 3)),
+            open_array(self.path, "vertices", (self.n_frames, self.outfit.n_vertices, 3)),
             self.path,
-            self.store.mirror_vertices if self.is_mirrored else None,
+            self.outfit.mirror_vertices if self.is_mirrored else None,
         )
-        faces = self.store.faces
+        faces = self.outfit.faces
         return MeshSequence(vertices, faces, self.fps, name=self.name, validate=not self.accepted)
 
     @functools.cached_property
     def joints(self) -> NDArray[np.float32]:
         """``(F, J, 3, 4)`` transforms from the body's rest pose to the pose of each frame."""
-        shape = (self.n_frames, self.store.skeleton.n_joints, 3, 4)
+        shape = (self.n_frames, self.outfit.skeleton.n_joints, 3, 4)
         with reading(self.path):
             values = np.asarray(open_array(self.path, "joints", shape)[:])
             check_finite(values, "joints", 0)
         if self.is_mirrored:
-            values = mirror_transforms(values, self.store.skeleton.mirror())
+            values = mirror_transforms(values, self.outfit.skeleton.mirror())
         return values
 
     @functools.cached_property
@@ -111,7 +111,7 @@ class Clip:
 
     def body(self, frames: Any = slice(None)) -> NDArray[np.float32]:
         """Body vertices ``(f, V, 3)`` in the named frames."""
-        rig = self.store.body
+        rig = self.outfit.body
         return np.asarray(skin(rig.rest, rig.joints, rig.weights, self.joints[frames]))
 
     def mirrored(self) -> Clip:
@@ -122,7 +122,7 @@ class Clip:
         InputError
             If the garment is not symmetric.
         """
-        if self.store.mirror_vertices is None:
+        if self.outfit.mirror_vertices is None:
             raise InputError("clip", "a clip of a symmetric garment", self.name)
         name = self.name.removesuffix(MIRRORED) + ("" if self.is_mirrored else MIRRORED)
         return dataclasses.replace(self, name=name, is_mirrored=not self.is_mirrored)

@@ -21,7 +21,6 @@ from ssdr.io.atomic import free_name, remove
 from ssdr.io.registry import reading, require
 
 __all__ = [
-    "CLASSES",
     "Frames",
     "Split",
     "check_finite",
@@ -33,7 +32,6 @@ __all__ = [
 ]
 
 Split = Literal["train", "validation", "test"]
-CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
 _CHUNK_FRAMES = 32
 # Type of every array, and what a chunk that is not there reads as.
 _ARRAYS: Mapping[str, tuple[str, float]] = {

@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from ssdr.errors import InputError
 
 from .skeleton import Skeleton
-from .store import CLASSES
 
-__all__ = ["Motion", "interpolate", "lead_in"]
+__all__ = ["CLASSES", "Motion", "interpolate", "lead_in"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -129,3 +128,6 @@ def lead_in(
     return np.concatenate(
         [interpolate(skeleton, both, share), np.repeat(joints[:1], still, axis=0)]
     )
+
+
+CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")

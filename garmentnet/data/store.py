@@ -26,17 +26,21 @@ from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
 
 from .clip import MIRRORED, Clip
-from .clip_files import CLASSES, Split, check_finite, compressors, read_statement, write_clip, zarr
-from .parameters import RANGES, SimulationParameters
+from .clip_files import Split, check_finite, compressors, read_statement, write_clip, zarr
+from .motion import CLASSES
+from .outfit import Outfit
+from .parameters import SimulationParameters
 from .skeleton import Skeleton
 
-__all__ = ["CLASSES", "MIRRORED", "RANGES", "Clip", "ClipStore", "SimulationParameters", "Split"]
+__all__ = ["ClipStore"]
 
 _FORMAT, _VERSION = "garmentnet clips", 1
+_ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
 
 
-class ClipStore:
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ClipStore(Outfit):
     """A folder of clips of one garment on one body.
 
     Made by :meth:`create`, opened by :meth:`open`.
@@ -44,42 +48,14 @@ class ClipStore:
     Attributes
     ----------
     path : Path
-    fps : float
-    rest : (V, 3) float32
-        The garment as it was cut, on the body at rest.
-    faces : (T, 3) int32
-    body : ssdr.Skinning
-        The collider: rest pose, weights and the names of the joints; one frame, at rest.
-    skeleton : Skeleton
-    mirror_vertices : (V,) int32 or None
-        The garment's vertex on the other side of each; None where it is not symmetric.
-    pinned : (V,) bool
-        Vertices that follow the body.
     attributes : dict
         What else the maker wrote down.
+
+    And those of :class:`~garmentnet.data.outfit.Outfit`.
     """
 
-    def __init__(self, path: Path, attributes: dict[str, Any], arrays: dict[str, Any]) -> None:
-        self.path = path
-        self.fps = float(attributes["fps"])
-        self.attributes: dict[str, Any] = dict(attributes.get("made_by", {}))
-        self.rest: NDArray[np.float32] = arrays["rest"]
-        self.faces: NDArray[np.int32] = arrays["faces"]
-        self.pinned: NDArray[np.bool_] = arrays["pinned"]
-        self.mirror_vertices: NDArray[np.int32] | None = arrays.get("mirror_vertices")
-        self.body: Skinning = arrays["body"]
-        self.skeleton = Skeleton(
-            self.body.names(), attributes["parents"], np.asarray(attributes["joint_rest"])
-        )
-
-    @property
-    def n_vertices(self) -> int:
-        return len(self.rest)
-
-    @property
-    def root(self) -> int:
-        """Index of the root joint."""
-        return 0
+    path: Path
+    attributes: dict[str, Any]
 
     def __repr__(self) -> str:
         return f"ClipStore({str(self.path)!r}, {len(self.names())} clips, V={self.n_vertices})"
@@ -111,19 +87,32 @@ class ClipStore:
         if body.names() != skeleton.names:
             raise InputError("skeleton", f"the body's joints {body.names()}", skeleton.names)
         count = garment.n_vertices
-        arrays: dict[str, Any] = {
-            "rest": garment.vertices[0],
-            "faces": garment.faces,
-            "pinned": np.zeros(count, bool) if pinned is None else np.asarray(pinned, dtype=bool),
-        }
-        if arrays["pinned"].shape != (count,):
-            raise InputError("pinned", f"shape ({count},)", arrays["pinned"].shape)
-        if mirror_vertices is not None:
-            arrays["mirror_vertices"] = _checked_mirror(mirror_vertices, garment)
+        mask = np.zeros(count, bool) if pinned is None else np.asarray(pinned, dtype=bool)
+        if mask.shape != (count,):
+            raise InputError("pinned", f"shape ({count},)", mask.shape)
+        outfit = Outfit(
+            rest=np.asarray(garment.vertices[0]),
+            faces=garment.faces,
+            body=body,
+            skeleton=skeleton,
+            fps=garment.fps,
+            pinned=mask,
+            mirror_vertices=(
+                None if mirror_vertices is None else _checked_mirror(mirror_vertices, garment)
+            ),
+        )
+        if target.exists():
+            there = cls.open(target)
+            if not there.is_like(outfit):
+                expected = "a new folder or a store of this garment and body"
+                raise InputError("path", expected, there.path)
+            return there
+        if not target.parent.is_dir():
+            raise InputError("path", "a folder in a folder that exists", str(target))
         stated = {
             "format": _FORMAT,
             "version": _VERSION,
-            "fps": garment.fps,
+            "fps": outfit.fps,
             "root": 0,
             "parents": skeleton.parents.tolist(),
             "joint_rest": skeleton.rest.tolist(),
@@ -132,17 +121,13 @@ class ClipStore:
             "classes": list(CLASSES),
             "made_by": json.loads(json.dumps(dict(attributes or {}))),
         }
-        if target.exists():
-            there = cls.open(target)
-            _check_same(there, stated, arrays, body)
-            return there
-        if not target.parent.is_dir():
-            raise InputError("path", "a folder in a folder that exists", str(target))
         temporary = free_name(target)
         try:
             group = zarr().create_group(store=str(temporary), attributes=stated)
-            for name, values in arrays.items():
-                group.create_array(name, data=values, compressors=compressors())
+            for name in _ARRAYS:
+                values = getattr(outfit, name)
+                if values is not None:
+                    group.create_array(name, data=values, compressors=compressors())
             (temporary / "clips").mkdir()
             ssdr.save(body, temporary / "body.npz")
             os.replace(temporary, target)
@@ -174,14 +159,22 @@ class ClipStore:
                 raise FormatError(f"version {attributes.get('version')}, this reads {_VERSION}")
             arrays: dict[str, Any] = {
                 name: np.asarray(group[name][:])
-                for name in ("rest", "faces", "pinned", "mirror_vertices")
+                for name in _ARRAYS
                 if name in group or name != "mirror_vertices"
             }
             MeshSequence(arrays["rest"][None], arrays["faces"])
-            arrays["body"] = ssdr.load_skinning(target / "body.npz")
+            body = ssdr.load_skinning(target / "body.npz")
             if list(attributes["classes"]) != list(CLASSES):
                 raise FormatError(f"other classes of motion: {attributes['classes']}")
-            return cls(target, attributes, arrays)
+            joint_rest = np.asarray(attributes["joint_rest"])
+            return cls(
+                **arrays,
+                body=body,
+                skeleton=Skeleton(body.names(), attributes["parents"], joint_rest),
+                fps=float(attributes["fps"]),
+                path=target,
+                attributes=dict(attributes.get("made_by", {})),
+            )
 
     def names(
         self,
@@ -235,7 +228,7 @@ class ClipStore:
         path = self.path / "clips" / name
         with reading(path):
             return Clip(
-                store=self,
+                outfit=self,
                 name=name,
                 split=stated["split"],
                 motion=str(stated["motion"]),
@@ -375,20 +368,3 @@ def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int3
     if turned != {tuple(sorted(f)) for f in garment.faces.tolist()}:
         raise InputError("mirror_vertices", "triangles that map to triangles", "others")
     return m
-
-
-def _check_same(
-    there: ClipStore, stated: dict[str, Any], arrays: dict[str, Any], body: Skinning
-) -> None:
-    same = (
-        there.fps == stated["fps"]
-        and np.array_equal(there.rest, arrays["rest"])
-        and np.array_equal(there.faces, arrays["faces"])
-        and np.array_equal(there.pinned, arrays["pinned"])
-        and np.array_equal(there.body.rest, body.rest)
-        and np.array_equal(there.body.weights, body.weights)
-        and there.skeleton.names == tuple(stated["joint_names"])
-        and np.array_equal(there.skeleton.rest, np.asarray(stated["joint_rest"]))
-    )
-    if not same:
-        raise InputError("path", "a new folder or a store of this garment and body", there.path)

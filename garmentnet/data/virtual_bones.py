@@ -31,8 +31,10 @@ from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
 from ..io.files import write_file, writing
-from ..networks.network import Subject, mesh_identity
-from .store import MIRRORED, Clip, ClipStore, SimulationParameters
+from .clip import MIRRORED, Clip
+from .parameters import SimulationParameters
+from .store import ClipStore
+from .subject import Subject, mesh_identity
 
 __all__ = ["ClipBones", "VirtualBones", "parameter_roles", "virtual_bones"]
 

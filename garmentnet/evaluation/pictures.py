@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 import ssdr
 
-from ..data.store import CLASSES, Clip, ClipStore
+from ..data.clip import Clip
+from ..data.motion import CLASSES
+from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from .scores import Answer
 
@@ -44,7 +46,7 @@ def moments(
 
 
 def _strength(clip: Clip, label: str, inside: NDArray[np.bool_]) -> NDArray[np.float64]:
-    skeleton, joints = clip.store.skeleton, np.asarray(clip.joints, np.float64)
+    skeleton, joints = clip.outfit.skeleton, np.asarray(clip.joints, np.float64)
     places = skeleton.positions(joints)
     if label == "spin":
         root = skeleton.pose(joints)[1][:, 0]
@@ -106,7 +108,7 @@ def draw_moments(
 
 
 def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None)) -> Array:
-    root = clip.store.skeleton.positions(clip.joints[at])[:, :1]
+    root = clip.outfit.skeleton.positions(clip.joints[at])[:, :1]
     both = np.concatenate([clip.body(at), cloth], axis=1) - root
     return np.asarray(both, np.float32)
 

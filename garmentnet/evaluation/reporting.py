@@ -11,13 +11,15 @@ from typing import Any
 from ssdr.errors import InputError
 
 from ..configs.config import Config
+from ..data.clip import MIRRORED
 from ..data.parameters import SimulationParameters
-from ..data.store import MIRRORED, ClipStore
+from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
-from .baselines import BodySkinned, MeanShape, Ridge, train_santesteban
+from .baselines import BodySkinned, MeanShape, Ridge
 from .pictures import draw_clip, draw_moments
+from .santesteban import train_santesteban
 from .scores import (
     Method,
     Row,

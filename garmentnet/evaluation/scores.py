@@ -20,7 +20,8 @@ from scipy.spatial import cKDTree
 import ssdr
 from ssdr.metrics import compare
 
-from ..data.store import CLASSES, Clip
+from ..data.clip import Clip
+from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
 from ..networks.losses import BodyShape, collision_depth

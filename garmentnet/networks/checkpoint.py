@@ -24,12 +24,14 @@ from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import reading, require
 
 from ..configs.config import Config
+from ..data.parameters import SimulationParameters
 from ..data.skeleton import Skeleton
-from ..data.store import ClipStore, SimulationParameters
+from ..data.store import ClipStore
+from ..data.subject import Subject, mesh_identity
 from ..io.files import atomic_file
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
-from .network import Motion, MotionNetwork, Subject, mesh_identity
+from .network import Motion, MotionNetwork
 
 __all__ = [
     "Checkpoint",

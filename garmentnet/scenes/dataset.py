@@ -13,8 +13,10 @@ from typing import get_args
 from ssdr.errors import InputError
 from ssdr.io.registry import require
 
-from ..data.bvh import find_bvh, read_bvh, retarget
-from ..data.store import ClipStore, Split
+from ..data.bvh import find_bvh, read_bvh
+from ..data.clip_files import Split
+from ..data.retarget import retarget
+from ..data.store import ClipStore
 from .scene import DataSet, MotionSource, Scene
 from .simulator import versions
 from .workers import Progress, Run

@@ -11,14 +11,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..data.bvh import read_bvh, retarget
+from ..data.bvh import read_bvh
+from ..data.clip_files import Split
 from ..data.motion import Motion
 from ..data.parameters import SimulationParameters
-from ..data.store import Split
+from ..data.retarget import retarget
 from .body import Body, default_body, load_body
+from .cloth import Solver
 from .dance.choreography import dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
-from .simulator import Gate, Solver
+from .quality import Gate
 
 __all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene"]
 

@@ -12,12 +12,13 @@ from typing import Any, TypeVar
 
 from ssdr.errors import FormatError, InputError
 
+from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
-from ..data.store import Split
+from .cloth import Solver
 from .dance.choreography import DANCE_CLASSES
 from .garments import Dress
+from .quality import Gate
 from .scene import DataSet, MeshGarment, MotionSource, ParameterSet
-from .simulator import Gate, Solver
 
 __all__ = ["load_data_set", "presets"]
 

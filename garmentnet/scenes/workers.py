@@ -22,9 +22,10 @@ from ..data.motion import Motion
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from .body import Body, default_body
+from .cloth import Solver
 from .garments import Dress, cut_dress
 from .scene import Scene
-from .simulator import Solver, simulate, versions
+from .simulator import simulate, versions
 
 __all__ = ["Progress", "Run"]
 

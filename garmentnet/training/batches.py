@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..data.store import Clip
+from ..data.clip import Clip
 from ..data.virtual_bones import ClipBones, VirtualBones
 from ..networks.network import MotionNetwork
 from ..networks.skinning import remove_frame

@@ -20,8 +20,10 @@ from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from ..networks.ensemble import (
-    Kernel,
+from ..networks.ensemble import Kernel
+from ..networks.network import MotionNetwork
+from .loop import Progress
+from .pivots import (
     error_of,
     fit_kernel,
     gram,
@@ -31,8 +33,7 @@ from ..networks.ensemble import (
     select_pivots,
     smallest_good,
 )
-from ..networks.network import MotionNetwork
-from .run import Progress, train
+from .run import train
 
 __all__ = ["Sweep", "compare_networks", "sweep_pivots", "train_ensemble"]
 

@@ -14,7 +14,7 @@ from ..networks.losses import BodyShape, collision_depth, frame_norm, mesh_lapla
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 
-__all__ = ["HighTask", "LowTask"]
+__all__ = ["HighFrequencyObjective", "LowFrequencyObjective"]
 
 
 class _SkinnedNorm:
@@ -50,7 +50,7 @@ class _SkinnedNorm:
         return gap.square().sum((0, 2)) + code[:, -1]
 
 
-class LowTask:
+class LowFrequencyObjective:
     """The low-frequency module: ‖Ĝ_LF − G_LF‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(G_LF)‖."""
 
     def __init__(
@@ -114,7 +114,7 @@ class LowTask:
         return math.sqrt(square / count) if count else math.nan
 
 
-class HighTask:
+class HighFrequencyObjective:
     """The high-frequency module on the output of the low one: position and collision.
 
     The GRU reads every frame of a window; the loss looks at a few, for the

@@ -7,186 +7,34 @@ bit for bit on the same machine and number of threads.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import json
-import logging
-import math
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 import torch
-from torch import Tensor, nn
 
 from ssdr.errors import InputError
 from ssdr.io.atomic import write_bytes
 
-from ..configs.config import Config, TrainOptions
-from ..data.store import MIRRORED, ClipStore, SimulationParameters
+from ..configs.config import Config
+from ..data.clip import MIRRORED
+from ..data.parameters import SimulationParameters
+from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..networks.checkpoint import (
     Checkpoint,
-    load_tensors,
     load_weights,
     save_checkpoint,
-    save_tensors,
 )
 from ..networks.features import Normaliser, PoseFeatures
 from ..networks.network import MotionNetwork
-from .batches import Batch, Track, batches, load_tracks
-from .objectives import HighTask, LowTask
+from .batches import load_tracks
+from .loop import Progress, fit
+from .objectives import HighFrequencyObjective, LowFrequencyObjective
 
-__all__ = [
-    "Epoch",
-    "Progress",
-    "Task",
-    "build_network",
-    "choose_clips",
-    "fit",
-    "train",
-]
-
-_logger = logging.getLogger(__name__)
-
-
-@dataclasses.dataclass(frozen=True)
-class Progress:
-    """What the loop tells its caller after every epoch; True as an answer stops it."""
-
-    phase: str
-    epoch: int
-    elapsed: float
-    loss: float
-    rmse: float
-    fraction: float
-    time_left: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Epoch:
-    """A line of the history: training loss and, where it was validated, RMSE in metres."""
-
-    epoch: int
-    loss: float
-    rmse: float | None
-    learning_rate: float
-    seconds: float
-
-
-class Task(Protocol):
-    """What the loop trains."""
-
-    @property
-    def module(self) -> nn.Module:
-        """Whose weights are trained."""
-
-    @property
-    def tracks(self) -> list[Track]:
-        """What it is trained on."""
-
-    def loss(
-        self, batch: Batch, state: Tensor | None, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """Loss of a window and the new state."""
-
-    def validate(self) -> float:
-        """Error on the validation clips, metres; NaN where there are none."""
-
-
-def fit(
-    task: Task,
-    options: TrainOptions,
-    *,
-    name: str,
-    epochs: int,
-    learning_rate: float,
-    folder: Path,
-    callback: Callable[[Progress], bool | None] | None = None,
-) -> list[Epoch]:
-    """Train a task until validation no longer improves; it ends with its best weights.
-
-    Without validation clips it runs through all epochs and ends with the last weights.
-
-    Parameters
-    ----------
-    task : Task
-    options : TrainOptions
-    name : str
-        Of the phase; ``<name>.state.safetensors`` in `folder` is where it goes on.
-    epochs : int
-        At most.
-    learning_rate : float
-        To start with; it falls along half a cosine to nothing at the last epoch.
-    folder : Path
-    callback : callable, optional
-
-    Returns
-    -------
-    list of Epoch
-    """
-    module, state_file = task.module, folder / f"{name}.state.safetensors"
-    optimiser = torch.optim.Adam(
-        module.parameters(), lr=learning_rate, weight_decay=options.weight_decay, fused=True
-    )
-    rng = np.random.default_rng([options.seed, *name.encode()])
-    history: list[Epoch] = []
-    best, waited, done, spent = math.inf, 0, False, 0.0
-    kept = _copy(module)
-    if state_file.is_file():
-        kept, saved = _restore(state_file, module, optimiser, rng)
-        history = [Epoch(**e) for e in saved["history"]]
-        best, waited, done = saved["best"], saved["waited"], saved["done"]
-        spent = saved["spent"]
-    began = time.perf_counter() - spent
-
-    with _writer(folder / "tensorboard" / name, options.tensorboard) as writer:
-        while not done and len(history) < epochs:
-            lap, losses, state = time.perf_counter(), [], None
-            rate = learning_rate * _falling(len(history) / epochs)
-            optimiser.param_groups[0]["lr"] = rate
-            module.train()
-            for batch in batches(task.tracks, options.batch, options.window, rng):
-                loss, state = task.loss(batch, batch.forget(state), rng)
-                optimiser.zero_grad(set_to_none=True)
-                torch.autograd.backward(loss)
-                nn.utils.clip_grad_norm_(module.parameters(), options.gradient_norm)
-                optimiser.step()
-                state = state.detach()
-                losses.append(float(loss.detach()))
-            value = float(np.mean(losses))
-            if not math.isfinite(value):
-                raise InputError("learning_rate", "a rate at which training stays finite", rate)
-
-            number, rmse = len(history) + 1, None
-            if number % options.validate_every == 0 or number == epochs:
-                module.eval()
-                with torch.no_grad():
-                    rmse = task.validate()
-                if math.isnan(rmse):
-                    kept, rmse = _copy(module), None
-                elif rmse < best:
-                    best, waited, kept = rmse, 0, _copy(module)
-                else:
-                    waited += 1
-            history.append(Epoch(number, value, rmse, rate, time.perf_counter() - lap))
-            elapsed = time.perf_counter() - began
-            limit = 60 * options.time_limit
-            done = waited >= options.patience or 0 < limit <= elapsed
-            saved = {
-                "history": [dataclasses.asdict(e) for e in history],
-                "best": best, "waited": waited, "done": done, "spent": elapsed,
-            }  # fmt: skip
-            _save(state_file, module, optimiser, rng, kept, saved)
-            writer(number, {"loss": value, "rate": rate, "rmse": rmse})
-            _logger.info("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
-            if callback and callback(_progress(name, number, epochs, elapsed, limit, value, best)):
-                break
-    module.load_state_dict(kept)
-    module.eval()
-    return history
+__all__ = ["build_network", "choose_clips", "train"]
 
 
 def choose_clips(
@@ -311,14 +159,14 @@ def train(
         return stopped
 
     history = {"low": fit(
-        LowTask(network, tracks, validation), o, name="low", epochs=o.epochs,
+        LowFrequencyObjective(network, tracks, validation), o, name="low", epochs=o.epochs,
         learning_rate=o.learning_rate, folder=folder, callback=told,
     )}  # fmt: skip
     if not stopped:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
-        task = HighTask(network, tracks, validation)
+        task = HighFrequencyObjective(network, tracks, validation)
         task.fit_statistics()
         if start is not None and start.networks[0].high is not None:
             load_weights(network, start, "high")
@@ -350,90 +198,3 @@ def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
         raise InputError("folder", "a run of this package", f"{file}: {error}") from error
     if there != stated:
         raise InputError("folder", "a new one, or a run of this configuration and clips", folder)
-
-
-def _falling(share: float) -> float:
-    # Measured against a constant rate that is halved on plateaus: 34 mm in 16 epochs
-    # where that stays at 38 mm.
-    return 0.5 + 0.5 * math.cos(math.pi * min(1.0, share))
-
-
-def _copy(module: nn.Module) -> dict[str, Tensor]:
-    return {k: v.detach().cpu().clone() for k, v in module.state_dict().items()}
-
-
-def _save(
-    file: Path,
-    module: nn.Module,
-    optimiser: torch.optim.Optimizer,
-    rng: np.random.Generator,
-    kept: dict[str, Tensor],
-    stated: dict[str, Any],
-) -> None:
-    tensors = {f"now.{k}": v for k, v in _copy(module).items()}
-    tensors |= {f"best.{k}": v for k, v in kept.items()}
-    for k, slot in optimiser.state_dict()["state"].items():
-        tensors |= {f"adam.{k}.{name}": v.detach().cpu() for name, v in slot.items()}
-    best = stated["best"] if math.isfinite(stated["best"]) else None
-    document = stated | {"rng": rng.bit_generator.state, "best": best}
-    save_tensors(file, tensors, {"training": document})
-
-
-def _restore(
-    file: Path, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator
-) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    tensors, documents = load_tensors(file, ("training",))
-    stated = documents["training"]
-
-    def part(prefix: str) -> dict[str, Tensor]:
-        return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
-
-    try:
-        module.load_state_dict(part("now."))
-        kept = part("best.")
-        slots: dict[int, dict[str, Tensor]] = {}
-        for key, value in part("adam.").items():
-            number, name = key.split(".")
-            slots.setdefault(int(number), {})[name] = value
-        groups = optimiser.state_dict()["param_groups"]
-        optimiser.load_state_dict({"state": slots, "param_groups": groups})
-        rng.bit_generator.state = stated["rng"]
-        stated["best"] = math.inf if stated["best"] is None else float(stated["best"])
-        if kept.keys() != module.state_dict().keys():
-            raise KeyError("best weights")
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise InputError("folder", "states of this run", f"{file}: {error}") from error
-    return kept, stated
-
-
-def _progress(
-    name: str, number: int, epochs: int, elapsed: float, limit: float, loss: float, best: float
-) -> Progress:
-    share = max(number / epochs, elapsed / limit if limit else 0.0)
-    share = min(1.0, share)
-    return Progress(
-        phase=name, epoch=number, elapsed=elapsed, loss=loss, rmse=best, fraction=share,
-        time_left=elapsed * (1 - share) / share,
-    )  # fmt: skip
-
-
-@contextlib.contextmanager
-def _writer(folder: Path, wanted: bool) -> Iterator[Callable[[int, dict[str, Any]], None]]:
-    if not wanted:
-        yield lambda number, values: None
-        return
-    from ssdr.io.registry import require
-
-    module = require("torch.utils.tensorboard", "garmentnet", "tensorboard curves")
-    writer = module.SummaryWriter(str(folder))
-
-    def write(number: int, values: dict[str, Any]) -> None:
-        for key, value in values.items():
-            if value is not None:
-                writer.add_scalar(key, value, number)
-        writer.flush()
-
-    try:
-        yield write
-    finally:
-        writer.close()

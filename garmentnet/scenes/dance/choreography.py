@@ -15,9 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from ssdr.errors import InputError
 
-from ...data.motion import Motion
+from ...data.motion import CLASSES, Motion
 from ...data.skeleton import Skeleton
-from ...data.store import CLASSES
 from .moves import MOVES, Controls, Float, State, smooth
 from .puppet import CHANNELS, RATE, pose_joints
 

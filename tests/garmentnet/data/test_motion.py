@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("zarr")
 
-from garmentnet.data.bvh import find_bvh, read_bvh, retarget
+from garmentnet.data.bvh import find_bvh, read_bvh
 from garmentnet.data.motion import Motion, interpolate, lead_in
+from garmentnet.data.retarget import retarget
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.scenes.body import default_body
 from ssdr.errors import FormatError, InputError

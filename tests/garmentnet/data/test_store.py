@@ -14,8 +14,10 @@ import pytest
 pytest.importorskip("zarr")
 
 import ssdr
+from garmentnet.data.clip import MIRRORED, Clip
+from garmentnet.data.parameters import RANGES, SimulationParameters
 from garmentnet.data.skeleton import REFLECTION, Skeleton, mirror_transforms
-from garmentnet.data.store import MIRRORED, RANGES, Clip, ClipStore, SimulationParameters
+from garmentnet.data.store import ClipStore
 from ssdr.errors import FormatError, InputError
 from ssdr.rigid import matrix_from_quaternion
 

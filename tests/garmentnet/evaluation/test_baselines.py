@@ -5,14 +5,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 import ssdr
-from garmentnet.evaluation.baselines import (
-    BodySkinned,
-    MeanShape,
-    Ridge,
-    Santesteban,
-    body_skinning,
-    train_santesteban,
-)
+from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge, body_skinning
+from garmentnet.evaluation.santesteban import Santesteban, train_santesteban
 
 TRAIN = [f"base-train-{k}" for k in range(8)]
 HELD = ["base-validation-0", "base-validation-1"]
@@ -88,14 +82,14 @@ def test_santesteban_learns_and_goes_on(toy_bones, toy_store, toy_config, tmp_pa
 
 
 def test_exact_offsets_are_the_statistics(toy_bones, toy_store, toy_config):
-    from garmentnet.evaluation.baselines import _SantestebanTask
+    from garmentnet.evaluation.santesteban import SantestebanObjective
     from garmentnet.training.batches import load_tracks
     from garmentnet.training.run import build_network
 
     reader = build_network(toy_config(), toy_bones, TRAIN[:1])
     module = Santesteban(reader, toy_store, 8)
     tracks = load_tracks(reader, toy_bones, TRAIN[:1])
-    task = _SantestebanTask(module, tracks, tracks)
+    task = SantestebanObjective(module, tracks, tracks)
     task.fit_statistics()
     # The mean offset beats none.
     joints, truth = tracks[0].joints(), tracks[0].target("low") + tracks[0].target("high")

@@ -109,7 +109,7 @@ def test_looseness_against_a_loop(toy_bones, toy_store):
 
 def test_cloth_in_the_body_is_counted(toy_bones, toy_store):
     clip = toy_store.clip(CLIP)
-    axis = clip.store.skeleton.positions(clip.joints)[:, :1] - [0, 0.2, 0]
+    axis = clip.outfit.skeleton.positions(clip.joints)[:, :1] - [0, 0.2, 0]
 
     def inside(joints):
         shape = (clip.n_frames, toy_store.n_vertices, 3)

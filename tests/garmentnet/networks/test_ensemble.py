@@ -11,9 +11,8 @@ torch = pytest.importorskip("torch")
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from garmentnet.networks.ensemble import (
-    Ensemble,
-    Kernel,
+from garmentnet.networks.ensemble import Ensemble, Kernel
+from garmentnet.training.pivots import (
     convex_fit,
     error_of,
     extremes,

@@ -12,7 +12,9 @@ import ssdr
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.networks.checkpoint import Checkpoint
 from garmentnet.networks.ensemble import Kernel
-from garmentnet.prediction.prediction import predict, read_joints, save_prediction, trained_range
+from garmentnet.prediction.motion_file import read_joints
+from garmentnet.prediction.output import save_prediction
+from garmentnet.prediction.prediction import predict, trained_range
 from ssdr.errors import FormatError, InputError, SsdrWarning
 
 

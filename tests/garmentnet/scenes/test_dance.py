@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("zarr")
 
-from garmentnet.data.motion import Motion
-from garmentnet.data.store import CLASSES
+from garmentnet.data.motion import CLASSES, Motion
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.dance.choreography import DANCE_CLASSES, dance
 from ssdr.errors import InputError

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("zarr")
 
-from garmentnet.data.store import SimulationParameters
+from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.dataset import recorded_motions
 from garmentnet.scenes.garments import Dress
 from garmentnet.scenes.scene import DataSet

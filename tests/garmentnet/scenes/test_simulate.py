@@ -17,14 +17,17 @@ pytest.importorskip("zarr")
 pytest.importorskip("newton")
 
 from garmentnet.data.motion import Motion
-from garmentnet.data.store import ClipStore, SimulationParameters
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.store import ClipStore
 from garmentnet.scenes import dataset
 from garmentnet.scenes.body import default_body
+from garmentnet.scenes.cloth import Solver
 from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.dataset import make_data_set
 from garmentnet.scenes.garments import Dress, cut_dress
+from garmentnet.scenes.quality import Depth, Gate, judge
 from garmentnet.scenes.scene_file import load_data_set
-from garmentnet.scenes.simulator import Gate, Solver, _Depth, _unrest, judge, simulate
+from garmentnet.scenes.simulator import _unrest, simulate
 from ssdr.errors import InputError
 from ssdr.skinning import skin
 
@@ -126,7 +129,7 @@ def test_depth_is_that_of_a_sphere(rng: np.random.Generator) -> None:
 
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     points = ball.vertices.astype(np.float32)
-    measure = _Depth(points, ball.faces.astype(np.int32))
+    measure = Depth(points, ball.faces.astype(np.int32))
     at = rng.normal(size=(200, 3)).astype(np.float32) * 0.4
     for shift in (0.0, 1.0):
         depth = measure(points + np.float32(shift), at + np.float32(shift))
@@ -145,7 +148,7 @@ def test_depth_has_the_sign_of_the_winding_number(rng: np.random.Generator) -> N
     above = (a * np.cross(b, c)).sum(axis=-1)
     below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
     number = (2 * np.arctan2(above, below)).sum(axis=1) / (4 * np.pi)
-    depth = _Depth(rig.rest, rig.faces)(skin_, at)
+    depth = Depth(rig.rest, rig.faces)(skin_, at)
     clear = np.abs(depth) > 1e-4
     assert (number > 0.5).sum() > 30
     np.testing.assert_array_equal((depth > 0)[clear], (number > 0.5)[clear])

@@ -12,7 +12,7 @@ import toy_store as toy
 from garmentnet.configs import Config, load_config, override, preset_names
 from garmentnet.data.store import ClipStore
 from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.objectives import LowTask
+from garmentnet.training.objectives import LowFrequencyObjective
 from garmentnet.training.run import choose_clips, train
 from ssdr.errors import FormatError, InputError
 
@@ -76,7 +76,7 @@ def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatc
     """The loss that never sees a vertex, and its gradient, against the paper's sum over them."""
     network = toy_network.networks[0]
     monkeypatch.setattr(network, "config", override(network.config, ["low.dropout=0.0"]))
-    task = LowTask(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
+    task = LowFrequencyObjective(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
     batch = next(batches(task.tracks, 1, 20, None))
     loss, _ = task.loss(batch, None, np.random.default_rng(0))
     torch.autograd.backward(loss)
