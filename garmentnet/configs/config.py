@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tomllib
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal
 
 from ssdr.errors import FormatError, InputError
+
+from ..io.tables import from_table, parse_toml, read_toml
 
 __all__ = [
     "BoneOptions",
@@ -160,8 +161,7 @@ class Config:
             If a setting is unknown or of the wrong kind; the message names
             `origin` and the setting.
         """
-        built: Config = _build(cls, table, origin, "")
-        return built
+        return from_table(cls, table, file=origin)
 
 
 _ZERO = ("seed", "threads", "pivots")
@@ -186,20 +186,12 @@ def load_config(path: Path | str) -> Config:
     name = str(path)
     if name in preset_names():
         text = resources.files(__package__).joinpath(f"{name}.toml").read_text("utf-8")
-    else:
-        file = Path(path)
-        if not file.is_file():
-            presets = ", ".join(preset_names())
-            raise InputError("config", f"a TOML file or one of {presets}", name)
-        try:
-            text = file.read_text("utf-8")
-        except UnicodeDecodeError as error:
-            raise FormatError(f"{name}: not a text file ({error})") from error
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise FormatError(f"{name}: not TOML ({error})") from error
-    return Config.of(table, name)
+        return Config.of(parse_toml(text, name), name)
+    file = Path(path)
+    if not file.is_file():
+        presets = ", ".join(preset_names())
+        raise InputError("config", f"a TOML file or one of {presets}", name)
+    return Config.of(read_toml(file), name)
 
 
 def override(config: Config, changes: Sequence[str]) -> Config:
@@ -217,42 +209,7 @@ def override(config: Config, changes: Sequence[str]) -> Config:
         if not (sign and dot and section in table and name in table[section]):
             raise FormatError(f"{change}: expected section.name=value with a setting that exists")
         try:
-            table[section][name] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+            table[section][name] = parse_toml(f"value = {value}", change)["value"]
+        except FormatError:
             table[section][name] = value.strip()  # a plain word needs no quotes
     return Config.of(table, ", ".join(changes))
-
-
-def _build(kind: Any, table: Any, origin: str, prefix: str) -> Any:
-    if not isinstance(table, dict):
-        raise FormatError(f"{origin}: {prefix or 'the whole'} is not a table")
-    hints = get_type_hints(kind)
-    unknown = set(table) - set(hints)
-    if unknown:
-        known = ", ".join(hints)
-        raise FormatError(f"{origin}: unknown {prefix}{min(unknown)}; there are {known}")
-    values = {}
-    for name, value in table.items():
-        hint = hints[name]
-        if dataclasses.is_dataclass(hint):
-            values[name] = _build(hint, value, origin, f"{name}.")
-        else:
-            values[name] = _value(hint, value, f"{origin}: {prefix}{name}")
-    return kind(**values)
-
-
-def _value(hint: Any, value: Any, where: str) -> Any:
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise FormatError(f"{where} is {value!r}, not one of {get_args(hint)}")
-        return value
-    if get_origin(hint) is tuple:
-        item = get_args(hint)[0]
-        if not isinstance(value, (list, tuple)):
-            raise FormatError(f"{where} is {value!r}, not a list")
-        return tuple(_value(item, v, where) for v in value)
-    if hint is float and type(value) is int:
-        return float(value)
-    if type(value) is not hint:
-        raise FormatError(f"{where} is {value!r}, not of type {hint.__name__}")
-    return value
