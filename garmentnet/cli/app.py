@@ -9,15 +9,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ssdr.process import error_text, terminate_as_interrupt
 
-from . import learning
+from .learning import demo, evaluate, predict, train
+from .simulating import dataset, simulate
 
 __all__ = ["app", "main"]
 
@@ -30,49 +30,7 @@ app = typer.Typer(
 )
 
 
-@app.command()
-def simulate(
-    scene: Annotated[Path, typer.Argument(help="Scene or data set (TOML).")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Store of clips to write.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; all cores by default.")] = None,
-) -> None:
-    """Simulate the clips that a file describes."""
-    from .data_set import run
-
-    run(scene, output or learning.output_folder() / f"{scene.stem}.clips", workers=workers)
-
-
-@app.command()
-def dataset(
-    name: Annotated[str, typer.Argument(help="tiny, small, or a file (TOML).")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Store of clips to write.")
-    ] = None,
-    motion: Annotated[
-        Path | None, typer.Option(help="Folder of BVH files whose motions are added.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; all cores by default.")] = None,
-) -> None:
-    """Make a data set; stopped and started again, it goes on where it was."""
-    from .data_set import run
-
-    stem = Path(name).stem + ("-recorded" if motion else "")
-    run(
-        name,
-        output or learning.output_folder() / f"{stem}.clips",
-        motion=motion,
-        workers=workers,
-    )
-
-
-for _command in (
-    learning.train,
-    learning.evaluate,
-    learning.predict,
-    learning.demo,
-):
+for _command in (simulate, dataset, train, evaluate, predict, demo):
     app.command()(_command)
 
 

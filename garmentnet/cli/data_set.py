@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import datetime
 import os
 import sys
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from ssdr.io.registry import require
@@ -17,6 +15,7 @@ from ssdr.io.registry import require
 from ..data.store import ClipStore
 from ..scenes import dataset
 from ..scenes.scene_file import load_data_set
+from .progress import progress_bar
 
 __all__ = ["quality_table", "run"]
 
@@ -28,7 +27,7 @@ def run(
     motion: str | os.PathLike[str] | None = None,
     workers: int | None = None,
 ) -> ClipStore:
-    """Make a data set and tell about it."""
+    """Make a data set; what happens is shown on stderr."""
     require("newton", "scenes", "a simulation")
     # A log has no width of its own: the table is not to be cut off there.
     console = Console(stderr=True, width=None if sys.stderr.isatty() else 120)
@@ -38,18 +37,16 @@ def run(
     scenes = data_set.scenes()
     frames = sum(s.motion.frames for s in scenes)
     console.print(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {output}")
-    columns = (BarColumn(), TextColumn("{task.completed}/{task.total} frames, {task.description}"))
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("compiling the simulator, the first time a minute", total=None)
+    with progress_bar() as show:
+        show("compiling the simulator, the first time a minute", 0.0, None)
 
-        def tell(now: dataset.Progress) -> None:
-            left = "-" if np.isnan(now.time_left) else _time(now.time_left)
-            text = f"clip {now.clips}/{now.clips_total}, {left} left"
-            bar.update(task, completed=now.frames, total=now.frames_total, description=text)
+        def update(now: dataset.Progress) -> None:
+            text = f"clip {now.clips}/{now.clips_total}, frame {now.frames}/{now.frames_total}"
+            show(text, now.frames / max(now.frames_total, 1), now.time_left)
             if now.accepted is False:
-                console.print(f"rejected {now.clip}: {now.reason}")
+                print(f"rejected {now.clip}: {now.reason}", file=sys.stderr)
 
-        store = dataset.make_data_set(data_set, output, workers=workers, progress=tell)
+        store = dataset.make_data_set(data_set, output, workers=workers, progress=update)
     console.print(quality_table(store))
     for clip in store.clips(accepted=False, perturbed=None):
         console.print(f"rejected {clip.name}: {clip.quality['reason']}")
@@ -96,7 +93,3 @@ def quality_table(store: ClipStore) -> Table:
             f"{1e3 * max(r['depth_max'] for r in good):.1f}",
         )
     return table
-
-
-def _time(seconds: float) -> str:
-    return str(datetime.timedelta(seconds=round(seconds)))

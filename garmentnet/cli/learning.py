@@ -5,18 +5,17 @@ Nothing heavy is imported before a command runs.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ssdr.errors import InputError
+
+from .progress import progress_bar
 
 __all__ = ["demo", "evaluate", "output_folder", "predict", "train"]
 
@@ -66,7 +65,7 @@ def train(
     clips = ClipStore.open(source)
     stem = Path(config).stem + ("-ensemble" if ensemble else "") + f"-seed{chosen.train.seed}"
     folder = output or output_folder() / "runs" / stem
-    with _bar() as show:
+    with progress_bar() as show:
         if ensemble:
             path = train_ensemble(
                 clips, chosen, folder, base=load_checkpoint(start) if start else None,
@@ -101,7 +100,7 @@ def evaluate(
     from ..evaluation.reporting import report
 
     folder = output or output_folder() / "evaluation"
-    with _bar() as show:
+    with progress_bar() as show:
         text = report(
             checkpoints, ClipStore.open(store), folder, baselines=baselines, pictures=pictures,
             progress=lambda name, share: show(name, share, None),
@@ -160,7 +159,7 @@ def predict(
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
     for path in output:
-        with _bar() as show:
+        with progress_bar() as show:
             text = save_prediction(
                 result, path, progress=lambda share: show("drawing", share, None)
             )
@@ -175,7 +174,7 @@ def demo(
     """Simulate, decompose, train for a moment, predict and draw, in a few minutes."""
     from .demo import run_demo
 
-    with _bar() as show:
+    with progress_bar() as show:
         done = run_demo(output or output_folder() / "demo", progress=show)
     typer.echo(json.dumps(done, indent=1))
 
@@ -183,39 +182,3 @@ def demo(
 def _epoch(p: Any) -> str:
     best = f"{1e3 * p.rmse:.1f} mm" if p.rmse < float("inf") else "not validated yet"
     return f"{p.phase} {p.epoch}, loss {p.loss:.4g}, best {best}"
-
-
-@contextlib.contextmanager
-def _bar() -> Iterator[Callable[[str, float, float | None], None]]:
-    """A bar on a terminal, a line now and then elsewhere; both on stderr."""
-    if sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn
-
-        columns = (
-            TextColumn("{task.description}"), BarColumn(),
-            TextColumn("{task.percentage:>3.0f} %  {task.fields[left]}"),
-        )  # fmt: skip
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-            task = bar.add_task("", total=1.0, left="")
-            yield lambda text, share, left: bar.update(
-                task, description=text, completed=share, left=_left(left)
-            )
-        return
-    last, said = 0.0, ""
-
-    def line(text: str, share: float, left: float | None) -> None:
-        nonlocal last, said
-        kind = text.split(",")[0]
-        if time.monotonic() - last > 10 or kind.split(" ")[0] != said:
-            last, said = time.monotonic(), kind.split(" ")[0]
-            print(f"{100 * share:3.0f} %  {text}  {_left(left)}".rstrip(), file=sys.stderr)
-
-    yield line
-
-
-def _left(seconds: float | None) -> str:
-    if seconds is None or not seconds < float("inf"):
-        return ""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s left" if minutes else f"{rest} s left"

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ssdr.errors import InputError
 
-from .skeleton import Skeleton
+from .skeleton import Skeleton, check_joints
 
 __all__ = ["CLASSES", "Motion", "interpolate", "lead_in"]
 
@@ -45,16 +45,8 @@ class Motion:
     name: str = ""
 
     def __post_init__(self) -> None:
-        joints = np.asarray(self.joints, dtype=np.float64)
-        if joints.ndim != 4 or joints.shape[2:] != (3, 4) or len(joints) < 1:
-            raise InputError("joints", "shape (F, J, 3, 4)", f"shape {joints.shape}")
-        bad = ~np.isfinite(joints).all(axis=(1, 2, 3))
-        if bad.any():
-            raise InputError("joints", "finite numbers", f"NaN or Inf in frame {bad.argmax()}")
-        rotation = joints[..., :3]
-        off = np.abs(rotation @ rotation.swapaxes(-1, -2) - np.eye(3)).max(axis=(1, 2, 3))
-        if off.max() > 1e-3 or not (np.linalg.det(rotation) > 0).all():
-            raise InputError("joints", "rigid transforms", f"not so in frame {off.argmax()}")
+        shape = np.shape(self.joints)
+        joints = check_joints(self.joints, shape[1] if len(shape) == 4 else 1)
         classes = np.asarray(self.classes, dtype=np.int8)
         if classes.shape != (len(joints),) or classes.min() < 0 or classes.max() >= len(CLASSES):
             raise InputError("classes", f"{len(joints)} indices below {len(CLASSES)}", classes)

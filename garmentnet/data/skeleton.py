@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ssdr.errors import InputError
 
-__all__ = ["REFLECTION", "Skeleton", "mirror_transforms"]
+__all__ = ["REFLECTION", "Skeleton", "check_joints", "mirror_transforms"]
 
 # x to -x: the plane of symmetry of body and garment.
 REFLECTION = np.diag([-1.0, 1.0, 1.0])
@@ -145,3 +145,28 @@ def mirror_transforms(joints: ArrayLike, mirror: ArrayLike) -> NDArray[np.floati
     m = np.asarray(joints)[:, np.asarray(mirror)]
     sign = np.outer([-1, 1, 1], [-1, 1, 1, 1]).astype(m.dtype)
     return np.asarray(m * sign)
+
+
+def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
+    """Joint transforms as float64 ``(F, J, 3, 4)``.
+
+    Raises
+    ------
+    InputError
+        If the shape does not fit, a number is not finite or a 3×3 block is not a
+        rotation.
+    """
+    m = np.asarray(joints, dtype=np.float64)
+    if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):
+        raise InputError("joints", f"shape (F, {n_joints}, 3, 4)", f"shape {m.shape}")
+    bad = ~np.isfinite(m).all(axis=(2, 3))
+    if bad.any():
+        t, j = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError("joints", "finite numbers", f"NaN or Inf at frame {t}, joint {j}")
+    r = m[..., :3]
+    off = np.abs(r @ r.swapaxes(-1, -2) - np.eye(3)).max(axis=(2, 3))
+    bad = (off > 1e-3) | (np.linalg.det(r) < 0)
+    if bad.any():
+        t, j = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError("joints", "rigid transforms", f"no rotation at frame {t}, joint {j}")
+    return m

@@ -9,7 +9,6 @@ where it was stopped.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import hashlib
 import io
 import json
@@ -30,7 +29,7 @@ from ssdr.io.registry import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
-from ..io.files import write_file, writing
+from ..io.files import map_array, write_file, writing
 from .clip import MIRRORED, Clip
 from .parameters import SimulationParameters
 from .store import ClipStore
@@ -136,7 +135,7 @@ class VirtualBones:
         shapes = {"low": (v, 3), "high": (v, 3), "transforms": (b, 3, 4)}
         stated = self._statement(original.name)
         arrays = {
-            k: _map(f, (original.n_frames, *shapes[k]), stated.get("checksums", {}).get(k))
+            k: map_array(f, (original.n_frames, *shapes[k]), stated.get("checksums", {}).get(k))
             for k, f in files.items()
         }
         return ClipBones(
@@ -334,22 +333,3 @@ def _digest(store: ClipStore, names: Sequence[str]) -> str:
     for name in names:
         h.update((store.path / "clips" / name / "zarr.json").read_bytes())
     return h.hexdigest()[:16]
-
-
-@functools.lru_cache(maxsize=4096)
-def _checksum(path: Path, size: int, changed: int) -> int:
-    # Once for every state of the file; its arguments are what tells states apart.
-    return zlib.crc32(path.read_bytes())
-
-
-def _map(path: Path, shape: tuple[int, ...], checksum: int | None) -> NDArray[np.float32]:
-    status = path.stat()
-    if checksum not in (None, _checksum(path, status.st_size, status.st_mtime_ns)):
-        raise FormatError(f"{path}: damaged (its checksum differs); without it, it is made again")
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise FormatError(f"{path}: not a NumPy array ({error})") from error
-    if array.shape != shape or array.dtype != np.float32:
-        raise FormatError(f"{path}: expected float32 {shape}, got {array.dtype} {array.shape}")
-    return np.asarray(array) if array.size == 0 else array

@@ -19,6 +19,7 @@ import ssdr
 from ssdr import Skinning
 
 from ..configs.config import FeatureOptions
+from ..data.skin_weights import strongest
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures
@@ -27,6 +28,7 @@ from ..networks.skinning import TorchSkinning
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
 
+_INFLUENCES = 8  # joints a vertex, as engines take them
 _STATIC = FeatureOptions(
     rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
 )
@@ -72,9 +74,7 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
     near = 1 / np.maximum(distance, 1e-4) ** 2
     near /= near.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])
-    order = np.argsort(-weights, axis=1, kind="stable")[:, : min(8, body.n_bones)]
-    kept = np.take_along_axis(weights, order, axis=1)
-    kept /= kept.sum(axis=1, keepdims=True)
+    order, kept = strongest(weights, _INFLUENCES)
     return Skinning(store.rest, order, kept, body.transforms, faces=store.faces, fps=store.fps)
 
 

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ssdr import Skinning
 from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import reading, require
 
 from ..configs.config import Config
@@ -28,7 +29,7 @@ from ..data.parameters import SimulationParameters
 from ..data.skeleton import Skeleton
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
-from ..io.files import atomic_file
+from ..io.files import writing
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
 from .network import Motion, MotionNetwork
@@ -254,7 +255,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, An
     text = json.dumps(documents, sort_keys=True)
     # Tensors may share memory; the format has no word for that.
     plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-    with atomic_file(path) as temporary:
+    with writing(path), atomic_path(path) as temporary:
         temporary.touch()
         mode = temporary.stat().st_mode
         safetensors.save_file(plain, str(temporary), metadata={"garmentnet": text})

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ssdr.errors import InputError
 from ssdr.rigid import sixd_from_matrix
 
 from ..configs.config import FeatureOptions
-from ..data.skeleton import Skeleton
+from ..data.skeleton import Skeleton, check_joints
 
-__all__ = ["Normaliser", "PoseFeatures", "PoseState", "check_joints"]
+__all__ = ["Normaliser", "PoseFeatures", "PoseState"]
 
 Array = NDArray[np.float64]
 
@@ -145,31 +144,6 @@ class Normaliser:
     def __call__(self, features: Array) -> NDArray[np.float32]:
         z = (features - self.mean) / self.deviation
         return (z if self.clamp <= 0 else z.clip(-self.clamp, self.clamp)).astype(np.float32)
-
-
-def check_joints(joints: Any, n_joints: int) -> Array:
-    """Joint transforms as float64 ``(F, J, 3, 4)``.
-
-    Raises
-    ------
-    InputError
-        If the shape does not fit, a number is not finite or a 3×3 block is not a
-        rotation.
-    """
-    m = np.asarray(joints, dtype=np.float64)
-    if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):
-        raise InputError("joints", f"shape (F, {n_joints}, 3, 4)", f"shape {m.shape}")
-    bad = ~np.isfinite(m).all(axis=(2, 3))
-    if bad.any():
-        t, j = (int(k) for k in np.argwhere(bad)[0])
-        raise InputError("joints", "finite numbers", f"NaN or Inf at frame {t}, joint {j}")
-    r = m[..., :3]
-    off = np.abs(r @ r.swapaxes(-1, -2) - np.eye(3)).max(axis=(2, 3))
-    bad = (off > 1e-3) | (np.linalg.det(r) < 0)
-    if bad.any():
-        t, j = (int(k) for k in np.argwhere(bad)[0])
-        raise InputError("joints", "rigid transforms", f"no rotation at frame {t}, joint {j}")
-    return m
 
 
 def _heading(root: Array) -> Array:

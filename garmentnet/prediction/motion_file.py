@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
+from ssdr.io.archive import read_arrays
 from ssdr.io.registry import reading
 
+from ..data.bvh import read_bvh
+from ..data.retarget import retarget
+from ..data.skeleton import check_joints
+from ..data.store import ClipStore
 from ..networks.checkpoint import Checkpoint
-from ..networks.features import check_joints
 
 __all__ = ["read_joints"]
 
@@ -37,25 +41,14 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
     if not file.exists():
         raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
     if file.name.lower().endswith((".bvh", ".bvh.gz")):
-        from ..data.bvh import read_bvh
-        from ..data.retarget import retarget
-
         moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps, name=file.stem)
         return np.asarray(moved.joints, np.float64)
     if file.is_dir() and file.parent.name == "clips":
-        from ..data.store import ClipStore
-
         store = ClipStore.open(file.parent.parent)
         checkpoint.check_fits(store)
         return np.asarray(store.clip(file.name).joints, np.float64)
     if suffix != ".npz":
         raise FormatError(f"{file}: a motion is a .bvh, a .npz with joints, or a clip of a store")
-    # Opened here: np.load leaves a file open where it is no archive.
-    with reading(file), file.open("rb") as raw, np.load(raw, allow_pickle=False) as archive:
-        if "joints" not in archive:
-            raise FormatError(f"no array joints; it holds {archive.files}")
-        joints = np.asarray(archive["joints"], np.float64)
-        wanted = subject.skeleton.n_joints
-        if joints.ndim != 4 or joints.shape[1:] != (wanted, 3, 4):
-            raise FormatError(f"joints: expected (F, {wanted}, 3, 4), got {joints.shape}")
-        return check_joints(joints, wanted)
+    joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)
+    with reading(file):
+        return check_joints(joints, subject.skeleton.n_joints)

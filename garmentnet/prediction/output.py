@@ -13,6 +13,7 @@ from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import FORMATS, require
+from ssdr.rigid import nearest_rotation
 
 from ..io.files import writing
 from .prediction import Prediction
@@ -123,9 +124,7 @@ def _rigid(skinning: Skinning) -> Skinning:
         return skinning
     m = np.asarray(skinning.transforms, np.float64)
     centres = skinning.centroids()
-    u, _, vt = np.linalg.svd(m[..., :3])
-    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    r = u @ vt
+    r = nearest_rotation(m[..., :3])
     place = np.einsum("fbij,bj->fbi", m[..., :3] - r, centres) + m[..., 3]
     return dataclasses.replace(
         skinning, transforms=np.concatenate([r, place[..., None]], axis=-1), bone_model="rigid"

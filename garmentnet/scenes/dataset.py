@@ -12,6 +12,7 @@ from typing import get_args
 
 from ssdr.errors import InputError
 from ssdr.io.registry import require
+from ssdr.parallel import get_threads
 
 from ..data.bvh import find_bvh, read_bvh
 from ..data.clip_files import Split
@@ -107,7 +108,7 @@ def make_data_set(
     path : path
         Of the store.
     workers : int, optional
-        Processes; as many as cores by default.
+        Processes; as many as :func:`ssdr.parallel.get_threads` by default, all cores.
     progress : callable, optional
         Called from this process with a :class:`Progress`.
 
@@ -126,7 +127,7 @@ def make_data_set(
     """
     require("newton", "scenes", "a simulation")
     require("warp", "scenes", "a simulation")
-    count = _cores() if workers is None else workers
+    count = get_threads() if workers is None else workers
     if count < 1:
         raise InputError("workers", "at least 1", workers)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -142,11 +143,6 @@ def make_data_set(
         if todo:
             Run(store, scenes, todo, progress).go(min(count, len(todo)))
     return store
-
-
-def _cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else (os.cpu_count() or 1)
 
 
 def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool:

@@ -19,6 +19,7 @@ from scipy.spatial import ConvexHull, cKDTree
 import ssdr
 from ssdr.errors import InputError
 
+from ..data.skin_weights import strongest
 from .body import Body
 
 __all__ = ["Dress", "Garment", "cut_dress", "garment_from_mesh", "mirror_permutation"]
@@ -379,7 +380,4 @@ def _follow(
     weights = (dense[usable][nearest] * share[..., None]).sum(axis=1) / share.sum(axis=1)[:, None]
     if mirror is not None:
         weights = (weights + weights[mirror][:, body.skeleton.mirror()]) / 2
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :_INFLUENCES]
-    kept = np.take_along_axis(weights, order, axis=1)
-    kept /= kept.sum(axis=1, keepdims=True)
-    return np.where(kept > 0, order, 0).astype(np.int32), kept
+    return strongest(weights, _INFLUENCES)

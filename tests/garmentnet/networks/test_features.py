@@ -7,7 +7,8 @@ import toy_store as toy
 from scipy.spatial.transform import Rotation
 
 from garmentnet.configs import FeatureOptions, load_config
-from garmentnet.networks.features import Normaliser, PoseFeatures, check_joints
+from garmentnet.data.skeleton import check_joints
+from garmentnet.networks.features import Normaliser, PoseFeatures
 from ssdr.errors import InputError
 
 FAITHFUL, ROOTED = load_config("faithful").features, load_config("rooted").features
