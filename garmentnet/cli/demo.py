@@ -67,9 +67,12 @@ def run_demo(
     bones = virtual_bones(store, config.bones, progress=tell)
     lap("decompose")
     path = train(
-        store, config, folder / "run", progress=tell,
+        store,
+        config,
+        folder / "run",
+        progress=tell,
         callback=lambda p: tell(f"training {p.phase}, epoch {p.epoch}", p.fraction, p.time_left),
-    )  # fmt: skip
+    )
     lap("train")
     names, base = choose_clips(store, config)
     held, _ = choose_clips(store, config, "validation")

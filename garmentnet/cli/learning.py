@@ -68,17 +68,22 @@ def train(
     with progress_bar() as show:
         if ensemble:
             path = train_ensemble(
-                clips, chosen, folder, base=load_checkpoint(start) if start else None,
+                clips,
+                chosen,
+                folder,
+                base=load_checkpoint(start) if start else None,
                 callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction, p.time_left),
                 progress=lambda text, share: show(text, share, None),
-            )  # fmt: skip
+            )
         else:
             path = train_network(
-                clips, chosen, folder,
+                clips,
+                chosen,
+                folder,
                 start=load_checkpoint(start) if start else None,
                 callback=lambda p: show(_epoch(p), p.fraction, p.time_left),
                 progress=lambda text, share: show(text, share, None),
-            )  # fmt: skip
+            )
     typer.echo(str(path))
 
 
@@ -102,9 +107,13 @@ def evaluate(
     folder = output or output_folder() / "evaluation"
     with progress_bar() as show:
         text = report(
-            checkpoints, ClipStore.open(store), folder, baselines=baselines, pictures=pictures,
+            checkpoints,
+            ClipStore.open(store),
+            folder,
+            baselines=baselines,
+            pictures=pictures,
             progress=lambda name, share: show(name, share, None),
-        )  # fmt: skip
+        )
     typer.echo(text)
     typer.echo(str(folder))
 

@@ -139,9 +139,10 @@ class VirtualBones:
             for k, f in files.items()
         }
         return ClipBones(
-            **arrays, rmse=stated["rmse"],
+            **arrays,
+            rmse=stated["rmse"],
             permutation=self.store.mirror_vertices if clip.is_mirrored else None,
-        )  # fmt: skip
+        )
 
     def _statement(self, name: str) -> dict[str, Any]:
         stated = _document(self.folder / "clips" / f"{name}.json", ("rmse", "high_rms"))
@@ -159,9 +160,15 @@ class VirtualBones:
         low = np.asarray(self.smoother().smooth(vertices), np.float32)
         s = self.skinning
         fit = ssdr.fit_bones(
-            low, self.store.faces, rest=s.rest, joints=s.joints, weights=s.weights,
-            bones=s.n_bones, tolerance=1e-4, max_sweeps=30,
-        )  # fmt: skip
+            low,
+            self.store.faces,
+            rest=s.rest,
+            joints=s.joints,
+            weights=s.weights,
+            bones=s.n_bones,
+            tolerance=1e-4,
+            max_sweeps=30,
+        )
         parts = {"low": low, "high": vertices - low, "transforms": fit.transforms}
         stated: dict[str, Any] = {
             "rmse": fit.rmse,
@@ -233,8 +240,9 @@ def virtual_bones(
     if not names:
         raise InputError("store", "training clips of a training set", str(store.path))
     stated = dataclasses.asdict(options) | {
-        "garment": mesh_identity(store.rest, store.faces), "clips": names,
-    }  # fmt: skip
+        "garment": mesh_identity(store.rest, store.faces),
+        "clips": names,
+    }
     key = hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:12]
     home = Path(folder) if folder else store.path.with_name(store.path.name + ".bones")
     place = home / key

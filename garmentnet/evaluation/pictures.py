@@ -101,9 +101,14 @@ def draw_moments(
         answers.append(_scene(bones, clip, (answer.low + answer.high)[at], at))
     if found:
         _draw(
-            bones, np.concatenate(truths), np.concatenate(answers), bones.store.fps, path,
-            title=", ".join(label for label, _, _ in found), frames=list(range(len(found))),
-        )  # fmt: skip
+            bones,
+            np.concatenate(truths),
+            np.concatenate(answers),
+            bones.store.fps,
+            path,
+            title=", ".join(label for label, _, _ in found),
+            frames=list(range(len(found))),
+        )
     return found
 
 
@@ -114,9 +119,15 @@ def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None
 
 
 def _draw(
-    bones: VirtualBones, truth: Array, answer: Array, fps: float, path: Path, *,
-    title: str, frames: Any,
-) -> None:  # fmt: skip
+    bones: VirtualBones,
+    truth: Array,
+    answer: Array,
+    fps: float,
+    path: Path,
+    *,
+    title: str,
+    frames: Any,
+) -> None:
     from ssdr.render import contact_sheet, write_picture
 
     store = bones.store

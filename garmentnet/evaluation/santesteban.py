@@ -181,7 +181,12 @@ def train_santesteban(
         return bool(callback(p)) if callback else False
 
     fit(
-        task, o, name="santesteban", epochs=o.epochs, learning_rate=o.learning_rate,
-        folder=folder, callback=told,
-    )  # fmt: skip
+        task,
+        o,
+        name="santesteban",
+        epochs=o.epochs,
+        learning_rate=o.learning_rate,
+        folder=folder,
+        callback=told,
+    )
     return module

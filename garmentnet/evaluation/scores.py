@@ -228,13 +228,15 @@ class _Total:
             square, hausdorff, sted = sums / n
             scores[part] = Score(1e3 * math.sqrt(square), 1e3 * float(hausdorff), float(sted))
         return Row(
-            name, self.frames, **scores,
+            name,
+            self.frames,
+            **scores,
             per_class={k: 1e3 * math.sqrt(s / c) for k, (s, c) in sorted(self.classes.items())},
             per_vertex=1e3 * self.error / n,
             inside=self.inside / (n * self.bones.store.n_vertices),
             depth_mean=1e3 * self.depth / max(self.inside, 1),
             depth_max=1e3 * self.deepest,
-        )  # fmt: skip
+        )
 
 
 def chaos_floor(

@@ -146,12 +146,14 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
-        stated.append({
-            "config": config.as_dict(),
-            "parameters": None if own is None else dataclasses.asdict(own),
-            "high": network.high is not None,
-            "clamp": network.normaliser.clamp,
-        })  # fmt: skip
+        stated.append(
+            {
+                "config": config.as_dict(),
+                "parameters": None if own is None else dataclasses.asdict(own),
+                "high": network.high is not None,
+                "clamp": network.normaliser.clamp,
+            }
+        )
         for key, value in network.state_dict().items():
             tensors[f"network.{k}.{key}"] = value.detach().cpu()
         for key in ("mean", "deviation"):
@@ -161,11 +163,15 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
     if kernel is not None:
         tensors |= {f"kernel.{k}": v.detach() for k, v in kernel.state_dict().items()}
     document = {
-        "format": _FORMAT, "version": _VERSION, "fps": subject.fps,
-        "garment_id": subject.garment_id, "body_id": subject.body_id,
-        "joint_names": list(skeleton.names), "networks": stated,
+        "format": _FORMAT,
+        "version": _VERSION,
+        "fps": subject.fps,
+        "garment_id": subject.garment_id,
+        "body_id": subject.body_id,
+        "joint_names": list(skeleton.names),
+        "networks": stated,
         "kernel": None if kernel is None else {"sizes": kernel.sizes, "sigma": kernel.sigma},
-    }  # fmt: skip
+    }
     return save_tensors(Path(path), tensors, {"checkpoint": document})
 
 
@@ -300,9 +306,13 @@ def _skinning(
     if len(rest) * bones * 16 > _MAX_SKINNING:
         raise FormatError(f"{name}: {len(rest)} vertices and {bones} bones")
     return Skinning(
-        rest, joints, arrays[f"{name}.weights"], np.tile(np.eye(3, 4), (1, bones, 1, 1)),
-        faces=arrays[f"{name}.faces"], bone_names=names,
-    )  # fmt: skip
+        rest,
+        joints,
+        arrays[f"{name}.weights"],
+        np.tile(np.eye(3, 4), (1, bones, 1, 1)),
+        faces=arrays[f"{name}.faces"],
+        bone_names=names,
+    )
 
 
 def _network(

@@ -59,8 +59,10 @@ class Kernel(nn.Module):
     def weights(self, pivots: Any, theta: Any) -> Array:
         """As :meth:`forward`, of arrays."""
         with torch.no_grad():
-            out = self(torch.as_tensor(np.asarray(pivots, float)), torch.as_tensor(
-                np.asarray(theta, float)))  # fmt: skip
+            out = self(
+                torch.as_tensor(np.asarray(pivots, float)),
+                torch.as_tensor(np.asarray(theta, float)),
+            )
         weights: Array = np.array(out.numpy(), np.float64)
         return weights
 

@@ -45,8 +45,15 @@ class Prediction:
     def scene(self, *, still: bool = True) -> MeshSequence:
         """Cloth and body as one mesh; `still`: the camera walks along."""
         where = self.root if still else None
-        return follow(self.cloth.vertices, self.body.vertices, self.cloth.faces,
-                      self.body.faces, self.cloth.fps, where, self.cloth.name)  # fmt: skip
+        return follow(
+            self.cloth.vertices,
+            self.body.vertices,
+            self.cloth.faces,
+            self.body.faces,
+            self.cloth.fps,
+            where,
+            self.cloth.name,
+        )
 
 
 def predict(
@@ -104,13 +111,19 @@ def predict(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
         skinning=Skinning(
-            garment.rest, garment.joints, garment.weights, moved, faces=garment.faces,
-            fps=subject.fps, bone_model="affine" if several else "rigid", name=name,
+            garment.rest,
+            garment.joints,
+            garment.weights,
+            moved,
+            faces=garment.faces,
+            fps=subject.fps,
+            bone_model="affine" if several else "rigid",
+            name=name,
         ),
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
         extrapolated=beyond,
-    )  # fmt: skip
+    )
 
 
 def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:

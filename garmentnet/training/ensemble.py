@@ -132,10 +132,13 @@ def train_ensemble(
             own = dataclasses.replace(
                 own,
                 train=dataclasses.replace(
-                    config.train, epochs=o.epochs, high_epochs=o.high_epochs,
-                    learning_rate=o.learning_rate, high_learning_rate=o.learning_rate,
+                    config.train,
+                    epochs=o.epochs,
+                    high_epochs=o.high_epochs,
+                    learning_rate=o.learning_rate,
+                    high_learning_rate=o.learning_rate,
                 ),
-            )  # fmt: skip
+            )
 
         def told(p: Progress, name: str = name) -> bool:
             nonlocal stopped
@@ -143,9 +146,14 @@ def train_ensemble(
             return stopped
 
         path = train(
-            store, own, folder / name, start=start, bones_folder=bones_folder,
-            callback=told, progress=progress,
-        )  # fmt: skip
+            store,
+            own,
+            folder / name,
+            start=start,
+            bones_folder=bones_folder,
+            callback=told,
+            progress=progress,
+        )
         if stopped:
             raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
         checkpoints.append(load_checkpoint(path))
@@ -206,32 +214,45 @@ def sweep_pivots(
         fits = [
             (
                 *fit_kernel(
-                    own, theta, pivots, validation=checks, sigma=sigma, steps=o.steps,
+                    own,
+                    theta,
+                    pivots,
+                    validation=checks,
+                    sigma=sigma,
+                    steps=o.steps,
                     seed=config.train.seed,
                 ),
                 sigma,
             )
             for sigma in o.sigmas
-        ]  # fmt: skip
+        ]
         # With one pivot there is nothing to mix and every error is NaN or the same.
         kernel, validation, sigma = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
         ways: dict[str, Callable[[Array, Any], Array]] = {
-            "rbf": kernel.weights, "inverse distance": inverse_distance, "nearest": nearest,
-        }  # fmt: skip
+            "rbf": kernel.weights,
+            "inverse distance": inverse_distance,
+            "nearest": nearest,
+        }
         seen = left_out_errors(kernel, own, theta, pivots)
         for q, t in checks:
             weights = kernel.weights(theta[pivots], t)
             seen.append(error_of(q[np.ix_(pivots, pivots)], weights))
         errors = {
             way: {
-                split: 1e3 * float(np.mean([
-                    error_of(q[np.ix_(pivots, pivots)], f(theta[pivots], t))
-                    for q, t in zip(qs, places, strict=True)
-                ]))
-                for split, qs in tests.items() if qs
+                split: 1e3
+                * float(
+                    np.mean(
+                        [
+                            error_of(q[np.ix_(pivots, pivots)], f(theta[pivots], t))
+                            for q, t in zip(qs, places, strict=True)
+                        ]
+                    )
+                )
+                for split, qs in tests.items()
+                if qs
             }
             for way, f in ways.items()
-        }  # fmt: skip
+        }
         score = 1e3 * float(np.mean(seen))
         sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors))
     return sweep

@@ -155,8 +155,11 @@ def fit(
             done = waited >= options.patience or 0 < limit <= elapsed
             saved = {
                 "history": [dataclasses.asdict(e) for e in history],
-                "best": best, "waited": waited, "done": done, "spent": elapsed,
-            }  # fmt: skip
+                "best": best,
+                "waited": waited,
+                "done": done,
+                "spent": elapsed,
+            }
             _save(state_file, module, optimiser, rng, kept, saved)
             writer(number, {"loss": value, "rate": rate, "rmse": rmse})
             _logger.info("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
@@ -227,9 +230,14 @@ def _progress(
     share = max(number / epochs, elapsed / limit if limit else 0.0)
     share = min(1.0, share)
     return Progress(
-        phase=name, epoch=number, elapsed=elapsed, loss=loss, rmse=best, fraction=share,
+        phase=name,
+        epoch=number,
+        elapsed=elapsed,
+        loss=loss,
+        rmse=best,
+        fraction=share,
         time_left=elapsed * (1 - share) / share,
-    )  # fmt: skip
+    )
 
 
 @contextlib.contextmanager

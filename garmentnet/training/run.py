@@ -158,10 +158,17 @@ def train(
         stopped = bool(callback(p)) if callback else False
         return stopped
 
-    history = {"low": fit(
-        LowFrequencyObjective(network, tracks, validation), o, name="low", epochs=o.epochs,
-        learning_rate=o.learning_rate, folder=folder, callback=told,
-    )}  # fmt: skip
+    history = {
+        "low": fit(
+            LowFrequencyObjective(network, tracks, validation),
+            o,
+            name="low",
+            epochs=o.epochs,
+            learning_rate=o.learning_rate,
+            folder=folder,
+            callback=told,
+        )
+    }
     if not stopped:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
@@ -171,9 +178,14 @@ def train(
         if start is not None and start.networks[0].high is not None:
             load_weights(network, start, "high")
         history["high"] = fit(
-            task, o, name="high", epochs=o.high_epochs,
-            learning_rate=o.high_learning_rate, folder=folder, callback=told,
-        )  # fmt: skip
+            task,
+            o,
+            name="high",
+            epochs=o.high_epochs,
+            learning_rate=o.high_learning_rate,
+            folder=folder,
+            callback=told,
+        )
     lines = {k: [dataclasses.asdict(e) for e in v] for k, v in history.items()}
     write_bytes(folder / "history.json", json.dumps(lines, indent=1).encode())
     return save_checkpoint(

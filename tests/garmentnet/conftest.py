@@ -15,9 +15,14 @@ def toy_config():
     def make(preset="rooted", **train):
         c = load_config(preset)
         defaults = {
-            "epochs": 50, "high_epochs": 12, "learning_rate": 3e-3, "window": 30, "threads": 1,
-            "tensorboard": False, "device": "cpu",
-        }  # fmt: skip
+            "epochs": 50,
+            "high_epochs": 12,
+            "learning_rate": 3e-3,
+            "window": 30,
+            "threads": 1,
+            "tensorboard": False,
+            "device": "cpu",
+        }
         return dataclasses.replace(
             c,
             bones=BoneOptions(length=0.03, count=10, influences=4, effort="fast", frames=160),
@@ -38,9 +43,13 @@ def toy_store(tmp_path_factory):
     from garmentnet.data.parameters import SimulationParameters as P
 
     others = [
-        (P(0.2, 0.2, 1.0), "train"), (P(2.0, 0.2, 1.0), "train"), (P(0.5, 0.2, 0.7), "train"),
-        (P(0.5, 0.2, 1.3), "train"), (P(1.0, 0.2, 1.1), "validation"), (P(0.8, 0.2, 0.9), "test"),
-    ]  # fmt: skip
+        (P(0.2, 0.2, 1.0), "train"),
+        (P(2.0, 0.2, 1.0), "train"),
+        (P(0.5, 0.2, 0.7), "train"),
+        (P(0.5, 0.2, 1.3), "train"),
+        (P(1.0, 0.2, 1.1), "validation"),
+        (P(0.8, 0.2, 0.9), "test"),
+    ]
     return toy.make_store(tmp_path_factory.mktemp("toy") / "store", others=others)
 
 

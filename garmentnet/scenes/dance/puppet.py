@@ -98,9 +98,13 @@ class _Foot:
 
 
 def _walk(
-    feet: dict[str, _Foot], c: dict[str, Float], path: Float, velocity: Float, yaw: Float,
+    feet: dict[str, _Foot],
+    c: dict[str, Float],
+    path: Float,
+    velocity: Float,
+    yaw: Float,
     scale: float,
-) -> None:  # fmt: skip
+) -> None:
     """Stand, and step when the body has gone too far from where a foot stands."""
     count = len(yaw)
     speed = np.linalg.norm(velocity, axis=1)
@@ -156,18 +160,31 @@ def _walk(
 
 
 def _far(
-    side: str, wanted: dict[str, Float], facing: dict[str, Float], placed: dict[str, Float],
-    turned: dict[str, float], k: int, scale: float,
-) -> float:  # fmt: skip
+    side: str,
+    wanted: dict[str, Float],
+    facing: dict[str, Float],
+    placed: dict[str, Float],
+    turned: dict[str, float],
+    k: int,
+    scale: float,
+) -> float:
     off = wanted[side][k] - placed[side]
     askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
     return math.hypot(*off) / (0.11 * scale) + askew / 0.6
 
 
 def _leg(
-    local: dict[str, Rotation], skeleton: Skeleton, side: str, foot: _Foot, c: dict[str, Float],
-    pelvis: Rotation, root: Float, hip: Float, yaw: Float, ankle: float,
-) -> None:  # fmt: skip
+    local: dict[str, Rotation],
+    skeleton: Skeleton,
+    side: str,
+    foot: _Foot,
+    c: dict[str, Float],
+    pelvis: Rotation,
+    root: Float,
+    hip: Float,
+    yaw: Float,
+    ankle: float,
+) -> None:
     rest = {n: skeleton.rest[skeleton.index(f"{n}_{side}")] for n in ("thigh", "shin", "foot")}
     sign = 1.0 if side == "l" else -1.0
     bone = [rest["shin"] - rest["thigh"], rest["foot"] - rest["shin"]]

@@ -169,8 +169,10 @@ def test_killed_training_goes_on(toy_store, tmp_path):
     for state in ("low", "high"):
         process = subprocess.Popen(
             [sys.executable, "-m", "garmentnet.cli", "train", *given, "-o", str(cut)],
-            env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         deadline = time.monotonic() + 300
         while not (cut / f"{state}.state.safetensors").exists():
             assert process.poll() is None
@@ -214,9 +216,12 @@ def test_limit_of_a_file_while_training(toy_store, tmp_path):
     )
     assert resource.RLIMIT_FSIZE
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
-    )  # fmt: skip
+    )
     assert done.returncode == 1, done.stderr
     assert re.search(r"low\.state\.safetensors: could not be written", done.stderr)
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["run.json"]

@@ -73,9 +73,14 @@ def test_another_garment_or_skeleton(toy_network, tmp_path):
     rest, faces, mirror = toy.skirt()
     tall = Skeleton(skeleton.names, skeleton.parents, skeleton.rest * 1.1)
     other = ClipStore.create(
-        tmp_path / "b", rest=rest, faces=faces, mirror_vertices=mirror, body=rig, skeleton=tall,
+        tmp_path / "b",
+        rest=rest,
+        faces=faces,
+        mirror_vertices=mirror,
+        body=rig,
+        skeleton=tall,
         fps=toy.FPS,
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match="body"):
         toy_network.check_fits(other)
     slow = ClipStore.create(tmp_path / "c", rest=rest, faces=faces, **(common | {"fps": 60.0}))
@@ -98,9 +103,14 @@ def test_hostile_bytes(file, tmp_path):
     import pickle
 
     cases = [
-        b"", b"\x00" * 64, good[:200], good[:-7], b"PK\x03\x04" + good,
-        pickle.dumps({"format": "garmentnet"}), struct.pack("<Q", 1 << 60) + b"{}",
-    ]  # fmt: skip
+        b"",
+        b"\x00" * 64,
+        good[:200],
+        good[:-7],
+        b"PK\x03\x04" + good,
+        pickle.dumps({"format": "garmentnet"}),
+        struct.pack("<Q", 1 << 60) + b"{}",
+    ]
     for data in cases:
         bad.write_bytes(data)
         with pytest.raises(FormatError, match=r"bad\.safetensors"):

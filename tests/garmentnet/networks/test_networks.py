@@ -76,8 +76,9 @@ def test_bone_code_round_trip(rotation):
     z = (numbers - code.mean) / code.deviation
     assert np.abs(code(z).numpy() - m).max() < 2e-5
     # Zero is the mean motion, and the translation is that of the bone's centre.
-    assert np.allclose(code.numbers(code(0 * z).double().numpy())[0][:, -3:], code.mean[:, -3:],
-                       atol=1e-5)  # fmt: skip
+    assert np.allclose(
+        code.numbers(code(0 * z).double().numpy())[0][:, -3:], code.mean[:, -3:], atol=1e-5
+    )
 
 
 def test_high_frequency_of_chosen_frames():
