@@ -1,10 +1,9 @@
-"""Motion capture: BVH files read, and their motion carried over to a body of its own build."""
+"""Motion capture in BVH files."""
 
 from __future__ import annotations
 
 import dataclasses
 import gzip
-import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,9 +18,11 @@ from ssdr.io.registry import reading
 __all__ = ["Bvh", "find_bvh", "read_bvh"]
 
 Float = NDArray[np.float64]
+# Limits against hostile files, far above what a motion of a body needs.
 _MAX_BYTES = 1 << 28
 _MAX_JOINTS = 1000
-_MAX_DEPTH = 200
+_MAX_DEPTH = 200  # joints, one inside the other
+_FRAME_TIMES = (1e-4, 10.0)  # seconds, shortest and longest
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,6 +62,14 @@ def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
     ------
     InputError
         If there are none.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     (Path(folder) / "walk.bvh.gz").touch()
+    ...     [path.name for path in find_bvh(folder)]
+    ['walk.bvh.gz']
     """
     path = Path(folder)
     found = [p for p in path.glob("*") if p.name.lower().endswith((".bvh", ".bvh.gz"))]
@@ -70,12 +79,35 @@ def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Bvh:
-    """Read a BVH file, packed (``.gz``) or not.
+    """Read a BVH file, compressed (``.gz``) or not.
 
     Raises
     ------
     FormatError
         If it is damaged or is not one.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = '''HIERARCHY
+    ... ROOT Hips
+    ... {
+    ...   OFFSET 0 0 0
+    ...   CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+    ...   End Site { OFFSET 0 1 0 }
+    ... }
+    ... MOTION
+    ... Frames: 2
+    ... Frame Time: 0.04
+    ... 0 1 0 0 0 0
+    ... 0 2 0 90 0 0
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "a.bvh"
+    ...     _ = path.write_text(text)
+    ...     motion = read_bvh(path)
+    >>> motion.names, motion.fps, motion.root[1].tolist()
+    (('Hips',), 25.0, [0.0, 2.0, 0.0])
     """
     source = Path(path)
     with reading(source):
@@ -94,7 +126,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
             raise FormatError("no 'Frames:' and 'Frame Time:' after MOTION")
         frames, step = int(words[1]), float(words[4])
-        if not (frames >= 1 and math.isfinite(step) and 1e-4 <= step <= 10):
+        if not (frames >= 1 and _FRAME_TIMES[0] <= step <= _FRAME_TIMES[1]):
             raise FormatError(f"{frames} frames of {step} s")
         width = sum(len(c) for c in channels)
         start = tail.index(words[4], tail.index("Time:")) + len(words[4])
@@ -109,9 +141,9 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         root = np.zeros((frames, 3))
         rotations = np.broadcast_to(np.eye(3), (frames, len(names), 3, 3)).copy()
         column = 0
-        for j, own in enumerate(channels):
+        for j, names_of_joint in enumerate(channels):
             order, angles = "", []
-            for name in own:
+            for name in names_of_joint:
                 if name.endswith("position"):
                     if j == 0:
                         root[:, "XYZ".index(name[0])] = values[:, column]

@@ -1,4 +1,4 @@
-"""One clip of a store: its frames are read as they are asked for, reflected where that is asked."""
+"""One clip of a store; its frames are read when they are used."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from .skeleton import mirror_transforms
 
 __all__ = ["MIRRORED", "Clip"]
 
+# Suffix of a mirrored clip's name; no name on disk may hold it.
 MIRRORED = "~mirrored"
 
 
@@ -37,19 +38,19 @@ class Clip:
     name : str
     split : {"train", "validation", "test"}
     motion : str
-        The motion's own name; the same motion under other parameters has the same.
+        Name of the motion; clips of one motion under several parameters share it.
     parameters : SimulationParameters
     seed : int
     perturbation : float
-        Metres (standard deviation) by which the start was moved; 0 but for the second of a
+        Metres (RMS) by which the first frame was perturbed; 0 except for the second clip of a
         pair that measures chaos.
     quality : dict
-        ``accepted``, ``reason`` and what the quality gate measured.
+        ``accepted``, ``reason`` and the measurements of the quality gate.
     provenance : dict
-        Scene, versions of the simulator: all that it takes to make the clip again.
+        Scene and versions of the simulator, from which the clip can be made again.
     n_frames : int
     is_mirrored : bool
-        Reflected as it is read; nothing of it is stored.
+        Reflected in x as it is read; only the original is stored.
     """
 
     outfit: Outfit
@@ -80,7 +81,7 @@ class Clip:
 
     @functools.cached_property
     def sequence(self) -> MeshSequence:
-        """The garment; frames are read from disk as they are asked for."""
+        """The garment; frames are read from disk when they are used."""
         vertices = Frames(
             open_array(self.path, "vertices", (self.n_frames, self.outfit.n_vertices, 3)),
             self.path,
@@ -102,7 +103,7 @@ class Clip:
 
     @functools.cached_property
     def classes(self) -> NDArray[np.int8]:
-        """``(F,)`` class of motion of each frame, an index into :data:`CLASSES`."""
+        """``(F,)`` class of motion of each frame, an index into ``CLASSES``."""
         with reading(self.path):
             values = np.asarray(open_array(self.path, "classes", (self.n_frames,))[:])
             if values.min() < 0 or values.max() >= len(CLASSES):

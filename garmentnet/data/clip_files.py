@@ -1,7 +1,7 @@
-"""What lies on disk of one clip: checked arrays and a statement about them; damage is named.
+"""Files of one clip: a zarr group of three arrays and its attributes, checked as they are read.
 
-A clip is a zarr group of three arrays.  Every chunk carries a checksum, and one that is missing
-reads as a value that no clip may hold, so that nothing is ever silently wrong.
+Every chunk carries a checksum, and a missing chunk reads as a value that no clip may hold: damage
+is always found.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ __all__ = [
 ]
 
 Split = Literal["train", "validation", "test"]
+# Frames of vertices that are compressed together: about 1 s, some 100 KiB for 2,000 vertices.
 _CHUNK_FRAMES = 32
-# Type of every array, and what a chunk that is not there reads as.
+# Type of every array, and the value that a missing chunk reads as.
 _ARRAYS: Mapping[str, tuple[str, float]] = {
     "vertices": ("float32", math.nan),
     "joints": ("float32", math.nan),
@@ -54,7 +55,16 @@ _STATED = (
 def write_clip(
     target: Path, arrays: Mapping[str, NDArray[Any]], statement: Mapping[str, Any]
 ) -> None:
-    """Write a clip; the folder appears when it is complete."""
+    """Write a clip under a temporary name; the folder is renamed when it is complete.
+
+    Parameters
+    ----------
+    target : Path
+    arrays : dict
+        ``vertices`` (F, V, 3), ``joints`` (F, J, 3, 4), ``classes`` (F,).
+    statement : dict
+        The clip's attributes, plain JSON.
+    """
     temporary = free_name(target)
     frames = len(arrays["vertices"])
     chunk = min(frames, _CHUNK_FRAMES)
@@ -78,12 +88,12 @@ def write_clip(
 
 
 def read_statement(path: Path) -> dict[str, Any]:
-    """What a clip states about itself.
+    """The attributes of a clip.
 
     Raises
     ------
     FormatError
-        If something is missing or not of its kind.
+        If one is missing or of the wrong type.
     """
     with reading(path):
         stated: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
@@ -98,7 +108,13 @@ def read_statement(path: Path) -> dict[str, Any]:
 
 
 def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
-    """An array of a clip, still on disk, of the type and shape that it must have."""
+    """An array of a clip, still on disk; its type and shape are checked.
+
+    Raises
+    ------
+    FormatError
+        If it is missing or another array.
+    """
     with reading(path):
         array = zarr().open_array(str(path / name), mode="r")
         kind = _ARRAYS[name][0]
@@ -110,7 +126,16 @@ def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
 
 
 class Frames:
-    """Vertices on disk as an array: sliced, reflected where asked, never silently wrong."""
+    """Vertices on disk that are read, checked and, if asked, reflected as they are indexed.
+
+    Parameters
+    ----------
+    array : zarr array (F, V, 3)
+    path : Path
+        Of the clip, for errors.
+    permutation : (V,) int32 or None
+        The vertex on the other side of each: the clip is reflected in x.
+    """
 
     def __init__(self, array: Any, path: Path, permutation: NDArray[np.int32] | None) -> None:
         self._array, self._path, self._permutation = array, path, permutation
@@ -142,9 +167,9 @@ def zarr() -> Any:
 
 
 def compressors(itemsize: int = 4) -> Sequence[Any]:
-    """How arrays of a store are packed."""
+    """How the arrays of a store are compressed; `itemsize` in bytes."""
     codecs = require("zarr.codecs", "garmentnet", "a store of clips")
-    # The checksum comes last: a flipped bit is found before anything is unpacked.
+    # The checksum comes last: a flipped bit is found before anything is decompressed.
     return (
         codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle", typesize=itemsize),
         codecs.Crc32cCodec(),
@@ -152,7 +177,25 @@ def compressors(itemsize: int = 4) -> Sequence[Any]:
 
 
 def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
-    """Raise InputError that names the first frame, counted from `first`, with NaN or Inf."""
+    """Check that every number is finite.
+
+    Parameters
+    ----------
+    values : (F, ..., ...) array
+    what : str
+        Name of the array, for the error.
+    first : int
+        Number of its first frame.
+
+    Raises
+    ------
+    InputError
+        That names the first frame with NaN or Inf.
+
+    Examples
+    --------
+    >>> check_finite(np.zeros((2, 4, 3)), "vertices", 0)
+    """
     if not np.isfinite(values).all():
         frames = np.flatnonzero(~np.isfinite(values.reshape(-1, *values.shape[-2:])).all((1, 2)))
         raise InputError(what, "finite numbers", f"NaN or Inf from frame {first + frames[0]} on")

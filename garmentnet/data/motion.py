@@ -19,6 +19,11 @@ from .skeleton import Skeleton, check_joints
 
 __all__ = ["CLASSES", "Motion", "interpolate", "lead_in"]
 
+# Classes of motion; "recorded" is motion capture, the others are made by the generator.
+CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
+# Length of the heading, a unit vector seen from above, below which it says nothing.
+_NO_HEADING = 1e-3
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
@@ -29,7 +34,7 @@ class Motion:
     joints : (F, J, 3, 4) float array
         World transforms from the rest pose to the pose of each frame, rigid.
     classes : (F,) int array
-        Class of motion of each frame, an index into :data:`garmentnet.data.store.CLASSES`.
+        Class of motion of each frame, an index into :data:`garmentnet.data.motion.CLASSES`.
     fps : float
     name : str
 
@@ -37,6 +42,12 @@ class Motion:
     ------
     InputError
         If shapes do not match, a number is not finite or a transform is not rigid.
+
+    Examples
+    --------
+    >>> still = Motion(np.tile(np.eye(3, 4), (10, 2, 1, 1)), np.zeros(10, int))
+    >>> still.n_frames, still.cut(2, 5).n_frames
+    (10, 3)
     """
 
     joints: NDArray[np.float64]
@@ -79,8 +90,16 @@ def interpolate(
 ) -> NDArray[np.float64]:
     """World transforms ``(n, J, 3, 4)`` at fractional frames `at`.
 
-    The root's path is linear and every relative rotation goes along its shortest arc, so that
-    no limb changes its length between frames.
+    The root moves linearly and every rotation relative to the parent by slerp, so that no limb
+    changes its length between frames.
+
+    Examples
+    --------
+    >>> body = Skeleton(("root",), [-1], [[0, 0, 0]])
+    >>> joints = np.tile(np.eye(3, 4), (2, 1, 1, 1))
+    >>> joints[1, 0, :, 3] = [1, 0, 0]
+    >>> interpolate(body, joints, np.array([0.25]))[0, 0, :, 3].tolist()
+    [0.25, 0.0, 0.0]
     """
     count = len(joints)
     at = np.clip(np.asarray(at, dtype=np.float64), 0, count - 1)
@@ -100,26 +119,28 @@ def lead_in(
 ) -> NDArray[np.float64]:
     """Transforms ``(moving + still, J, 3, 4)`` that bring the body at rest to the first pose.
 
-    It starts in the rest pose, set down where the first frame stands and turned as it faces;
-    then it holds the first pose.
+    The motion starts in the rest pose, at the place and with the heading of the first frame,
+    reaches the first pose after `moving` frames and holds it for `still` frames.
+
+    Examples
+    --------
+    >>> body = Skeleton(("root",), [-1], [[0, 1, 0]])
+    >>> joints = body.transforms([[2.0, 1.5, 0.0]], np.eye(3)[None, None])
+    >>> body.positions(lead_in(body, joints, 2, 1))[:, 0].tolist()
+    [[2.0, 1.0, 0.0], [2.0, 1.25, 0.0], [2.0, 1.5, 0.0]]
     """
     root, local = skeleton.pose(joints[:1])
     forward = local[0, 0] @ [0.0, 0.0, 1.0]
     # A body that looks straight up or down has no heading; its own x axis then gives one.
     heading = math.atan2(forward[0], forward[2])
-    if math.hypot(forward[0], forward[2]) < 1e-3:
+    if math.hypot(forward[0], forward[2]) < _NO_HEADING:
         side = local[0, 0] @ [1.0, 0.0, 0.0]
         heading = math.atan2(-side[2], side[0])
     rest_root = np.array([root[0, 0], skeleton.rest[0, 1], root[0, 2]])
     rest_local = np.broadcast_to(np.eye(3), local.shape[1:]).copy()
     rest_local[0] = Rotation.from_euler("y", heading).as_matrix()
     start = skeleton.transforms(rest_root[None], rest_local[None])
-    share = np.arange(moving) / max(1, moving)
-    share = share * share * (3 - 2 * share)
+    t = np.arange(moving) / max(1, moving)
+    t = t * t * (3 - 2 * t)  # starts and ends at rest
     both = np.concatenate([start, joints[:1]])
-    return np.concatenate(
-        [interpolate(skeleton, both, share), np.repeat(joints[:1], still, axis=0)]
-    )
-
-
-CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
+    return np.concatenate([interpolate(skeleton, both, t), np.repeat(joints[:1], still, axis=0)])

@@ -1,4 +1,4 @@
-"""The simulator's parameters that a network is asked about, and how it reads them."""
+"""Simulation parameters: bending, density, time scale, and their normalised form."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from ssdr.errors import InputError
 
 __all__ = ["RANGES", "SimulationParameters"]
 
-# Ranges that the parameters are meant for: [-1, 1] when normalised.
+# Ranges that the data sets cover, [-1, 1] when normalised; the units are those of
+# SimulationParameters.
 RANGES: Mapping[str, tuple[float, float]] = {
     "bending": (0.2, 2.0),
     "density": (0.1, 0.3),
@@ -23,7 +24,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
 
 @dataclasses.dataclass(frozen=True)
 class SimulationParameters:
-    """What a garment is made of and how fast its time runs.
+    """The cloth's material and the speed of its time.
 
     Parameters
     ----------
@@ -38,6 +39,11 @@ class SimulationParameters:
     ------
     InputError
         If one is not a positive, finite number.
+
+    Examples
+    --------
+    >>> print(SimulationParameters(bending=1.0))
+    bending 1, density 0.2, time scale 1
     """
 
     bending: float = 0.5
@@ -58,14 +64,26 @@ class SimulationParameters:
     def normalised(self) -> NDArray[np.float64]:
         """``(3,)`` logarithms of bending, density and time scale, [-1, 1] over :data:`RANGES`.
 
-        All three act by their ratio, so that steps of one factor lie equally far apart.
+        Logarithms, because all three act by their ratio: doubling one is a step of the same
+        length wherever it starts.
+
+        Examples
+        --------
+        >>> SimulationParameters(bending=2.0, density=0.1, time_scale=1.3).normalised()
+        array([ 1., -1.,  1.])
         """
         low, high = np.log(np.array([RANGES[f.name] for f in dataclasses.fields(self)])).T
         value = np.log([self.bending, self.density, self.time_scale])
         return np.asarray(2 * (value - low) / (high - low) - 1)
 
     def outside(self) -> tuple[str, ...]:
-        """Names of the parameters that lie outside :data:`RANGES`."""
-        beyond = np.abs(self.normalised()) > 1 + 1e-9
+        """Names of the parameters that lie outside :data:`RANGES`.
+
+        Examples
+        --------
+        >>> SimulationParameters(bending=5.0).outside()
+        ('bending',)
+        """
+        beyond = np.abs(self.normalised()) > 1 + 1e-9  # the ends themselves, with rounding
         names = (f.name for f in dataclasses.fields(self))
         return tuple(n for n, far in zip(names, beyond, strict=True) if far)

@@ -19,7 +19,8 @@ Float = NDArray[np.float64]
 __all__ = ["retarget"]
 
 
-# What others call the body's joints; left ones, right ones alike.
+# Names of the body's joints in other skeletons, in lower case (Daz, CMU, Mixamo and others);
+# right joints follow from the left ones.
 _NAMES = {
     "pelvis": ("hip", "hips", "pelvis", "root"),
     "abdomen": ("abdomen", "lowerback", "spine"),
@@ -45,12 +46,13 @@ _LIMBS = {"arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 
 
 def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "") -> Motion:
-    """Carry a motion over to another skeleton.
+    """Retarget a motion to another skeleton.
 
-    Joints are matched by name.  Every joint takes the world rotation that its namesake has
-    since the file's zero pose; the bones of arms and legs are first turned, by the shortest
-    arc, from the body's rest pose to that zero pose.  The root's path is scaled by the length
-    of the legs, begins over the origin and is lifted so that the feet stand on y = 0.
+    Joints are matched by name.  Every joint takes the world rotation of the joint of that name,
+    relative to the file's zero pose.  Arms and legs may point elsewhere in the body's rest pose
+    (A-pose against T-pose): the shortest rotation from the one direction to the other comes
+    first.  The root's path is scaled by the length of the legs, starts above the origin and is
+    raised so that the feet stand on y = 0.
 
     Parameters
     ----------
@@ -69,7 +71,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
     Raises
     ------
     InputError
-        If a joint that is needed has no namesake; the message says which.
+        If the file has no joint for one that is needed; the message says which.
     """
     if not (math.isfinite(fps) and 1 <= fps <= 1000):
         raise InputError("fps", "1 to 1000", fps)
@@ -80,14 +82,14 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
         zero[j] = bvh.offsets[j] + (zero[parent] if parent >= 0 else 0)
         own = bvh.rotations[:, j]
         world[:, j] = own if parent < 0 else world[:, parent] @ own
-    # Their up and left to ours: files differ in which axis is up and where the figure looks.
+    # Files differ in which axis is up and in which direction the figure faces.
     across = zero[source["thigh_l"]] - zero[source["thigh_r"]]
     down = (zero[source["foot_l"]] + zero[source["foot_r"]]) / 2 - zero[source["pelvis"]]
     up = -down / max(float(np.linalg.norm(down)), 1e-12)
     left = across - (across @ up) * up
     if np.linalg.norm(left) < 1e-9 or np.linalg.norm(down) < 1e-9:
         raise InputError("bvh", "hips with a left, a right and legs", "a skeleton without")
-    # To the nearest axes: a zero pose may lean a little, the world does not.
+    # Snapped to the nearest axes: a zero pose may lean a little, the file's axes do not.
     up, left = _axis(up), _axis(left)
     ours = np.stack([left, up, np.cross(left, up)])
     legs = sum(
@@ -122,8 +124,9 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
     path -= [path[0, 0], 0.0, path[0, 2]]
     joints = skeleton.transforms(path, local)
     soles = skeleton.positions(joints)[:, [skeleton.index(n) for n in ("foot_l", "foot_r")], 1]
-    # The lowest feet but for a few frames of noise stand on the floor.
+    # The second percentile, not the minimum: a few frames of noise may lie below the floor.
     joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - _rest(skeleton, "foot_l")[1]
+    # 1e-3 of a frame: a rate written as 0.0333333 s must not cost the last frame.
     frames = max(1, math.floor((count - 1) * fps / bvh.fps + 1e-3) + 1)
     at = np.arange(frames, dtype=np.float64) * (bvh.fps / fps)
     joints = interpolate(skeleton, joints, at)
@@ -165,9 +168,10 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
 def _first_frame(bvh: Bvh, world: Float) -> int:
     """First frame of the motion itself.
 
-    Converters put a pose of their own before it and leap from there within a few frames: left
-    out are leading frames much faster than the fastest of the motion.
+    Some converters put a calibration pose before the motion and jump from it within a few
+    frames.  The start is left out as long as it is much faster than the motion itself.
     """
+    # Frames that may be left out: 12 (0.1 s at 120 frames a second), at most a quarter.
     lead = min(12, bvh.n_frames // 4)
     if lead == 0:
         return 0
@@ -176,6 +180,7 @@ def _first_frame(bvh: Bvh, world: Float) -> int:
         if parent >= 0:
             heads[:, j] = heads[:, parent] + world[:, parent] @ bvh.offsets[j]
     speed = np.linalg.norm(np.diff(heads, axis=0), axis=2).max(axis=1)
+    # By half faster than the 99th percentile: faster than the motion ever is, but for noise.
     fast = speed[:lead] > 1.5 * np.percentile(speed[lead:], 99)
     return int(fast.argmin()) if not fast.all() else lead
 

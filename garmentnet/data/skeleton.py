@@ -1,4 +1,4 @@
-"""A body's joints: who hangs on whom, where they rest, and poses as rotations or transforms."""
+"""A body's skeleton: its joints' hierarchy and rest positions, poses of them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from ssdr.errors import InputError
 
 __all__ = ["REFLECTION", "Skeleton", "check_joints", "mirror_transforms"]
 
-# x to -x: the plane of symmetry of body and garment.
+# Reflection in the plane x = 0, the symmetry of body and garment.
 REFLECTION = np.diag([-1.0, 1.0, 1.0])
+# Largest entry of |RRᵀ − I| that still counts as a rotation; text files round to few digits.
+_ORTHOGONAL = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,7 +33,13 @@ class Skeleton:
     Raises
     ------
     InputError
-        If shapes do not match or parents do not come first.
+        If shapes do not match or a parent does not come before its child.
+
+    Examples
+    --------
+    >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+    >>> arm.n_joints, arm.index("fore")
+    (2, 1)
     """
 
     names: tuple[str, ...]
@@ -92,6 +100,13 @@ class Skeleton:
         -------
         (F, J, 3, 4) float64
             ``[R | T]`` from the rest pose to the pose.
+
+        Examples
+        --------
+        >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+        >>> still = np.tile(np.eye(3), (1, 2, 1, 1))
+        >>> arm.transforms([[0, 3, 0]], still)[0, 1, :, 3].tolist()
+        [0.0, 2.0, 0.0]
         """
         local = np.asarray(rotations, dtype=np.float64)
         place = np.asarray(root, dtype=np.float64)
@@ -113,7 +128,14 @@ class Skeleton:
         return np.concatenate([world, shift[..., None]], axis=-1)
 
     def positions(self, joints: ArrayLike) -> NDArray[np.float64]:
-        """Positions ``(F, J, 3)`` of the joints under world transforms ``(F, J, 3, 4)``."""
+        """Positions ``(F, J, 3)`` of the joints under world transforms ``(F, J, 3, 4)``.
+
+        Examples
+        --------
+        >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+        >>> arm.positions(np.eye(3, 4)[None, None].repeat(2, axis=1))[0, 1].tolist()
+        [1.0, 1.0, 0.0]
+        """
         m = self._checked(joints)
         return np.asarray(np.einsum("fjab,jb->fja", m[..., :3], self.rest) + m[..., 3])
 
@@ -121,6 +143,13 @@ class Skeleton:
         """Root positions ``(F, 3)`` and relative rotations ``(F, J, 3, 3)`` of world transforms.
 
         The inverse of :meth:`transforms`.
+
+        Examples
+        --------
+        >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+        >>> root, rotations = arm.pose(np.tile(np.eye(3, 4), (5, 2, 1, 1)))
+        >>> root[0].tolist(), rotations.shape
+        ([0.0, 1.0, 0.0], (5, 2, 3, 3))
         """
         m = self._checked(joints)
         world = m[..., :3]
@@ -140,7 +169,13 @@ class Skeleton:
 def mirror_transforms(joints: ArrayLike, mirror: ArrayLike) -> NDArray[np.floating]:
     """Reflect world transforms ``(F, J, 3, 4)`` in x: S M S of the joint on the other side.
 
-    They stay rigid: a reflection before and one after.
+    They stay rigid: one reflection comes before, one after.
+
+    Examples
+    --------
+    >>> moved = np.eye(3, 4)[None, None] + [0, 0, 0, 1]
+    >>> mirror_transforms(moved, [0])[0, 0, :, 3].tolist()
+    [-1.0, 1.0, 1.0]
     """
     m = np.asarray(joints)[:, np.asarray(mirror)]
     sign = np.outer([-1, 1, 1], [-1, 1, 1, 1]).astype(m.dtype)
@@ -154,7 +189,15 @@ def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
     ------
     InputError
         If the shape does not fit, a number is not finite or a 3×3 block is not a
-        rotation.
+        rotation; the message names frame and joint.
+
+    Examples
+    --------
+    >>> check_joints(np.eye(3, 4)[None, None], 1).shape
+    (1, 1, 3, 4)
+    >>> check_joints(2 * np.eye(3, 4)[None, None], 1)
+    Traceback (most recent call last):
+    ssdr.errors.InputError: joints: expected rigid transforms, got no rotation at frame 0, joint 0
     """
     m = np.asarray(joints, dtype=np.float64)
     if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):
@@ -165,7 +208,7 @@ def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
         raise InputError("joints", "finite numbers", f"NaN or Inf at frame {t}, joint {j}")
     r = m[..., :3]
     off = np.abs(r @ r.swapaxes(-1, -2) - np.eye(3)).max(axis=(2, 3))
-    bad = (off > 1e-3) | (np.linalg.det(r) < 0)
+    bad = (off > _ORTHOGONAL) | (np.linalg.det(r) < 0)
     if bad.any():
         t, j = (int(k) for k in np.argwhere(bad)[0])
         raise InputError("joints", "rigid transforms", f"no rotation at frame {t}, joint {j}")

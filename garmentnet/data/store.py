@@ -1,8 +1,8 @@
-"""Simulated clips on disk: written whole or not at all, opened lazily, checked as they are read.
+"""A store: simulated clips of one garment on one body, in a folder.
 
-A store is a folder of zarr arrays: the garment and the body once, and one group a clip with the
-garment's vertices, the body's joint transforms and the class of motion of every frame.  What
-trains, evaluates and predicts needs nothing else.
+Garment and body are stored once; each clip is a zarr group with the garment's vertices, the body's
+joint transforms and the class of motion of every frame.  A clip is on disk complete or not at all.
+Training, evaluation and prediction need nothing else.
 """
 
 from __future__ import annotations
@@ -49,9 +49,32 @@ class ClipStore(Outfit):
     ----------
     path : Path
     attributes : dict
-        What else the maker wrote down.
+        Further facts that :meth:`create` was told to store.
 
-    And those of :class:`~garmentnet.data.outfit.Outfit`.
+    The attributes of :class:`~garmentnet.data.outfit.Outfit` come first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from ssdr import Skinning
+    >>> triangle = np.eye(3, dtype=np.float32)
+    >>> body = Skinning(
+    ...     triangle, np.zeros((3, 1), int), np.ones((3, 1)), np.eye(3, 4)[None, None],
+    ...     faces=[[0, 1, 2]], bone_names=("root",),
+    ... )
+    >>> skeleton = Skeleton(("root",), [-1], [[0, 0, 0]])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = ClipStore.create(
+    ...         Path(folder) / "a.clips", rest=triangle, faces=[[0, 1, 2]], body=body,
+    ...         skeleton=skeleton,
+    ...     )
+    ...     clip = store.add(
+    ...         "still", vertices=[triangle] * 5, joints=[np.eye(3, 4)[None]] * 5,
+    ...         classes=[0] * 5, split="train", motion="still", seed=0,
+    ...         parameters=SimulationParameters(), quality={"accepted": True}, provenance={},
+    ...     )
+    ...     store.names("train"), clip.n_frames, clip.sequence.n_vertices
+    (('still',), 5, 3)
     """
 
     path: Path
@@ -74,12 +97,28 @@ class ClipStore(Outfit):
         pinned: ArrayLike | None = None,
         attributes: Mapping[str, Any] | None = None,
     ) -> ClipStore:
-        """Make an empty store, or open the one that is there if it is of the same garment.
+        """Make an empty store, or open an existing one of the same garment and body.
+
+        Parameters
+        ----------
+        path : path
+        rest : (V, 3) array
+            The garment on the body at rest, metres.
+        faces : (T, 3) int array
+        body : Skinning
+        skeleton : Skeleton
+            With the names of the body's bones.
+        fps : float
+        mirror_vertices : (V,) int array, optional
+        pinned : (V,) bool array, optional
+            None by default.
+        attributes : mapping, optional
+            Further facts to store, plain JSON.
 
         Raises
         ------
         InputError
-            If an array is not usable, or `path` is something else or a store of another
+            If an array does not fit, or `path` is something else or a store of another
             garment, body or frame rate.
         """
         target = Path(path)
@@ -183,16 +222,16 @@ class ClipStore(Outfit):
         accepted: bool | None = True,
         perturbed: bool | None = False,
     ) -> tuple[str, ...]:
-        """Names of the clips, sorted; those chosen by what is given.
+        """Names of the clips, sorted, that meet all conditions.
 
         Parameters
         ----------
         split : {"train", "validation", "test"}, optional
         parameters : SimulationParameters, optional
         accepted : bool or None
-            Whether the quality gate took them; None: either.
+            Whether the quality gate accepted them; None: either.
         perturbed : bool or None
-            Whether their start was moved to measure chaos; None: either.
+            Whether their first frame was perturbed to measure chaos; None: either.
         """
         if split is not None and split not in get_args(Split):
             raise InputError("split", f"one of {get_args(Split)}", repr(split))
@@ -211,7 +250,7 @@ class ClipStore(Outfit):
         return tuple(chosen)
 
     def clip(self, name: str) -> Clip:
-        """The clip `name`; with :data:`MIRRORED` behind its name, reflected.
+        """A clip by its name; reflected if the name ends in ``~mirrored``.
 
         Raises
         ------
@@ -254,7 +293,7 @@ class ClipStore(Outfit):
         return tuple(sorted(count, key=lambda p: (-count[p], dataclasses.astuple(p))))
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Names of accepted clips with the same one from a start that was moved a little."""
+        """Names of each accepted clip and of the same clip from a perturbed first frame."""
         found = []
         for twin in self.clips(perturbed=True):
             original = str(twin.provenance.get("repeat_of", ""))
@@ -284,7 +323,7 @@ class ClipStore(Outfit):
         provenance: Mapping[str, Any],
         perturbation: float = 0.0,
     ) -> Clip:
-        """Write a clip; it appears when it is complete.
+        """Write a clip; it is in the store when it is complete.
 
         Parameters
         ----------
@@ -295,13 +334,14 @@ class ClipStore(Outfit):
             From the body's rest pose to the pose of each frame.
         classes : (F,) int array
         split, motion, parameters, seed, quality, provenance, perturbation
-            As in :class:`Clip`.  `quality` must state ``accepted``; only clips that are not may
-            hold NaN or Inf.
+            As in :class:`Clip`.  `quality` must hold a bool ``accepted``; only a clip that is not
+            accepted may hold NaN or Inf.
 
         Raises
         ------
         InputError
-            If the name is taken or not usable, shapes do not match or numbers are not finite.
+            If the name is taken or has other characters, shapes do not match or numbers are
+            not finite.
         """
         if not (isinstance(name, str) and _NAME.match(name)):
             raise InputError("name", "letters, digits, '_', '.' and '-'", repr(name))
@@ -341,7 +381,10 @@ class ClipStore(Outfit):
         return self.clip(name)
 
     def sweep(self) -> int:
-        """Remove what killed writers left behind; their number.  Only while nobody writes."""
+        """Remove incomplete clips that killed writers left behind; their number.
+
+        Only while nobody writes to the store.
+        """
         left = [p for p in (self.path / "clips").iterdir() if p.name.startswith(".")]
         for path in left:
             remove(path)

@@ -1,4 +1,4 @@
-"""What a network must know of a store: virtual bones, body, skeleton, frame rate, identity."""
+"""Whom a network was trained for: virtual bones, body, skeleton, frame rate."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ __all__ = ["Subject", "mesh_identity"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Subject:
-    """Who wears what: all that a network needs to know of the store.
+    """Garment and body that a network was trained for.
 
     Attributes
     ----------
     garment : Skinning
-        Rest pose P, weights W and faces of the virtual bones; its transforms are
-        of no use.
+        Rest pose P, weights W and faces of the virtual bones; one frame, at rest.
     body : Skinning
     skeleton : Skeleton
     fps : float
     garment_id : str
-        Of the simulated mesh; see :func:`mesh_identity`.
+        Hash of the simulated mesh; see :func:`mesh_identity`.
     """
 
     garment: Skinning
@@ -39,14 +38,20 @@ class Subject:
 
     @property
     def body_id(self) -> str:
-        """Identity of the body: its mesh, its weights and its joints' tree."""
+        """Hash of the body's mesh, weights and skeleton."""
         b, s = self.body, self.skeleton
         names = ",".join(s.names).encode()
         return _digest(b.rest, b.joints, b.weights, b.faces, s.parents, s.rest, names)
 
 
 def mesh_identity(rest: Any, faces: Any) -> str:
-    """A mesh's name: the same for the same rest pose (as float32) and triangles."""
+    """Hash of a mesh: equal for equal rest poses (as float32) and triangles.
+
+    Examples
+    --------
+    >>> mesh_identity([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    '98c4edc67b8ce133'
+    """
     return _digest(np.asarray(rest, np.float32), np.asarray(faces, np.int32))
 
 

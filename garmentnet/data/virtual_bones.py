@@ -1,9 +1,8 @@
-"""Low and high frequencies of all clips, and one set of virtual bones for them.
+"""Virtual bones of a garment, and the low and high frequencies of its clips.
 
-One rest pose and one set of weights come from training frames of the training
-sets; every clip then gets its own transforms by refitting.  All of it is kept in
-a folder beside the store, clip by clip, so that it is made once and continues
-where it was stopped.
+`ssdr.decompose` finds one rest pose and one set of skin weights from training frames; every clip's
+transforms are then fitted to its low frequencies.  The results are stored in a folder beside the
+store, one clip at a time, so that an interrupted run continues and nothing is computed twice.
 """
 
 from __future__ import annotations
@@ -37,15 +36,23 @@ from .subject import Subject, mesh_identity
 
 __all__ = ["ClipBones", "VirtualBones", "parameter_roles", "virtual_bones"]
 
+# Refitting ends when a sweep lowers the error by less than this fraction: about 1 µm of 10 mm.
+_TOLERANCE = 1e-4
+_SWEEPS = 30  # at most
+
 _logger = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
 
 
 def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
-    """Whether networks may learn from a parameter set: "train", "validation" or "test".
+    """The split of every parameter set: "train", "validation" or "test".
 
-    As the clips' provenance states it under ``parameter_split``; "train" where
-    it does not.
+    It is stored as ``parameter_split`` in the clips' provenance; "train" where it is missing.
+
+    Raises
+    ------
+    FormatError
+        If clips of one parameter set disagree.
     """
     roles: dict[SimulationParameters, str] = {}
     for clip in store.clips():
@@ -57,16 +64,18 @@ def parameter_roles(store: ClipStore) -> dict[SimulationParameters, str]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClipBones:
-    """What is kept of a clip; mirrored as it is read, where the clip is.
+    """Low and high frequencies of a clip and the transforms of its virtual bones.
 
     Attributes
     ----------
     low, high : (F, V, 3) float32, in world coordinates
-        Memory maps; `frames` of them, by :meth:`read`.
+        Memory maps of the clip that is not mirrored; see :meth:`read`.
     transforms : (F, B, 3, 4) float32
-        Of the virtual bones, fitted to `low`; of the clip that is not mirrored.
+        Of the virtual bones, fitted to `low`; likewise not mirrored.
     rmse : float
         Of LBS against `low`, metres.
+    permutation : (V,) int32 or None
+        The vertex on the other side of each: :meth:`read` reflects the clip.
     """
 
     low: NDArray[np.float32]
@@ -76,17 +85,17 @@ class ClipBones:
     permutation: NDArray[np.int32] | None = None
 
     def read(self, part: str, frames: Any = slice(None)) -> NDArray[np.float32]:
-        """Frames of "low" or "high" in memory."""
+        """Frames of "low" or "high" in memory, reflected if the clip is mirrored."""
         block = np.array(getattr(self, part)[frames])  # a copy: the map cannot be written to
         if self.permutation is not None:
-            # The operator belongs to a symmetric rest pose: it commutes with the reflection.
+            # Smoothing commutes with the reflection, because the rest pose is symmetric.
             block = block[:, self.permutation] * np.array([-1, 1, 1], np.float32)
         return block
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VirtualBones:
-    """The bones of a garment and where their clips lie.
+    """The virtual bones of a garment, and the folder with the parts of its clips.
 
     Attributes
     ----------
@@ -107,22 +116,22 @@ class VirtualBones:
 
     @property
     def subject(self) -> Subject:
-        """What a network needs to know."""
+        """Garment and body, as a network takes them."""
         store = self.store
         identity = mesh_identity(store.rest, store.faces)
         return Subject(self.skinning, store.body, store.skeleton, store.fps, identity)
 
     def smoother(self) -> LaplacianSmoother:
-        """The operator of the split, in the metric of the garment's rest pose."""
+        """The Laplacian smoother that splits low from high frequencies, on the rest pose."""
         return LaplacianSmoother(self.store.rest, self.store.faces, self.options.length)
 
     def clip(self, name: str) -> ClipBones:
-        """What is kept of a clip, computed if it is not there yet.
+        """The parts of a clip, computed at the first call.
 
         Raises
         ------
         FormatError
-            If a file of it is damaged, or of another garment.
+            If a file is damaged or of another garment.
         """
         clip = self.store.clip(name)
         original = clip if not clip.is_mirrored else self.store.clip(str(clip.mirrored_of))
@@ -166,8 +175,8 @@ class VirtualBones:
             joints=s.joints,
             weights=s.weights,
             bones=s.n_bones,
-            tolerance=1e-4,
-            max_sweeps=30,
+            tolerance=_TOLERANCE,
+            max_sweeps=_SWEEPS,
         )
         parts = {"low": low, "high": vertices - low, "transforms": fit.transforms}
         stated: dict[str, Any] = {
@@ -184,7 +193,7 @@ class VirtualBones:
         write_file(self.folder / "clips" / f"{clip.name}.json", json.dumps(stated).encode())
 
     def prepare(self, names: Sequence[str], progress: Progress | None = None) -> dict[str, Any]:
-        """Make what is missing of the named clips.
+        """Compute the parts of the named clips where they are missing.
 
         Returns
         -------
@@ -216,19 +225,19 @@ def virtual_bones(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> VirtualBones:
-    """The virtual bones of a store: read where they were made before, else made.
+    """The virtual bones of a store; read if they were computed before.
 
     Parameters
     ----------
     store : ClipStore
     options : BoneOptions
     folder : path, optional
-        ``<store>.bones`` beside the store by default; each set of options and
-        training clips has a folder of its own in it.
+        ``<store>.bones`` beside the store by default, with one folder inside for each set of
+        options and training clips.
     time_limit : float, optional
         Seconds that the decomposition may take.
     progress : callable, optional
-        Called with what is being done and the share that is done.
+        Called with a description of the current step and the fraction that is done.
 
     Raises
     ------
@@ -336,7 +345,7 @@ def _document(path: Path, keys: Sequence[str]) -> dict[str, Any]:
 
 
 def _digest(store: ClipStore, names: Sequence[str]) -> str:
-    # What a clip states holds all that it was made from, and measures of what came out.
+    # A clip's attributes hold everything that it was made from, and measurements of the result.
     h = hashlib.sha256()
     for name in names:
         h.update((store.path / "clips" / name / "zarr.json").read_bytes())

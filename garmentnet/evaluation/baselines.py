@@ -22,7 +22,7 @@ from ..configs.config import FeatureOptions
 from ..data.skin_weights import strongest
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
-from ..networks.features import PoseFeatures
+from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import BoneCode
 from ..networks.skinning import TorchSkinning
 
@@ -132,9 +132,7 @@ class Ridge:
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
         clip, kept = bones.store.clip(name), bones.clip(name)
         x, frame, _ = self.features(clip.joints)
-        m = np.asarray(kept.transforms, np.float64)
-        r, t = frame[:, None, :, :3].swapaxes(-1, -2), frame[:, None, :, 3:]
-        local = r @ np.concatenate([m[..., :3], m[..., 3:] - t], axis=-1)
+        local = transforms_in_frame(kept.transforms, frame)
         return x, self.code.numbers(local).reshape(len(x), -1)
 
     def _design(self, x: NDArray[np.float64]) -> NDArray[np.float64]:

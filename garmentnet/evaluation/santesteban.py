@@ -16,6 +16,8 @@ from torch import Tensor, nn
 from ..configs.config import Config
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
+from ..networks.features import transforms_in_frame
+from ..networks.losses import frame_norm
 from ..networks.network import MotionNetwork
 from ..networks.skinning import apply_frame
 from ..training.batches import Batch, Track, load_tracks
@@ -85,9 +87,7 @@ class Santesteban(nn.Module):
         features, frame, _ = reader.features(joints)
         x = reader.inputs(features, parameters)[None].to(self.mean.device)
         offsets = self(x)[0][0].cpu()
-        local = np.asarray(joints, np.float64).copy()
-        local[..., 3] -= frame[:, None, :, 3]
-        local = frame[:, None, :, :3].swapaxes(-1, -2) @ local
+        local = transforms_in_frame(joints, frame)
         out = []
         for i in range(0, len(local), 128):
             part = slice(i, i + 128)
@@ -111,8 +111,7 @@ class SantestebanObjective:
         truth = torch.cat([t.target("low", s) + t.target("high", s) for t, s in windows])
         joints = torch.cat([t.joints(s) for t, s in windows])
         posed = self.module.pose(offsets[batch.mask.to(device)], joints.to(device))
-        gap = posed - truth.to(device)
-        return (gap.square().sum(-1).mean(-1) + 1e-12).sqrt().mean(), state
+        return frame_norm(posed - truth.to(device)), state
 
     def validate(self) -> float:
         square, count = 0.0, 0

@@ -1,8 +1,8 @@
-"""Networks on disk: safetensors with a JSON document, nothing that is ever executed.
+"""Checkpoints: networks in a safetensors file with a JSON document; nothing in it is executed.
 
-A checkpoint carries all that prediction needs: configuration, statistics, the
-virtual bones' rest pose and weights, the body and its skeleton, and for an
-ensemble every pivot and the kernel.
+A checkpoint holds everything that prediction needs: configuration, statistics, rest pose and skin
+weights of the virtual bones, the body and its skeleton, and for an ensemble every pivot and the
+kernel.  It names no Python module, so it does not depend on where the code lies.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ __all__ = [
 ]
 
 _FORMAT, _VERSION = "garmentnet checkpoint", 1
-_MAX_SKINNING = 4 << 30  # bytes of the dense skinning matrix that a file may ask for
+# Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
+# 80 bones in float32.
+_MAX_SKINNING = 4 << 30
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,7 +57,8 @@ class Checkpoint:
     ----------
     networks : tuple of MotionNetwork
     parameters : tuple of SimulationParameters or None
-        What each was trained on; None: all training sets (a network that reads them).
+        Simulation parameters that each network was trained on; None: all training sets, for a
+        network that reads them.
     kernel : Kernel or None
         Of an ensemble.
     """
@@ -85,14 +88,19 @@ class Checkpoint:
     def motions(
         self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
     ) -> list[Motion]:
-        """What the checkpoint says of a motion, whatever kind it is.
+        """Predict a motion with the network or the ensemble.
 
         Parameters
         ----------
         joints : (F, J, 3, 4) array
         parameters : SimulationParameters, optional
-            For an ensemble and a network that reads them; a single network answers
-            for its own.
+            For an ensemble and a network that reads them; other networks have parameters of
+            their own.
+
+        Raises
+        ------
+        InputError
+            If the parameters are missing, or the joints do not fit the body.
         """
         if self.kernel is not None or self.networks[0].condition:
             if parameters is None:
@@ -107,12 +115,12 @@ class Checkpoint:
     def predict(
         self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
     ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)``; arguments as :meth:`motions`."""
+        """World positions ``(F, V, 3)``, metres; arguments as :meth:`motions`."""
         parts = self.motions(joints, parameters, detail=detail)
         return np.concatenate([m.vertices() for m in parts])
 
     def check_fits(self, store: ClipStore) -> None:
-        """Raise InputError unless the store is of this garment on this body."""
+        """Raise InputError unless the store has this garment, body and frame rate."""
         own, other = self.subject.garment_id, mesh_identity(store.rest, store.faces)
         if own != other:
             raise InputError(
@@ -130,7 +138,7 @@ class Checkpoint:
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
-    """Write a checkpoint; the file appears when it is complete."""
+    """Write a checkpoint under a temporary name; the file is renamed when it is complete."""
     subject = checkpoint.subject
     garment, body, skeleton = subject.garment, subject.body, subject.skeleton
     tensors: dict[str, Tensor] = {}
@@ -229,13 +237,13 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
 
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
-    """Give a module of a network the weights and statistics of another's.
+    """Copy weights and statistics from a checkpoint into a module of a network.
 
     Parameters
     ----------
     network : MotionNetwork
     start : Checkpoint
-        Of a single network of the same sizes on the same bones.
+        Of a single network with the same sizes and virtual bones.
     part : {"low", "high"}
 
     Raises
@@ -255,17 +263,17 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
-    """Write tensors and JSON documents to one safetensors file, whole or not at all."""
+    """Write tensors and JSON documents to one safetensors file, complete or not at all."""
     safetensors = require("safetensors.torch", "garmentnet", "a checkpoint")
-    # One entry: several would be written in an order that changes from run to run.
+    # One entry, because several are written in an order that changes from run to run.
     text = json.dumps(documents, sort_keys=True)
-    # Tensors may share memory; the format has no word for that.
+    # Tensors may share memory, which the format cannot express.
     plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
     with writing(path), atomic_path(path) as temporary:
         temporary.touch()
         mode = temporary.stat().st_mode
         safetensors.save_file(plain, str(temporary), metadata={"garmentnet": text})
-        # It leaves the file readable by its owner alone.
+        # safetensors makes the file readable by its owner alone.
         temporary.chmod(mode)
     return path
 
@@ -278,7 +286,7 @@ def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], 
     InputError
         If there is no such file.
     FormatError
-        If the file is no such file, lacks a document or holds NaN or Inf.
+        If the file is of another format, lacks a document or holds NaN or Inf.
     """
     safetensors = require("safetensors", "garmentnet", "a checkpoint")
     if not path.is_file():
@@ -318,7 +326,7 @@ def _skinning(
 def _network(
     config: Config, subject: Subject, stated: dict[str, Any], part: dict[str, Tensor]
 ) -> MotionNetwork:
-    # Sizes are compared with the tensors that are there before anything is allocated.
+    # The sizes of the configuration are checked against the tensors before anything is allocated.
     o, n = config.high, subject.garment.n_vertices
     low = config.low.hidden
     sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}

@@ -1,11 +1,7 @@
-"""Networks of several simulation parameters as one (Pan et al. 2022, section 4.4).
+"""Networks of several simulation parameters, mixed by a kernel (Pan et al. 2022, section 4.4).
 
-All pivots share rest pose, weights and moving frame, so that
-Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i): the low-frequency mesh costs one skinning.
-
-Everything that is learned or chosen here needs of the predictions only their
-Gram matrices: for a training set s with residuals r_i = G_i − Ĝ_s of every
-network i, ‖Σ w_i G_i − Ĝ_s‖² = wᵀ Q_s w with Q_s = ⟨r_i, r_j⟩, because Σ w = 1.
+All pivots have the same rest pose, skin weights and moving frame.  LBS is linear in the transforms,
+so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i): the low-frequency mesh is skinned once.
 """
 
 from __future__ import annotations
@@ -20,7 +16,7 @@ from torch import Tensor, nn
 
 from ssdr.errors import InputError
 
-from .network import Motion, MotionNetwork, NetworkState
+from .network import FRAMES_AT_ONCE, Motion, MotionNetwork, NetworkState
 
 __all__ = ["Ensemble", "Kernel"]
 
@@ -37,7 +33,13 @@ class Kernel(nn.Module):
     hidden, latent : int
         Widths of the MLP g.
     sigma : float
-        Bandwidth.
+        Bandwidth, in the units of g.
+
+    Examples
+    --------
+    >>> kernel = Kernel()
+    >>> kernel.weights([[0.0, 0, 0], [1, 1, 1]], [0.5, 0.5, 0.5]).sum().round(6)
+    np.float64(1.0)
     """
 
     def __init__(
@@ -53,11 +55,11 @@ class Kernel(nn.Module):
     def forward(self, pivots: Tensor, theta: Tensor) -> Tensor:
         """Weights ``(..., K)``, summing to 1, of pivots ``(..., K, P)`` at ``(..., P)``."""
         gap = (self.g(pivots) - self.g(theta)[..., None, :]).square().sum(-1)
-        # A softmax is the normalised kernel, and safe where every Ψ underflows.
+        # The normalised kernel is a softmax, which does not divide by 0 where every Ψ underflows.
         return torch.softmax(-gap / (2 * self.sigma**2), dim=-1)
 
     def weights(self, pivots: Any, theta: Any) -> Array:
-        """As :meth:`forward`, of arrays."""
+        """As :meth:`forward`, for arrays."""
         with torch.no_grad():
             out = self(
                 torch.as_tensor(np.asarray(pivots, float)),
@@ -81,7 +83,7 @@ class Ensemble:
     Raises
     ------
     InputError
-        If the networks do not share rest pose, weights and moving frame.
+        If the networks differ in rest pose, skin weights or moving frame.
     """
 
     networks: tuple[MotionNetwork, ...]
@@ -118,7 +120,7 @@ class Ensemble:
         weights: Any,
         detail: bool = True,
     ) -> tuple[Motion, tuple[NetworkState, ...]]:
-        """As :meth:`MotionNetwork.run`, mixed with the given weights."""
+        """As :meth:`MotionNetwork.run`, mixed with `weights` ``(K,)``."""
         w = np.asarray(weights, float)
         before = state or (None,) * len(self.networks)
         runs = [n.run(joints, s, detail=detail) for n, s in zip(self.networks, before, strict=True)]
@@ -135,10 +137,10 @@ class Ensemble:
         return Motion(transforms, low, high, motions[0].frame), tuple(s for _, s in runs)
 
     def motions(self, joints: Any, *, weights: Any, detail: bool = True) -> list[Motion]:
-        """The motion in pieces of bounded length, in order."""
+        """The motion in parts of at most 128 frames."""
         joints, state, out = np.asarray(joints), None, []
-        for start in range(0, max(1, len(joints)), 128):
-            part = joints[start : start + 128]
+        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
+            part = joints[start : start + FRAMES_AT_ONCE]
             motion, state = self.run(part, state, weights=weights, detail=detail)
             out.append(motion)
         return out

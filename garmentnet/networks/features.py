@@ -1,7 +1,7 @@
-"""From joint transforms to what a network reads, and to the frame in which it answers.
+"""Pose features: a network's input, and the moving frame of its output.
 
-Everything is causal and carries its own state, so that a motion in one piece,
-in pieces and frame by frame gives the same numbers.
+Features depend on past frames only, through a state that is handed on: a motion gives the same
+numbers all at once, in parts and frame by frame.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from ssdr.rigid import sixd_from_matrix
 from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints
 
-__all__ = ["Normaliser", "PoseFeatures", "PoseState"]
+__all__ = ["Normaliser", "PoseFeatures", "PoseState", "transforms_in_frame"]
 
 Array = NDArray[np.float64]
+# Length of the twist's sine and cosine, at most 2, below which the body is upside down.
+_UPSIDE_DOWN = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PoseState:
-    """What the features of the next frame need of those before."""
+    """What the features of the next frame need of earlier frames; positions in metres."""
 
     first: Array
     position: Array
@@ -35,13 +37,21 @@ class PoseState:
 
 
 class PoseFeatures:
-    """Features of a pose and the moving frame of the answer.
+    """Features of a pose, and the moving frame in which the network predicts.
 
     Parameters
     ----------
     skeleton : Skeleton
     options : FeatureOptions
     fps : float
+
+    Examples
+    --------
+    >>> body = Skeleton(("root",), [-1], [[0, 1, 0]])
+    >>> features = PoseFeatures(body, FeatureOptions(), fps=30)
+    >>> x, frame, state = features(np.tile(np.eye(3, 4), (5, 1, 1, 1)))
+    >>> x.shape, features.size, frame.shape
+    ((5, 6), 6, (5, 3, 4))
     """
 
     def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
@@ -65,13 +75,13 @@ class PoseFeatures:
         joints : (F, J, 3, 4) array
             World transforms from the body's rest pose.
         state : PoseState, optional
-            Of the frame before; without it the motion starts here, from rest.
+            Of the frame before; None: the motion starts here, from rest.
 
         Returns
         -------
         features : (F, D) float64
         frame : (F, 3, 4) float64
-            From the frame of the answer to the world.
+            From the moving frame to the world.
         state : PoseState
 
         Raises
@@ -114,13 +124,19 @@ class PoseFeatures:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Normaliser:
-    """Features to numbers around 1.
+    """Features scaled to zero mean and unit deviation.
 
     Attributes
     ----------
     mean, deviation : (D,) float64
     clamp : float
         Largest absolute value on return; 0: none.
+
+    Examples
+    --------
+    >>> normaliser = Normaliser.fit([np.array([[0.0], [2.0]])], floor=0.1, clamp=5.0)
+    >>> normaliser(np.array([[2.0], [90.0]])).tolist()
+    [[1.0], [5.0]]
     """
 
     mean: Array
@@ -131,8 +147,8 @@ class Normaliser:
     def fit(cls, features: list[Array], *, floor: float, clamp: float) -> Normaliser:
         """Mean and deviation over all frames; a deviation below `floor` counts as `floor`.
 
-        A feature that hardly moves in training would otherwise explode on a
-        motion where it does.
+        A feature that hardly changes in training would otherwise become huge on a motion where
+        it does.
         """
         count = sum(len(f) for f in features)
         mean = sum(f.sum(axis=0) for f in features) / count
@@ -146,13 +162,28 @@ class Normaliser:
         return (z if self.clamp <= 0 else z.clip(-self.clamp, self.clamp)).astype(np.float32)
 
 
+def transforms_in_frame(transforms: Any, frame: Array) -> Array:
+    """World transforms ``(F, J, 3, 4)`` relative to a moving frame ``(F, 3, 4)``.
+
+    Examples
+    --------
+    >>> frame = np.eye(3, 4)[None] + [0, 0, 0, 1]
+    >>> transforms_in_frame(np.eye(3, 4)[None, None], frame)[0, 0, :, 3].tolist()
+    [-1.0, -1.0, -1.0]
+    """
+    m = np.array(transforms, np.float64)
+    m[..., 3] -= frame[:, None, :, 3]
+    moved: Array = frame[:, None, :, :3].swapaxes(-1, -2) @ m
+    return moved
+
+
 def _heading(root: Array) -> Array:
-    # The twist about y of swing and twist: unlike the direction of the projected
-    # z axis it is well defined until the body is upside down.
+    # The twist about y of the swing–twist decomposition: unlike the direction of the z axis seen
+    # from above it is defined until the body is upside down.
     s, c = root[:, 0, 2] - root[:, 2, 0], root[:, 0, 0] + root[:, 2, 2]
     size = np.hypot(s, c)
-    s = np.divide(s, size, out=np.zeros_like(s), where=size > 1e-12)
-    c = np.divide(c, size, out=np.ones_like(c), where=size > 1e-12)
+    s = np.divide(s, size, out=np.zeros_like(s), where=size > _UPSIDE_DOWN)
+    c = np.divide(c, size, out=np.ones_like(c), where=size > _UPSIDE_DOWN)
     o = np.zeros_like(s)
     return np.stack([c, o, s, o, o + 1, o, -s, o, c], axis=-1).reshape(-1, 3, 3)
 

@@ -1,4 +1,4 @@
-"""D_HF: detail on the low-frequency mesh (Pan et al. 2022, section 4.3)."""
+"""The high-frequency module: detail on the low-frequency mesh (Pan et al. 2022, section 4.3)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,13 @@ __all__ = ["EdgeConv", "HighFrequency", "neighbour_table"]
 def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     """Neighbours ``(V, D)`` of every vertex by the mesh's edges.
 
-    Rows are filled up by repeating a neighbour, which a maximum does not see; a
-    vertex without any is its own.
+    Short rows repeat their last neighbour, which does not change a maximum; a vertex without
+    neighbours is its own.
+
+    Examples
+    --------
+    >>> neighbour_table([[0, 1, 2]], 4).tolist()
+    [[1, 2], [0, 2], [0, 1], [3, 3]]
     """
     faces = np.asarray(faces, dtype=np.int64)
     ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -34,9 +39,9 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
 
 
 class _Highest(torch.autograd.Function):
-    """Maximum over the neighbours; its slope goes to the first that attains it.
+    """Maximum over the neighbours; its gradient goes to the first that attains it.
 
-    Written out because PyTorch's own would keep and mask two tensors for every neighbour.
+    Written out because autograd would store two tensors for every neighbour.
     """
 
     @staticmethod
@@ -67,16 +72,22 @@ class _Highest(torch.autograd.Function):
 class EdgeConv(nn.Module):
     """x_i' = max_j act(W [x_i, x_j − x_i] + b) over the neighbours j (Wang et al. 2019).
 
-    One linear layer and an activation that never falls: then the maximum passes
-    through it, and with W = [W_a, W_b] it is act((W_a − W_b) x_i + b + max_j W_b x_j):
-    products a vertex, not an edge, and a gather.
+    The activation is monotone, so the maximum can be taken before it.  With W = [W_a, W_b] the
+    layer is act((W_a − W_b) x_i + b + max_j W_b x_j): matrix products for every vertex instead of
+    every edge, and a gather.
 
     Parameters
     ----------
     inputs, outputs : int
     scale : float
-        Divides x_j − x_i; the length of an edge where x are positions, whose
-        differences would be tiny beside them.
+        Divides x_j − x_i: the mean edge length where x are positions, so that differences are
+        of the size of the positions.
+
+    Examples
+    --------
+    >>> layer = EdgeConv(3, 8)
+    >>> layer(torch.zeros(4, 2, 3), neighbour_table([[0, 1, 2], [0, 2, 3]], 4)).shape
+    torch.Size([4, 2, 8])
     """
 
     def __init__(self, inputs: int, outputs: int, scale: float = 1.0) -> None:
@@ -85,7 +96,7 @@ class EdgeConv(nn.Module):
         self.scale = scale
 
     def forward(self, x: Tensor, neighbours: Tensor) -> Tensor:
-        """``(V, N, outputs)`` of ``(V, N, inputs)``: vertices first, rows are gathered whole."""
+        """``(V, N, outputs)`` of ``(V, N, inputs)``; with vertices first a gather copies rows."""
         own, step = self.linear.weight.chunk(2, dim=1)
         step = step / self.scale
         away = x @ step.T
@@ -94,23 +105,33 @@ class EdgeConv(nn.Module):
 
 
 class HighFrequency(nn.Module):
-    """Global features by a GRU, local ones by EdgeConv, one MLP for all vertices.
+    """Detail from global features (GRU) and local features (EdgeConv), by one MLP for all vertices.
 
     Parameters
     ----------
     inputs : int
-        Numbers a frame that the GRU reads: the bones' motion.
+        Numbers that the GRU reads in a frame: the motion of the bones.
     faces : (T, 3) int array
     n_vertices : int
     hidden : int
     global_features : int
         Of each vertex.
     edge_features : sequence of int
-        Widths of the EdgeConv layers; empty: no local stream.
+        Widths of the EdgeConv layers; empty: no local features.
     mlp : sequence of int
         Widths of the hidden layers.
     edge_length : float
         Mean length of an edge, metres.
+
+    Examples
+    --------
+    >>> module = HighFrequency(
+    ...     6, [[0, 1, 2]], 3, hidden=8, global_features=4, edge_features=[5], mlp=[8],
+    ...     edge_length=0.03,
+    ... )
+    >>> detail, state = module(torch.zeros(1, 5, 6), torch.zeros(1, 5, 3, 3))
+    >>> detail.shape
+    torch.Size([1, 5, 3, 3])
     """
 
     neighbours: Tensor
@@ -158,10 +179,10 @@ class HighFrequency(nn.Module):
         ----------
         x : (N, T, inputs)
         low : (N, S, V, 3)
-            Low-frequency mesh of the chosen frames, in the frame of the answer.
+            Low-frequency mesh of the chosen frames, in the moving frame.
         state : (1, N, H), optional
         frames : (N, S) int, optional
-            The frames that are wanted; all by default.
+            Frames whose detail is computed; all by default.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Terms of the losses, each the mean over frames (Pan et al. 2022, sections 4.2 and 4.3)."""
+"""Terms of the losses, means over frames (Pan et al. 2022, sections 4.2 and 4.3)."""
 
 from __future__ import annotations
 
@@ -15,38 +15,58 @@ from ssdr.laplacian import uniform_laplacian
 
 from .skinning import TorchSkinning, apply_frame
 
-__all__ = ["BodyShape", "closest_vertices", "collision_depth", "frame_norm", "mesh_laplacian"]
+__all__ = [
+    "EXACT",
+    "BodyShape",
+    "closest_vertices",
+    "collision_depth",
+    "frame_norm",
+    "mesh_laplacian",
+]
 
-_PAIRS = 1 << 24  # distances held at once in the search for closest vertices
+# Square of 1 µm: a fit that is exact has no direction, and its gradient must stay finite.
+EXACT = 1e-12
+# Distances that the search for closest vertices has in memory at once: 64 MiB in float32.
+_PAIRS = 1 << 24
 
 
 def frame_norm(difference: Tensor, mask: Tensor | None = None) -> Tensor:
     """Mean over frames of ‖d‖₂ / √V, the RMSE of a frame.
 
-    The paper's norm is not squared; over √V it does not depend on resolution.
+    The paper's norm is not squared; divided by √V it does not depend on resolution.
 
     Parameters
     ----------
     difference : (..., V, 3)
     mask : (...) bool, optional
         Frames that count.
+
+    Examples
+    --------
+    >>> float(frame_norm(torch.ones(2, 5, 3)).square().round())
+    3.0
     """
-    # An exact fit has no direction; the floor (1 µm) keeps its gradient finite.
-    norm: Tensor = (difference.square().sum(-1).mean(-1) + 1e-12).sqrt()
+    norm: Tensor = (difference.square().sum(-1).mean(-1) + EXACT).sqrt()
     if mask is None:
         return norm.mean()
     return (norm * mask).sum() / mask.sum().clamp(min=1)
 
 
 def mesh_laplacian(faces: Any, n_vertices: int) -> csr_array:
-    """Δ(x)_i = x_i − mean of its neighbours, by the mesh's edges; ``(V, V)`` float64."""
+    """The Laplacian Δ(x)_i = x_i − mean of its neighbours; ``(V, V)`` float64.
+
+    Examples
+    --------
+    >>> mesh_laplacian([[0, 1, 2]], 3).toarray()[0].tolist()
+    [1.0, -0.5, -0.5]
+    """
     laplacian = uniform_laplacian(faces, n_vertices)
     scale = 1.0 / np.maximum(laplacian.diagonal(), 1.0)
     return csr_array(laplacian.multiply(scale[:, None]))
 
 
 class BodyShape(nn.Module):
-    """Vertices and normals of the skinned body."""
+    """Vertices and normals of the skinned body, for :func:`collision_depth`."""
 
     faces: Tensor
 
@@ -60,7 +80,7 @@ class BodyShape(nn.Module):
     def forward(self, joints: Tensor, frame: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Positions and unit normals ``(N, V_B, 3)`` under ``(N, J, 3, 4)``.
 
-        With `frame` the joints are relative to it and the result is in the world.
+        With `frame` ``(N, 3, 4)`` the joints are relative to it and the result is in the world.
         """
         v = self.skinning(joints)
         if frame is not None:
@@ -75,7 +95,14 @@ class BodyShape(nn.Module):
 
 @torch.no_grad()
 def closest_vertices(points: Tensor, body: Tensor) -> Tensor:
-    """Index ``(N, V)`` of the body vertex closest to each point, frame by frame."""
+    """Index ``(N, V)`` of the body vertex closest to each point of the same frame.
+
+    Examples
+    --------
+    >>> body = torch.tensor([[[0.0, 0, 0], [1, 0, 0]]])
+    >>> closest_vertices(torch.tensor([[[0.8, 0, 0]]]), body).tolist()
+    [[1]]
+    """
     if points.device.type == "cpu":
         found = [
             cKDTree(q).query(p)[1]
@@ -86,14 +113,23 @@ def closest_vertices(points: Tensor, body: Tensor) -> Tensor:
     parts = []
     for i in range(0, len(points), step):
         p, q = points[i : i + step].detach(), body[i : i + step]
-        # |p − q|² less |p|²: the same minimum by one product.
+        # |p − q|² without |p|² has the same minimum and needs one product.
         distance = torch.baddbmm(q.square().sum(-1)[:, None], p, q.transpose(1, 2), alpha=-2)
         parts.append(distance.argmin(dim=-1))
     return torch.cat(parts)
 
 
 def collision_depth(vertices: Tensor, body: Tensor, normals: Tensor) -> Tensor:
-    """max(−n_B·(v − v_B), 0) ``(N, V)`` with the closest body vertex; metres inside."""
+    """Depth ``(N, V)`` inside the body, metres: max(−n_B·(v − v_B), 0).
+
+    v_B is the body vertex closest to v and n_B its unit normal.
+
+    Examples
+    --------
+    >>> body, normals = torch.zeros(1, 1, 3), torch.tensor([[[0.0, 1, 0]]])
+    >>> collision_depth(torch.tensor([[[0.0, -0.5, 0], [0, 0.5, 0]]]), body, normals).tolist()
+    [[0.5, 0.0]]
+    """
     index = closest_vertices(vertices, body)[..., None].expand(*vertices.shape)
     near, normal = body.gather(1, index), normals.gather(1, index)
     return (-(normal * (vertices - near)).sum(-1)).clamp(min=0)

@@ -1,4 +1,4 @@
-"""D_LF: body motion to the motion of the virtual bones (Pan et al. 2022, section 4.2)."""
+"""The low-frequency module: body motion to bone motion (Pan et al. 2022, section 4.2)."""
 
 from __future__ import annotations
 
@@ -23,20 +23,30 @@ _FROM = {
     "vector": (3, matrix_from_rotation_vector),
     "sixd": (6, matrix_from_sixd),
 }
-_LEAST = {"euler": 0.5, "vector": 0.01, "sixd": 0.01}  # degrees, radians, none
+# Smallest deviations that bone motion is divided by: a bone that hardly moves in training must not
+# move wildly for a small output.  Rotations in degrees, radians, none; translations in metres.
+_LEAST = {"euler": 0.5, "vector": 0.01, "sixd": 0.01}
+_LEAST_TRANSLATION = 1e-3
 
 
 class BoneCode(nn.Module):
-    """Bones' transforms as normalised numbers, and back.
+    """Transforms of the bones as normalised numbers, and back.
 
-    A bone turns about its centre c: v = R (p − c) + t, so that its translation
-    hardly depends on its rotation.
+    A bone rotates about its centre c: v = R (p − c) + t.  With any other centre its translation
+    would depend on its rotation.
 
     Parameters
     ----------
     centres : (B, 3) array
-        Centroids of what the bones move, in the rest pose.
+        Centroids, in the rest pose, of the vertices that each bone moves; metres.
     rotation : {"euler", "vector", "sixd"}
+        Euler angles in degrees, rotation vectors, or two columns of the matrix.
+
+    Examples
+    --------
+    >>> code = BoneCode(np.zeros((2, 3)), "sixd")
+    >>> code.shape, code(torch.tensor([[[1.0, 0, 0, 0, 1, 0, 0, 0, 7]] * 2])).shape
+    ((2, 9), torch.Size([1, 2, 3, 4]))
     """
 
     centres: Tensor
@@ -53,14 +63,14 @@ class BoneCode(nn.Module):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Bones and numbers a bone."""
+        """Number of bones, and of numbers for each."""
         return int(self.mean.shape[0]), int(self.mean.shape[1])
 
     def fit(self, transforms: Any) -> None:
-        """Take mean and deviation from fitted transforms ``(F, B, 3, 4)``."""
+        """Set mean and deviation from fitted transforms ``(F, B, 3, 4)``."""
         numbers = self.numbers(transforms)
         least = np.full(self.shape[1], _LEAST[self.rotation])
-        least[-3:] = 1e-3
+        least[-3:] = _LEAST_TRANSLATION
         self.mean.copy_(torch.from_numpy(numbers.mean(axis=0)))
         self.deviation.copy_(torch.from_numpy(np.maximum(numbers.std(axis=0), least)))
 
@@ -75,7 +85,7 @@ class BoneCode(nn.Module):
         else:
             turn = Rotation.from_matrix(r.reshape(-1, 3, 3))
             with warnings.catch_warnings():
-                # Gimbal lock: one of the angles is free, any will do.
+                # In gimbal lock one angle is free; any will do.
                 warnings.simplefilter("ignore", UserWarning)
                 angles = (
                     turn.as_euler("xyz", degrees=True)
@@ -102,6 +112,13 @@ class LowFrequency(nn.Module):
     inputs : int
     hidden : int
     code : BoneCode
+
+    Examples
+    --------
+    >>> module = LowFrequency(4, 8, BoneCode(np.zeros((2, 3)), "euler"))
+    >>> z, state = module(torch.zeros(1, 5, 4))
+    >>> z.shape, state.shape
+    (torch.Size([1, 5, 2, 6]), torch.Size([1, 1, 8]))
     """
 
     def __init__(self, inputs: int, hidden: int, code: BoneCode) -> None:

@@ -1,4 +1,4 @@
-"""A motion network D: G = G_LF + G_HF from body motion, in one piece or frame by frame."""
+"""The motion network: garment G = G_LF + G_HF from body motion, all at once or frame by frame."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
 from .skinning import TorchSkinning, apply_frame
 
-__all__ = ["Motion", "MotionNetwork", "NetworkState"]
+__all__ = ["FRAMES_AT_ONCE", "Motion", "MotionNetwork", "NetworkState"]
 
-_CHUNK = 128  # frames that run() sees at once: bounds the memory, changes nothing
+# Frames that are predicted at once: bounds the memory, results do not depend on it.
+FRAMES_AT_ONCE = 128
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NetworkState:
-    """What a network remembers between frames."""
+    """What a network remembers between frames; the hidden states are ``(1, 1, H)``."""
 
     pose: PoseState | None = None
     low: Tensor | None = None
@@ -35,14 +36,16 @@ class NetworkState:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
-    """What a network says of F frames, before it is put into the world.
+    """A network's prediction for F frames, in the moving frame.
 
     Attributes
     ----------
     transforms : (F, B, 3, 4)
-        Of the virtual bones, in the moving frame.
+        Of the virtual bones.
     low : (F, V, 3)
+        Low-frequency mesh, metres.
     high : (F, V, 3) or None
+        Detail, metres; None without the high-frequency module.
     frame : (F, 3, 4) float64
         From the moving frame to the world.
     """
@@ -53,7 +56,7 @@ class Motion:
     frame: NDArray[np.float64]
 
     def vertices(self) -> NDArray[np.float32]:
-        """Positions in the world."""
+        """Vertices ``(F, V, 3)`` in the world, metres."""
         local = self.low if self.high is None else self.low + self.high
         return self.to_world(local)
 
@@ -62,7 +65,7 @@ class Motion:
         return np.asarray(apply_frame(frame, local.double().cpu()).numpy(), np.float32)
 
     def world_transforms(self) -> NDArray[np.float64]:
-        """The bones' transforms in the world ``(F, B, 3, 4)``."""
+        """Transforms ``(F, B, 3, 4)`` of the bones in the world."""
         m = self.transforms.double().cpu().numpy()
         r, t = self.frame[:, None, :, :3], self.frame[:, None, :, 3:]
         moved: NDArray[np.float64] = r @ m
@@ -71,7 +74,7 @@ class Motion:
 
 
 class MotionNetwork(nn.Module):
-    """Low- and high-frequency module over one set of virtual bones.
+    """Low- and high-frequency module on one set of virtual bones.
 
     Parameters
     ----------
@@ -79,6 +82,25 @@ class MotionNetwork(nn.Module):
     subject : Subject
     normaliser : Normaliser
         Of the pose features.
+
+    Examples
+    --------
+    A network for a triangle that hangs from one joint, with random weights:
+
+    >>> from ssdr import Skinning
+    >>> from garmentnet.configs import LowOptions
+    >>> rig = Skinning(
+    ...     np.eye(3), np.zeros((3, 1), int), np.ones((3, 1)), np.eye(3, 4)[None, None],
+    ...     faces=[[0, 1, 2]], bone_names=("root",),
+    ... )
+    >>> from garmentnet.data.skeleton import Skeleton
+    >>> skeleton = Skeleton(("root",), [-1], [[0, 0, 0]])
+    >>> subject = Subject(rig, rig, skeleton, 30.0, "triangle")
+    >>> network = MotionNetwork(
+    ...     Config(low=LowOptions(hidden=8)), subject, Normaliser(np.zeros(6), np.ones(6), 0.0)
+    ... )
+    >>> network.predict(np.tile(np.eye(3, 4), (5, 1, 1, 1))).shape
+    (5, 3, 3)
     """
 
     def __init__(self, config: Config, subject: Subject, normaliser: Normaliser) -> None:
@@ -94,14 +116,14 @@ class MotionNetwork(nn.Module):
         self.high: HighFrequency | None = None
 
     def add_high(self) -> HighFrequency:
-        """Give the network its high-frequency module, freshly initialised."""
+        """Add the high-frequency module, with random weights."""
         o, garment = self.config.high, self.subject.garment
         bones, width = self.low.code.shape
-        own = bones * width if o.source == "bones" else self.features.size
+        inputs = bones * width if o.source == "bones" else self.features.size
         a = np.asarray(garment.rest, np.float64)[garment.faces]
         edge = float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean())
         self.high = HighFrequency(
-            own + self.condition,
+            inputs + self.condition,
             garment.faces,
             garment.n_vertices,
             hidden=o.hidden,
@@ -117,7 +139,7 @@ class MotionNetwork(nn.Module):
         return next(self.low.parameters()).device
 
     def inputs(self, features: NDArray[np.float64], parameters: Any = None) -> Tensor:
-        """Normalised features ``(F, D)``, with the parameters where the network takes them.
+        """Normalised features ``(F, D)``, with the parameters for a network that reads them.
 
         Parameters
         ----------
@@ -128,7 +150,7 @@ class MotionNetwork(nn.Module):
         Raises
         ------
         InputError
-            If the network needs parameters and there are none.
+            If the network reads parameters and there are none.
         """
         x = torch.from_numpy(self.normaliser(features))
         if self.condition:
@@ -139,15 +161,17 @@ class MotionNetwork(nn.Module):
         return x
 
     def mesh(self, z: Tensor) -> Tensor:
-        """Low-frequency mesh of normalised bone motion, in the moving frame."""
+        """Low-frequency mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame."""
         return torch.as_tensor(self.lbs(self.low.code(z)))
 
     def high_inputs(self, x: Tensor, z: Tensor) -> Tensor:
-        """What the high-frequency module's GRU reads: ``(N, T, D)``."""
+        """Input ``(N, T, D)`` of the high-frequency module's GRU."""
         if self.config.high.source == "body":
             return x
-        own = z.flatten(-2)
-        return torch.cat([own, x[..., -self.condition :]], dim=-1) if self.condition else own
+        motion = z.flatten(-2)
+        if not self.condition:
+            return motion
+        return torch.cat([motion, x[..., -self.condition :]], dim=-1)
 
     @torch.no_grad()
     def run(
@@ -159,7 +183,7 @@ class MotionNetwork(nn.Module):
         detail: bool = True,
         frames: Any = None,
     ) -> tuple[Motion, NetworkState]:
-        """Continue from a state over consecutive frames.
+        """Predict consecutive frames, from a state on.
 
         Parameters
         ----------
@@ -168,11 +192,11 @@ class MotionNetwork(nn.Module):
         state : NetworkState, optional
             None: the motion starts here, from rest.
         parameters : (3,) array, optional
-            Normalised; only for a network that reads them.
+            Normalised; for a network that reads them.
         detail : bool
             Whether to run the high-frequency module.
         frames : (f,) int array, optional
-            The only frames whose mesh is wanted; the memory goes through all.
+            Frames whose mesh is computed, all by default; the state passes through every frame.
 
         Raises
         ------
@@ -199,25 +223,25 @@ class MotionNetwork(nn.Module):
     def predict(
         self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
     ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` of a whole motion, or of the named frames, ascending."""
+        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, in ascending order."""
         parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
         return np.concatenate([m.vertices() for m in parts])
 
     def motions(
         self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
     ) -> list[Motion]:
-        """The motion, or the named frames of it, in pieces of bounded length, in order."""
+        """The motion, or some of its frames, in parts of at most 128 frames."""
         joints, state, out = np.asarray(joints), None, []
         wanted = None if frames is None else np.asarray(frames, np.int64)
-        for start in range(0, max(1, len(joints)), _CHUNK):
-            part = joints[start : start + _CHUNK]
-            own = None
+        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
+            part = joints[start : start + FRAMES_AT_ONCE]
+            here = None
             if wanted is not None:
-                own = wanted[(wanted >= start) & (wanted < start + len(part))] - start
-            # One frame at least: a mesh of none has no shape; the memory goes on either way.
-            some = own if own is None or len(own) else [0]
+                here = wanted[(wanted >= start) & (wanted < start + len(part))] - start
+            # At least one frame, because a mesh of no frames has no shape.
+            some = here if here is None or len(here) else [0]
             motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)
-            if own is None or len(own):
+            if here is None or len(here):
                 out.append(motion)
         return out
 
@@ -226,7 +250,7 @@ class MotionNetwork(nn.Module):
     ) -> tuple[NetworkState, NDArray[np.float32]]:
         """One frame: joints ``(J, 3, 4)`` to world positions ``(V, 3)``.
 
-        The same as :meth:`predict` frame by frame, to rounding.
+        Equal to :meth:`predict`, except for rounding.
         """
         motion, state = self.run(np.asarray(pose)[None], state, parameters=parameters)
         return state, motion.vertices()[0]

@@ -20,19 +20,28 @@ __all__ = [
     "remove_frame",
 ]
 
+# Columns shorter than this are divided by it instead of their length: no division by 0.
+_SHORT = 1e-8
+
 
 class TorchSkinning(nn.Module):
-    """Rest pose and weights as one matrix, so that skinning is one product.
+    """Linear blend skinning as one matrix product.
 
     v = A M with A = w ⊗ (p, 1), dense ``(V, 4B)``, and M the transposed
-    transforms ``(4B, 3 F)`` of all frames side by side: for B about 80 quicker
-    than gathering K transforms a vertex, and its backward is one product too.
+    transforms ``(4B, 3 F)`` of all frames side by side.  For about 80 bones this is
+    faster than gathering K transforms a vertex, and its gradient is one product too.
 
     Parameters
     ----------
     rest : (V, 3) array
     joints, weights : (V, K) arrays
     n_bones : int
+
+    Examples
+    --------
+    >>> lbs = TorchSkinning([[0, 0, 0], [1, 0, 0]], [[0], [0]], [[1.0], [1.0]], n_bones=1)
+    >>> lbs(torch.tensor([[[[1.0, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, 0]]]])).tolist()
+    [[[5.0, 0.0, 0.0], [6.0, 0.0, 0.0]]]
     """
 
     matrix: Tensor
@@ -47,12 +56,12 @@ class TorchSkinning(nn.Module):
         extended = np.concatenate([rest, np.ones((n, 1))], axis=1)
         matrix = (dense[:, :, None] * extended[:, None]).reshape(n, 4 * n_bones)
         self.n_bones = n_bones
-        # Follows from rest and weights, which a checkpoint carries: no part of the state.
+        # Not in the state dict: a checkpoint has rest pose and weights, which determine it.
         self.register_buffer("matrix", torch.from_numpy(matrix).float(), persistent=False)
 
     @classmethod
     def of(cls, skinning: Skinning) -> TorchSkinning:
-        """Of an :class:`ssdr.Skinning`, without its transforms."""
+        """From an :class:`ssdr.Skinning`; its transforms are not used."""
         return cls(skinning.rest, skinning.joints, skinning.weights, skinning.n_bones)
 
     def forward(self, transforms: Tensor) -> Tensor:
@@ -74,7 +83,13 @@ class TorchSkinning(nn.Module):
 
 
 def matrix_from_euler(degrees: Tensor) -> Tensor:
-    """``(..., 3, 3)`` of degrees ``(..., 3)`` about the fixed x, y and z axes: Rz Ry Rx."""
+    """Rotation matrices ``(..., 3, 3)`` of Euler angles ``(..., 3)`` in degrees: Rz Ry Rx.
+
+    Examples
+    --------
+    >>> matrix_from_euler(torch.tensor([0.0, 0.0, 90.0])).round().abs().tolist()
+    [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     angles = torch.deg2rad(degrees)
     (sx, sy, sz), (cx, cy, cz) = angles.sin().unbind(-1), angles.cos().unbind(-1)
     rows = [
@@ -86,9 +101,16 @@ def matrix_from_euler(degrees: Tensor) -> Tensor:
 
 
 def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
-    """``(..., 3, 3)`` of axis times angle ``(..., 3)`` in radians (Rodrigues)."""
+    """Rotation matrices ``(..., 3, 3)`` of axis times angle ``(..., 3)`` in radians (Rodrigues).
+
+    Examples
+    --------
+    >>> matrix_from_rotation_vector(torch.zeros(3)).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     square = (vector * vector).sum(-1)[..., None, None]
-    # The root's slope is infinite at 0: keep it out of the branch that is not taken.
+    # Taylor series below 1e-4 rad, exact in float32 there.  The square root's slope is infinite
+    # at 0 and must not reach the gradient through the branch that is not taken.
     small = square < 1e-8
     angle = torch.where(small, torch.ones_like(square), square).sqrt()
     a = torch.where(small, 1 - square / 6, angle.sin() / angle)
@@ -102,18 +124,40 @@ def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
 
 
 def matrix_from_sixd(sixd: Tensor) -> Tensor:
-    """``(..., 3, 3)`` of two columns ``(..., 6)`` by Gram–Schmidt (Zhou et al. 2019)."""
+    """Rotation matrices ``(..., 3, 3)`` of two columns ``(..., 6)`` (Zhou et al. 2019).
+
+    The columns are made orthonormal by Gram–Schmidt.
+
+    Examples
+    --------
+    >>> matrix_from_sixd(torch.tensor([2.0, 0, 0, 1, 3, 0])).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     x, other = sixd[..., :3], sixd[..., 3:]
-    a = nn.functional.normalize(x, dim=-1, eps=1e-8)
-    b = nn.functional.normalize(other - (a * other).sum(-1, keepdim=True) * a, dim=-1, eps=1e-8)
+    a = nn.functional.normalize(x, dim=-1, eps=_SHORT)
+    b = nn.functional.normalize(other - (a * other).sum(-1, keepdim=True) * a, dim=-1, eps=_SHORT)
     return torch.stack([a, b, torch.linalg.cross(a, b, dim=-1)], dim=-1)
 
 
 def apply_frame(frame: Tensor, points: Tensor) -> Tensor:
-    """From a moving frame ``(..., 3, 4)`` to the world: points ``(..., V, 3)``."""
+    """Points ``(..., V, 3)`` from a moving frame ``(..., 3, 4)`` to the world.
+
+    Examples
+    --------
+    >>> frame = torch.eye(3, 4) + torch.tensor([0.0, 0, 0, 2])
+    >>> apply_frame(frame, torch.zeros(1, 3)).tolist()
+    [[2.0, 2.0, 2.0]]
+    """
     return points @ frame[..., :3].transpose(-1, -2) + frame[..., None, :, 3]
 
 
 def remove_frame(frame: Tensor, points: Tensor) -> Tensor:
-    """From the world to a moving frame ``(..., 3, 4)``: points ``(..., V, 3)``."""
+    """Points ``(..., V, 3)`` from the world to a moving frame ``(..., 3, 4)``.
+
+    Examples
+    --------
+    >>> frame = torch.eye(3, 4) + torch.tensor([0.0, 0, 0, 2])
+    >>> remove_frame(frame, torch.zeros(1, 3)).tolist()
+    [[-2.0, -2.0, -2.0]]
+    """
     return (points - frame[..., None, :, 3]) @ frame[..., :3]

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..data.clip import Clip
 from ..data.virtual_bones import ClipBones, VirtualBones
+from ..networks.features import transforms_in_frame
 from ..networks.network import MotionNetwork
 from ..networks.skinning import remove_frame
 
@@ -54,11 +55,8 @@ class Track:
 
     def joints(self, frames: Any = slice(None)) -> Tensor:
         """Joint transforms in the moving frame, ``(f, J, 3, 4)`` float32."""
-        m = np.asarray(self.clip.joints[frames], np.float64)
-        r, t = self.frame[frames][:, None, :, :3], self.frame[frames][:, None, :, 3:]
-        shifted = m.copy()
-        shifted[..., 3:] -= t
-        return torch.from_numpy((r.swapaxes(-1, -2) @ shifted).astype(np.float32))
+        moved = transforms_in_frame(self.clip.joints[frames], self.frame[frames])
+        return torch.from_numpy(moved.astype(np.float32))
 
 
 def load_tracks(network: MotionNetwork, bones: VirtualBones, names: Sequence[str]) -> list[Track]:

@@ -28,7 +28,7 @@ from ..networks.checkpoint import (
     load_weights,
     save_checkpoint,
 )
-from ..networks.features import Normaliser, PoseFeatures
+from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
 from ..networks.network import MotionNetwork
 from .batches import load_tracks
 from .loop import Progress, fit
@@ -77,10 +77,7 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
         x, frame, _ = features(bones.store.clip(name).joints)
         inputs.append(x)
         if not name.endswith(MIRRORED):
-            m = np.asarray(bones.clip(name).transforms, np.float64)
-            r, t = frame[:, None, :, :3].swapaxes(-1, -2), frame[:, None, :, 3:]
-            m = np.concatenate([m[..., :3], m[..., 3:] - t], axis=-1)
-            transforms.append(r @ m)
+            transforms.append(transforms_in_frame(bones.clip(name).transforms, frame))
     o = config.features
     normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)
     network = MotionNetwork(config, subject, normaliser)
