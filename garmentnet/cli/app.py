@@ -1,7 +1,7 @@
-"""The command ``garmentnet``: every part of the pipeline, from simulation to pictures.
+"""The command ``garmentnet``: every step from simulation to pictures.
 
-Whatever is heavy is imported where it is used, so that ``--help`` is quick and a part that
-needs an extra does not stand in the way of the others.
+Commands import what they need when they run: ``--help`` is fast, and a command works without the
+extras that only others need.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ for _command in (simulate, dataset, train, evaluate, predict, demo):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code.
 
-    Errors of this package and of the disk become one line: 2 for an argument, 3 for a file, 4
-    for a package that is missing, 1 for the rest, 130 for what was stopped.
+    Errors become one line on stderr.  Exit codes: 0 done, 1 unexpected, 2 wrong usage or input, 3
+    a file that cannot be read, 4 a missing package, 130 interrupted.
 
     Parameters
     ----------
     arguments : sequence of str, optional
         Those of the process by default.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     with terminate_as_interrupt():
         try:
-            code = app(given, prog_name="garmentnet", standalone_mode=False)
-            # The parser turns an interrupt into this code and says nothing.
+            code = app(words, prog_name="garmentnet", standalone_mode=False)
+            # The parser turns an interrupt into this code, without a message.
             return _stopped() if code == 130 else code if isinstance(code, int) else 0
         except (KeyboardInterrupt, typer.Abort):
             return _stopped()
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except InputError as error:
             return _fail(2, error)
         except BrokenPipeError:
-            # The reader of stdout has gone; Python would complain again when it exits.
+            # The reader of stdout has closed it; Python would fail again when it exits.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 1
         except (SsdrError, OSError, MemoryError) as error:
@@ -72,26 +72,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _stopped() -> int:
-    _say("stopped; the same command again goes on where it was")
+    _write_line("stopped; the same command again goes on where it was")
     return 130
 
 
 def _fail(code: int, error: BaseException) -> int:
-    _say(f"error: {error_text(error)}")
+    _write_line(f"error: {error_text(error)}")
     return code
 
 
 def _usage(error: Any) -> int:
-    # What the parser of the command line raises; the help, where nothing was asked for.
+    # Errors of the command line's parser; without arguments it raises the help.
     text, context = error.format_message(), getattr(error, "ctx", None)
     if context is not None and text == context.get_help():
         print(text, file=sys.stderr)
         return 2
     if context is not None:
         print(context.get_usage(), file=sys.stderr)
-    _say(f"error: {text}")
+    _write_line(f"error: {text}")
     return 2
 
 
-def _say(text: str) -> None:
+def _write_line(text: str) -> None:
     print(f"garmentnet: {' '.join(text.split())}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What the command shows of a simulation: progress with time left, quality, what was rejected."""
+"""Makes a data set for the command line: progress, a table of quality, rejected clips."""
 
 from __future__ import annotations
 
@@ -54,7 +54,10 @@ def run(
 
 
 def quality_table(store: ClipStore) -> Table:
-    """Quality of the clips, a row for each parameter set: the worst of its clips, means inside."""
+    """Quality of the clips, one row for each parameter set.
+
+    Medians and means over its clips for ``stretch p50`` and ``inside %``, the worst clip otherwise.
+    """
     table = Table(title=f"{store.path.name}: {store.n_vertices} vertices")
     for name in (
         "set",

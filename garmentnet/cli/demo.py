@@ -1,4 +1,4 @@
-"""Everything once, small: simulate, decompose, learn, predict, draw."""
+"""The demo: simulate, decompose, train, predict and draw, all small."""
 
 from __future__ import annotations
 
@@ -23,21 +23,22 @@ __all__ = ["run_demo"]
 def run_demo(
     folder: Path | str, *, progress: Callable[[str, float, float | None], None] | None = None
 ) -> dict[str, Any]:
-    """The pipeline on the data set ``tiny``; again, it goes on where it was stopped.
+    """Run every step on the data set ``tiny``; an interrupted run continues.
 
     Parameters
     ----------
     folder : path
         For clips, networks and pictures.
     progress : callable, optional
-        Told what is being done, the share that is done and the seconds left.
+        Called with the current step, the fraction of it that is done and the seconds left, or
+        None if unknown.
 
     Returns
     -------
     dict
-        Seconds of every part, the table of errors and the files.
+        ``seconds`` of every step, the ``table`` of errors and the ``files``.
     """
-    # The simulator is another extra, and only this command needs both.
+    # Imported here: the simulator is another extra, and of these commands only the demo needs it.
     from ..scenes.dataset import make_data_set
     from ..scenes.scene_file import load_data_set
 
@@ -49,14 +50,14 @@ def run_demo(
     def lap(name: str) -> None:
         seconds[name] = round(time.perf_counter() - began - sum(seconds.values()), 1)
 
-    def tell(text: str, share: float, left: float | None = None) -> None:
+    def show(text: str, done: float, left: float | None = None) -> None:
         if progress:
-            progress(text, share, left)
+            progress(text, done, left)
 
     store = make_data_set(
         load_data_set("tiny"),
         folder / "tiny.clips",
-        progress=lambda p: tell(
+        progress=lambda p: show(
             f"simulating, {p.clips} of {p.clips_total} clips",
             p.frames / max(p.frames_total, 1),
             p.time_left,
@@ -64,14 +65,14 @@ def run_demo(
     )
     lap("simulate")
     config = load_config("tiny")
-    bones = virtual_bones(store, config.bones, progress=tell)
+    bones = virtual_bones(store, config.bones, progress=show)
     lap("decompose")
     path = train(
         store,
         config,
         folder / "run",
-        progress=tell,
-        callback=lambda p: tell(f"training {p.phase}, epoch {p.epoch}", p.fraction, p.time_left),
+        progress=show,
+        callback=lambda p: show(f"training {p.phase}, epoch {p.epoch}", p.fraction, p.time_left),
     )
     lap("train")
     names, base = choose_clips(store, config)
@@ -84,13 +85,13 @@ def run_demo(
         "ridge": plain_method(bones, Ridge(bones, names, held).predict),
         "mean shape": plain_method(bones, MeanShape(bones, names).predict),
     }
-    rows = evaluate(bones, methods, seen, progress=tell)
+    rows = evaluate(bones, methods, seen, progress=show)
     lap("evaluate")
     clip = store.clip(seen[0])
     sheet = draw_clip(bones, clip, network(clip), folder / "truth-prediction-error.png")
     film = folder / "prediction.gif"
     result = predict(checkpoint, clip.joints, name=clip.name)
-    save_prediction(result, film, size=360, progress=lambda share: tell("drawing", share))
+    save_prediction(result, film, size=360, progress=lambda done: show("drawing", done))
     lap("draw")
     return {
         "seconds": seconds | {"all": round(time.perf_counter() - began, 1)},

@@ -1,7 +1,4 @@
-"""``garmentnet train, evaluate, predict, demo``: what learns, from the command line.
-
-Nothing heavy is imported before a command runs.
-"""
+"""The commands ``garmentnet train, evaluate, predict, demo``."""
 
 from __future__ import annotations
 
@@ -21,7 +18,7 @@ __all__ = ["demo", "evaluate", "output_folder", "predict", "train"]
 
 
 def output_folder() -> Path:
-    """Where data and checkpoints go: ``$GARMENTNET_DATA``, else ``out`` in the working folder."""
+    """Folder for data and checkpoints: ``$GARMENTNET_DATA``, else ``out`` in the working folder."""
     return Path(os.environ.get("GARMENTNET_DATA") or "out")
 
 
@@ -73,7 +70,7 @@ def train(
                 folder,
                 base=load_checkpoint(start) if start else None,
                 callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction, p.time_left),
-                progress=lambda text, share: show(text, share, None),
+                progress=lambda text, done: show(text, done, None),
             )
         else:
             path = train_network(
@@ -82,7 +79,7 @@ def train(
                 folder,
                 start=load_checkpoint(start) if start else None,
                 callback=lambda p: show(_epoch(p), p.fraction, p.time_left),
-                progress=lambda text, share: show(text, share, None),
+                progress=lambda text, done: show(text, done, None),
             )
     typer.echo(str(path))
 
@@ -112,7 +109,7 @@ def evaluate(
             folder,
             baselines=baselines,
             pictures=pictures,
-            progress=lambda name, share: show(name, share, None),
+            progress=lambda name, done: show(name, done, None),
         )
     typer.echo(text)
     typer.echo(str(folder))
@@ -144,11 +141,11 @@ def predict(
     for path in output:
         check_output(path)
     model = load_checkpoint(checkpoint)
-    given = {"bending": bending, "density": density, "time_scale": time_scale}
-    stated = {k: v for k, v in given.items() if v is not None}
+    options = {"bending": bending, "density": density, "time_scale": time_scale}
+    stated = {k: v for k, v in options.items() if v is not None}
     several = model.kernel is not None or model.networks[0].condition
     own = None if several else model.parameters[0]
-    usual = {k: getattr(own, k) for k in given} if own else {}
+    usual = {k: getattr(own, k) for k in options} if own else {}
     parameters = SimulationParameters(**(usual | stated)) if stated or several else None
     joints = read_joints(motion, model)
     began = time.perf_counter()
@@ -169,9 +166,7 @@ def predict(
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
     for path in output:
         with progress_bar() as show:
-            text = save_prediction(
-                result, path, progress=lambda share: show("drawing", share, None)
-            )
+            text = save_prediction(result, path, progress=lambda done: show("drawing", done, None))
         typer.echo(f"{path}: {text}")
 
 

@@ -1,4 +1,4 @@
-"""``garmentnet simulate, dataset``: what makes data, from the command line."""
+"""The commands ``garmentnet simulate, dataset``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Every setting of a training run: typed, read from TOML, written into checkpoints.
+"""Settings of a training run: typed, read from TOML, stored in checkpoints.
 
-``faithful.toml`` and ``rooted.toml`` beside this module list all of them with
-comments; a file of one's own needs only those that differ from the defaults,
-which are the faithful ones.
+``faithful.toml`` and ``rooted.toml`` beside this module list and explain all of them.  Another file
+needs only the settings that differ from the defaults, which are those of ``faithful.toml``.
 """
 
 from __future__ import annotations
@@ -35,6 +34,8 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class DataOptions:
+    """Which clips a network learns from."""
+
     store: str = ""
     parameters: str = ""
     mirror: bool = True
@@ -43,6 +44,8 @@ class DataOptions:
 
 @dataclasses.dataclass(frozen=True)
 class BoneOptions:
+    """Virtual bones and the split into low and high frequencies; `length` in metres."""
+
     length: float = 0.02
     count: int = 80
     influences: int = 8
@@ -53,6 +56,8 @@ class BoneOptions:
 
 @dataclasses.dataclass(frozen=True)
 class FeatureOptions:
+    """Pose features, a network's input, and the moving frame of its output."""
+
     rotation: Literal["vector", "sixd"] = "vector"
     heading_free: bool = False
     translation: bool = True
@@ -65,6 +70,8 @@ class FeatureOptions:
 
 @dataclasses.dataclass(frozen=True)
 class LowOptions:
+    """The low-frequency module."""
+
     hidden: int = 600
     rotation: Literal["euler", "vector", "sixd"] = "euler"
     laplacian: float = 1.0
@@ -73,6 +80,8 @@ class LowOptions:
 
 @dataclasses.dataclass(frozen=True)
 class HighOptions:
+    """The high-frequency module."""
+
     hidden: int = 600
     source: Literal["bones", "body"] = "bones"
     local: bool = True
@@ -85,6 +94,8 @@ class HighOptions:
 
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
+    """The training loop; `time_limit` in minutes for each module."""
+
     seed: int = 0
     batch: int = 8
     window: int = 30
@@ -104,6 +115,8 @@ class TrainOptions:
 
 @dataclasses.dataclass(frozen=True)
 class EnsembleOptions:
+    """Pivots and the kernel that mixes them."""
+
     pivots: int = 0
     start_from_base: bool = True
     epochs: int = 40
@@ -116,12 +129,17 @@ class EnsembleOptions:
 
 @dataclasses.dataclass(frozen=True)
 class Config:
-    """All settings; see the commented TOML files.
+    """All settings of a training run; ``faithful.toml`` explains each.
 
     Raises
     ------
     InputError
         If a number is out of its range.
+
+    Examples
+    --------
+    >>> Config(low=LowOptions(hidden=64)).low.rotation
+    'euler'
     """
 
     data: DataOptions = DataOptions()
@@ -146,9 +164,10 @@ class Config:
                         raise InputError(name, f"an integer >= {low}", number)
 
         if self.low.dropout >= 1:
-            raise InputError("low.dropout", "a share below 1", self.low.dropout)
+            raise InputError("low.dropout", "a fraction below 1", self.low.dropout)
 
     def as_dict(self) -> dict[str, Any]:
+        """Nested dictionaries; :meth:`of` reads them."""
         return dataclasses.asdict(self)
 
     @classmethod
@@ -158,17 +177,29 @@ class Config:
         Raises
         ------
         FormatError
-            If a setting is unknown or of the wrong kind; the message names
-            `origin` and the setting.
+            If a setting is unknown or of the wrong type; the message names `origin` and the
+            setting.
+
+        Examples
+        --------
+        >>> Config.of({"train": {"seed": 3}}).train.seed
+        3
         """
         return from_table(cls, table, file=origin)
 
 
+# Integers that may be 0; all others are at least 1.
 _ZERO = ("seed", "threads", "pivots")
 
 
 def preset_names() -> list[str]:
-    """Configurations that ship with the package."""
+    """Names of the configurations that ship with the package.
+
+    Examples
+    --------
+    >>> preset_names()
+    ['faithful', 'rooted', 'tiny']
+    """
     files = resources.files(__package__).iterdir()
     return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
 
@@ -181,7 +212,12 @@ def load_config(path: Path | str) -> Config:
     InputError
         If there is neither such a file nor such a preset, or a number is out of range.
     FormatError
-        If the file is no TOML or a setting is unknown or of the wrong kind.
+        If the file is not TOML or a setting is unknown or of the wrong type.
+
+    Examples
+    --------
+    >>> load_config("rooted").low.rotation
+    'sixd'
     """
     name = str(path)
     if name in preset_names():
@@ -200,7 +236,12 @@ def override(config: Config, changes: Sequence[str]) -> Config:
     Raises
     ------
     FormatError
-        If a change is unreadable, unknown or of the wrong kind.
+        If a change cannot be read, or the setting is unknown or of another type.
+
+    Examples
+    --------
+    >>> override(Config(), ["train.seed=3", "high.mlp=[16, 16]"]).high.mlp
+    (16, 16)
     """
     table = config.as_dict()
     for change in changes:

@@ -1,7 +1,4 @@
-"""What a network must beat: fixed and skinned shapes, a static regression, a GRU on the body.
-
-Each answers ``predict(joints) -> (F, V, 3)`` in the world.
-"""
+"""Baselines, each with ``predict(joints)`` to ``(F, V, 3)``: mean shape, body skinning, ridge."""
 
 from __future__ import annotations
 
@@ -28,14 +25,19 @@ from ..networks.skinning import TorchSkinning
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
 
-_INFLUENCES = 8  # joints a vertex, as engines take them
+_INFLUENCES = 8  # joints a vertex, as engines support
+# Metres; closer body vertices count like this far, so that no weight is infinite.
+_CLOSEST = 1e-4
+# Factors of the number of frames, from hardly a penalty to a dominant one.
+_PENALTIES = 10.0 ** np.arange(-6, 2)
+# Pose features of one frame, without memory.
 _STATIC = FeatureOptions(
     rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
 )
 
 
 class MeanShape:
-    """The mean of the training frames, carried by the root's place and heading.
+    """The mean of the training frames, moved with the root's position and heading.
 
     Parameters
     ----------
@@ -66,12 +68,18 @@ class MeanShape:
 def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
     """The garment's rest pose on the body's joints.
 
-    Weights are those of the closest body vertices of the rest pose, by inverse
-    squared distance, which is how rigged garments start.
+    Weights are interpolated from the closest body vertices in the rest pose, by inverse squared
+    distance, which is how riggers start.
+
+    Parameters
+    ----------
+    store : ClipStore
+    neighbours : int
+        Body vertices.
     """
     body = store.body
     distance, index = cKDTree(body.rest).query(store.rest, k=neighbours)
-    near = 1 / np.maximum(distance, 1e-4) ** 2
+    near = 1 / np.maximum(distance, _CLOSEST) ** 2
     near /= near.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])
     order, kept = strongest(weights, _INFLUENCES)
@@ -79,7 +87,7 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
 
 
 class BodySkinned:
-    """The garment's rest pose moved by the body's joints."""
+    """The garment's rest pose, skinned by the body's joints."""
 
     def __init__(self, store: ClipStore) -> None:
         self.skinning = body_skinning(store)
@@ -91,11 +99,11 @@ class BodySkinned:
 
 
 class Ridge:
-    """Linear regression from the pose of a frame to the bones' motion, without memory.
+    """Ridge regression from the pose of a frame to the bones' motion, without memory.
 
-    The root-local pose in 6D rotations, to rotations and centres of the bones;
-    the penalty is the best of a grid on the validation clips; the mean detail is
-    added.
+    The input is the pose relative to the root as 6D rotations, the output the rotations and centres
+    of the bones.  The penalty is the best of a grid on the validation clips.  The mean detail of
+    the training clips is added.
 
     Parameters
     ----------
@@ -120,7 +128,7 @@ class Ridge:
         gram, right = z.T @ z, z.T @ (y - self.mean)
         checks = [self._pair(bones, n) for n in validation]
         best = math.inf
-        for penalty in len(z) * 10.0 ** np.arange(-6, 2):
+        for penalty in len(z) * _PENALTIES:
             factor = cho_factor(gram + penalty * np.eye(len(gram)))
             matrix = np.asarray(cho_solve(factor, right))
             error = sum(

@@ -1,4 +1,4 @@
-"""Truth, prediction and error side by side: of a clip, and of the moments where cloth is hard."""
+"""Pictures of simulation, prediction and error: of a clip, and of the hardest frames."""
 
 from __future__ import annotations
 
@@ -20,16 +20,28 @@ from .scores import Answer
 __all__ = ["HARD", "draw_clip", "draw_moments", "moments"]
 
 Array = NDArray[np.float32]
+# Classes of motion in which loose cloth moves most.
 HARD = ("spin", "kick", "squat", "stop")
 
 
 def moments(
     store: ClipStore, names: Sequence[str], classes: Sequence[str] = HARD
 ) -> list[tuple[str, str, int]]:
-    """Class, clip and frame of the strongest moment of each class that the clips have.
+    """The most pronounced frame of each class of motion that occurs in the clips.
 
-    Of a spin the fastest, of a kick the highest foot, of a squat the lowest root;
-    of others the middle of the longest stretch.
+    Of spins the fastest rotation, of kicks the highest foot, of squats the lowest root, of other
+    classes the middle of the longest run of frames.
+
+    Parameters
+    ----------
+    store : ClipStore
+    names : sequence of str
+        Clips.
+    classes : sequence of str
+
+    Returns
+    -------
+    list of (class, clip, frame)
     """
     best: dict[str, tuple[float, str, int]] = {}
     for name in names:
@@ -57,7 +69,7 @@ def _strength(clip: Clip, label: str, inside: NDArray[np.bool_]) -> NDArray[np.f
         return _highest_foot(places)
     if label == "squat":
         return np.asarray(-places[:, 0, 1], float)
-    # How far from the ends of its stretch.
+    # Number of frames to the closer end of the run of frames of this class.
     after = np.zeros(len(inside))
     before = np.zeros(len(inside))
     for f in range(1, len(inside)):
@@ -67,7 +79,7 @@ def _strength(clip: Clip, label: str, inside: NDArray[np.bool_]) -> NDArray[np.f
 
 
 def _highest_foot(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    # Feet: the two joints that are lowest over the whole clip.
+    # Shins and feet: the four joints that are lowest on average.
     low = np.argsort(places[..., 1].mean(axis=0))[:4]
     return np.asarray(places[:, low, 1].max(axis=1))
 
@@ -75,9 +87,18 @@ def _highest_foot(places: NDArray[np.float64]) -> NDArray[np.float64]:
 def draw_clip(
     bones: VirtualBones, clip: Clip, answer: Answer, path: Path, *, frames: Any = 5
 ) -> Path:
-    """Truth, prediction and error map of a clip, row by row, as a PNG.
+    """Draw simulation, prediction and error map of a clip, row by row, as a PNG.
 
-    Body and cloth are one mesh in it; the camera follows the root.
+    Body and cloth are one mesh; the camera follows the root.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    clip : Clip
+    answer : Answer
+    path : Path
+    frames : int or list of int
+        How many, evenly spread, or which.
     """
     kept = bones.clip(clip.name)
     truth = kept.read("low") + kept.read("high")
@@ -90,7 +111,7 @@ def draw_clip(
 def draw_moments(
     bones: VirtualBones, method: Callable[[Clip], Answer], names: Sequence[str], path: Path
 ) -> list[tuple[str, str, int]]:
-    """One picture of :func:`moments`, a column each; which they are is returned."""
+    """Draw the frames of :func:`moments` as the columns of one picture; returns them."""
     found = moments(bones.store, names)
     truths, answers = [], []
     for _, name, frame in found:

@@ -1,4 +1,4 @@
-"""The whole evaluation of checkpoints on a store, written to a folder."""
+"""The evaluation of checkpoints on a store, as a report in a folder."""
 
 from __future__ import annotations
 
@@ -46,16 +46,15 @@ def report(
     bones_folder: Path | str | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> str:
-    """Score checkpoints on unseen motions and, where they can answer, unseen parameters.
+    """Score checkpoints on unseen motions and, if they read parameters, unseen parameters.
 
     Parameters
     ----------
     paths : sequence of Path
-        Checkpoints of one set of virtual bones.
+        Checkpoints on one set of virtual bones.
     store : ClipStore
     folder : path
-        For ``report.json``, ``report.txt`` and pictures; what the baselines
-        learned stays in ``baselines`` in it.
+        For ``report.json``, ``report.txt``, pictures, and in ``baselines`` the trained baselines.
     baselines : bool
         Whether to train and score them.
     pictures : int
@@ -64,7 +63,7 @@ def report(
     Returns
     -------
     str
-        What ``report.txt`` holds.
+        The text of ``report.txt``.
 
     Raises
     ------
@@ -109,7 +108,7 @@ def report(
     pairs: dict[SimulationParameters, list[tuple[str, str]]] = {}
     for pair in store.pairs():
         pairs.setdefault(store.clip(pair[0]).parameters, []).append(pair)
-    # Soft cloth has a higher floor than stiff cloth: each parameter set is quoted by itself.
+    # Soft cloth has a higher floor than stiff cloth, so every parameter set has its own.
     floors = {p: chaos_floor(bones, own) for p, own in pairs.items()}
     document["chaos_floor"] = floors.get(base, {})
     document["chaos_floor_of_sets"] = {str(p): floor["all"] for p, floor in floors.items()}
@@ -159,12 +158,12 @@ def _baselines(
     else:
         learned = names
 
-    def told(p: Any) -> bool:
+    def after_epoch(p: Any) -> bool:
         if progress:
             progress("training Santesteban 2019", p.fraction)
         return False
 
-    gru = train_santesteban(bones, config, learned, held, folder, callback=told)
+    gru = train_santesteban(bones, config, learned, held, folder, callback=after_epoch)
     return {
         "mean shape": plain_method(bones, MeanShape(bones, names).predict),
         "body-skinned": plain_method(bones, BodySkinned(store).predict),
@@ -180,7 +179,7 @@ def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:
 
 
 def _name(path: Path, paths: Sequence[Path]) -> str:
-    # Runs write files of one name into folders of their own.
+    # Every run writes a file of the same name into a folder of its own.
     own = f"{path.parent.name}-{path.stem}" if path.parent.name else path.stem
     same = [p for p in paths if p.parent.name == path.parent.name and p.stem == path.stem]
     return own if len(same) == 1 else str(path.with_suffix("")).strip("/").replace("/", "-")

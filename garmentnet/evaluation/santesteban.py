@@ -18,18 +18,22 @@ from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import transforms_in_frame
 from ..networks.losses import frame_norm
-from ..networks.network import MotionNetwork
+from ..networks.network import FRAMES_AT_ONCE, MotionNetwork
 from ..networks.skinning import apply_frame
 from ..training.batches import Batch, Track, load_tracks
-from ..training.loop import Progress, fit
+from ..training.loop import fit
+from ..training.objectives import LEAST_DEVIATION
 from ..training.run import build_network
 from .baselines import body_skinning
 
 __all__ = ["Santesteban", "train_santesteban"]
 
+# Against blends that are close to singular; the rotations' own AᵀA is the identity.
+_RIDGE = 1e-3
+
 
 class Santesteban(nn.Module):
-    """A GRU whose output offsets the rest pose before the body's joints move it.
+    """A GRU that predicts offsets of the rest pose, which the body's joints then skin.
 
     v = Σ_j w_ij M_j (p_i + o_i(t)), after Santesteban et al. 2019, "Learning-based
     animation of clothing for virtual try-on", on one body shape.
@@ -37,7 +41,7 @@ class Santesteban(nn.Module):
     Parameters
     ----------
     reader : MotionNetwork
-        Whose pose features it reads.
+        Its pose features are the input.
     store : ClipStore
     hidden : int
     """
@@ -50,7 +54,7 @@ class Santesteban(nn.Module):
     def __init__(self, reader: MotionNetwork, store: ClipStore, hidden: int) -> None:
         super().__init__()
         skinning = body_skinning(store)
-        self.reader = (reader,)  # in a tuple: its weights are not this module's
+        self.reader = (reader,)  # a tuple hides its weights from this module
         self.n_vertices = skinning.n_vertices
         inputs = reader.features.size + reader.condition
         self.gru = nn.GRU(inputs, hidden, batch_first=True)
@@ -64,7 +68,7 @@ class Santesteban(nn.Module):
         self.register_buffer("deviation", torch.ones(()))
 
     def blended(self, joints: Tensor) -> Tensor:
-        """Blended transforms ``(N, V, 3, 4)``."""
+        """Blended transforms ``(N, V, 3, 4)`` of joints ``(N, J, 3, 4)``."""
         flat = joints.flatten(-2).transpose(0, 1).reshape(joints.shape[1], -1)
         mixed = self.weights @ flat
         return mixed.view(self.n_vertices, -1, 3, 4).transpose(0, 1)
@@ -75,9 +79,9 @@ class Santesteban(nn.Module):
         return self.out(h).unflatten(-1, (self.n_vertices, 3)) * self.deviation + self.mean, state
 
     def pose(self, offsets: Tensor, joints: Tensor) -> Tensor:
-        """Offsets ``(N, V, 3)`` and joints ``(N, J, 3, 4)`` to positions."""
+        """Positions ``(N, V, 3)`` from offsets ``(N, V, 3)`` and joints ``(N, J, 3, 4)``."""
         m, place = self.blended(joints), self.rest + offsets
-        # Millions of 3 by 3 products: far quicker written out than as a batch of matrices.
+        # Millions of 3×3 products are far faster written out than as a batch of matrices.
         turned = (m[..., k] * place[..., k : k + 1] for k in range(3))
         return sum(turned, m[..., 3])
 
@@ -89,8 +93,8 @@ class Santesteban(nn.Module):
         offsets = self(x)[0][0].cpu()
         local = transforms_in_frame(joints, frame)
         out = []
-        for i in range(0, len(local), 128):
-            part = slice(i, i + 128)
+        for i in range(0, len(local), FRAMES_AT_ONCE):
+            part = slice(i, i + FRAMES_AT_ONCE)
             m = torch.from_numpy(local[part]).float().to(self.mean.device)
             posed = self.pose(offsets[part].to(m), m).cpu().double()
             out.append(apply_frame(torch.from_numpy(frame[part]), posed).numpy())
@@ -107,7 +111,7 @@ class SantestebanObjective:
     ) -> tuple[Tensor, Tensor]:
         device = self.module.mean.device
         offsets, state = self.module(batch.inputs().to(device), state)
-        windows = [(w[0], slice(w[1], w[2])) for w in batch.windows if w]
+        windows = [(w.track, w.frames) for w in batch.windows if w]
         truth = torch.cat([t.target("low", s) + t.target("high", s) for t, s in windows])
         joints = torch.cat([t.joints(s) for t, s in windows])
         posed = self.module.pose(offsets[batch.mask.to(device)], joints.to(device))
@@ -123,14 +127,14 @@ class SantestebanObjective:
         return math.sqrt(square / count)
 
     def fit_statistics(self) -> None:
-        """Mean and deviation of the offsets that would be exact."""
+        """Set mean and deviation from the offsets that reproduce the training frames."""
         total, square, frames = torch.zeros(()), 0.0, 0
         for track in self.tracks:
             truth = track.target("low") + track.target("high")
             m = self.module.blended(track.joints().to(self.module.mean.device)).cpu()
-            # A blend of rotations may be close to singular: least squares with a floor.
+            # A blend of rotations may be close to singular: least squares with a small ridge.
             a = m[..., :3].double()
-            gram = a.transpose(-1, -2) @ a + 1e-3 * torch.eye(3, dtype=torch.float64)
+            gram = a.transpose(-1, -2) @ a + _RIDGE * torch.eye(3, dtype=torch.float64)
             right = a.transpose(-1, -2) @ (truth - m[..., 3]).double()[..., None]
             offset = torch.linalg.solve(gram, right)[..., 0] - self.module.rest.cpu()
             total = total + offset.sum(0)
@@ -139,7 +143,7 @@ class SantestebanObjective:
         mean = total / frames
         variance = square / (mean.numel() * frames) - float(mean.square().mean())
         self.module.mean.copy_(mean)
-        self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), 1e-4))
+        self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
 
 
 def train_santesteban(
@@ -151,7 +155,7 @@ def train_santesteban(
     *,
     callback: Any = None,
 ) -> Santesteban:
-    """Train the baseline by the loop, features, widths and limits of the network.
+    """Train the baseline with the loop, features, width and limits of the network.
 
     Parameters
     ----------
@@ -160,9 +164,9 @@ def train_santesteban(
     names, validation : sequence of str
         Clips; mirrored ones too.
     folder : Path
-        Where it can go on; what is finished there is read, not trained again.
+        For the state: an interrupted training continues, a finished one is read.
     callback : callable, optional
-        Told a :class:`~garmentnet.training.run.Progress` after every epoch.
+        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.
     """
     folder.mkdir(parents=True, exist_ok=True)
     plain = dataclasses.replace(config, data=dataclasses.replace(config.data, condition=False))
@@ -170,22 +174,19 @@ def train_santesteban(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.train.seed)
         module = Santesteban(reader, bones.store, config.low.hidden)
-    task = SantestebanObjective(
+    objective = SantestebanObjective(
         module, load_tracks(reader, bones, names), load_tracks(reader, bones, validation)
     )
-    task.fit_statistics()
+    objective.fit_statistics()
     o = config.train
 
-    def told(p: Progress) -> bool:
-        return bool(callback(p)) if callback else False
-
     fit(
-        task,
+        objective,
         o,
         name="santesteban",
         epochs=o.epochs,
         learning_rate=o.learning_rate,
         folder=folder,
-        callback=told,
+        callback=callback,
     )
     return module

@@ -1,8 +1,8 @@
-"""The paper's table on unseen motions and parameters, beside baselines, bounds and the floor.
+"""Errors of methods on clips: the table of Pan et al. 2022, the chaos floor, distance to the body.
 
-Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail
-alone; overall is G against Ĝ.  A method without two modules is split as the data
-are: its low part is its smoothed prediction, its high part the rest.
+Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail alone; overall is
+G against Ĝ.  The prediction of a method without two modules is split like the data: its smoothed
+vertices are the low part, the rest is the high part.
 """
 
 from __future__ import annotations
@@ -32,20 +32,25 @@ __all__ = [
     "Row",
     "Score",
     "bones_themselves",
+    "by_looseness",
     "chaos_floor",
     "evaluate",
     "looseness",
     "network_method",
     "plain_method",
+    "table",
 ]
 
+# Frames for which distances to the body are in memory at once.
+_FRAMES_AT_ONCE = 64
+_MM = 1e3  # from metres to millimetres
 PARTS = ("low", "high", "overall")
 Array = NDArray[np.float32]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Answer:
-    """A method's mesh of a clip: its two parts, whose sum is the answer."""
+    """A method's prediction for a clip: low and high part ``(F, V, 3)``, metres, to be added."""
 
     low: Array
     high: Array
@@ -56,7 +61,7 @@ Method = Callable[[Clip], Answer]
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """RMSE (per-vertex, pooled), mean Hausdorff of vertices, both in mm, and STED."""
+    """RMSE over vertices and frames and mean Hausdorff distance of vertices, mm, and STED."""
 
     rmse: float
     hausdorff: float
@@ -65,7 +70,7 @@ class Score:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Row:
-    """One method.
+    """Errors of one method.
 
     Attributes
     ----------
@@ -73,13 +78,13 @@ class Row:
     frames : int
     low, high, overall : Score
     per_class : dict
-        Overall RMSE, mm, of the frames of each class of motion.
+        Overall RMSE, mm, for each class of motion.
     per_vertex : (V,) float64
         Mean overall error, mm.
     inside : float
-        Share of the vertices inside the body.
+        Fraction of the vertices inside the body, over all frames.
     depth_mean, depth_max : float
-        Of those, mm.
+        Their depth, mm.
     """
 
     name: str
@@ -94,13 +99,13 @@ class Row:
     depth_max: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain numbers for JSON."""
+        """Numbers and lists, for JSON."""
         plain = dataclasses.asdict(self)
         return plain | {"per_vertex": self.per_vertex.tolist()}
 
 
 def network_method(checkpoint: Checkpoint) -> Method:
-    """A checkpoint as a method; the clip's own parameters where it reads them."""
+    """A checkpoint as a method; with the clip's parameters if it reads them."""
 
     def answer(clip: Clip) -> Answer:
         motions = checkpoint.motions(clip.joints, clip.parameters)
@@ -111,7 +116,7 @@ def network_method(checkpoint: Checkpoint) -> Method:
 
 
 def plain_method(bones: VirtualBones, predict: Callable[[Any], Array]) -> Method:
-    """A function from joints to vertices as a method; split by the smoother of the data."""
+    """A function from joints to vertices as a method; split by the smoother of the clips."""
     smoother = bones.smoother()
 
     def answer(clip: Clip) -> Answer:
@@ -123,7 +128,7 @@ def plain_method(bones: VirtualBones, predict: Callable[[Any], Array]) -> Method
 
 
 def bones_themselves(bones: VirtualBones) -> Method:
-    """LBS under the fitted transforms and the true detail: what no network passes."""
+    """LBS with the fitted transforms, and the simulated detail: the bound for every network."""
     s = bones.skinning
 
     def answer(clip: Clip) -> Answer:
@@ -150,7 +155,7 @@ def evaluate(
     names : sequence of str
         Clips.
     progress : callable, optional
-        Told the method's name and the share that is done.
+        Called with the method's name and the fraction that is done.
 
     Returns
     -------
@@ -170,7 +175,7 @@ def evaluate(
 
 
 class _Total:
-    """Sums over clips: squares for RMSE, means over frames for the others."""
+    """Sums over clips: squared errors for RMSE, means over frames for the other figures."""
 
     def __init__(self, bones: VirtualBones) -> None:
         self.bones = bones
@@ -200,9 +205,9 @@ class _Total:
             if part == "overall":
                 self._by_class(clip, c.distances.per_frame)
         self.frames += count
-        whole = answer.low + answer.high
-        self.error += np.linalg.norm(whole - truth, axis=-1).astype(np.float64).sum(axis=0)
-        self._penetration(clip, whole)
+        answered = answer.low + answer.high
+        self.error += np.linalg.norm(answered - truth, axis=-1).astype(np.float64).sum(axis=0)
+        self._penetration(clip, answered)
 
     def _by_class(self, clip: Clip, per_frame: Any) -> None:
         for label in np.unique(clip.classes):
@@ -213,10 +218,11 @@ class _Total:
 
     def _penetration(self, clip: Clip, vertices: Array) -> None:
         with torch.no_grad():
-            for i in range(0, len(vertices), 64):
-                joints = torch.from_numpy(np.asarray(clip.joints[i : i + 64], np.float32))
+            for i in range(0, len(vertices), _FRAMES_AT_ONCE):
+                part = slice(i, i + _FRAMES_AT_ONCE)
+                joints = torch.from_numpy(np.asarray(clip.joints[part], np.float32))
                 body, normals = self.body(joints)
-                depth = collision_depth(torch.from_numpy(vertices[i : i + 64]), body, normals)
+                depth = collision_depth(torch.from_numpy(vertices[part]), body, normals)
                 self.inside += int((depth > 0).sum())
                 self.depth += float(depth.double().sum())
                 self.deepest = max(self.deepest, float(depth.max()))
@@ -226,38 +232,38 @@ class _Total:
         scores = {}
         for part, sums in self.parts.items():
             square, hausdorff, sted = sums / n
-            scores[part] = Score(1e3 * math.sqrt(square), 1e3 * float(hausdorff), float(sted))
+            scores[part] = Score(_MM * math.sqrt(square), _MM * float(hausdorff), float(sted))
         return Row(
             name,
             self.frames,
             **scores,
-            per_class={k: 1e3 * math.sqrt(s / c) for k, (s, c) in sorted(self.classes.items())},
-            per_vertex=1e3 * self.error / n,
+            per_class={k: _MM * math.sqrt(s / c) for k, (s, c) in sorted(self.classes.items())},
+            per_vertex=_MM * self.error / n,
             inside=self.inside / (n * self.bones.store.n_vertices),
-            depth_mean=1e3 * self.depth / max(self.inside, 1),
-            depth_max=1e3 * self.deepest,
+            depth_mean=_MM * self.depth / max(self.inside, 1),
+            depth_max=_MM * self.deepest,
         )
 
 
 def chaos_floor(
     bones: VirtualBones, pairs: Iterable[tuple[str, str]] | None = None
 ) -> dict[str, dict[str, float]]:
-    """RMSE / √2, mm, of clips simulated again from a start that was moved a little.
+    """RMSE / √2, mm, between clips and the same clips from a perturbed first frame.
 
-    No function of the motion can be expected to do better: the mean of two such
-    runs is as far from each.
+    Two such runs differ by √2 times their distance from the mean of all runs, and no function of
+    the motion can be expected to do better than that mean.
 
     Parameters
     ----------
     bones : VirtualBones
     pairs : pairs of names, optional
-        Those of the store by default.
+        :meth:`ClipStore.pairs` by default.
 
     Returns
     -------
     dict
-        Of each class of motion and of "all": RMSE / √2 ``low`` and ``overall``;
-        empty without pairs.
+        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, and the number of
+        ``frames``; empty without pairs.
     """
     sums: dict[str, NDArray[np.float64]] = {}
     smoother = bones.smoother()
@@ -276,8 +282,8 @@ def chaos_floor(
             sums[key] = sums.get(key, np.zeros(3)) + part
     return {
         key: {
-            "low": 1e3 * math.sqrt(s[0] / s[2] / 2),
-            "overall": 1e3 * math.sqrt(s[1] / s[2] / 2),
+            "low": _MM * math.sqrt(s[0] / s[2] / 2),
+            "overall": _MM * math.sqrt(s[1] / s[2] / 2),
             "frames": float(s[2]),
         }
         for key, s in sums.items()
@@ -295,7 +301,7 @@ def looseness(
     names : sequence of str
         Clips.
     every : int
-        Frames from one that is looked at to the next.
+        Only every so many frames are measured.
     """
     total = square = np.zeros(bones.store.n_vertices)
     count = 0
@@ -304,7 +310,7 @@ def looseness(
         chosen = np.arange(0, clip.n_frames, every)
         body, cloth = clip.body(chosen), clip.sequence.frames(chosen)
         for b, v in zip(body, cloth, strict=True):
-            distance = 1e3 * cKDTree(b).query(v)[0]
+            distance = _MM * cKDTree(b).query(v)[0]
             total, square, count = total + distance, square + distance**2, count + 1
     mean = total / count
     return mean, np.sqrt(np.maximum(square / count - mean**2, 0))
@@ -313,7 +319,7 @@ def looseness(
 def by_looseness(
     row: Row, mean: NDArray[np.float64], *, bins: int = 4
 ) -> list[tuple[float, float]]:
-    """Mean distance to the body and mean error, mm, of equal shares of the vertices."""
+    """Mean distance to the body and mean error, mm, of equally many vertices, closest first."""
     parts = np.array_split(np.argsort(mean), bins)
     return [(float(mean[p].mean()), float(row.per_vertex[p].mean())) for p in parts]
 

@@ -38,8 +38,8 @@ class Kernel(nn.Module):
     Examples
     --------
     >>> kernel = Kernel()
-    >>> kernel.weights([[0.0, 0, 0], [1, 1, 1]], [0.5, 0.5, 0.5]).sum().round(6)
-    np.float64(1.0)
+    >>> float(kernel.weights([[0.0, 0, 0], [1, 1, 1]], [0.5, 0.5, 0.5]).sum().round(6))
+    1.0
     """
 
     def __init__(

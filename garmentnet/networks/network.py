@@ -223,7 +223,7 @@ class MotionNetwork(nn.Module):
     def predict(
         self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
     ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, in ascending order."""
+        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
         parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
         return np.concatenate([m.vertices() for m in parts])
 

@@ -1,4 +1,4 @@
-"""Motions from files: BVH, arrays, clips of a store."""
+"""Motions from files: BVH, arrays, and clips of a store."""
 
 from __future__ import annotations
 

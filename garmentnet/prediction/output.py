@@ -20,18 +20,14 @@ from .prediction import Prediction
 
 __all__ = ["check_output", "save_prediction"]
 
-
+_ELEVATION = 12.0  # degrees of the camera above the horizon
 _FILMS = (".mp4", ".gif", ".webp")
-
-
 _PICTURES = (".png", ".jpg", ".jpeg")
-
-
 _BONES = (".glb", ".gltf", ".fbx")
 
 
 def check_output(path: Path | str) -> None:
-    """Raise unless :func:`save_prediction` can write a file of this name.
+    """Check that :func:`save_prediction` can write a file of this name.
 
     Raises
     ------
@@ -64,22 +60,32 @@ def save_prediction(
     frames: int = 5,
     progress: Callable[[float], None] | None = None,
 ) -> str:
-    """Write a prediction as the suffix says; a sentence about what was written.
+    """Write a prediction in the format of the suffix.
 
-    ``.mp4``, ``.gif`` and ``.webp`` are films and ``.png`` a sheet of pictures,
-    with the body; ``.glb`` and ``.fbx`` hold the virtual bones, without the
-    high-frequency part; all other formats hold the vertices.
+    ``.mp4``, ``.gif`` and ``.webp`` are films and ``.png`` and ``.jpg`` sheets of pictures, with
+    the body; ``.glb``, ``.gltf`` and ``.fbx`` hold the virtual bones, without the high-frequency
+    part; all other formats hold the vertices.
 
     Parameters
     ----------
     prediction : Prediction
     path : path
     size : int
-        Pixels, of a film's side.
+        Width and height of a film, pixels.
     frames : int
-        Of a sheet.
+        Number of pictures in a sheet.
     progress : callable, optional
-        Told the share of a film that is drawn.
+        Called with the fraction of a film that is drawn.
+
+    Returns
+    -------
+    str
+        What was written, for the user.
+
+    Raises
+    ------
+    SsdrError
+        If the file cannot be written.
     """
     file = Path(path)
     with writing(file):
@@ -118,8 +124,8 @@ def _save(
 
 
 def _rigid(skinning: Skinning) -> Skinning:
-    # Mixed pivots blend rotations, which engines cannot: the closest rotations about
-    # the centres of what the bones move.
+    # An ensemble mixes rotations to affine transforms, which engines cannot play.  They are
+    # replaced by the closest rotations about the centroids of the vertices that each bone moves.
     if skinning.bone_model == "rigid":
         return skinning
     m = np.asarray(skinning.transforms, np.float64)
@@ -139,7 +145,9 @@ def _write_mp4(
     av = require("av", "garmentnet", "an .mp4 file")
     side = size - size % 2
     shown = Scene.of(scene, None)
-    view = View.of(shown, list(range(scene.n_frames)), (side, side), None, "y", None, 12.0, True)
+    view = View.of(
+        shown, list(range(scene.n_frames)), (side, side), None, "y", None, _ELEVATION, True
+    )
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as file:
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
         stream = file.add_stream(codec, rate=round(scene.fps))

@@ -1,4 +1,4 @@
-"""A checkpoint's answer to a motion, and files and pictures of it."""
+"""The garment that a checkpoint predicts for a motion."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from ..networks.checkpoint import Checkpoint
 
 __all__ = ["Prediction", "follow", "predict", "trained_range"]
 
+# Relative; parameters that are read from a file may be rounded.
+_ROUNDING = 1e-9
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction:
@@ -27,12 +30,12 @@ class Prediction:
     ----------
     cloth, body : MeshSequence
     skinning : Skinning
-        The low-frequency part: virtual bones with their transforms in the world.
+        The low-frequency part: the virtual bones with their transforms in the world.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
-        Positions of the root joint.
+        Positions of the root joint, metres.
     extrapolated : tuple of str
-        What lies outside the range that was trained, in words; empty: nothing.
+        A sentence for every parameter outside the trained range.
     """
 
     cloth: MeshSequence
@@ -43,7 +46,7 @@ class Prediction:
     extrapolated: tuple[str, ...]
 
     def scene(self, *, still: bool = True) -> MeshSequence:
-        """Cloth and body as one mesh; `still`: the camera walks along."""
+        """Cloth and body as one mesh; `still`: without the root's horizontal motion."""
         where = self.root if still else None
         return follow(
             self.cloth.vertices,
@@ -72,22 +75,21 @@ def predict(
     joints : (F, J, 3, 4) array
         World transforms from the body's rest pose, at the checkpoint's frame rate.
     parameters : SimulationParameters, optional
-        Needed by an ensemble and a network that reads them; a single network
-        knows its own only.
+        Needed by an ensemble and by a network that reads them; any other network has its own
+        and accepts no others.
     detail : bool
         Whether to run the high-frequency module.
 
     Raises
     ------
     InputError
-        If the joints are not usable, or the parameters are missing or not those
-        of a single network.
+        If the joints do not fit the body or are not rigid, or the parameters are missing or not
+        those of a single network.
 
     Warns
     -----
     SsdrWarning
-        If the parameters lie outside the trained range: the answer is an
-        extrapolation.
+        If the parameters lie outside the trained range.
     """
     several = checkpoint.kernel is not None or checkpoint.networks[0].condition
     own = checkpoint.parameters[0]
@@ -127,7 +129,7 @@ def predict(
 
 
 def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of every parameter among the pivots; empty without any."""
+    """Lowest and highest value of every parameter among the networks; empty if unknown."""
     known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
     if not known:
         return {}
@@ -137,14 +139,14 @@ def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:
 def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
     limits = trained_range(checkpoint)
     found = []
-    if not limits:  # a network that reads them does not know its sets: what they are meant for
+    if not limits:  # a network that reads parameters does not know its training sets
         for key in parameters.outside():
             low, high = RANGES[key]
             found.append(f"{key} {getattr(parameters, key):g}, meant for {low:g} to {high:g}")
         return tuple(found)
     for key, value in dataclasses.asdict(parameters).items():
         low, high = limits[key]
-        if not low * (1 - 1e-9) <= value <= high * (1 + 1e-9):
+        if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
             found.append(f"{key} {value:g}, trained from {low:g} to {high:g}")
     return tuple(found)
 
@@ -158,10 +160,10 @@ def follow(
     root: NDArray[np.floating] | None,
     name: str = "",
 ) -> MeshSequence:
-    """Cloth and body as one mesh, seen from a camera that walks along with the root."""
+    """Cloth and body as one mesh, without the horizontal motion of `root` ``(F, 3)`` if given."""
     both = np.concatenate([np.asarray(body), np.asarray(cloth)], axis=1).astype(np.float64)
     if root is not None:
-        # Jumps stay visible: the camera does not follow upwards.
+        # Not vertically, so that jumps stay visible.
         both = both - np.asarray(root)[:, None] * np.array([1.0, 0.0, 1.0])
     faces = np.concatenate([body_faces, np.asarray(cloth_faces) + np.asarray(body).shape[1]])
     return MeshSequence(both.astype(np.float32), faces, fps, name=name)

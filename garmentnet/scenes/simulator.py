@@ -1,7 +1,7 @@
-"""Cloth on a moving body: newton's vertex block descent, few iterations, many substeps.
+"""Simulation of a garment on a moving body: vertex block descent, few iterations, many substeps.
 
-One clip runs on one core and gives the same bits every time.  What comes out is judged before
-anyone learns from it.
+A clip runs on one core and gives the same bits every time.  Its quality is measured before it is
+used for training.
 
 References
 ----------
@@ -32,6 +32,9 @@ from .quality import Gate, Quality, judge
 
 __all__ = ["Simulated", "simulate", "versions"]
 
+# Averages with the neighbours, after which a perturbation is smooth over a few edges.
+_SMOOTHINGS = 20
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Simulated:
@@ -49,7 +52,7 @@ class Simulated:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides the bits of a clip."""
+    """Versions of the packages that decide the bits of a clip."""
     return {p: importlib.metadata.version(p) for p in ("newton", "warp-lang")}
 
 
@@ -79,8 +82,8 @@ def simulate(
     seed : int
         Of the perturbation.
     perturbation : float
-        Metres (RMS) by which the settled garment is moved, smoothly and at random, before the
-        first frame: what then becomes of the difference is chaos.
+        RMS displacement in metres, smooth and random, of the settled garment before the first
+        frame; the difference that results measures chaos.
     progress : callable, optional
         Called with the frames done and all frames, settling included.
 
@@ -104,7 +107,7 @@ def simulate(
     before = lead_in(tree, motion.joints, how.approach, how.settle)
     joints = np.concatenate([before, motion.joints])
     first = len(before)
-    # In float32, as the store keeps them: a clip can be made again from what is stored.
+    # Rounded to float32 as in the store, so that a clip can be simulated again from its store.
     joints = joints.astype(np.float32).astype(np.float64)
     cloth = Cloth(body, garment, parameters, how, motion.fps, joints[0])
     out = np.empty((motion.n_frames, garment.n_vertices, 3), dtype=np.float32)
@@ -132,7 +135,7 @@ def _between(
 
 
 def _unrest(garment: Garment, size: float, seed: int) -> NDArray[np.float32]:
-    """Smooth random displacements of free vertices, RMS of their length `size`."""
+    """Smooth random displacements ``(V, 3)`` of free vertices; their RMS length is `size`."""
     rng = np.random.default_rng([seed, 0xC4A05])
     noise = rng.normal(size=(garment.n_vertices, 3))
     e = garment.edges()
@@ -142,8 +145,9 @@ def _unrest(garment: Garment, size: float, seed: int) -> NDArray[np.float32]:
     near = near + near.T
     degree: NDArray[np.float64] = np.asarray(near.sum(axis=1)).ravel()[:, None]
     free = ~garment.pinned
-    for _ in range(20):
-        # Noise of one vertex would die at once in stretch; folds are what may go another way.
+    for _ in range(_SMOOTHINGS):
+        # Displacements of single vertices would only stretch edges and vanish at once; smooth ones
+        # change folds.
         noise = 0.5 * noise + 0.5 * np.asarray(near @ noise) / degree
         noise[~free] = 0.0
     noise *= size / math.sqrt(float((noise[free] ** 2).sum(axis=1).mean()))

@@ -1,10 +1,10 @@
-"""Clips as the training loop reads them: side by side, window after window."""
+"""Batches for truncated back-propagation through time: several clips in parallel, in windows."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,12 +17,12 @@ from ..networks.features import transforms_in_frame
 from ..networks.network import MotionNetwork
 from ..networks.skinning import remove_frame
 
-__all__ = ["Batch", "Track", "batches", "load_tracks"]
+__all__ = ["Batch", "Track", "Window", "batches", "load_tracks"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Track:
-    """One clip, ready for a network: inputs in memory, targets on disk.
+    """One clip with the inputs of a network in memory and its targets on disk.
 
     Attributes
     ----------
@@ -30,9 +30,9 @@ class Track:
     bones : ClipBones
     inputs : (F, D) float32 tensor
     frame : (F, 3, 4) float64
-        The moving frame of the answer.
+        From the moving frame, in which the network predicts, to the world.
     extra : (F, ...) float32 tensor, optional
-        What a task computed beforehand.
+        What an objective computed beforehand for every frame.
     """
 
     clip: Clip
@@ -49,7 +49,7 @@ class Track:
         """Frames of "low" or "high" in the moving frame, ``(f, V, 3)`` float32."""
         world = torch.from_numpy(self.bones.read(part, frames))
         frame = torch.from_numpy(self.frame[frames])
-        if part == "high":  # a difference of positions: turned, not moved
+        if part == "high":  # a difference of positions: only rotated
             return world @ frame[..., :3].float()
         return remove_frame(frame, world.double()).float()
 
@@ -70,30 +70,42 @@ def load_tracks(network: MotionNetwork, bones: VirtualBones, names: Sequence[str
     return tracks
 
 
+class Window(NamedTuple):
+    """Frames `start` to `stop` of a track."""
+
+    track: Track
+    start: int
+    stop: int
+
+    @property
+    def frames(self) -> slice:
+        return slice(self.start, self.stop)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Batch:
-    """A window of each lane.
+    """One window of every lane; a lane is a queue of clips.
 
     Attributes
     ----------
-    windows : list of (Track, start, stop) or None
-        What each of the N lanes shows; None: nothing any more.
+    windows : list of Window or None
+        One for each of the N lanes; None: the lane is finished.
     mask : (N, T) bool tensor
-        Frames that are there.
+        Which frames exist; shorter windows are padded.
     fresh : (N,) bool tensor
-        Lanes where a clip begins: their memory is forgotten.
+        Lanes in which a clip begins: the GRU's state is reset.
     """
 
-    windows: list[tuple[Track, int, int] | None]
+    windows: list[Window | None]
     mask: Tensor
     fresh: Tensor
 
     def inputs(self) -> Tensor:
         """``(N, T, D)``, zero where there is no frame."""
-        return self.stack([w and w[0].inputs[w[1] : w[2]] for w in self.windows])
+        return self.stack([w and w.track.inputs[w.frames] for w in self.windows])
 
     def stack(self, parts: Sequence[Tensor | None]) -> Tensor:
-        """Pad what the lanes hold to ``(N, T, ...)``."""
+        """One tensor of every lane, padded with zeros to ``(N, T, ...)``."""
         shape = next(p.shape[1:] for p in parts if p is not None)
         out = torch.zeros(*self.mask.shape, *shape)
         for lane, part in enumerate(parts):
@@ -102,7 +114,7 @@ class Batch:
         return out
 
     def forget(self, state: Tensor | None) -> Tensor | None:
-        """A GRU's state ``(1, N, H)`` with that of fresh lanes set to zero."""
+        """A GRU's state ``(1, N, H)`` with zeros for the lanes in which a clip begins."""
         if state is None:
             return None
         return state * (~self.fresh).to(state)[None, :, None]
@@ -113,12 +125,21 @@ def batches(
 ) -> Iterator[Batch]:
     """One epoch: every frame of every track once, each track in order.
 
-    Tracks are shuffled, dealt to the lane with fewest frames, and cut into
-    windows; the first of a track has a random length, so that the cuts move from
-    epoch to epoch.  Without `rng` nothing is random.
+    Tracks are shuffled, assigned to the lane with the fewest frames and cut into windows.  The
+    first window of a track has a random length, so that the cuts change from epoch to epoch.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+    lanes : int
+        Clips in parallel.
+    window : int
+        Frames of a window, at most.
+    rng : numpy.random.Generator or None
+        None: no shuffling, and every window has full length.
     """
     order = np.arange(len(tracks)) if rng is None else rng.permutation(len(tracks))
-    queues: list[list[tuple[Track, int, int]]] = [[] for _ in range(lanes)]
+    queues: list[list[Window]] = [[] for _ in range(lanes)]
     load = np.zeros(lanes, int)
     for k in order:
         track = tracks[int(k)]
@@ -127,7 +148,7 @@ def batches(
         stop = window if rng is None else int(rng.integers(window // 2 + 1, window + 1))
         start = 0
         while start < track.n_frames:
-            queues[lane].append((track, start, min(stop, track.n_frames)))
+            queues[lane].append(Window(track, start, min(stop, track.n_frames)))
             start, stop = stop, stop + window
     for step in range(max((len(q) for q in queues), default=0)):
         windows = [q[step] if step < len(q) else None for q in queues]
@@ -135,6 +156,6 @@ def batches(
         fresh = torch.ones(lanes, dtype=torch.bool)
         for lane, w in enumerate(windows):
             if w is not None:
-                mask[lane, : w[2] - w[1]] = True
-                fresh[lane] = w[1] == 0
+                mask[lane, : w.stop - w.start] = True
+                fresh[lane] = w.start == 0
         yield Batch(windows, mask, fresh)

@@ -1,4 +1,4 @@
-"""From a store to an ensemble: a network for every training set, pivots, kernel, comparison."""
+"""Training of an ensemble: one network for every training set, pivots, kernel, comparison."""
 
 from __future__ import annotations
 
@@ -38,12 +38,13 @@ from .run import train
 __all__ = ["Sweep", "compare_networks", "sweep_pivots", "train_ensemble"]
 
 Array = NDArray[np.float64]
-_CLIPS = 4  # of a parameter set, to compare networks on
+# Clips of a parameter set on which networks are compared, at most: predicting is the cost.
+_CLIPS = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sweep:
-    """One K of the sweep.
+    """The ensemble of K pivots, one entry of the sweep over K.
 
     Attributes
     ----------
@@ -51,15 +52,15 @@ class Sweep:
         Indices of training sets.
     kernel : Kernel
     sigma : float
-        The best bandwidth on the validation set.
+        Bandwidth with the smallest error on the validation sets.
     validation : float
-        Error of the kernel there, mm.
+        That error, mm.
     score : float
-        Mean error, mm, over the validation sets and every training set mixed
-        from the pivots other than itself: one validation set alone says little.
+        Mean error, mm, over the validation sets and over every training set predicted from the
+        other pivots: one validation set alone says little.
     errors : dict
-        mm, of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets'
-        training motions (``train``) and test motions (``test``).
+        mm, of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training motions
+        (``train``) and test motions (``test``).
     """
 
     pivots: list[int]
@@ -80,21 +81,23 @@ def train_ensemble(
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train the base network, one for every training set, and the kernel; call again to go on.
+    """Train the base network, one for every other training set, and the kernel.
+
+    Called again, it continues.
 
     Parameters
     ----------
     store : ClipStore
     config : Config
     folder : path
-        One folder a network, ``ensemble.safetensors`` and ``ensemble.json`` with
-        the sweep over K.
+        For one folder a network, ``ensemble.safetensors`` and ``ensemble.json``, which holds the
+        sweep over K.
     base : Checkpoint, optional
-        The base network, where it is trained already.
+        The base network, if it is trained already.
     bones_folder, progress
         As in :func:`~garmentnet.training.run.train`.
     callback : callable, optional
-        Told the network's name and its progress; returning True stops.
+        Called with the network's name and its progress; returning True stops.
 
     Returns
     -------
@@ -122,7 +125,7 @@ def train_ensemble(
         checkpoints.append(base)
     o = config.ensemble
     for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
-        # By its parameters: numbers would change as the store grows.
+        # Named by its parameters, because numbers would change as the store grows.
         name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters)) if k else "base"
         data = dataclasses.replace(config.data, parameters=_text(parameters))
         own = dataclasses.replace(config, data=data)
@@ -140,7 +143,7 @@ def train_ensemble(
                 ),
             )
 
-        def told(p: Progress, name: str = name) -> bool:
+        def after_epoch(p: Progress, name: str = name) -> bool:
             nonlocal stopped
             stopped = bool(callback(name, p)) if callback else False
             return stopped
@@ -151,7 +154,7 @@ def train_ensemble(
             folder / name,
             start=start,
             bones_folder=bones_folder,
-            callback=told,
+            callback=after_epoch,
             progress=progress,
         )
         if stopped:
@@ -186,8 +189,12 @@ def sweep_pivots(
 ) -> list[Sweep]:
     """Pivots and kernel for K from 1 to all training sets, and their errors.
 
-    The bandwidth and the step at which g is taken come from the validation
-    sets, never from the test sets.
+    Bandwidth and training step are chosen on the validation sets, never on the test sets.
+
+    Returns
+    -------
+    list of Sweep
+        For K = 1 to the number of training sets.
     """
     roles = parameter_roles(store)
     by_role = {r: [p for p in store.parameters() if roles[p] == r] for r in ("validation", "test")}
@@ -204,7 +211,7 @@ def sweep_pivots(
     theta = np.stack([p.normalised() for p in sets])
     own = grams(sets, "train")
     held = [p.normalised() for p in by_role["validation"]]
-    checks = list(zip(grams(by_role["validation"], "train"), held, strict=True))
+    held_out = list(zip(grams(by_role["validation"], "train"), held, strict=True))
     tests = {split: grams(by_role["test"], split) for split in ("train", "test")}
     places = [p.normalised() for p in by_role["test"]]
 
@@ -217,7 +224,7 @@ def sweep_pivots(
                     own,
                     theta,
                     pivots,
-                    validation=checks,
+                    validation=held_out,
                     sigma=sigma,
                     steps=o.steps,
                     seed=config.train.seed,
@@ -226,19 +233,19 @@ def sweep_pivots(
             )
             for sigma in o.sigmas
         ]
-        # With one pivot there is nothing to mix and every error is NaN or the same.
+        # With one pivot the weights are 1, and all errors are the same or NaN.
         kernel, validation, sigma = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
-        ways: dict[str, Callable[[Array, Any], Array]] = {
+        mixers: dict[str, Callable[[Array, Any], Array]] = {
             "rbf": kernel.weights,
             "inverse distance": inverse_distance,
             "nearest": nearest,
         }
         seen = left_out_errors(kernel, own, theta, pivots)
-        for q, t in checks:
+        for q, t in held_out:
             weights = kernel.weights(theta[pivots], t)
             seen.append(error_of(q[np.ix_(pivots, pivots)], weights))
         errors = {
-            way: {
+            mixer: {
                 split: 1e3
                 * float(
                     np.mean(
@@ -251,7 +258,7 @@ def sweep_pivots(
                 for split, qs in tests.items()
                 if qs
             }
-            for way, f in ways.items()
+            for mixer, f in mixers.items()
         }
         score = 1e3 * float(np.mean(seen))
         sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors))
@@ -268,7 +275,13 @@ def compare_networks(
 ) -> Array:
     """Gram matrix ``(S, S)`` of all networks' residuals on one set's clips of a split.
 
-    Networks run over whole clips, at most four of them; `frames`, evenly spread, count.
+    Networks predict at most four clips from their first frame; `frames` evenly spread frames are
+    compared.
+
+    Raises
+    ------
+    InputError
+        If the set has no clip of the split.
     """
     names = [c.name for c in store.clips(split) if c.parameters == parameters]
     if not names:

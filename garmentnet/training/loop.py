@@ -1,4 +1,4 @@
-"""The training loop: epochs, validation, the state from which it goes on."""
+"""The training loop: epochs, validation, and the state from which a stopped run continues."""
 
 from __future__ import annotations
 
@@ -18,10 +18,7 @@ from torch import Tensor, nn
 from ssdr.errors import InputError
 
 from ..configs.config import TrainOptions
-from ..networks.checkpoint import (
-    load_tensors,
-    save_tensors,
-)
+from ..networks.checkpoint import load_tensors, save_tensors
 from .batches import Batch, Track, batches
 
 __all__ = ["Epoch", "Objective", "Progress", "fit"]
@@ -32,7 +29,23 @@ _logger = logging.getLogger(__name__)
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """What the loop tells its caller after every epoch; True as an answer stops it."""
+    """What a callback is called with after every epoch.
+
+    Attributes
+    ----------
+    phase : str
+        Name of the module that is trained.
+    epoch : int
+        From 1.
+    elapsed, time_left : float
+        Seconds.
+    loss : float
+        Mean of the epoch.
+    rmse : float
+        Best validation error so far, metres; inf before there is one.
+    fraction : float
+        Part of the epochs or of the time limit that is over.
+    """
 
     phase: str
     epoch: int
@@ -45,7 +58,18 @@ class Progress:
 
 @dataclasses.dataclass(frozen=True)
 class Epoch:
-    """A line of the history: training loss and, where it was validated, RMSE in metres."""
+    """One entry of the history.
+
+    Attributes
+    ----------
+    epoch : int
+        From 1.
+    loss : float
+        Mean of the epoch.
+    rmse : float or None
+        Validation error, metres; None where the epoch was not validated.
+    learning_rate, seconds : float
+    """
 
     epoch: int
     loss: float
@@ -55,20 +79,20 @@ class Epoch:
 
 
 class Objective(Protocol):
-    """What the loop trains."""
+    """What the loop minimises, and on what."""
 
     @property
     def module(self) -> nn.Module:
-        """Whose weights are trained."""
+        """The module that is trained."""
 
     @property
     def tracks(self) -> list[Track]:
-        """What it is trained on."""
+        """The training clips."""
 
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        """Loss of a window and the new state."""
+        """Loss of a batch and the GRU's new state."""
 
     def validate(self) -> float:
         """Error on the validation clips, metres; NaN where there are none."""
@@ -84,7 +108,7 @@ def fit(
     folder: Path,
     callback: Callable[[Progress], bool | None] | None = None,
 ) -> list[Epoch]:
-    """Train a objective until validation no longer improves; it ends with its best weights.
+    """Train a module until validation no longer improves; it ends with its best weights.
 
     Without validation clips it runs through all epochs and ends with the last weights.
 
@@ -93,17 +117,24 @@ def fit(
     objective : Objective
     options : TrainOptions
     name : str
-        Of the phase; ``<name>.state.safetensors`` in `folder` is where it goes on.
+        Of the module; the state is ``<name>.state.safetensors`` in `folder`.
     epochs : int
         At most.
     learning_rate : float
-        To start with; it falls along half a cosine to nothing at the last epoch.
+        At the first epoch; it falls along half a cosine to 0 after the last.
     folder : Path
+        For the state and the curves; a run that was stopped continues from there.
     callback : callable, optional
+        Called with a :class:`Progress` after every epoch; returning True stops.
 
     Returns
     -------
     list of Epoch
+
+    Raises
+    ------
+    InputError
+        If the loss is not finite, or the state in `folder` is of another run.
     """
     module, state_file = objective.module, folder / f"{name}.state.safetensors"
     optimiser = torch.optim.Adam(
@@ -123,7 +154,7 @@ def fit(
     with _writer(folder / "tensorboard" / name, options.tensorboard) as writer:
         while not done and len(history) < epochs:
             lap, losses, state = time.perf_counter(), [], None
-            rate = learning_rate * _falling(len(history) / epochs)
+            rate = learning_rate * _cosine(len(history) / epochs)
             optimiser.param_groups[0]["lr"] = rate
             module.train()
             for batch in batches(objective.tracks, options.batch, options.window, rng):
@@ -170,10 +201,10 @@ def fit(
     return history
 
 
-def _falling(share: float) -> float:
-    # Measured against a constant rate that is halved on plateaus: 34 mm in 16 epochs
-    # where that stays at 38 mm.
-    return 0.5 + 0.5 * math.cos(math.pi * min(1.0, share))
+def _cosine(done: float) -> float:
+    # Half a cosine from 1 to 0.  A constant rate that is halved on plateaus was measured too: it
+    # stays at 38 mm after 16 epochs, the cosine reaches 34 mm.
+    return 0.5 + 0.5 * math.cos(math.pi * min(1.0, done))
 
 
 def _copy(module: nn.Module) -> dict[str, Tensor]:
@@ -227,16 +258,15 @@ def _restore(
 def _progress(
     name: str, number: int, epochs: int, elapsed: float, limit: float, loss: float, best: float
 ) -> Progress:
-    share = max(number / epochs, elapsed / limit if limit else 0.0)
-    share = min(1.0, share)
+    done = min(1.0, max(number / epochs, elapsed / limit if limit else 0.0))
     return Progress(
         phase=name,
         epoch=number,
         elapsed=elapsed,
         loss=loss,
         rmse=best,
-        fraction=share,
-        time_left=elapsed * (1 - share) / share,
+        fraction=done,
+        time_left=elapsed * (1 - done) / done,
     )
 
 

@@ -1,4 +1,4 @@
-"""What the training loop minimises: the losses of the two modules and their validation."""
+"""Losses of the two modules, and their validation errors."""
 
 from __future__ import annotations
 
@@ -10,18 +10,23 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..networks.losses import BodyShape, collision_depth, frame_norm, mesh_laplacian
+from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm, mesh_laplacian
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 
-__all__ = ["HighFrequencyObjective", "LowFrequencyObjective"]
+__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective"]
+
+# Metres; the smallest deviation by which the output of a module is scaled.
+LEAST_DEVIATION = 1e-4
+# Frames of vertices in memory at once.
+_FRAMES_AT_ONCE = 64
 
 
 class _SkinnedNorm:
-    """‖A M − G‖² of frames without their vertices: exact, at a fraction of the cost.
+    """‖A M − G‖² of many frames, exact and without the vertices.
 
-    With the thin factorisation A = Q R it is ‖R M − Qᵀ G‖² + ‖G − Q Qᵀ G‖².  R has 4B rows
-    where A has V; Qᵀ G and the last term are computed once a frame.
+    With the thin QR factorisation A = Q R it is ‖R M − Qᵀ G‖² + ‖G − Q Qᵀ G‖².  R has 4B rows, A
+    has V.  Qᵀ G and the last term do not depend on M and are computed once for every frame.
 
     Parameters
     ----------
@@ -35,7 +40,7 @@ class _SkinnedNorm:
         self.size = 3 * len(r) + 1
 
     def code(self, targets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What is kept of frames ``(F, V, 3)``: ``(F, size)``."""
+        """Qᵀ G and ‖G − Q Qᵀ G‖² of frames ``(F, V, 3)``, as rows ``(F, size)``."""
         flat = targets.transpose(1, 0, 2).reshape(targets.shape[1], -1)
         inner = self._q.T @ flat
         rest = ((flat - self._q @ inner) ** 2).reshape(len(flat), -1, 3).sum(axis=(0, 2))
@@ -51,7 +56,13 @@ class _SkinnedNorm:
 
 
 class LowFrequencyObjective:
-    """The low-frequency module: ‖Ĝ_LF − G_LF‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(G_LF)‖."""
+    """Loss of the low-frequency module: ‖Ĝ_LF − G_LF‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(G_LF)‖.
+
+    Parameters
+    ----------
+    network : MotionNetwork
+    tracks, validation : list of Track
+    """
 
     def __init__(
         self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
@@ -69,8 +80,12 @@ class LowFrequencyObjective:
 
     def _with_targets(self, track: Track) -> Track:
         codes = []
-        for i in range(0, track.n_frames, 64):
-            g = track.target("low", slice(i, min(i + 64, track.n_frames))).double().numpy()
+        for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
+            g = (
+                track.target("low", slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames)))
+                .double()
+                .numpy()
+            )
             flat = g.transpose(1, 0, 2).reshape(self._count, -1)
             bent = (self._laplacian @ flat).reshape(self._count, -1, 3).transpose(1, 0, 2)
             codes.append(np.hstack([self._position.code(g), self._detail.code(bent)]))
@@ -91,20 +106,19 @@ class LowFrequencyObjective:
         x, drop = batch.inputs(), self.network.config.low.dropout
         mask = None
         if drop:
-            # From the loop's own generator: a run that goes on draws what it would have drawn.
-            keep = rng.random((*x.shape[:2], self.module.gru.hidden_size), np.float32) >= drop
-            mask = torch.from_numpy(keep).to(self.network.device) / (1 - drop)
+            # Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
+            stays = rng.random((*x.shape[:2], self.module.gru.hidden_size), np.float32) >= drop
+            mask = torch.from_numpy(stays).to(self.network.device) / (1 - drop)
         z, state = self.module(x.to(self.network.device), state, mask)
-        code = torch.cat([_extra(w[0])[w[1] : w[2]] for w in batch.windows if w])
+        code = torch.cat([_extra(w.track)[w.frames] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
-        # An exact fit has no direction; the floor (1 µm) keeps its gradient finite.
-        loss = (position + 1e-12).sqrt().mean()
+        loss = (position + EXACT).sqrt().mean()
         if self.weight:
-            loss = loss + self.weight * (detail + 1e-12).sqrt().mean()
+            loss = loss + self.weight * (detail + EXACT).sqrt().mean()
         return loss, state
 
     def validate(self) -> float:
-        """RMSE of the low part, metres; NaN without validation clips."""
+        """RMSE of the low-frequency mesh, metres; NaN without validation clips."""
         square, count = 0.0, 0
         for track in self.validation:
             z = self.module(track.inputs[None].to(self.network.device))[0][0]
@@ -115,10 +129,15 @@ class LowFrequencyObjective:
 
 
 class HighFrequencyObjective:
-    """The high-frequency module on the output of the low one: position and collision.
+    """Loss of the high-frequency module on the low-frequency mesh: position and collision.
 
-    The GRU reads every frame of a window; the loss looks at a few, for the
-    module's last layers are its cost.
+    The GRU reads every frame of a window; the loss is computed on a few frames, because the layers
+    after the GRU are the expensive ones.
+
+    Parameters
+    ----------
+    network : MotionNetwork
+    tracks, validation : list of Track
     """
 
     def __init__(
@@ -145,37 +164,37 @@ class HighFrequencyObjective:
         device, options = self.network.device, self.network.config.high
         lanes = [k for k, w in enumerate(batch.windows) if w]
         windows = [w for w in batch.windows if w]
-        # As many frames of every lane, with repeats where a window is shorter.
+        # The same number of frames in every lane, some twice where a window is shorter.
         chosen = np.zeros((len(batch.windows), options.frames), int)
         for k, w in zip(lanes, windows, strict=True):
-            length = w[2] - w[1]
+            length = w.stop - w.start
             short = length < options.frames
             chosen[k] = np.sort(rng.choice(length, options.frames, replace=short))
-        z = batch.stack([w and _extra(w[0])[w[1] : w[2]] for w in batch.windows])
+        z = batch.stack([w and _extra(w.track)[w.frames] for w in batch.windows])
         pick = torch.from_numpy(chosen)
         with torch.no_grad():
             index = pick[:, :, None, None].expand(-1, -1, *z.shape[2:])
             low = self.network.mesh(z.gather(1, index).to(device))
         x = self._inputs(batch.inputs(), z)
         high, state = self.module(x, low, state, pick.to(device))
-        frames = [w[1] + chosen[k] for k, w in zip(lanes, windows, strict=True)]
-        wanted = [w[0].target("high", f) for w, f in zip(windows, frames, strict=True)]
+        frames = [w.start + chosen[k] for k, w in zip(lanes, windows, strict=True)]
+        wanted = [w.track.target("high", f) for w, f in zip(windows, frames, strict=True)]
         truth = torch.stack(wanted).to(device)
         loss = frame_norm(high[lanes] - truth)
         if options.collision:
-            joints = torch.cat([w[0].joints(f) for w, f in zip(windows, frames, strict=True)])
+            joints = torch.cat([w.track.joints(f) for w, f in zip(windows, frames, strict=True)])
             body, normals = self.body(joints.to(device))
             mesh = (low + high)[lanes].flatten(0, 1)
             loss = loss + options.collision * collision_depth(mesh, body, normals).mean()
         return loss, state
 
     def validate(self) -> float:
-        """RMSE of all, low and high: what the high-frequency module is there to lower."""
+        """RMSE of the garment, low and high frequencies together, metres."""
         square, count = 0.0, 0
         for track in self.validation:
             state, z = None, _extra(track)
-            for i in range(0, track.n_frames, 64):
-                part = slice(i, min(i + 64, track.n_frames))
+            for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
+                part = slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames))
                 low = self.network.mesh(z[part].to(self.network.device))[None]
                 x = self._inputs(track.inputs[None, part], z[None, part])
                 high, state = self.module(x, low, state)
@@ -186,7 +205,7 @@ class HighFrequencyObjective:
         return math.sqrt(square / count) if count else math.nan
 
     def fit_statistics(self) -> None:
-        """Mean of every vertex's detail and one deviation, over the training clips."""
+        """Set the mean detail of every vertex and one deviation, over the training clips."""
         total, square, frames = torch.zeros(()), 0.0, 0
         for track in self.tracks:
             high = track.target("high").double()
@@ -197,7 +216,7 @@ class HighFrequencyObjective:
         variance = square / (mean.numel() * frames) - float(mean.square().mean())
         low = self.network.mesh(_extra(self.tracks[0])[:1].to(self.network.device))
         self.module.mean.copy_(mean)
-        self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), 1e-4))
+        self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
         self.module.centre.copy_(low[0].mean(0))
 
 

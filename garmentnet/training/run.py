@@ -1,8 +1,8 @@
-"""Training: the loop, the tasks that it can be given, and the run from a store to a checkpoint.
+"""A run: from a store of clips to a checkpoint.
 
-The low-frequency module is trained first, then the high-frequency module on its
-output.  A run's folder holds all that it takes to go on where it was stopped,
-bit for bit on the same machine and number of threads.
+The low-frequency module is trained first, then the high-frequency module on its output.  A run
+that was stopped continues from its folder, bit for bit on the same machine and with the same number
+of threads.
 """
 
 from __future__ import annotations
@@ -23,11 +23,7 @@ from ..data.clip import MIRRORED
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
-from ..networks.checkpoint import (
-    Checkpoint,
-    load_weights,
-    save_checkpoint,
-)
+from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
 from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
 from ..networks.network import MotionNetwork
 from .batches import load_tracks
@@ -40,12 +36,26 @@ __all__ = ["build_network", "choose_clips", "train"]
 def choose_clips(
     store: ClipStore, config: Config, split: str = "train", *, needed: bool = True
 ) -> tuple[list[str], SimulationParameters | None]:
-    """Names of the clips that a configuration learns from, without mirrored ones.
+    """Names of the clips of a split that a configuration uses, without mirrored ones.
+
+    Parameters
+    ----------
+    store : ClipStore
+    config : Config
+    split : {"train", "validation", "test"}
+    needed : bool
+        Whether it is an error if there are none.
+
+    Returns
+    -------
+    names : list of str
+    parameters : SimulationParameters or None
+        Those of all the clips; None: those of all training sets.
 
     Raises
     ------
     InputError
-        If the store has no such clips, and they are needed.
+        If there are no such clips and they are needed, or ``data.parameters`` cannot be read.
     """
     roles = parameter_roles(store)
     stated, chosen = config.data.parameters, None
@@ -69,7 +79,7 @@ def choose_clips(
 
 
 def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> MotionNetwork:
-    """A network with the statistics of the named clips, freshly initialised."""
+    """A network with random weights and the statistics of the named clips."""
     subject = bones.subject
     features = PoseFeatures(subject.skeleton, config.features, subject.fps)
     inputs, transforms = [], []
@@ -95,29 +105,29 @@ def train(
     callback: Callable[[Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """From a store to a checkpoint; call again to go on.
+    """Train both modules of a network; called again, it continues.
 
     Parameters
     ----------
     store : ClipStore
     config : Config
     folder : path
-        Of the run: ``checkpoint.safetensors`` when it is done, states, curves
-        and ``history.json`` on the way.
+        Of the run: ``checkpoint.safetensors`` and ``history.json`` when it is finished, states and
+        curves before.
     start : Checkpoint, optional
-        Start from its weights instead of random ones, as a pivot may from the
-        base network.
+        Start from its weights instead of random ones, as pivots do from the base network.
     bones_folder : path, optional
         As in :func:`~garmentnet.data.virtual_bones.virtual_bones`.
     callback : callable, optional
-        Told after every epoch; returning True stops, to go on later.
+        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch; returning True
+        stops, to continue later.
     progress : callable, optional
-        Told about the preparation.
+        Called during the preparation with a description and the fraction that is done.
 
     Returns
     -------
     Path
-        Of the checkpoint; what a callback stopped is written as it is.
+        Of the checkpoint; also written when a callback stops the run.
 
     Raises
     ------
@@ -128,7 +138,7 @@ def train(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names, parameters = choose_clips(store, config)
-    # What starts from a trained network and has few clips of its own may have none to spare.
+    # A pivot starts from a trained network; its few clips need not include validation clips.
     held = choose_clips(store, config, "validation", needed=start is None)[0]
     mirror = config.data.mirror and store.mirror_vertices is not None
     learned = names + ([n + MIRRORED for n in names] if mirror else [])
@@ -139,7 +149,7 @@ def train(
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
     bones = virtual_bones(store, config.bones, folder=bones_folder, progress=progress)
     bones.prepare([*names, *held], progress)
-    # The initial weights depend on the seed alone, whatever ran before.
+    # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)
         network = build_network(config, bones, learned).to(device)
@@ -150,7 +160,7 @@ def train(
 
     stopped = False
 
-    def told(p: Progress) -> bool:
+    def after_epoch(p: Progress) -> bool:
         nonlocal stopped
         stopped = bool(callback(p)) if callback else False
         return stopped
@@ -163,25 +173,25 @@ def train(
             epochs=o.epochs,
             learning_rate=o.learning_rate,
             folder=folder,
-            callback=told,
+            callback=after_epoch,
         )
     }
     if not stopped:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
-        task = HighFrequencyObjective(network, tracks, validation)
-        task.fit_statistics()
+        objective = HighFrequencyObjective(network, tracks, validation)
+        objective.fit_statistics()
         if start is not None and start.networks[0].high is not None:
             load_weights(network, start, "high")
         history["high"] = fit(
-            task,
+            objective,
             o,
             name="high",
             epochs=o.high_epochs,
             learning_rate=o.high_learning_rate,
             folder=folder,
-            callback=told,
+            callback=after_epoch,
         )
     lines = {k: [dataclasses.asdict(e) for e in v] for k, v in history.items()}
     write_bytes(folder / "history.json", json.dumps(lines, indent=1).encode())
@@ -191,7 +201,7 @@ def train(
 
 
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
-    # What has no part in the answer may change from one call to the next.
+    # Settings that do not change the weights may differ from call to call.
     free = ("patience", "time_limit", "tensorboard", "device", "threads")
     stated = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
     stated["config"]["data"].pop("store")

@@ -1,7 +1,7 @@
-"""A dance of any length from a seed: moves chosen, timed, mixed and blended at random.
+"""Generator of dances: moves are chosen, timed and blended at random, from a seed.
 
-A move says, over its own time, what it wants of some controls (:data:`puppet.CHANNELS`); moves
-that follow each other are blended, arms and small unrest run beneath all of them.
+A move gives curves for some control channels (:data:`~garmentnet.scenes.dance.puppet.CHANNELS`).
+Consecutive moves are blended; arm motion and small random motion are added throughout.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ def dance(
     classes: Sequence[str] | None = None,
     name: str | None = None,
 ) -> Motion:
-    """Dance.
+    """Generate a dance.
 
     Parameters
     ----------
     skeleton : Skeleton
         Of :mod:`garmentnet.scenes.body`.
     seed : int
-        The same seed, frames and rate give the same dance.
+        The same seed, number of frames and frame rate give the same dance.
     frames : int
     fps : float
     classes : sequence of str, optional
-        Moves to choose from, in this order at first, then at random; by default four to six
-        classes drawn from the seed, at least two of them fast.
+        Classes of motion, in this order first and then at random; by default four to six drawn
+        from the seed, at least two of them fast.
     name : str, optional
 
     Returns
@@ -56,7 +56,14 @@ def dance(
     Raises
     ------
     InputError
-        If a class has no move here or a number is not usable.
+        If a class has no move or a number is out of its range.
+
+    Examples
+    --------
+    >>> from garmentnet.scenes.body import default_body
+    >>> spin = dance(default_body().skeleton, seed=1, frames=20, classes=["spin"])
+    >>> spin.n_frames, CLASSES[spin.classes[10]]
+    (20, 'spin')
     """
     if frames < 1:
         raise InputError("frames", "at least 1", frames)
@@ -73,7 +80,7 @@ def dance(
     seconds = frames / fps
     controls, label = _choreograph(rng, chosen, seconds, heading)
     _add_arms(rng, controls, seconds)
-    _add_unrest(rng, controls, seconds)
+    _add_noise(rng, controls, seconds)
     joints = pose_joints(skeleton, controls, heading)
     at = np.minimum(np.round(np.arange(frames) * RATE / fps).astype(int), len(joints) - 1)
     return Motion(joints[at], label[at], fps, f"dance-{seed}" if name is None else name)
@@ -95,7 +102,7 @@ def _choreograph(
     count = math.ceil(seconds * RATE) + 1
     time = np.arange(count) / RATE
     total = {name: np.zeros(count) for name in CHANNELS}
-    share_sum = np.zeros(count)
+    weight_sum = np.zeros(count)
     best, label = np.zeros(count), np.zeros(count, dtype=np.int8)
     order, start, state = list(chosen), -float(rng.uniform(0, 0.5)), State(0.0, 0.0, heading)
     fade_in, last = 0.3, ""
@@ -108,7 +115,7 @@ def _choreograph(
         low, high, move = MOVES[kind]
         length = float(rng.uniform(low, high))
         abrupt = bool(order) and order[0] == "stop"
-        # A stop is one because it comes at once.
+        # Seconds; a stop must come suddenly.
         fade_out = 0.06 if abrupt else float(rng.uniform(0.15, 0.4))
         end = start + length
         part = (time >= start - fade_in) & (time <= end + fade_out)
@@ -116,33 +123,33 @@ def _choreograph(
             local = time[part] - start
             rise = smooth((local + fade_in) / (2 * fade_in))
             fall = smooth((length + fade_out - local) / (2 * fade_out))
-            share = rise * fall
+            weight = rise * fall
             wants = move(rng, local, length, state)
             for name, values in wants.items():
-                total[name][part] += share * values
-            share_sum[part] += share
+                total[name][part] += weight * values
+            weight_sum[part] += weight
             inside = np.flatnonzero(part)
-            wins = share > best[inside]
-            best[inside[wins]] = share[wins]
+            wins = weight > best[inside]
+            best[inside[wins]] = weight[wins]
             label[inside[wins]] = CLASSES.index(kind)
-            state = _after(state, wants, share)
+            state = _after(state, wants, weight)
         start, fade_in, last = end, fade_out, kind
-    share_sum = np.maximum(share_sum, 1e-3)
-    return {name: values / share_sum for name, values in total.items()}, label
+    weight_sum = np.maximum(weight_sum, 1e-3)
+    return {name: values / weight_sum for name, values in total.items()}, label
 
 
-def _after(state: State, wants: Controls, share: Float) -> State:
-    """Where a move leaves the dancer, roughly."""
-    zero = np.zeros(len(share))
-    yaw = state.yaw + np.cumsum(wants.get("turn", zero) * share) / RATE
-    side, forward = wants.get("side", zero) * share, wants.get("forward", zero) * share
+def _after(state: State, wants: Controls, weight: Float) -> State:
+    """Approximate position and heading after a move."""
+    zero = np.zeros(len(weight))
+    yaw = state.yaw + np.cumsum(wants.get("turn", zero) * weight) / RATE
+    side, forward = wants.get("side", zero) * weight, wants.get("forward", zero) * weight
     x = state.x + float((np.cos(yaw) * side + np.sin(yaw) * forward).sum()) / RATE
     z = state.z + float((np.cos(yaw) * forward - np.sin(yaw) * side).sum()) / RATE
     return State(x, z, float(yaw[-1]))
 
 
 def _add_arms(rng: np.random.Generator, controls: Controls, seconds: float) -> None:
-    """Arms wander between shapes; at times both do the same."""
+    """Add slow random arm motion; at times both arms move alike."""
     count = len(controls["turn"])
     together = _noise(rng, count, 0.25) > 0.2
     mix = uniform_filter1d(together.astype(np.float64), RATE // 2, mode="nearest")
@@ -168,7 +175,8 @@ def _add_arms(rng: np.random.Generator, controls: Controls, seconds: float) -> N
             )
 
 
-def _add_unrest(rng: np.random.Generator, controls: Controls, seconds: float) -> None:
+def _add_noise(rng: np.random.Generator, controls: Controls, seconds: float) -> None:
+    """Add small random motion: channel, amplitude in its unit, swings a second."""
     count = len(controls["turn"])
     for name, size, rate in (
         ("shift_x", 0.012, 0.5),
@@ -189,14 +197,14 @@ def _add_unrest(rng: np.random.Generator, controls: Controls, seconds: float) ->
 
 
 def _noise(rng: np.random.Generator, count: int, rate: float) -> Float:
-    """Smooth noise of variance about 1 that changes about `rate` times a second."""
+    """Smooth noise ``(count,)`` of variance about 1; `rate` is its number of swings a second."""
     knots = math.ceil(count / RATE * rate * 2) + 4
     values = rng.normal(size=knots)
     at = np.arange(count) / RATE * rate * 2 + rng.uniform(0, 1)
     k = at.astype(int)
     u = at - k
     weights = ((1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3)
-    # A cubic B-spline of unit knots has a variance of about 0.48.
+    # A cubic B-spline through random knots of variance 1 has a variance of about 0.48 = 0.69².
     return sum((w * values[k + i] for i, w in enumerate(weights)), np.zeros(count)) / 6 / 0.69
 
 

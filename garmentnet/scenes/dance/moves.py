@@ -1,7 +1,7 @@
-"""The moves of the dance: over its own time, each says what it wants of some controls.
+"""The moves of a dance: each gives curves for some control channels, at random.
 
-Controls are the :data:`~garmentnet.scenes.dance.puppet.CHANNELS` of the puppet; one that a
-move leaves out is zero.
+The channels are :data:`~garmentnet.scenes.dance.puppet.CHANNELS`, in radians, metres and seconds; a
+channel that a move leaves out is 0.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ __all__ = ["MOVES", "Controls", "Float", "Move", "State", "smooth"]
 
 Float = NDArray[np.float64]
 Controls = dict[str, Float]
-_GRAVITY = 9.81
-# Where a dancer who has wandered this far (metres) turns back.
+_GRAVITY = 9.81  # m/s²
+# Distance from the middle, metres, at which a walk leads back.
 _STAGE = 1.2
 
 
 @dataclasses.dataclass(frozen=True)
 class State:
-    """What a move may look at as it begins."""
+    """Position (metres) and heading (radians) of the dancer when a move begins."""
 
     x: float
     z: float
@@ -214,7 +214,7 @@ def _stop(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     }
 
 
-# Shortest and longest, seconds, and what it does.
+# Shortest and longest duration, seconds, and the function of the move.
 MOVES: dict[str, tuple[float, float, Move]] = {
     "stand": (0.6, 1.4, _stand),
     "walk": (1.2, 2.6, _walk),
@@ -228,11 +228,18 @@ MOVES: dict[str, tuple[float, float, Move]] = {
 
 
 def smooth(x: Float) -> Float:
+    """Smooth step from 0 at 0 to 1 at 1, with two continuous derivatives.
+
+    Examples
+    --------
+    >>> smooth(np.array([-1.0, 0.5, 2.0])).tolist()
+    [0.0, 0.5, 1.0]
+    """
     x = np.clip(x, 0, 1)
     return np.asarray(x * x * x * (x * (6 * x - 15) + 10))
 
 
 def _bump(t: Float, begin: float, end: float, ramp: float) -> Float:
-    """1 between `begin` and `end`, 0 outside, smooth over `ramp` within."""
+    """1 between `begin` and `end`, 0 outside, with smooth ramps inside; seconds."""
     ramp = min(ramp, (end - begin) / 2)
     return smooth((t - begin) / ramp) * smooth((end - t) / ramp)

@@ -1,7 +1,7 @@
-"""From what a dancer wants (path, hips, arms, kicks) to joints: steps, legs by IK, arms.
+"""From control channels (path, hips, arms, kicks) to joint transforms: steps, inverse kinematics.
 
-The feet are not animated: they stand where they stand and step when the body leaves them, so
-that every mix of moves has plausible ones.
+The feet are not animated: a foot stands still and steps when the body has moved away from it, so
+that every blend of moves has plausible feet.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from ...data.skeleton import Skeleton
 __all__ = ["CHANNELS", "RATE", "pose_joints"]
 
 Float = NDArray[np.float64]
-# Samples a second of the controls; steps and jumps need a finer clock than the frames.
+# Samples a second of the channels; steps and jumps need more than the frame rate.
 RATE = 120
-# What a move may set; all are 0 at rest.  Angles in radians, lengths in metres for a leg of
-# 0.8 m, seconds.  "l" and "r" are the dancer's own sides.
+# The channels; all are 0 at rest.  Angles in radians, lengths in metres for a leg of 0.807 m,
+# times in seconds.  "l" and "r" are the dancer's left and right.
 CHANNELS = (
     "forward", "side", "turn",  # velocity in the heading's frame, rate of turn
     "shift_x", "shift_z", "lift", "air",  # hips against the feet; height of a jump
@@ -33,21 +33,31 @@ CHANNELS = (
     "reach_l", "sweep_l", "elbow_l", "reach_r", "sweep_r", "elbow_r",  # arms
     "free_l", "flex_l", "open_l", "knee_l", "free_r", "flex_r", "open_r", "knee_r",  # legs
 )  # fmt: skip
-_LEG = 0.807  # of the body that the moves were made for
-_FOOT = 0.13  # ankle to ball of the foot
+_LEG = 0.807  # metres, hip to ankle of the body for which the moves were designed
+_FOOT = 0.13  # metres, ankle to ball of the foot
+_STRIDE = 0.11  # metres from its place at which a foot steps, for that leg
+_ASKEW = 0.6  # radians from its direction at which a foot steps
+_STRETCHED = 0.998  # part of the leg's length that it uses at most: the knee must have a direction
 
 
 def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) -> Float:
-    """Joint transforms ``(n, J, 3, 4)``, one a sample.
+    """Joint transforms ``(n, J, 3, 4)`` for every sample of the channels.
 
     Parameters
     ----------
     skeleton : Skeleton
         With the joints of :mod:`garmentnet.scenes.body`.
     controls : dict of (n,) arrays
-        By the names of :data:`CHANNELS`.
+        With the names of :data:`CHANNELS`.
     heading : float
-        Where the dancer faces at first, radians from z toward x.
+        Direction in which the dancer faces first, radians from z towards x.
+
+    Examples
+    --------
+    >>> from garmentnet.scenes.body import default_body
+    >>> still = {name: np.zeros(12) for name in CHANNELS}
+    >>> pose_joints(default_body().skeleton, still, heading=0.0).shape
+    (12, 20, 3, 4)
     """
     c = controls
     rest = {n: skeleton.rest[j] for j, n in enumerate(skeleton.names)}
@@ -68,14 +78,14 @@ def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) 
     ankle = rest["foot_l"][1]
     root[:, 1] = rest["pelvis"][1] + (c["lift"] - 0.022) * scale
     hips = {s: pelvis.apply(rest[f"thigh_{s}"] - rest["pelvis"]) for s in "lr"}
-    longest = 0.998 * (upper + lower)
+    longest = _STRETCHED * (upper + lower)
     too_high = np.zeros(len(yaw))
     for side, foot in feet.items():
         flat = np.linalg.norm(foot.place - (root + hips[side])[:, [0, 2]], axis=1)
         reach = np.sqrt(np.maximum(longest**2 - flat**2, 0.3**2)) + 0.07 * scale
         over = (root + hips[side])[:, 1] - (foot.height + ankle + reach)
         too_high = np.maximum(too_high, np.where(c[f"free_{side}"] > 0.3, 0.0, over))
-    # Ahead of time and smoothly: the hips sink before the step that needs it.
+    # 0.2 s ahead and smoothly: the hips sink before the step that needs it.
     window = RATE // 5
     root[:, 1] -= gaussian_filter1d(maximum_filter1d(too_high, window), window / 4)
     root[:, 1] += c["air"] * scale
@@ -88,7 +98,7 @@ def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) 
 
 @dataclasses.dataclass(eq=False)
 class _Foot:
-    """A foot's home beside the hips, and where it is at every sample."""
+    """A foot: its place beside the hips, and its position, direction and height at every sample."""
 
     home: Float
     turnout: Float
@@ -105,7 +115,7 @@ def _walk(
     yaw: Float,
     scale: float,
 ) -> None:
-    """Stand, and step when the body has gone too far from where a foot stands."""
+    """Let the feet stand, and step when the body has moved too far from them."""
     count = len(yaw)
     speed = np.linalg.norm(velocity, axis=1)
     duration = np.clip(0.34 - 0.1 * speed, 0.2, 0.34)
@@ -124,21 +134,19 @@ def _walk(
         for side, other in (("l", "r"), ("r", "l")):
             foot = feet[side]
             step_yaw = yaw[k] - yaw[k - 1] if k else 0.0
-            share = 1.0 if airborne[k] else float(c["pivot"][k])
+            follow = 1.0 if airborne[k] else float(c["pivot"][k])
             begun, start, start_yaw, length = swing[side]
             if begun < 0:
-                if share > 0 and k:
+                if follow > 0 and k:
                     arm = placed[side] - path[k - 1]
-                    turn = _turn(np.array([step_yaw * share]), arm[:1], arm[1:])[0]
+                    turn = _turn(np.array([step_yaw * follow]), arm[:1], arm[1:])[0]
                     placed[side] = path[k - 1] + turn
-                    placed[side] = placed[side] + share * (path[k] - path[k - 1])
-                    turned[side] += step_yaw * share
+                    placed[side] = placed[side] + follow * (path[k] - path[k - 1])
+                    turned[side] += step_yaw * follow
                 if c[f"free_{side}"][k] > 0.5:
-                    # A leg in the air comes down where it belongs.
+                    # A raised leg comes down at its place beside the hips.
                     placed[side], turned[side] = wanted[side][k].copy(), float(facing[side][k])
-                off = wanted[side][k] - placed[side]
-                askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
-                far = math.hypot(*off) / (0.11 * scale) + askew / 0.6
+                far = _far(side, wanted, facing, placed, turned, k, scale)
                 partner = _far(other, wanted, facing, placed, turned, k, scale)
                 free = swing[other][0] < 0 and c[f"free_{other}"][k] < 0.3
                 if far > 1 and far >= partner and free and not airborne[k]:
@@ -168,9 +176,10 @@ def _far(
     k: int,
     scale: float,
 ) -> float:
+    """How far a foot is from its place and direction; it steps above 1."""
     off = wanted[side][k] - placed[side]
     askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
-    return math.hypot(*off) / (0.11 * scale) + askew / 0.6
+    return math.hypot(*off) / (_STRIDE * scale) + askew / _ASKEW
 
 
 def _leg(
@@ -192,7 +201,7 @@ def _leg(
     target = np.stack([foot.place[:, 0], ankle + foot.height, foot.place[:, 1]], axis=1)
     way = target - (root + hip)
     distance = np.linalg.norm(way, axis=1)
-    longest = 0.998 * (upper + lower)
+    longest = _STRETCHED * (upper + lower)
     raised = np.maximum(distance - longest, 0.0)
     reach = np.clip(distance, abs(upper - lower) + 0.05, longest)
     along = way / distance[:, None]
@@ -261,7 +270,7 @@ def _upper_body(skeleton: Skeleton, c: dict[str, Float], pelvis: Rotation) -> di
 
 
 def _turn(yaw: Float, x: Float, z: Float) -> Float:
-    """``(n, 2)`` x and z of vectors turned from the heading's frame to the world."""
+    """Vectors ``(n, 2)``, x and z, rotated from the heading's frame to the world."""
     sine, cosine = np.sin(yaw), np.cos(yaw)
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=1)
 
@@ -281,13 +290,13 @@ def _frame(along: Float, pole: Float) -> Float:
 
 
 def _aim(rest: Float, along: Float, pole: Float) -> Rotation:
-    """World rotations that carry a bone's rest direction to `along`, its front to `pole`."""
+    """World rotations of a bone's rest direction to `along` and of its front towards `pole`."""
     base = _frame(rest, np.array([0.0, 0.0, 1.0]))
     return Rotation.from_matrix(_frame(along, pole) @ base.T)
 
 
 def _straight(bone: Float) -> Rotation:
-    """From a bone's rest direction to straight down."""
+    """Rotation of a bone's rest direction to straight down."""
     return Rotation.from_matrix(
         _frame(np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
         @ _frame(bone, np.array([0.0, 0.0, 1.0])).T
@@ -301,5 +310,5 @@ def _arc(a: Float, b: Float) -> Rotation:
     return Rotation.from_rotvec(axis / np.maximum(size, 1e-12) * angle[:, None])
 
 
-def _blend(a: Rotation, b: Rotation, share: Float) -> Rotation:
-    return a * Rotation.from_rotvec((a.inv() * b).as_rotvec() * share[:, None])
+def _blend(a: Rotation, b: Rotation, follow: Float) -> Rotation:
+    return a * Rotation.from_rotvec((a.inv() * b).as_rotvec() * follow[:, None])
