@@ -39,8 +39,6 @@ _NAMES = {
 
 
 _NEEDED = ("pelvis", "thigh_l", "shin_l", "foot_l", "arm_l", "forearm_l", "hand_l")
-
-
 # Bones whose rest directions differ between A-pose and T-pose, with the joint at their end.
 _LIMBS = {"arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 

@@ -21,10 +21,9 @@ from garmentnet.configs import load_config
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
-from garmentnet.io.files import writing
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
-from ssdr.errors import FormatError, InputError, SsdrError
+from ssdr.errors import FormatError, InputError
 
 RUN = CliRunner()
 BVH = (
@@ -184,16 +183,6 @@ def test_killed_training_goes_on(toy_store, tmp_path):
     call("train", *given, "-o", cut)
     name = "checkpoint.safetensors"
     assert (cut / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="/dev/full")
-def test_full_disk_names_the_file():
-    with (
-        pytest.raises(SsdrError, match=r"/dev/full: could not be written: No space left on device"),
-        writing(Path("/dev/full")),
-        open("/dev/full", "wb") as file,
-    ):
-        file.write(b"x" * 100_000)
 
 
 def test_limit_of_a_file_while_training(toy_store, tmp_path):

@@ -15,8 +15,8 @@ pytest.importorskip("zarr")
 
 import ssdr
 from garmentnet.data.clip import MIRRORED, Clip
-from garmentnet.data.parameters import RANGES, SimulationParameters
-from garmentnet.data.skeleton import REFLECTION, Skeleton, mirror_transforms
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
 from ssdr.errors import FormatError, InputError
 from ssdr.rigid import matrix_from_quaternion
@@ -321,54 +321,3 @@ def test_create_again_opens_the_same_garment(store: ClipStore) -> None:
     assert ClipStore.create(store.path, rest=GARMENT, **given).names() == ()
     with pytest.raises(InputError, match="this garment"):
         ClipStore.create(store.path, rest=GARMENT * 2, **given)
-
-
-def test_parameters_normalise_to_their_ranges() -> None:
-    low, high = (
-        SimulationParameters(**{name: r[side] for name, r in RANGES.items()}) for side in (0, 1)
-    )
-    np.testing.assert_allclose(low.normalised(), -1)
-    np.testing.assert_allclose(high.normalised(), 1)
-    middle = SimulationParameters(**{n: float(np.sqrt(a * b)) for n, (a, b) in RANGES.items()})
-    np.testing.assert_allclose(middle.normalised(), 0, atol=1e-12)
-    assert low.outside() == high.outside() == ()
-    assert SimulationParameters(bending=3).outside() == ("bending",)
-    for bad in (0, -1, np.nan, np.inf, "1", True):
-        with pytest.raises(InputError, match="density"):
-            SimulationParameters(density=bad)  # type: ignore[arg-type]
-
-
-def test_pose_undoes_transforms(rng: np.random.Generator) -> None:
-    joints = random_pose(rng, 6)
-    root, rotations = skeleton().pose(joints)
-    np.testing.assert_allclose(skeleton().transforms(root, rotations), joints, atol=1e-12)
-    still = skeleton().transforms(HEADS[:1], np.eye(3)[None, None].repeat(3, 1))
-    np.testing.assert_allclose(still, np.eye(3, 4)[None, None].repeat(3, 1), atol=1e-12)
-
-
-def test_mirror_is_a_conjugation(rng: np.random.Generator) -> None:
-    joints = random_pose(rng, 4)
-    swap = skeleton().mirror()
-    np.testing.assert_array_equal(swap, [0, 2, 1])
-    s = np.eye(4)
-    s[:3, :3] = REFLECTION
-    for t in range(4):
-        for j in range(3):
-            m = np.vstack([joints[t, swap[j]], [0, 0, 0, 1]])
-            np.testing.assert_allclose(mirror_transforms(joints, swap)[t, j], (s @ m @ s)[:3])
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"names": ("a", "a", "b")},
-        {"parents": [-1, 1, 0]},
-        {"parents": [0, 0, 0]},
-        {"rest": np.zeros((2, 3))},
-        {"rest": np.full((3, 3), np.nan)},
-    ],
-)
-def test_skeleton_refuses(change: dict[str, Any]) -> None:
-    given: dict[str, Any] = {"names": NAMES, "parents": PARENTS, "rest": HEADS, **change}
-    with pytest.raises(InputError):
-        Skeleton(**given)

@@ -9,51 +9,9 @@ torch = pytest.importorskip("torch")
 
 import toy_store as toy
 
-from garmentnet.configs import Config, load_config, override, preset_names
 from garmentnet.data.store import ClipStore
-from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.objectives import LowFrequencyObjective
 from garmentnet.training.run import choose_clips, train
 from ssdr.errors import FormatError, InputError
-
-
-@dataclasses.dataclass
-class Piece:
-    """All that batches() looks at."""
-
-    name: str
-    n_frames: int
-    inputs: object = None
-
-
-@pytest.mark.parametrize("seed", [None, 0, 1])
-def test_an_epoch_shows_every_frame_once_in_order(seed):
-    tracks = [Piece(f"t{k}", n) for k, n in enumerate([50, 7, 31, 90, 1, 64])]
-    seen = {t.name: [] for t in tracks}
-    lanes = [None] * 3
-    rng = None if seed is None else np.random.default_rng(seed)
-    for batch in batches(tracks, 3, 20, rng):
-        for lane, w in enumerate(batch.windows):
-            assert int(batch.mask[lane].sum()) == (0 if w is None else w[2] - w[1])
-            if w is None:
-                assert batch.fresh[lane]
-                continue
-            track, start, stop = w
-            assert stop - start <= 20
-            assert bool(batch.fresh[lane]) == (start == 0)
-            if start:  # memory is only ever carried on within a track
-                assert lanes[lane] == (track.name, start)
-            lanes[lane] = (track.name, stop)
-            seen[track.name] += range(start, stop)
-    assert all(seen[t.name] == list(range(t.n_frames)) for t in tracks)
-
-
-def test_forgetting():
-    batch = next(batches([Piece("a", 5), Piece("b", 5)], 2, 5, None))
-    batch = dataclasses.replace(batch, fresh=torch.tensor([True, False]))
-    state = batch.forget(torch.ones(1, 2, 4))
-    assert state[0, 0].abs().sum() == 0
-    assert bool((state[0, 1] == 1).all())
 
 
 def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
@@ -70,28 +28,6 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
     rows = {r.name: r for r in evaluate(toy_bones, methods, ["base-test-0", "base-test-1"])}
     for other in ("mean", "ridge"):
         assert rows["network"].overall.rmse < 0.7 * rows[other].overall.rmse
-
-
-def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatch):
-    """The loss that never sees a vertex, and its gradient, against the paper's sum over them."""
-    network = toy_network.networks[0]
-    monkeypatch.setattr(network, "config", override(network.config, ["low.dropout=0.0"]))
-    task = LowFrequencyObjective(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
-    batch = next(batches(task.tracks, 1, 20, None))
-    loss, _ = task.loss(batch, None, np.random.default_rng(0))
-    torch.autograd.backward(loss)
-    got = [p.grad.clone() for p in network.low.parameters()]
-
-    network.low.zero_grad()
-    z, _ = network.low(batch.inputs())
-    gap = network.mesh(z[batch.mask]) - task.tracks[0].target("low", slice(0, 20))
-    bent = torch.stack([torch.from_numpy(task._laplacian.toarray()).float() @ g for g in gap])
-    plain = sum(x.square().sum(-1).mean(-1).sqrt().mean() for x in (gap, bent))
-    torch.autograd.backward(plain)
-    assert abs((loss - plain).item()) < 1e-5 * plain.item()
-    for a, p in zip(got, network.low.parameters(), strict=True):
-        assert float((a - p.grad).norm()) < 1e-3 * float(p.grad.norm())
-    network.low.zero_grad()
 
 
 def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
@@ -211,48 +147,3 @@ def test_a_corrupt_clip_is_named(tmp_path, toy_config):
     chunk.write_bytes(bytes(data))
     with pytest.raises(FormatError, match="base-train-1"):
         train(ClipStore.open(store.path), toy_config(epochs=1, high_epochs=1), tmp_path / "run")
-
-
-def test_presets_are_complete():
-    # A commented line for every default: nothing is set that no line explains.
-    import tomllib
-    from importlib import resources
-
-    assert {"faithful", "rooted"} <= set(preset_names())
-    plain = Config().as_dict()
-    for name in preset_names():
-        text = resources.files("garmentnet.configs").joinpath(f"{name}.toml").read_text()
-        table = tomllib.loads(text)
-        for section, part in plain.items():
-            assert set(table[section]) == set(part), (name, section)
-        lines = [x for x in text.splitlines() if " = " in x and not x.startswith("#")]
-        assert all("# " in x for x in lines)
-    assert load_config("faithful") == Config()
-
-
-def test_bad_configurations(tmp_path):
-    file = tmp_path / "c.toml"
-    for text, what in (
-        ("[low]\nwidth = 3", "width"),
-        ("[low]\nhidden = 'wide'", "hidden"),
-        ("[features]\nrotation = 'quaternion'", "rotation"),
-        ("low = 3", "low"),
-        ("[low", "TOML"),
-        ("[high]\nedge_features = [8, 'x']", "edge_features"),
-    ):
-        file.write_text(text)
-        with pytest.raises(FormatError, match=what):
-            load_config(file)
-    file.write_text("[low]\nhidden = 0")
-    with pytest.raises(InputError, match="hidden"):
-        load_config(file)
-    with pytest.raises(InputError, match="config"):
-        load_config(tmp_path / "nothing.toml")
-
-
-def test_override():
-    c = override(Config(), ["train.seed=3", "low.rotation=sixd", "high.mlp=[16, 16]"])
-    assert (c.train.seed, c.low.rotation, c.high.mlp) == (3, "sixd", (16, 16))
-    for wrong in ("train.sed=3", "seed=3", "train.seed"):
-        with pytest.raises(FormatError):
-            override(Config(), [wrong])

@@ -3,12 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,15 +12,11 @@ pytest.importorskip("newton")
 
 from garmentnet.data.motion import Motion
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.data.store import ClipStore
-from garmentnet.scenes import dataset
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.cloth import Solver
 from garmentnet.scenes.dance.choreography import dance
-from garmentnet.scenes.dataset import make_data_set
 from garmentnet.scenes.garments import Dress, cut_dress
 from garmentnet.scenes.quality import Depth, Gate, judge
-from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulator import _unrest, simulate
 from ssdr.errors import InputError
 from ssdr.skinning import skin
@@ -37,6 +27,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),
     pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
 ]
+
 
 BODY = default_body()
 DRESS = cut_dress(BODY, Dress(vertices=400))
@@ -190,87 +181,3 @@ def test_motion_of_another_skeleton() -> None:
     other = Motion(np.broadcast_to(np.eye(3, 4), (2, 3, 3, 4)), np.zeros(2, dtype=np.int8))
     with pytest.raises(InputError, match="20 joints"):
         simulate(BODY, DRESS, other, SimulationParameters())
-
-
-FILE = """
-perturbation = 1e-3
-[garment]
-vertices = 300
-[solver]
-substeps = 10
-approach = 2
-settle = 3
-[motions]
-train = 3
-test = 1
-frames = 12
-"""
-
-
-def content(path: Path) -> dict[str, bytes]:
-    return {
-        str(p.relative_to(path)): p.read_bytes()
-        for p in sorted(path.rglob("*"))
-        if p.is_file() and p.name != "timing.jsonl"
-    }
-
-
-def test_killed_and_started_again(tmp_path: Path) -> None:
-    source = tmp_path / "few.toml"
-    source.write_text(FILE)
-    data_set = load_data_set(source)
-    names = {s.name for s in data_set.scenes()}
-    assert len(names) == 5
-    whole = make_data_set(data_set, tmp_path / "whole.clips", workers=1)
-    assert set(whole.names(accepted=None, perturbed=None)) == names
-    target = tmp_path / "killed.clips"
-    command = [sys.executable, "-m", "garmentnet.cli", "simulate", str(source), "-o", str(target)]
-    root = str(Path(__file__).parents[3])
-    process = subprocess.Popen(
-        [*command, "--workers", "2"],
-        env={**os.environ, "PYTHONPATH": root},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    deadline = time.monotonic() + 300
-    while not any((target / "clips").glob("[!.]*")) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    half = ClipStore.open(target).names(accepted=None, perturbed=None)
-    assert 0 < len(half) < 5
-    before = {n: (target / "clips" / n / "zarr.json").stat().st_mtime_ns for n in half}
-    seen = []
-    again = make_data_set(data_set, target, workers=1, progress=seen.append)
-    assert {p.clip for p in seen if p.accepted is not None}.isdisjoint(half)
-    after = {n: (target / "clips" / n / "zarr.json").stat().st_mtime_ns for n in half}
-    assert before == after
-    assert set(again.names(accepted=None, perturbed=None)) == names
-    assert content(target) == content(tmp_path / "whole.clips")
-    # Nothing to do: nothing is done.
-    seen.clear()
-    make_data_set(data_set, target, progress=seen.append)
-    assert seen == []
-    # The same names from another scene are not taken for the same clips.
-    source.write_text(FILE.replace("substeps = 10", "substeps = 11"))
-    with pytest.raises(InputError, match="solver"):
-        make_data_set(load_data_set(source), target)
-    source.write_text(FILE.replace("vertices = 300", "vertices = 350"))
-    with pytest.raises(InputError, match="this garment"):
-        make_data_set(load_data_set(source), target)
-
-
-def test_one_writer_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "few.toml").write_text(FILE)
-    data_set = load_data_set(tmp_path / "few.toml")
-    store = dataset.open_store(data_set, tmp_path / "a.clips")
-    (store.path / "writing.lock").write_text(str(os.getppid()))
-    with pytest.raises(InputError, match="nobody writes"):
-        make_data_set(data_set, store.path)
-    (store.path / "writing.lock").unlink()
-    monkeypatch.setattr(
-        dataset.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1 << 10})()
-    )
-    with pytest.raises(InputError, match="to spare"):
-        make_data_set(data_set, store.path)
-    assert not (store.path / "writing.lock").exists()
