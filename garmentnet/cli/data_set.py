@@ -29,7 +29,7 @@ def run(
 ) -> ClipStore:
     """Make a data set; what happens is shown on stderr."""
     require("newton", "scenes", "a simulation")
-    # A log has no width of its own: the table is not to be cut off there.
+    # A log has no width; 120 columns hold the whole table.
     console = Console(stderr=True, width=None if sys.stderr.isatty() else 120)
     data_set = load_data_set(source)
     if motion is not None:

@@ -142,11 +142,11 @@ def predict(
         check_output(path)
     model = load_checkpoint(checkpoint)
     options = {"bending": bending, "density": density, "time_scale": time_scale}
-    stated = {k: v for k, v in options.items() if v is not None}
+    entered = {k: v for k, v in options.items() if v is not None}
     several = model.kernel is not None or model.networks[0].condition
-    own = None if several else model.parameters[0]
-    usual = {k: getattr(own, k) for k in options} if own else {}
-    parameters = SimulationParameters(**(usual | stated)) if stated or several else None
+    trained_on = None if several else model.parameters[0]
+    usual = {k: getattr(trained_on, k) for k in options} if trained_on else {}
+    parameters = SimulationParameters(**(usual | entered)) if entered or several else None
     joints = read_joints(motion, model)
     began = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
@@ -161,7 +161,7 @@ def predict(
             )
     seconds = time.perf_counter() - began
     rate = 1e3 * seconds / len(joints)
-    shown = parameters or own
+    shown = parameters or trained_on
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
     for path in output:

@@ -72,10 +72,10 @@ def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
     ['walk.bvh.gz']
     """
     path = Path(folder)
-    found = [p for p in path.glob("*") if p.name.lower().endswith((".bvh", ".bvh.gz"))]
-    if not found:
+    files = [p for p in path.glob("*") if p.name.lower().endswith((".bvh", ".bvh.gz"))]
+    if not files:
         raise InputError("motion", "a folder with BVH files (.bvh, .bvh.gz)", str(path))
-    return tuple(sorted(found))
+    return tuple(sorted(files))
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Bvh:
@@ -117,8 +117,8 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         if len(data) > _MAX_BYTES:
             raise FormatError(f"more than {_MAX_BYTES} bytes")
         text = data.decode("utf-8-sig")
-        head, found, tail = text.partition("MOTION")
-        if not found:
+        head, separator, tail = text.partition("MOTION")
+        if not separator:
             raise FormatError("no section MOTION")
         names, parents, offsets, channels = _hierarchy(iter(head.split()))
         lines = tail.split("\n")
@@ -196,13 +196,13 @@ def _hierarchy(
                 if stack[-1] >= 0:
                     offsets[stack[-1]] = values
             elif word == "CHANNELS":
-                own = [next(words) for _ in range(int(next(words)))]
+                chosen = [next(words) for _ in range(int(next(words)))]
                 kinds = {f"{a}{k}" for a in "XYZ" for k in ("position", "rotation")}
-                if not set(own) <= kinds or len(set(own)) != len(own):
-                    raise FormatError(f"channels {own}")
-                if sum(c.endswith("rotation") for c in own) not in (0, 3):
-                    raise FormatError(f"channels {own}: expected three rotations or none")
-                channels[stack[-1]] = own
+                if not set(chosen) <= kinds or len(set(chosen)) != len(chosen):
+                    raise FormatError(f"channels {chosen}")
+                if sum(c.endswith("rotation") for c in chosen) not in (0, 3):
+                    raise FormatError(f"channels {chosen}: expected three rotations or none")
+                channels[stack[-1]] = chosen
             else:
                 raise FormatError(f"{word!r} in the hierarchy")
         if stack or not names:

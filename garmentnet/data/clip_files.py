@@ -26,7 +26,7 @@ __all__ = [
     "check_finite",
     "compressors",
     "open_array",
-    "read_statement",
+    "read_metadata",
     "write_clip",
     "zarr",
 ]
@@ -40,7 +40,7 @@ _ARRAYS: Mapping[str, tuple[str, float]] = {
     "joints": ("float32", math.nan),
     "classes": ("int8", -1),
 }
-_STATED = (
+_REQUIRED = (
     "frames",
     "split",
     "motion",
@@ -53,7 +53,7 @@ _STATED = (
 
 
 def write_clip(
-    target: Path, arrays: Mapping[str, NDArray[Any]], statement: Mapping[str, Any]
+    target: Path, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]
 ) -> None:
     """Write a clip under a temporary name; the folder is renamed when it is complete.
 
@@ -62,14 +62,14 @@ def write_clip(
     target : Path
     arrays : dict
         ``vertices`` (F, V, 3), ``joints`` (F, J, 3, 4), ``classes`` (F,).
-    statement : dict
+    metadata : dict
         The clip's attributes, plain JSON.
     """
     temporary = free_name(target)
     frames = len(arrays["vertices"])
     chunk = min(frames, _CHUNK_FRAMES)
     try:
-        group = zarr().create_group(store=str(temporary), attributes=statement)
+        group = zarr().create_group(store=str(temporary), attributes=metadata)
         for key, (_, fill) in _ARRAYS.items():
             values = arrays[key]
             array = group.create_array(
@@ -87,7 +87,7 @@ def write_clip(
         raise
 
 
-def read_statement(path: Path) -> dict[str, Any]:
+def read_metadata(path: Path) -> dict[str, Any]:
     """The attributes of a clip.
 
     Raises
@@ -96,15 +96,15 @@ def read_statement(path: Path) -> dict[str, Any]:
         If one is missing or of the wrong type.
     """
     with reading(path):
-        stated: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
-        missing = [k for k in _STATED if k not in stated]
+        metadata: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
+        missing = [k for k in _REQUIRED if k not in metadata]
         if missing:
             raise FormatError(f"no attribute {missing[0]}")
-        if stated["split"] not in get_args(Split):
-            raise FormatError(f"split {stated['split']!r}")
-        if not isinstance(stated["quality"].get("accepted"), bool):
+        if metadata["split"] not in get_args(Split):
+            raise FormatError(f"split {metadata['split']!r}")
+        if not isinstance(metadata["quality"].get("accepted"), bool):
             raise FormatError("quality does not state whether the clip was accepted")
-        return stated
+        return metadata
 
 
 def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:

@@ -78,8 +78,8 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
     world = np.empty_like(bvh.rotations)
     for j, parent in enumerate(bvh.parents):
         zero[j] = bvh.offsets[j] + (zero[parent] if parent >= 0 else 0)
-        own = bvh.rotations[:, j]
-        world[:, j] = own if parent < 0 else world[:, parent] @ own
+        relative = bvh.rotations[:, j]
+        world[:, j] = relative if parent < 0 else world[:, parent] @ relative
     # Files differ in which axis is up and in which direction the figure faces.
     across = zero[source["thigh_l"]] - zero[source["thigh_r"]]
     down = (zero[source["foot_l"]] + zero[source["foot_r"]]) / 2 - zero[source["pelvis"]]
@@ -135,7 +135,7 @@ def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "")
 def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
     """The file's joint of each of the skeleton's."""
     theirs = {n.split(":")[-1].replace("_", "").lower(): j for j, n in enumerate(bvh.names)}
-    found: dict[str, int] = {}
+    matched: dict[str, int] = {}
     taken: set[int] = set()
     for joint in skeleton.names:
         right = joint.endswith("_r")
@@ -144,7 +144,7 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
                 name = "right" + name[4:] if name.startswith("left") else "r" + name[1:]
             j = theirs.get(name, -1)
             if j >= 0 and j not in taken:
-                found[joint] = j
+                matched[joint] = j
                 taken.add(j)
                 break
     needed = {*_NEEDED, *(n[:-1] + "r" for n in _NEEDED if n.endswith("_l"))}
@@ -155,12 +155,12 @@ def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
             f"joints {', '.join(absent)}, to which a BVH's motion can be carried over",
             f"joints {', '.join(skeleton.names)}",
         )
-    missing = sorted(n for n in needed if n not in found)
+    missing = sorted(n for n in needed if n not in matched)
     if missing:
         raise InputError(
             "bvh", f"joints for {', '.join(missing)}", f"joints {', '.join(bvh.names[:40])}"
         )
-    return found
+    return matched
 
 
 def _first_frame(bvh: Bvh, world: Float) -> int:

@@ -75,7 +75,7 @@ class Skeleton:
         return self.names.index(name)
 
     def mirror(self) -> NDArray[np.int32]:
-        """The joint ``(J,)`` on the other side of each; its own number in the middle."""
+        """The joint ``(J,)`` on the other side of each; in the middle the joint itself."""
         other = {"_l": "_r", "_r": "_l"}
         return np.array(
             [

@@ -28,11 +28,11 @@ def strongest(
 
     Examples
     --------
-    >>> joints, kept = strongest(np.array([[0.1, 0.6, 0.3]]), 2)
-    >>> joints.tolist(), kept.round(3).tolist()
+    >>> joints, largest = strongest(np.array([[0.1, 0.6, 0.3]]), 2)
+    >>> joints.tolist(), largest.round(3).tolist()
     ([[1, 2]], [[0.667, 0.333]])
     """
     order = np.argsort(-weights, axis=1, kind="stable")[:, :count]
-    kept: NDArray[np.float64] = np.take_along_axis(weights, order, axis=1)
-    kept /= kept.sum(axis=1, keepdims=True)
-    return np.where(kept > 0, order, 0).astype(np.int32), kept
+    largest: NDArray[np.float64] = np.take_along_axis(weights, order, axis=1)
+    largest /= largest.sum(axis=1, keepdims=True)
+    return np.where(largest > 0, order, 0).astype(np.int32), largest

@@ -26,7 +26,7 @@ from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
 
 from .clip import MIRRORED, Clip
-from .clip_files import Split, check_finite, compressors, read_statement, write_clip, zarr
+from .clip_files import Split, check_finite, compressors, read_metadata, write_clip, zarr
 from .motion import CLASSES
 from .outfit import Outfit
 from .parameters import SimulationParameters
@@ -49,7 +49,7 @@ class ClipStore(Outfit):
     ----------
     path : Path
     attributes : dict
-        Further facts that :meth:`create` was told to store.
+        Further facts that were passed to :meth:`create`.
 
     The attributes of :class:`~garmentnet.data.outfit.Outfit` come first.
 
@@ -148,7 +148,7 @@ class ClipStore(Outfit):
             return there
         if not target.parent.is_dir():
             raise InputError("path", "a folder in a folder that exists", str(target))
-        stated = {
+        metadata = {
             "format": _FORMAT,
             "version": _VERSION,
             "fps": outfit.fps,
@@ -162,7 +162,7 @@ class ClipStore(Outfit):
         }
         temporary = free_name(target)
         try:
-            group = zarr().create_group(store=str(temporary), attributes=stated)
+            group = zarr().create_group(store=str(temporary), attributes=metadata)
             for name in _ARRAYS:
                 values = getattr(outfit, name)
                 if values is not None:
@@ -237,14 +237,14 @@ class ClipStore(Outfit):
             raise InputError("split", f"one of {get_args(Split)}", repr(split))
         chosen = []
         for name in self._present():
-            stated = self._stated(name)
-            if split is not None and stated["split"] != split:
+            metadata = self._metadata(name)
+            if split is not None and metadata["split"] != split:
                 continue
-            if parameters is not None and stated["parameters"] != dataclasses.asdict(parameters):
+            if parameters is not None and metadata["parameters"] != dataclasses.asdict(parameters):
                 continue
-            if accepted is not None and stated["quality"]["accepted"] is not accepted:
+            if accepted is not None and metadata["quality"]["accepted"] is not accepted:
                 continue
-            if perturbed is not None and (stated["perturbation"] > 0) is not perturbed:
+            if perturbed is not None and (metadata["perturbation"] > 0) is not perturbed:
                 continue
             chosen.append(name)
         return tuple(chosen)
@@ -263,20 +263,20 @@ class ClipStore(Outfit):
             return self.clip(name.removesuffix(MIRRORED)).mirrored()
         if name not in self:
             raise InputError("name", f"a clip of {self.path}", repr(name))
-        stated = self._stated(name)
+        metadata = self._metadata(name)
         path = self.path / "clips" / name
         with reading(path):
             return Clip(
                 outfit=self,
                 name=name,
-                split=stated["split"],
-                motion=str(stated["motion"]),
-                parameters=SimulationParameters(**stated["parameters"]),
-                seed=int(stated["seed"]),
-                perturbation=float(stated["perturbation"]),
-                quality=dict(stated["quality"]),
-                provenance=dict(stated["provenance"]),
-                n_frames=int(stated["frames"]),
+                split=metadata["split"],
+                motion=str(metadata["motion"]),
+                parameters=SimulationParameters(**metadata["parameters"]),
+                seed=int(metadata["seed"]),
+                perturbation=float(metadata["perturbation"]),
+                quality=dict(metadata["quality"]),
+                provenance=dict(metadata["provenance"]),
+                n_frames=int(metadata["frames"]),
                 is_mirrored=False,
                 path=path,
             )
@@ -294,12 +294,12 @@ class ClipStore(Outfit):
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Names of each accepted clip and of the same clip from a perturbed first frame."""
-        found = []
+        named = []
         for twin in self.clips(perturbed=True):
             original = str(twin.provenance.get("repeat_of", ""))
-            if original in self and self._stated(original)["quality"]["accepted"]:
-                found.append((original, twin.name))
-        return tuple(found)
+            if original in self and self._metadata(original)["quality"]["accepted"]:
+                named.append((original, twin.name))
+        return tuple(named)
 
     def __contains__(self, name: object) -> bool:
         return (
@@ -358,15 +358,15 @@ class ClipStore(Outfit):
             raise InputError("vertices", f"shape (F, {self.n_vertices}, 3)", f"shape {v.shape}")
         frames = len(v)
         m = np.asarray(joints, dtype=np.float32)
-        wanted = (frames, self.skeleton.n_joints, 3, 4)
-        if m.shape != wanted or not np.isfinite(m).all():
-            raise InputError("joints", f"finite numbers of shape {wanted}", f"shape {m.shape}")
+        shape = (frames, self.skeleton.n_joints, 3, 4)
+        if m.shape != shape or not np.isfinite(m).all():
+            raise InputError("joints", f"finite numbers of shape {shape}", f"shape {m.shape}")
         c = np.asarray(classes, dtype=np.int8)
         if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
             raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
         if accepted:
             check_finite(v, "vertices", 0)
-        stated = {
+        metadata = {
             "frames": frames,
             "fps": self.fps,
             "split": split,
@@ -377,7 +377,7 @@ class ClipStore(Outfit):
             "quality": json.loads(json.dumps(dict(quality))),
             "provenance": json.loads(json.dumps(dict(provenance))),
         }
-        write_clip(target, {"vertices": v, "joints": m, "classes": c}, stated)
+        write_clip(target, {"vertices": v, "joints": m, "classes": c}, metadata)
         return self.clip(name)
 
     def sweep(self) -> int:
@@ -396,8 +396,8 @@ class ClipStore(Outfit):
             raise FormatError(f"{self.path}: no folder clips")
         return sorted(p.name for p in folder.iterdir() if p.name in self)
 
-    def _stated(self, name: str) -> dict[str, Any]:
-        return read_statement(self.path / "clips" / name)
+    def _metadata(self, name: str) -> dict[str, Any]:
+        return read_metadata(self.path / "clips" / name)
 
 
 def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:

@@ -142,27 +142,27 @@ class VirtualBones:
             self._make(original, files)
         v, b = self.store.n_vertices, self.skinning.n_bones
         shapes = {"low": (v, 3), "high": (v, 3), "transforms": (b, 3, 4)}
-        stated = self._statement(original.name)
+        record = self._record(original.name)
         arrays = {
-            k: map_array(f, (original.n_frames, *shapes[k]), stated.get("checksums", {}).get(k))
+            k: map_array(f, (original.n_frames, *shapes[k]), record.get("checksums", {}).get(k))
             for k, f in files.items()
         }
         return ClipBones(
             **arrays,
-            rmse=stated["rmse"],
+            rmse=record["rmse"],
             permutation=self.store.mirror_vertices if clip.is_mirrored else None,
         )
 
-    def _statement(self, name: str) -> dict[str, Any]:
-        stated = _document(self.folder / "clips" / f"{name}.json", ("rmse", "high_rms"))
-        if stated.get("source", "") not in ("", _digest(self.store, [name])):
+    def _record(self, name: str) -> dict[str, Any]:
+        record = _document(self.folder / "clips" / f"{name}.json", ("rmse", "high_rms"))
+        if record.get("source", "") not in ("", _digest(self.store, [name])):
             raise InputError(
                 "store",
                 f"the clip {name} that its bones were fitted to (remove {self.folder} to fit them "
                 "again)",
                 "another of that name",
             )
-        return stated
+        return record
 
     def _make(self, clip: Clip, files: dict[str, Path]) -> None:
         vertices = np.asarray(clip.sequence.frames(slice(None)), np.float32)
@@ -179,7 +179,7 @@ class VirtualBones:
             max_sweeps=_SWEEPS,
         )
         parts = {"low": low, "high": vertices - low, "transforms": fit.transforms}
-        stated: dict[str, Any] = {
+        record: dict[str, Any] = {
             "rmse": fit.rmse,
             "high_rms": _rms(parts["high"]),
             "source": _digest(self.store, [clip.name]),
@@ -188,9 +188,9 @@ class VirtualBones:
         for key, values in parts.items():
             packed = io.BytesIO()
             np.save(packed, np.asarray(values, np.float32), allow_pickle=False)
-            stated["checksums"][key] = zlib.crc32(packed.getbuffer())
+            record["checksums"][key] = zlib.crc32(packed.getbuffer())
             write_file(files[key], packed.getvalue())
-        write_file(self.folder / "clips" / f"{clip.name}.json", json.dumps(stated).encode())
+        write_file(self.folder / "clips" / f"{clip.name}.json", json.dumps(record).encode())
 
     def prepare(self, names: Sequence[str], progress: Progress | None = None) -> dict[str, Any]:
         """Compute the parts of the named clips where they are missing.
@@ -206,10 +206,10 @@ class VirtualBones:
         for k, name in enumerate(names):
             plain = name.removesuffix(MIRRORED)
             count = self.clip(plain).low.shape[0]
-            stated = self._statement(plain)
+            record = self._record(plain)
             frames += count
             for key in squares:
-                squares[key] += count * float(stated[key]) ** 2
+                squares[key] += count * float(record[key]) ** 2
             if progress:
                 progress("refitting the bones", (k + 1) / len(names))
         return {"frames": frames} | {
@@ -248,11 +248,11 @@ def virtual_bones(
     names = [c.name for c in store.clips("train") if roles[c.parameters] == "train"]
     if not names:
         raise InputError("store", "training clips of a training set", str(store.path))
-    stated = dataclasses.asdict(options) | {
+    record = dataclasses.asdict(options) | {
         "garment": mesh_identity(store.rest, store.faces),
         "clips": names,
     }
-    key = hashlib.sha256(json.dumps(stated, sort_keys=True).encode()).hexdigest()[:12]
+    key = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:12]
     home = Path(folder) if folder else store.path.with_name(store.path.name + ".bones")
     place = home / key
     (place / "clips").mkdir(parents=True, exist_ok=True)
@@ -261,7 +261,7 @@ def virtual_bones(
         skinning, report = _decompose(store, names, options, time_limit, progress)
         with writing(skinning_file):
             ssdr.save(skinning, skinning_file)
-        made = stated | report | {"source": _digest(store, names)}
+        made = record | report | {"source": _digest(store, names)}
         write_file(report_file, json.dumps(made, indent=1).encode())
     skinning = ssdr.load_skinning(skinning_file)
     if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
@@ -286,14 +286,14 @@ def _decompose(
     began = time.perf_counter()
     clips = [store.clip(n) for n in names]
     total = sum(c.n_frames for c in clips)
-    wanted = np.unique(np.linspace(0, total - 1, min(total, options.frames)).astype(int))
+    chosen = np.unique(np.linspace(0, total - 1, min(total, options.frames)).astype(int))
     smoother = LaplacianSmoother(store.rest, store.faces, options.length)
     parts, squares, first = [], 0.0, 0
     for clip in clips:
-        mine = wanted[(wanted >= first) & (wanted < first + clip.n_frames)] - first
+        here = chosen[(chosen >= first) & (chosen < first + clip.n_frames)] - first
         first += clip.n_frames
-        if len(mine):
-            block = clip.sequence.frames(mine)
+        if len(here):
+            block = clip.sequence.frames(here)
             parts.append(np.asarray(smoother.smooth(block), np.float32))
             squares += float(((block - parts[-1]).astype(np.float64) ** 2).sum())
     frames = np.concatenate(parts)
@@ -338,10 +338,10 @@ def _text(path: Path) -> str:
 
 def _document(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     with reading(path):
-        found = json.loads(_text(path))
+        document = json.loads(_text(path))
         for key in keys:
-            found[key] = float(found[key])
-        return dict(found)
+            document[key] = float(document[key])
+        return dict(document)
 
 
 def _digest(store: ClipStore, names: Sequence[str]) -> str:

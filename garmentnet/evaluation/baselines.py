@@ -50,11 +50,11 @@ class MeanShape:
         self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
         total, high, frames = np.zeros((bones.store.n_vertices, 3)), 0.0, 0
         for name in names:
-            clip, kept = bones.store.clip(name), bones.clip(name)
+            clip, fitted = bones.store.clip(name), bones.clip(name)
             _, frame, _ = self.features(clip.joints)
-            low = kept.read("low").astype(np.float64) - frame[:, None, :, 3]
+            low = fitted.read("low").astype(np.float64) - frame[:, None, :, 3]
             total += (low @ frame[..., :3]).sum(axis=0)
-            high = high + (kept.read("high") @ frame[..., :3]).sum(axis=0)
+            high = high + (fitted.read("high") @ frame[..., :3]).sum(axis=0)
             frames += len(low)
         self.high: NDArray[np.float64] = np.asarray(high / frames)
         self.shape: NDArray[np.float64] = total / frames + self.high
@@ -82,8 +82,8 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
     near = 1 / np.maximum(distance, _CLOSEST) ** 2
     near /= near.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])
-    order, kept = strongest(weights, _INFLUENCES)
-    return Skinning(store.rest, order, kept, body.transforms, faces=store.faces, fps=store.fps)
+    joints, largest = strongest(weights, _INFLUENCES)
+    return Skinning(store.rest, joints, largest, body.transforms, faces=store.faces, fps=store.fps)
 
 
 class BodySkinned:
@@ -138,9 +138,9 @@ class Ridge:
                 best, self.matrix, self.penalty = error, matrix, float(penalty / len(z))
 
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
-        clip, kept = bones.store.clip(name), bones.clip(name)
+        clip, fitted = bones.store.clip(name), bones.clip(name)
         x, frame, _ = self.features(clip.joints)
-        local = transforms_in_frame(kept.transforms, frame)
+        local = transforms_in_frame(fitted.transforms, frame)
         return x, self.code.numbers(local).reshape(len(x), -1)
 
     def _design(self, x: NDArray[np.float64]) -> NDArray[np.float64]:

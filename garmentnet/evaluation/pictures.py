@@ -100,8 +100,8 @@ def draw_clip(
     frames : int or list of int
         How many, evenly spread, or which.
     """
-    kept = bones.clip(clip.name)
-    truth = kept.read("low") + kept.read("high")
+    fitted = bones.clip(clip.name)
+    truth = fitted.read("low") + fitted.read("high")
     simulated = _scene(bones, clip, truth)
     predicted = _scene(bones, clip, answer.low + answer.high)
     _draw(bones, simulated, predicted, clip.fps, path, title=clip.name, frames=frames)
@@ -112,25 +112,25 @@ def draw_moments(
     bones: VirtualBones, method: Callable[[Clip], Answer], names: Sequence[str], path: Path
 ) -> list[tuple[str, str, int]]:
     """Draw the frames of :func:`moments` as the columns of one picture; returns them."""
-    found = moments(bones.store, names)
+    hardest = moments(bones.store, names)
     truths, answers = [], []
-    for _, name, frame in found:
-        clip, kept = bones.store.clip(name), bones.clip(name)
+    for _, name, frame in hardest:
+        clip, fitted = bones.store.clip(name), bones.clip(name)
         answer = method(clip)
         at = slice(frame, frame + 1)
-        truths.append(_scene(bones, clip, kept.read("low", at) + kept.read("high", at), at))
+        truths.append(_scene(bones, clip, fitted.read("low", at) + fitted.read("high", at), at))
         answers.append(_scene(bones, clip, (answer.low + answer.high)[at], at))
-    if found:
+    if hardest:
         _draw(
             bones,
             np.concatenate(truths),
             np.concatenate(answers),
             bones.store.fps,
             path,
-            title=", ".join(label for label, _, _ in found),
-            frames=list(range(len(found))),
+            title=", ".join(label for label, _, _ in hardest),
+            frames=list(range(len(hardest))),
         )
-    return found
+    return hardest
 
 
 def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None)) -> Array:

@@ -100,16 +100,20 @@ def report(
         names = [c.name for c in store.clips(split) if roles[c.parameters] == "test"]
         if names and several:
             chosen = bounds | {k: network_method(m) for k, m in several.items()}
-            found = evaluate(bones, chosen, names, progress=progress)
-            count = found[0].frames
-            lines += [f"unseen parameters, {split} motions, {count} frames", table(found), ""]
-            document[f"unseen_parameters_{split}"] = [r.as_dict() for r in found]
+            unseen = evaluate(bones, chosen, names, progress=progress)
+            count = unseen[0].frames
+            lines += [
+                f"unseen parameters, {split} motions, {count} frames",
+                table(unseen),
+                "",
+            ]
+            document[f"unseen_parameters_{split}"] = [r.as_dict() for r in unseen]
     lines += _classes(rows)
     pairs: dict[SimulationParameters, list[tuple[str, str]]] = {}
     for pair in store.pairs():
         pairs.setdefault(store.clip(pair[0]).parameters, []).append(pair)
     # Soft cloth has a higher floor than stiff cloth, so every parameter set has its own.
-    floors = {p: chaos_floor(bones, own) for p, own in pairs.items()}
+    floors = {p: chaos_floor(bones, names) for p, names in pairs.items()}
     document["chaos_floor"] = floors.get(base, {})
     document["chaos_floor_of_sets"] = {str(p): floor["all"] for p, floor in floors.items()}
     lines += [f"chaos floor, {key}: {_floor(v)}" for key, v in document["chaos_floor"].items()]
@@ -180,9 +184,9 @@ def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:
 
 def _name(path: Path, paths: Sequence[Path]) -> str:
     # Every run writes a file of the same name into a folder of its own.
-    own = f"{path.parent.name}-{path.stem}" if path.parent.name else path.stem
+    short = f"{path.parent.name}-{path.stem}" if path.parent.name else path.stem
     same = [p for p in paths if p.parent.name == path.parent.name and p.stem == path.stem]
-    return own if len(same) == 1 else str(path.with_suffix("")).strip("/").replace("/", "-")
+    return short if len(same) == 1 else str(path.with_suffix("")).strip("/").replace("/", "-")
 
 
 def _classes(rows: Sequence[Row]) -> list[str]:

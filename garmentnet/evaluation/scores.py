@@ -132,9 +132,9 @@ def bones_themselves(bones: VirtualBones) -> Method:
     s = bones.skinning
 
     def answer(clip: Clip) -> Answer:
-        kept = bones.clip(clip.name)
-        low = ssdr.skin(s.rest, s.joints, s.weights, kept.transforms)
-        return Answer(np.asarray(low, np.float32), kept.read("high"))
+        fitted = bones.clip(clip.name)
+        low = ssdr.skin(s.rest, s.joints, s.weights, fitted.transforms)
+        return Answer(np.asarray(low, np.float32), fitted.read("high"))
 
     return answer
 
@@ -187,8 +187,8 @@ class _Total:
         self.inside, self.depth, self.deepest = 0, 0.0, 0.0
 
     def add(self, clip: Clip, answer: Answer) -> None:
-        kept = self.bones.clip(clip.name)
-        low, high = kept.read("low"), kept.read("high")
+        fitted = self.bones.clip(clip.name)
+        low, high = fitted.read("low"), fitted.read("high")
         truth = low + high
         pairs = {
             "low": (low, answer.low),

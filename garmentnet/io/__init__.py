@@ -1,1 +1,1 @@
-"""Files written whole or not at all, and TOML tables read into dataclasses."""
+"""Files written complete or not at all, and TOML tables read into dataclasses."""

@@ -76,7 +76,7 @@ def map_array(path: Path, shape: tuple[int, ...], checksum: int | None) -> NDArr
 
 @functools.lru_cache(maxsize=4096)
 def _checksum(path: Path, size: int, changed: int) -> int:
-    # Computed once for each state of a file: size and time of change tell the states apart.
+    # Computed once for each state of a file; states differ in size or time of change.
     return zlib.crc32(path.read_bytes())
 
 

@@ -121,10 +121,12 @@ class Checkpoint:
 
     def check_fits(self, store: ClipStore) -> None:
         """Raise InputError unless the store has this garment, body and frame rate."""
-        own, other = self.subject.garment_id, mesh_identity(store.rest, store.faces)
-        if own != other:
+        trained, other = self.subject.garment_id, mesh_identity(store.rest, store.faces)
+        if trained != other:
             raise InputError(
-                "checkpoint", f"one of the garment of {store.path} ({other})", f"another ({own})"
+                "checkpoint",
+                f"one of the garment of {store.path} ({other})",
+                f"another ({trained})",
             )
         subject = dataclasses.replace(self.subject, body=store.body, skeleton=store.skeleton)
         if subject.body_id != self.subject.body_id:
@@ -147,17 +149,17 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
             tensors[f"{name}.{field}"] = torch.from_numpy(np.array(getattr(part, field)))
     tensors["skeleton.rest"] = torch.from_numpy(np.array(skeleton.rest))
     tensors["skeleton.parents"] = torch.from_numpy(np.array(skeleton.parents))
-    stated: list[dict[str, Any]] = []
-    for k, (network, own) in enumerate(
+    record: list[dict[str, Any]] = []
+    for k, (network, trained_on) in enumerate(
         zip(checkpoint.networks, checkpoint.parameters, strict=True)
     ):
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
-        stated.append(
+        record.append(
             {
                 "config": config.as_dict(),
-                "parameters": None if own is None else dataclasses.asdict(own),
+                "parameters": None if trained_on is None else dataclasses.asdict(trained_on),
                 "high": network.high is not None,
                 "clamp": network.normaliser.clamp,
             }
@@ -177,7 +179,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
         "garment_id": subject.garment_id,
         "body_id": subject.body_id,
         "joint_names": list(skeleton.names),
-        "networks": stated,
+        "networks": record,
         "kernel": None if kernel is None else {"sizes": kernel.sizes, "sigma": kernel.sigma},
     }
     return save_tensors(Path(path), tensors, {"checkpoint": document})
@@ -213,12 +215,12 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         if subject.body_id != d["body_id"]:
             raise FormatError("the body is not the one that the file names")
         networks, parameters = [], []
-        for k, stated in enumerate(d["networks"]):
-            config = Config.of(stated["config"], "configuration")
+        for k, record in enumerate(d["networks"]):
+            config = Config.of(record["config"], "configuration")
             part = _part(tensors, f"network.{k}.")
-            networks.append(_network(config, subject, stated, part))
-            own = stated["parameters"]
-            parameters.append(None if own is None else SimulationParameters(**own))
+            networks.append(_network(config, subject, record, part))
+            trained_on = record["parameters"]
+            parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
         kernel = None
         if d["kernel"] is not None:
             if any(p is None for p in parameters):
@@ -254,9 +256,9 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     source = start.networks[0]
     if not np.array_equal(source.subject.garment.rest, network.subject.garment.rest):
         raise InputError("start", "a checkpoint with the same virtual bones", "others")
-    module, own = getattr(network, part), getattr(source, part)
+    module, source_module = getattr(network, part), getattr(source, part)
     try:
-        module.load_state_dict(own.state_dict())
+        module.load_state_dict(source_module.state_dict())
     except RuntimeError as error:
         raise InputError("start", "a network of the same configuration", str(error)) from error
     network.normaliser = source.normaliser
@@ -324,13 +326,13 @@ def _skinning(
 
 
 def _network(
-    config: Config, subject: Subject, stated: dict[str, Any], part: dict[str, Tensor]
+    config: Config, subject: Subject, record: dict[str, Any], part: dict[str, Tensor]
 ) -> MotionNetwork:
     # The sizes of the configuration are checked against the tensors before anything is allocated.
     o, n = config.high, subject.garment.n_vertices
     low = config.low.hidden
     sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}
-    if stated["high"]:
+    if record["high"]:
         sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
         sizes["high.spread.weight"] = (n * o.global_features, o.hidden)
         widths = (3, *o.edge_features) if o.local else ()
@@ -341,10 +343,10 @@ def _network(
             sizes[f"high.mlp.{2 * k}.weight"] = (b, a)
     _expect(part, sizes)
     mean, deviation = part.pop("features.mean").numpy(), part.pop("features.deviation").numpy()
-    network = MotionNetwork(config, subject, Normaliser(mean, deviation, float(stated["clamp"])))
+    network = MotionNetwork(config, subject, Normaliser(mean, deviation, float(record["clamp"])))
     if mean.shape != (network.features.size,) or deviation.shape != mean.shape:
         raise FormatError(f"statistics of {mean.shape} features, not {network.features.size}")
-    if stated["high"]:
+    if record["high"]:
         network.add_high()
     network.load_state_dict(part)
     return network.eval()
@@ -356,6 +358,6 @@ def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 def _expect(tensors: dict[str, Tensor], sizes: dict[str, tuple[int, ...]]) -> None:
     for key, shape in sizes.items():
-        found = tuple(tensors[key].shape)
-        if found != shape:
-            raise FormatError(f"{key} is {found}, the configuration says {shape}")
+        actual = tuple(tensors[key].shape)
+        if actual != shape:
+            raise FormatError(f"{key} is {actual}, the configuration says {shape}")

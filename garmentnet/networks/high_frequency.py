@@ -97,11 +97,10 @@ class EdgeConv(nn.Module):
 
     def forward(self, x: Tensor, neighbours: Tensor) -> Tensor:
         """``(V, N, outputs)`` of ``(V, N, inputs)``; with vertices first a gather copies rows."""
-        own, step = self.linear.weight.chunk(2, dim=1)
-        step = step / self.scale
-        away = x @ step.T
-        highest: Tensor = _Highest.apply(away, neighbours)
-        return torch.relu(x @ (own - step).T + self.linear.bias + highest)
+        w_a, w_b = self.linear.weight.chunk(2, dim=1)
+        w_b = w_b / self.scale
+        highest: Tensor = _Highest.apply(x @ w_b.T, neighbours)
+        return torch.relu(x @ (w_a - w_b).T + self.linear.bias + highest)
 
 
 class HighFrequency(nn.Module):

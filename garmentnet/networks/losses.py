@@ -104,11 +104,11 @@ def closest_vertices(points: Tensor, body: Tensor) -> Tensor:
     [[1]]
     """
     if points.device.type == "cpu":
-        found = [
+        nearest = [
             cKDTree(q).query(p)[1]
             for p, q in zip(points.detach().numpy(), body.detach().numpy(), strict=True)
         ]
-        return torch.from_numpy(np.stack(found).astype(np.int64))
+        return torch.from_numpy(np.stack(nearest).astype(np.int64))
     step = max(1, _PAIRS // (points.shape[1] * body.shape[1]))
     parts = []
     for i in range(0, len(points), step):

@@ -232,12 +232,12 @@ class MotionNetwork(nn.Module):
     ) -> list[Motion]:
         """The motion, or some of its frames, in parts of at most 128 frames."""
         joints, state, out = np.asarray(joints), None, []
-        wanted = None if frames is None else np.asarray(frames, np.int64)
+        chosen = None if frames is None else np.asarray(frames, np.int64)
         for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
             part = joints[start : start + FRAMES_AT_ONCE]
             here = None
-            if wanted is not None:
-                here = wanted[(wanted >= start) & (wanted < start + len(part))] - start
+            if chosen is not None:
+                here = chosen[(chosen >= start) & (chosen < start + len(part))] - start
             # At least one frame, because a mesh of no frames has no shape.
             some = here if here is None or len(here) else [0]
             motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)

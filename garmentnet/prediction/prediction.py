@@ -92,11 +92,10 @@ def predict(
         If the parameters lie outside the trained range.
     """
     several = checkpoint.kernel is not None or checkpoint.networks[0].condition
-    own = checkpoint.parameters[0]
-    if not several and parameters is not None and own is not None and parameters != own:
-        raise InputError(
-            "parameters", f"those of this single network, {own} (an ensemble takes any)", parameters
-        )
+    trained_on = checkpoint.parameters[0]
+    if not several and None not in (parameters, trained_on) and parameters != trained_on:
+        expected = f"those of this single network, {trained_on} (an ensemble takes any)"
+        raise InputError("parameters", expected, parameters)
     beyond: tuple[str, ...] = ()
     if several and parameters is not None:
         beyond = _beyond(checkpoint, parameters)
@@ -138,17 +137,17 @@ def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:
 
 def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
     limits = trained_range(checkpoint)
-    found = []
+    messages = []
     if not limits:  # a network that reads parameters does not know its training sets
         for key in parameters.outside():
             low, high = RANGES[key]
-            found.append(f"{key} {getattr(parameters, key):g}, meant for {low:g} to {high:g}")
-        return tuple(found)
+            messages.append(f"{key} {getattr(parameters, key):g}, meant for {low:g} to {high:g}")
+        return tuple(messages)
     for key, value in dataclasses.asdict(parameters).items():
         low, high = limits[key]
         if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
-            found.append(f"{key} {value:g}, trained from {low:g} to {high:g}")
-    return tuple(found)
+            messages.append(f"{key} {value:g}, trained from {low:g} to {high:g}")
+    return tuple(messages)
 
 
 def follow(

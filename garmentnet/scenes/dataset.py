@@ -46,7 +46,7 @@ def recorded_motions(
         Length of a clip; the rest of a file is a clip too if it is at least half as long.
     """
     body = data_set.make_body()
-    found: list[MotionSource] = []
+    sources: list[MotionSource] = []
     files = find_bvh(folder)
     for k, path in enumerate(files):
         motion = retarget(read_bvh(path), body.skeleton, fps=data_set.fps)
@@ -64,8 +64,8 @@ def recorded_motions(
             elif k == len(files) - 2 and len(files) > 2:
                 split = "validation"
             length = min(frames, motion.n_frames - start)
-            found.append(MotionSource(f"{stem}_{i:02d}", split, i, length, (), str(path), start))
-    return tuple(found)
+            sources.append(MotionSource(f"{stem}_{i:02d}", split, i, length, (), str(path), start))
+    return tuple(sources)
 
 
 def open_store(data_set: DataSet, path: str | os.PathLike[str]) -> ClipStore:
@@ -150,15 +150,15 @@ def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool
     if scene.name not in store:
         return False
     clip = store.clip(scene.name)
-    wanted = json.loads(json.dumps(scene.provenance(made_with)))
+    expected = json.loads(json.dumps(scene.provenance(made_with)))
     same = (
-        clip.provenance == wanted
+        clip.provenance == expected
         and clip.parameters == scene.parameters.parameters
         and clip.seed == scene.seed
         and clip.perturbation == scene.perturbation
     )
     if not same:
-        differs = [k for k in wanted if clip.provenance.get(k) != wanted[k]]
+        differs = [k for k in expected if clip.provenance.get(k) != expected[k]]
         raise InputError(
             "path",
             f"a store whose clip {scene.name} was made from the same scene",

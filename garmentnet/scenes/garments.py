@@ -261,8 +261,8 @@ def _outline(body: Body, cut: Dress) -> Callable[[float, NDArray[np.float64]], N
     """Points ``(n, 2)`` x and z of the bodice at a height, at angles from the front."""
     rig = body.skinning
     arms = _arm_weight(body) > 0.5
-    keep = ~arms[rig.faces].any(axis=1)
-    rest, faces = rig.rest.astype(np.float64), rig.faces[keep]
+    torso = ~arms[rig.faces].any(axis=1)
+    rest, faces = rig.rest.astype(np.float64), rig.faces[torso]
     height = body.height()
     levels = np.arange(cut.waist * height - 0.02, cut.top * height + 0.021, 0.01)
     angle = np.linspace(0, np.pi, 65)

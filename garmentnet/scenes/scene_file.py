@@ -158,49 +158,49 @@ class _File:
             raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
 
 
-def _data_set(stated: _File, path: Path) -> DataSet:
+def _data_set(content: _File, path: Path) -> DataSet:
     garment: Dress | MeshGarment
-    if "mesh" in stated.garment:
-        read = from_table(MeshGarment, stated.garment, file=str(path), name="garment")
+    if "mesh" in content.garment:
+        read = from_table(MeshGarment, content.garment, file=str(path), name="garment")
         garment = dataclasses.replace(read, mesh=str(path.parent / read.mesh))
     else:
-        garment = from_table(Dress, stated.garment, file=str(path), name="garment")
-    motions, short = _sources(stated, path)
+        garment = from_table(Dress, content.garment, file=str(path), name="garment")
+    motions, short = _sources(content, path)
     return DataSet(
-        name=stated.name or path.stem,
-        fps=stated.fps,
-        seed=stated.seed,
+        name=content.name or path.stem,
+        fps=content.fps,
+        seed=content.seed,
         garment=garment,
-        body=str(path.parent / stated.body.file) if stated.body.file else "",
-        solver=stated.solver,
-        gate=stated.gate,
-        base=ParameterSet("base", "train", stated.base),
+        body=str(path.parent / content.body.file) if content.body.file else "",
+        solver=content.solver,
+        gate=content.gate,
+        base=ParameterSet("base", "train", content.base),
         motions=motions,
         sets=tuple(
             ParameterSet(s.name or f"set{k + 1:02d}", s.split, s.parameters())
-            for k, s in enumerate(stated.set)
+            for k, s in enumerate(content.set)
         ),
         set_motions=short,
-        perturbation=stated.perturbation,
+        perturbation=content.perturbation,
     )
 
 
 def _sources(
-    stated: _File, path: Path
+    content: _File, path: Path
 ) -> tuple[tuple[MotionSource, ...], tuple[MotionSource, ...]]:
     """Motions of the base parameters, and those of the other parameter sets."""
-    if stated.motion is not None:
-        one = stated.motion
+    if content.motion is not None:
+        one = content.motion
         file = str(path.parent / one.file) if one.file else ""
         stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
         made = MotionSource(stem, one.split, one.seed, one.frames, one.classes, file, one.start)
         return (made,), ()
-    assert stated.motions is not None
-    g = stated.motions
+    assert content.motions is not None
+    g = content.motions
     counts: dict[Split, int] = {"train": g.train, "validation": g.validation, "test": g.test}
     motions: dict[str, list[MotionSource]] = {}
     for k, (split, count) in enumerate(counts.items()):
-        first = g.seed + stated.seed + _SEEDS_OF_A_SPLIT * k
+        first = g.seed + content.seed + _SEEDS_OF_A_SPLIT * k
         motions[split] = [
             MotionSource(f"dance-{s:04d}", split, s, g.frames) for s in range(first, first + count)
         ]

@@ -128,12 +128,12 @@ def train_ensemble(
         # Named by its parameters, because numbers would change as the store grows.
         name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters)) if k else "base"
         data = dataclasses.replace(config.data, parameters=_text(parameters))
-        own = dataclasses.replace(config, data=data)
+        set_config = dataclasses.replace(config, data=data)
         start = None
         if k and o.start_from_base:
             start = checkpoints[0]
-            own = dataclasses.replace(
-                own,
+            set_config = dataclasses.replace(
+                set_config,
                 train=dataclasses.replace(
                     config.train,
                     epochs=o.epochs,
@@ -150,7 +150,7 @@ def train_ensemble(
 
         path = train(
             store,
-            own,
+            set_config,
             folder / name,
             start=start,
             bones_folder=bones_folder,
@@ -209,7 +209,7 @@ def sweep_pivots(
         return out
 
     theta = np.stack([p.normalised() for p in sets])
-    own = grams(sets, "train")
+    train_grams = grams(sets, "train")
     held = [p.normalised() for p in by_role["validation"]]
     held_out = list(zip(grams(by_role["validation"], "train"), held, strict=True))
     tests = {split: grams(by_role["test"], split) for split in ("train", "test")}
@@ -217,11 +217,11 @@ def sweep_pivots(
 
     sweep = []
     for count in range(1, len(sets) + 1):
-        pivots = select_pivots(own, theta, count)
+        pivots = select_pivots(train_grams, theta, count)
         fits = [
             (
                 *fit_kernel(
-                    own,
+                    train_grams,
                     theta,
                     pivots,
                     validation=held_out,
@@ -240,7 +240,7 @@ def sweep_pivots(
             "inverse distance": inverse_distance,
             "nearest": nearest,
         }
-        seen = left_out_errors(kernel, own, theta, pivots)
+        seen = left_out_errors(kernel, train_grams, theta, pivots)
         for q, t in held_out:
             weights = kernel.weights(theta[pivots], t)
             seen.append(error_of(q[np.ix_(pivots, pivots)], weights))
@@ -290,18 +290,18 @@ def compare_networks(
     names = [names[k] for k in some]
     lengths = [store.clip(n).n_frames for n in names]
     total, used, first = np.zeros((len(networks), len(networks))), 0, 0
-    wanted = np.unique(np.linspace(0, sum(lengths) - 1, min(frames, sum(lengths))).astype(int))
+    chosen = np.unique(np.linspace(0, sum(lengths) - 1, min(frames, sum(lengths))).astype(int))
     for name, length in zip(names, lengths, strict=True):
-        mine = wanted[(wanted >= first) & (wanted < first + length)] - first
+        here = chosen[(chosen >= first) & (chosen < first + length)] - first
         first += length
-        if not len(mine):
+        if not len(here):
             continue
         clip = store.clip(name)
-        truth = clip.sequence.frames(mine)
-        upto = clip.joints[: mine[-1] + 1]
-        answers = [n.predict(upto, frames=mine) for n in networks]
-        total += gram(answers, truth) * len(mine)
-        used += len(mine)
+        truth = clip.sequence.frames(here)
+        upto = clip.joints[: here[-1] + 1]
+        answers = [n.predict(upto, frames=here) for n in networks]
+        total += gram(answers, truth) * len(here)
+        used += len(here)
     return total / used
 
 

@@ -143,9 +143,9 @@ def fit(
     rng = np.random.default_rng([options.seed, *name.encode()])
     history: list[Epoch] = []
     best, waited, done, spent = math.inf, 0, False, 0.0
-    kept = _copy(module)
+    best_weights = _copy(module)
     if state_file.is_file():
-        kept, saved = _restore(state_file, module, optimiser, rng)
+        best_weights, saved = _restore(state_file, module, optimiser, rng)
         history = [Epoch(**e) for e in saved["history"]]
         best, waited, done = saved["best"], saved["waited"], saved["done"]
         spent = saved["spent"]
@@ -175,9 +175,9 @@ def fit(
                 with torch.no_grad():
                     rmse = objective.validate()
                 if math.isnan(rmse):
-                    kept, rmse = _copy(module), None
+                    best_weights, rmse = _copy(module), None
                 elif rmse < best:
-                    best, waited, kept = rmse, 0, _copy(module)
+                    best, waited, best_weights = rmse, 0, _copy(module)
                 else:
                     waited += 1
             history.append(Epoch(number, value, rmse, rate, time.perf_counter() - lap))
@@ -191,12 +191,12 @@ def fit(
                 "done": done,
                 "spent": elapsed,
             }
-            _save(state_file, module, optimiser, rng, kept, saved)
+            _save(state_file, module, optimiser, rng, best_weights, saved)
             writer(number, {"loss": value, "rate": rate, "rmse": rmse})
             _logger.info("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
             if callback and callback(_progress(name, number, epochs, elapsed, limit, value, best)):
                 break
-    module.load_state_dict(kept)
+    module.load_state_dict(best_weights)
     module.eval()
     return history
 
@@ -216,15 +216,15 @@ def _save(
     module: nn.Module,
     optimiser: torch.optim.Optimizer,
     rng: np.random.Generator,
-    kept: dict[str, Tensor],
-    stated: dict[str, Any],
+    best_weights: dict[str, Tensor],
+    record: dict[str, Any],
 ) -> None:
     tensors = {f"now.{k}": v for k, v in _copy(module).items()}
-    tensors |= {f"best.{k}": v for k, v in kept.items()}
+    tensors |= {f"best.{k}": v for k, v in best_weights.items()}
     for k, slot in optimiser.state_dict()["state"].items():
         tensors |= {f"adam.{k}.{name}": v.detach().cpu() for name, v in slot.items()}
-    best = stated["best"] if math.isfinite(stated["best"]) else None
-    document = stated | {"rng": rng.bit_generator.state, "best": best}
+    best = record["best"] if math.isfinite(record["best"]) else None
+    document = record | {"rng": rng.bit_generator.state, "best": best}
     save_tensors(file, tensors, {"training": document})
 
 
@@ -232,27 +232,27 @@ def _restore(
     file: Path, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
     tensors, documents = load_tensors(file, ("training",))
-    stated = documents["training"]
+    record = documents["training"]
 
     def part(prefix: str) -> dict[str, Tensor]:
         return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
     try:
         module.load_state_dict(part("now."))
-        kept = part("best.")
+        best_weights = part("best.")
         slots: dict[int, dict[str, Tensor]] = {}
         for key, value in part("adam.").items():
             number, name = key.split(".")
             slots.setdefault(int(number), {})[name] = value
         groups = optimiser.state_dict()["param_groups"]
         optimiser.load_state_dict({"state": slots, "param_groups": groups})
-        rng.bit_generator.state = stated["rng"]
-        stated["best"] = math.inf if stated["best"] is None else float(stated["best"])
-        if kept.keys() != module.state_dict().keys():
+        rng.bit_generator.state = record["rng"]
+        record["best"] = math.inf if record["best"] is None else float(record["best"])
+        if best_weights.keys() != module.state_dict().keys():
             raise KeyError("best weights")
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError("folder", "states of this run", f"{file}: {error}") from error
-    return kept, stated
+    return best_weights, record
 
 
 def _progress(
@@ -271,8 +271,8 @@ def _progress(
 
 
 @contextlib.contextmanager
-def _writer(folder: Path, wanted: bool) -> Iterator[Callable[[int, dict[str, Any]], None]]:
-    if not wanted:
+def _writer(folder: Path, enabled: bool) -> Iterator[Callable[[int, dict[str, Any]], None]]:
+    if not enabled:
         yield lambda number, values: None
         return
     from ssdr.io.registry import require

@@ -178,8 +178,8 @@ class HighFrequencyObjective:
         x = self._inputs(batch.inputs(), z)
         high, state = self.module(x, low, state, pick.to(device))
         frames = [w.start + chosen[k] for k, w in zip(lanes, windows, strict=True)]
-        wanted = [w.track.target("high", f) for w, f in zip(windows, frames, strict=True)]
-        truth = torch.stack(wanted).to(device)
+        targets = [w.track.target("high", f) for w, f in zip(windows, frames, strict=True)]
+        truth = torch.stack(targets).to(device)
         loss = frame_norm(high[lanes] - truth)
         if options.collision:
             joints = torch.cat([w.track.joints(f) for w, f in zip(windows, frames, strict=True)])

@@ -129,8 +129,8 @@ def extremes(parameters: Any) -> list[int]:
     """
     p = np.asarray(parameters, float)
     spread = p.max(axis=0) > p.min(axis=0)
-    found = (np.isclose(p, p.max(axis=0)) | np.isclose(p, p.min(axis=0))) & spread
-    return np.flatnonzero(found.any(axis=1)).tolist() or [0]
+    at_end = (np.isclose(p, p.max(axis=0)) | np.isclose(p, p.min(axis=0))) & spread
+    return np.flatnonzero(at_end.any(axis=1)).tolist() or [0]
 
 
 def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[int]:
@@ -267,17 +267,17 @@ def fit_kernel(
     if not left_out:  # one pivot that is the only set: its weight is 1 whatever g is
         return kernel, float("nan")
     optimiser = torch.optim.Adam(kernel.parameters(), lr=learning_rate, weight_decay=weight_decay)
-    best, kept = float("inf"), {k: v.clone() for k, v in kernel.state_dict().items()}
+    best, best_state = float("inf"), {k: v.clone() for k, v in kernel.state_dict().items()}
     for _ in range(steps + 1):
         loss = mean_error(left_out)
         with torch.no_grad():
             value = float(mean_error(held_out)) if held_out else float(loss)
         if value < best or not held_out:
-            best, kept = value, {k: v.clone() for k, v in kernel.state_dict().items()}
+            best, best_state = value, {k: v.clone() for k, v in kernel.state_dict().items()}
         optimiser.zero_grad()
         torch.autograd.backward(loss)
         optimiser.step()
-    kernel.load_state_dict(kept)
+    kernel.load_state_dict(best_state)
     return kernel, best
 
 

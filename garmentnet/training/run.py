@@ -58,14 +58,14 @@ def choose_clips(
         If there are no such clips and they are needed, or ``data.parameters`` cannot be read.
     """
     roles = parameter_roles(store)
-    stated, chosen = config.data.parameters, None
-    if stated and not config.data.condition:
+    text, chosen = config.data.parameters, None
+    if text and not config.data.condition:
         try:
-            bending, density, time_scale = (float(x) for x in stated.split(","))
+            bending, density, time_scale = (float(x) for x in text.split(","))
             chosen = SimulationParameters(bending, density, time_scale)
         except (TypeError, ValueError) as error:
-            wanted = "'bending,density,time_scale'"
-            raise InputError("data.parameters", wanted, repr(stated)) from error
+            expected = "'bending,density,time_scale'"
+            raise InputError("data.parameters", expected, repr(text)) from error
     elif not config.data.condition:
         chosen = store.parameters()[0] if store.parameters() else None
     names = [
@@ -203,17 +203,17 @@ def train(
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     # Settings that do not change the weights may differ from call to call.
     free = ("patience", "time_limit", "tensorboard", "device", "threads")
-    stated = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
-    stated["config"]["data"].pop("store")
+    record = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
+    record["config"]["data"].pop("store")
     for key in free:
-        stated["config"]["train"].pop(key)
+        record["config"]["train"].pop(key)
     file = folder / "run.json"
     if not file.is_file():
-        write_bytes(file, json.dumps(stated, indent=1).encode())
+        write_bytes(file, json.dumps(record, indent=1).encode())
         return
     try:
         there = json.loads(file.read_text("utf-8"))
     except ValueError as error:
         raise InputError("folder", "a run of this package", f"{file}: {error}") from error
-    if there != stated:
+    if there != record:
         raise InputError("folder", "a new one, or a run of this configuration and clips", folder)

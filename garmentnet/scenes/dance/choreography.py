@@ -168,10 +168,10 @@ def _add_arms(rng: np.random.Generator, controls: Controls, seconds: float) -> N
     ):
         left, right = wander["l"][name], wander["r"][name]
         right = (1 - mix) * right + mix * left
-        for side, own in (("l", left), ("r", right)):
+        for side, curve in (("l", left), ("r", right)):
             channel = controls[f"{name}_{side}"]
             controls[f"{name}_{side}"] = low + (high - low) * _ease(
-                (channel + own - low) / (high - low)
+                (channel + curve - low) / (high - low)
             )
 
 

@@ -120,13 +120,13 @@ def _walk(
     speed = np.linalg.norm(velocity, axis=1)
     duration = np.clip(0.34 - 0.1 * speed, 0.2, 0.34)
     airborne = c["air"] > 1e-3
-    wanted, facing, placed, turned, swing = {}, {}, {}, {}, {}
+    goal, facing, placed, turned, swing = {}, {}, {}, {}, {}
     for side, foot in feet.items():
         # Half a stride ahead of the body, so that the foot is under it in mid-stance.
         ahead = velocity * (0.5 * duration + 0.12)[:, None]
-        wanted[side] = path + _turn(yaw, foot.home, np.zeros(count)) + ahead
+        goal[side] = path + _turn(yaw, foot.home, np.zeros(count)) + ahead
         facing[side] = yaw + foot.turnout
-        placed[side], turned[side] = wanted[side][0].copy(), float(facing[side][0])
+        placed[side], turned[side] = goal[side][0].copy(), float(facing[side][0])
         swing[side] = (-1.0, placed[side], turned[side], 0.0)
         foot.place, foot.height = np.empty((count, 2)), np.zeros(count)
         foot.yaw = np.empty(count)
@@ -145,9 +145,9 @@ def _walk(
                     turned[side] += step_yaw * follow
                 if c[f"free_{side}"][k] > 0.5:
                     # A raised leg comes down at its place beside the hips.
-                    placed[side], turned[side] = wanted[side][k].copy(), float(facing[side][k])
-                far = _far(side, wanted, facing, placed, turned, k, scale)
-                partner = _far(other, wanted, facing, placed, turned, k, scale)
+                    placed[side], turned[side] = goal[side][k].copy(), float(facing[side][k])
+                far = _far(side, goal, facing, placed, turned, k, scale)
+                partner = _far(other, goal, facing, placed, turned, k, scale)
                 free = swing[other][0] < 0 and c[f"free_{other}"][k] < 0.3
                 if far > 1 and far >= partner and free and not airborne[k]:
                     swing[side] = (k, placed[side].copy(), turned[side], duration[k])
@@ -155,10 +155,10 @@ def _walk(
                 begun, start, start_yaw, length = swing[side]
                 t = min(1.0, (k - begun) / (length * RATE))
                 s = t * t * (3 - 2 * t)
-                placed[side] = (1 - s) * start + s * wanted[side][k]
+                placed[side] = (1 - s) * start + s * goal[side][k]
                 turn_by = math.remainder(facing[side][k] - start_yaw, math.tau)
                 turned[side] = start_yaw + s * turn_by
-                stride = math.hypot(*(wanted[side][k] - start))
+                stride = math.hypot(*(goal[side][k] - start))
                 foot.height[k] = (0.03 + 0.2 * min(stride, 0.35)) * math.sin(math.pi * t) ** 2
                 if t >= 1:
                     swing[side] = (-1.0, placed[side], turned[side], 0.0)
@@ -169,7 +169,7 @@ def _walk(
 
 def _far(
     side: str,
-    wanted: dict[str, Float],
+    goal: dict[str, Float],
     facing: dict[str, Float],
     placed: dict[str, Float],
     turned: dict[str, float],
@@ -177,7 +177,7 @@ def _far(
     scale: float,
 ) -> float:
     """How far a foot is from its place and direction; it steps above 1."""
-    off = wanted[side][k] - placed[side]
+    off = goal[side][k] - placed[side]
     askew = abs(math.remainder(facing[side][k] - turned[side], math.tau))
     return math.hypot(*off) / (_STRIDE * scale) + askew / _ASKEW
 
