@@ -38,6 +38,8 @@ from .run import train
 __all__ = ["Sweep", "compare_networks", "sweep_pivots", "train_ensemble"]
 
 Array = NDArray[np.float64]
+# Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
+Mixer = Callable[[Array, Any], Array]
 # Clips of a parameter set on which networks are compared, at most: predicting is the cost.
 _CLIPS = 4
 
@@ -215,50 +217,35 @@ def sweep_pivots(
     tests = {split: grams(by_role["test"], split) for split in ("train", "test")}
     places = [p.normalised() for p in by_role["test"]]
 
+    def error_at(q: Array, at: Array, mix: Mixer, pivots: list[int]) -> float:
+        return error_of(q[np.ix_(pivots, pivots)], mix(theta[pivots], at))
+
+    def test_error(split: str, mix: Mixer, pivots: list[int]) -> float:
+        pairs = zip(tests[split], places, strict=True)
+        return 1e3 * float(np.mean([error_at(q, at, mix, pivots) for q, at in pairs]))
+
+    def fit(pivots: list[int], sigma: float) -> tuple[Kernel, float]:
+        seed = config.train.seed
+        return fit_kernel(
+            train_grams, theta, pivots, validation=held_out, sigma=sigma, steps=o.steps, seed=seed
+        )
+
     sweep = []
     for count in range(1, len(sets) + 1):
         pivots = select_pivots(train_grams, theta, count)
-        fits = [
-            (
-                *fit_kernel(
-                    train_grams,
-                    theta,
-                    pivots,
-                    validation=held_out,
-                    sigma=sigma,
-                    steps=o.steps,
-                    seed=config.train.seed,
-                ),
-                sigma,
-            )
-            for sigma in o.sigmas
-        ]
+        fits = [(*fit(pivots, sigma), sigma) for sigma in o.sigmas]
         # With one pivot the weights are 1, and all errors are the same or NaN.
         kernel, validation, sigma = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
-        mixers: dict[str, Callable[[Array, Any], Array]] = {
+        mixers: dict[str, Mixer] = {
             "rbf": kernel.weights,
             "inverse distance": inverse_distance,
             "nearest": nearest,
         }
         seen = left_out_errors(kernel, train_grams, theta, pivots)
-        for q, t in held_out:
-            weights = kernel.weights(theta[pivots], t)
-            seen.append(error_of(q[np.ix_(pivots, pivots)], weights))
+        seen += [error_at(q, at, kernel.weights, pivots) for q, at in held_out]
         errors = {
-            mixer: {
-                split: 1e3
-                * float(
-                    np.mean(
-                        [
-                            error_of(q[np.ix_(pivots, pivots)], f(theta[pivots], t))
-                            for q, t in zip(qs, places, strict=True)
-                        ]
-                    )
-                )
-                for split, qs in tests.items()
-                if qs
-            }
-            for mixer, f in mixers.items()
+            name: {split: test_error(split, mix, pivots) for split in tests if tests[split]}
+            for name, mix in mixers.items()
         }
         score = 1e3 * float(np.mean(seen))
         sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors))

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from ssdr.errors import InputError
+from ssdr.io.registry import require
 
 from ..configs.config import TrainOptions
 from ..networks.checkpoint import load_tensors, save_tensors
@@ -275,8 +276,6 @@ def _writer(folder: Path, enabled: bool) -> Iterator[Callable[[int, dict[str, An
     if not enabled:
         yield lambda number, values: None
         return
-    from ssdr.io.registry import require
-
     module = require("torch.utils.tensorboard", "garmentnet", "tensorboard curves")
     writer = module.SummaryWriter(str(folder))
 
