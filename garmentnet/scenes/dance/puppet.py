@@ -37,6 +37,16 @@ _LEG = 0.807  # metres, hip to ankle of the body for which the moves were design
 _FOOT = 0.13  # metres, ankle to ball of the foot
 _STRIDE = 0.11  # metres from its place at which a foot steps, for that leg
 _ASKEW = 0.6  # radians from its direction at which a foot steps
+_STANCE = 0.17  # metres between the feet at rest
+_CROUCH = 0.022  # metres of the hips below the rest pose: standing knees are slightly bent
+_TIPTOE = 0.07  # metres that a leg gains by standing on the toes
+_LOWEST = 0.3  # metres, the hips above the ankle at least
+_STEP = (0.2, 0.34)  # seconds of a step, shortest and longest ...
+_HURRY = 0.1  # ... and by how much shorter it is for every m/s
+_AHEAD = 0.12  # seconds of stance for which a step aims ahead of the body
+_RAISED = (0.3, 0.5)  # of the channel "free": the other leg may step, the leg has left the floor
+_LIFT = (0.03, 0.2)  # metres that a stepping foot rises, and more for every metre of stride ...
+_STRIDES = 0.35  # ... up to this stride, metres
 _STRETCHED = 0.998  # part of the leg's length that it uses at most: the knee must have a direction
 
 
@@ -68,7 +78,7 @@ def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) 
     velocity = _turn(yaw, c["side"], c["forward"]) * scale
     path = np.cumsum(velocity, axis=0) / RATE
     feet = {
-        side: _Foot(sign * (0.5 * 0.17 + 0.5 * c["width"]) * scale, sign * c["turnout"])
+        side: _Foot(sign * (0.5 * _STANCE + 0.5 * c["width"]) * scale, sign * c["turnout"])
         for side, sign in (("l", 1.0), ("r", -1.0))
     }
     _walk(feet, c, path, velocity, yaw, scale)
@@ -76,15 +86,15 @@ def pose_joints(skeleton: Skeleton, controls: dict[str, Float], heading: float) 
     root = np.empty((len(yaw), 3))
     root[:, [0, 2]] = path + _turn(yaw, c["shift_x"], c["shift_z"]) * scale
     ankle = rest["foot_l"][1]
-    root[:, 1] = rest["pelvis"][1] + (c["lift"] - 0.022) * scale
+    root[:, 1] = rest["pelvis"][1] + (c["lift"] - _CROUCH) * scale
     hips = {s: pelvis.apply(rest[f"thigh_{s}"] - rest["pelvis"]) for s in "lr"}
     longest = _STRETCHED * (upper + lower)
     too_high = np.zeros(len(yaw))
     for side, foot in feet.items():
         flat = np.linalg.norm(foot.place - (root + hips[side])[:, [0, 2]], axis=1)
-        reach = np.sqrt(np.maximum(longest**2 - flat**2, 0.3**2)) + 0.07 * scale
+        reach = np.sqrt(np.maximum(longest**2 - flat**2, _LOWEST**2)) + _TIPTOE * scale
         over = (root + hips[side])[:, 1] - (foot.height + ankle + reach)
-        too_high = np.maximum(too_high, np.where(c[f"free_{side}"] > 0.3, 0.0, over))
+        too_high = np.maximum(too_high, np.where(c[f"free_{side}"] > _RAISED[0], 0.0, over))
     # 0.2 s ahead and smoothly: the hips sink before the step that needs it.
     window = RATE // 5
     root[:, 1] -= gaussian_filter1d(maximum_filter1d(too_high, window), window / 4)
@@ -118,12 +128,12 @@ def _walk(
     """Let the feet stand, and step when the body has moved too far from them."""
     count = len(yaw)
     speed = np.linalg.norm(velocity, axis=1)
-    duration = np.clip(0.34 - 0.1 * speed, 0.2, 0.34)
-    airborne = c["air"] > 1e-3
+    duration = np.clip(_STEP[1] - _HURRY * speed, *_STEP)
+    airborne = c["air"] > 1e-3  # metres
     goal, facing, placed, turned, swing = {}, {}, {}, {}, {}
     for side, foot in feet.items():
         # Half a stride ahead of the body, so that the foot is under it in mid-stance.
-        ahead = velocity * (0.5 * duration + 0.12)[:, None]
+        ahead = velocity * (0.5 * duration + _AHEAD)[:, None]
         goal[side] = path + _turn(yaw, foot.home, np.zeros(count)) + ahead
         facing[side] = yaw + foot.turnout
         placed[side], turned[side] = goal[side][0].copy(), float(facing[side][0])
@@ -143,12 +153,12 @@ def _walk(
                     placed[side] = path[k - 1] + turn
                     placed[side] = placed[side] + follow * (path[k] - path[k - 1])
                     turned[side] += step_yaw * follow
-                if c[f"free_{side}"][k] > 0.5:
+                if c[f"free_{side}"][k] > _RAISED[1]:
                     # A raised leg comes down at its place beside the hips.
                     placed[side], turned[side] = goal[side][k].copy(), float(facing[side][k])
                 far = _far(side, goal, facing, placed, turned, k, scale)
                 partner = _far(other, goal, facing, placed, turned, k, scale)
-                free = swing[other][0] < 0 and c[f"free_{other}"][k] < 0.3
+                free = swing[other][0] < 0 and c[f"free_{other}"][k] < _RAISED[0]
                 if far > 1 and far >= partner and free and not airborne[k]:
                     swing[side] = (k, placed[side].copy(), turned[side], duration[k])
             if swing[side][0] >= 0:
@@ -159,7 +169,8 @@ def _walk(
                 turn_by = math.remainder(facing[side][k] - start_yaw, math.tau)
                 turned[side] = start_yaw + s * turn_by
                 stride = math.hypot(*(goal[side][k] - start))
-                foot.height[k] = (0.03 + 0.2 * min(stride, 0.35)) * math.sin(math.pi * t) ** 2
+                rise = _LIFT[0] + _LIFT[1] * min(stride, _STRIDES)
+                foot.height[k] = rise * math.sin(math.pi * t) ** 2
                 if t >= 1:
                     swing[side] = (-1.0, placed[side], turned[side], 0.0)
             foot.place[k], foot.yaw[k] = placed[side], turned[side]
@@ -205,7 +216,7 @@ def _leg(
     raised = np.maximum(distance - longest, 0.0)
     reach = np.clip(distance, abs(upper - lower) + 0.05, longest)
     along = way / distance[:, None]
-    # The knee points where the foot does, and outward when it bends.
+    # The knee points where the foot does, and outward when it bends (radians).
     bent = np.clip(1 - reach / longest, 0, 0.5)
     pole_yaw = yaw + _wrap(foot.yaw - yaw) * 0.7 + sign * (0.1 + 0.9 * bent)
     pole = np.stack([np.sin(pole_yaw), np.zeros_like(yaw), np.cos(pole_yaw)], axis=1)
@@ -214,6 +225,7 @@ def _leg(
     knee = upper * (cosine[:, None] * along + np.sqrt(1 - cosine**2)[:, None] * pole)
     thigh = _aim(bone[0], knee, pole)
     shin = _aim(bone[1], reach[:, None] * along - knee, pole)
+    # Radians: the heel rises where the leg is too short, and while the foot is in the air.
     toes = np.arcsin(np.clip(raised / _FOOT, 0, 0.85)) + np.clip(
         4 * foot.height - 4 * c["air"], 0, 0.5
     )
