@@ -1,5 +1,17 @@
-"""Loose garments on a moving body, learned: the thin layer over :mod:`ssdr`.
+"""Learned loose garments on a moving body: a thin layer on :mod:`ssdr`.
 
 Pan et al., "Predicting Loose-Fitting Garment Deformations Using Bone-Driven Motion Networks",
-SIGGRAPH 2022.  What makes data is :mod:`garmentnet.scenes`, which no other module imports.
+SIGGRAPH 2022.
+
+=========================  ==========================================================
+``garmentnet.scenes``      simulates data: body, dance, garment, cloth
+``garmentnet.data``        clips, motion, skeletons, motion capture, virtual bones
+``garmentnet.networks``    the modules, the motion network, the ensemble, checkpoints
+``garmentnet.training``    batches, losses, the loop, runs, ensembles
+``garmentnet.evaluation``  errors beside baselines and bounds, reports, pictures
+``garmentnet.prediction``  a checkpoint's garment for a motion, and files of it
+``garmentnet.configs``     settings of a run
+``garmentnet.io``          files and TOML tables
+``garmentnet.cli``         the command
+=========================  ==========================================================
 """

@@ -24,15 +24,15 @@ from PIL import Image, ImageDraw
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
-from garmentnet.checkpoint import load_checkpoint
-from garmentnet.features import PoseFeatures
-from garmentnet.parameters import SimulationParameters
-from garmentnet.predict import follow
-from garmentnet.scenes.dance import dance
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.networks.features import PoseFeatures
+from garmentnet.prediction.prediction import follow
+from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.scene_file import load_data_set
-from garmentnet.scenes.simulate import simulate
-from ssdr.laplacian.smoothing import LaplacianSmoother
-from ssdr.render.figures import render_frame
+from garmentnet.scenes.simulator import simulate
+from ssdr.laplacian import LaplacianSmoother
+from ssdr.render import render_frame
 
 LENGTH = 0.02  # m, of the split
 ENDS = {

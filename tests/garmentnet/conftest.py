@@ -15,9 +15,14 @@ def toy_config():
     def make(preset="rooted", **train):
         c = load_config(preset)
         defaults = {
-            "epochs": 50, "high_epochs": 12, "learning_rate": 3e-3, "window": 30, "threads": 1,
-            "tensorboard": False, "device": "cpu",
-        }  # fmt: skip
+            "epochs": 50,
+            "high_epochs": 12,
+            "learning_rate": 3e-3,
+            "window": 30,
+            "threads": 1,
+            "tensorboard": False,
+            "device": "cpu",
+        }
         return dataclasses.replace(
             c,
             bones=BoneOptions(length=0.03, count=10, influences=4, effort="fast", frames=160),
@@ -33,19 +38,24 @@ def toy_config():
 def toy_store(tmp_path_factory):
     pytest.importorskip("torch")
     pytest.importorskip("zarr")
-    from garmentnet.parameters import SimulationParameters as P
-    from helpers import toy_store as toy
+    import toy_store as toy
+
+    from garmentnet.data.parameters import SimulationParameters as P
 
     others = [
-        (P(0.2, 0.2, 1.0), "train"), (P(2.0, 0.2, 1.0), "train"), (P(0.5, 0.2, 0.7), "train"),
-        (P(0.5, 0.2, 1.3), "train"), (P(1.0, 0.2, 1.1), "validation"), (P(0.8, 0.2, 0.9), "test"),
-    ]  # fmt: skip
+        (P(0.2, 0.2, 1.0), "train"),
+        (P(2.0, 0.2, 1.0), "train"),
+        (P(0.5, 0.2, 0.7), "train"),
+        (P(0.5, 0.2, 1.3), "train"),
+        (P(1.0, 0.2, 1.1), "validation"),
+        (P(0.8, 0.2, 0.9), "test"),
+    ]
     return toy.make_store(tmp_path_factory.mktemp("toy") / "store", others=others)
 
 
 @pytest.fixture(scope="session")
 def toy_bones(toy_store, toy_config):
-    from garmentnet.bones import virtual_bones
+    from garmentnet.data.virtual_bones import virtual_bones
 
     return virtual_bones(toy_store, toy_config().bones)
 
@@ -53,7 +63,7 @@ def toy_bones(toy_store, toy_config):
 @pytest.fixture(scope="session")
 def toy_run(toy_store, toy_config, toy_bones, tmp_path_factory):
     """Folder of a finished run of the rooted configuration."""
-    from garmentnet.train import train
+    from garmentnet.training.run import train
 
     folder = tmp_path_factory.mktemp("run")
     train(toy_store, toy_config(), folder)
@@ -62,7 +72,7 @@ def toy_run(toy_store, toy_config, toy_bones, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def toy_network(toy_run):
-    from garmentnet.checkpoint import load_checkpoint
+    from garmentnet.networks.checkpoint import load_checkpoint
 
     return load_checkpoint(toy_run / "checkpoint.safetensors")
 
@@ -70,8 +80,8 @@ def toy_network(toy_run):
 @pytest.fixture(scope="session")
 def toy_faithful(toy_store, toy_config, toy_bones, tmp_path_factory):
     """A network of the faithful configuration, hardly trained."""
-    from garmentnet.checkpoint import load_checkpoint
-    from garmentnet.train import train
+    from garmentnet.networks.checkpoint import load_checkpoint
+    from garmentnet.training.run import train
 
     folder = tmp_path_factory.mktemp("faithful")
     return load_checkpoint(

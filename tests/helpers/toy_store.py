@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from garmentnet.clips import ClipStore, SimulationParameters
-from garmentnet.skeleton import Skeleton
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.skeleton import Skeleton
+from garmentnet.data.store import ClipStore
 from ssdr import Skinning
 
 FPS = 30.0
@@ -73,9 +74,14 @@ def body():
     joints = np.tile(np.arange(3), (len(rest), 1))
     still = np.tile(np.eye(3, 4), (1, 3, 1, 1))
     rig = Skinning(
-        rest.astype(np.float32), joints, weights.astype(np.float32), still,
-        faces=np.array(faces), fps=FPS, bone_names=names,
-    )  # fmt: skip
+        rest.astype(np.float32),
+        joints,
+        weights.astype(np.float32),
+        still,
+        faces=np.array(faces),
+        fps=FPS,
+        bone_names=names,
+    )
     return rig, skeleton
 
 
@@ -134,9 +140,13 @@ def drape(rest, joints, heading, place, parameters):
         pleat = 1 + 0.05 * t * np.cos(8 * angle) * (1 + 0.3 * np.tanh(speed[f]) ** 2)
         radius = np.hypot(rest[:, 0], rest[:, 2]) * flare * pleat
         local = np.stack(
-            [radius * np.sin(angle + turn), rest[:, 1] + 0.25 * (flare - 1) * t,
-             radius * np.cos(angle + turn)], 1,
-        )  # fmt: skip
+            [
+                radius * np.sin(angle + turn),
+                rest[:, 1] + 0.25 * (flare - 1) * t,
+                radius * np.cos(angle + turn),
+            ],
+            1,
+        )
         out[f] = local @ m[0, :, :3].T + m[0, :, 3] + t[:, None] ** 2 * swing[f]
     return out.astype(np.float32)
 
@@ -146,20 +156,32 @@ def make_store(path, *, frames=90, train=8, others=(), seed=0) -> ClipStore:
     rest, faces, mirror = skirt()
     rig, skeleton = body()
     store = ClipStore.create(
-        Path(path), rest=rest, faces=faces, body=rig, skeleton=skeleton, fps=FPS,
+        Path(path),
+        rest=rest,
+        faces=faces,
+        body=rig,
+        skeleton=skeleton,
+        fps=FPS,
         mirror_vertices=mirror,
-    )  # fmt: skip
+    )
     rng = np.random.default_rng(seed)
 
     def add(name, split, motion_name, parameters, moved, role="train", **more):
         joints, heading, place = moved
         store.add(
-            name, vertices=drape(rest, joints[:, :1], heading, place, parameters) + more.pop(
-                "noise", np.float32(0)), joints=joints,
-            classes=np.arange(len(joints)) // 20 % 4, split=split, motion=motion_name,
-            parameters=parameters, seed=seed, quality={"accepted": True},
-            provenance={"parameter_split": role} | more.pop("provenance", {}), **more,
-        )  # fmt: skip
+            name,
+            vertices=drape(rest, joints[:, :1], heading, place, parameters)
+            + more.pop("noise", np.float32(0)),
+            joints=joints,
+            classes=np.arange(len(joints)) // 20 % 4,
+            split=split,
+            motion=motion_name,
+            parameters=parameters,
+            seed=seed,
+            quality={"accepted": True},
+            provenance={"parameter_split": role} | more.pop("provenance", {}),
+            **more,
+        )
 
     plan = [("train", train), ("validation", 2), ("test", 2)]
     moves = {}
@@ -174,7 +196,13 @@ def make_store(path, *, frames=90, train=8, others=(), seed=0) -> ClipStore:
             add(f"set{n}-{split}-0", split, f"{split}-0", parameters, moves[f"{split}-0"], role)
     shake = 1e-3 * rng.normal(size=(frames, len(rest), 3)).astype(np.float32)
     add(
-        "base-test-0-again", "test", "test-0", BASE, moves["test-0"], noise=shake,
-        perturbation=1e-3, provenance={"repeat_of": "base-test-0"},
-    )  # fmt: skip
+        "base-test-0-again",
+        "test",
+        "test-0",
+        BASE,
+        moves["test-0"],
+        noise=shake,
+        perturbation=1e-3,
+        provenance={"repeat_of": "base-test-0"},
+    )
     return store

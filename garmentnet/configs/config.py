@@ -1,0 +1,256 @@
+"""Settings of a training run: typed, read from TOML, stored in checkpoints.
+
+``faithful.toml`` and ``rooted.toml`` beside this module list and explain all of them.  Another file
+needs only the settings that differ from the defaults, which are those of ``faithful.toml``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from ssdr.errors import FormatError, InputError
+
+from ..io.tables import from_table, parse_toml, read_toml
+
+__all__ = [
+    "BoneOptions",
+    "Config",
+    "DataOptions",
+    "EnsembleOptions",
+    "FeatureOptions",
+    "HighOptions",
+    "LowOptions",
+    "TrainOptions",
+    "load_config",
+    "override",
+    "preset_names",
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class DataOptions:
+    """Which clips a network learns from."""
+
+    store: str = ""
+    parameters: str = ""
+    mirror: bool = True
+    condition: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class BoneOptions:
+    """Virtual bones and the split into low and high frequencies; `length` in metres."""
+
+    length: float = 0.02
+    count: int = 80
+    influences: int = 8
+    effort: Literal["fast", "balanced", "best"] = "balanced"
+    frames: int = 1000
+    seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class FeatureOptions:
+    """Pose features, a network's input, and the moving frame of its output."""
+
+    rotation: Literal["vector", "sixd"] = "vector"
+    heading_free: bool = False
+    translation: bool = True
+    velocities: bool = False
+    root_motion: bool = False
+    floor: float = 0.001
+    clamp: float = 0.0
+    frame: Literal["world", "root", "heading"] = "root"
+
+
+@dataclasses.dataclass(frozen=True)
+class LowOptions:
+    """The low-frequency module."""
+
+    hidden: int = 600
+    rotation: Literal["euler", "vector", "sixd"] = "euler"
+    laplacian: float = 1.0
+    dropout: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class HighOptions:
+    """The high-frequency module."""
+
+    hidden: int = 600
+    source: Literal["bones", "body"] = "bones"
+    local: bool = True
+    global_features: int = 10
+    edge_features: tuple[int, ...] = (8, 8, 16)
+    mlp: tuple[int, ...] = (32,)
+    collision: float = 0.1
+    frames: int = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainOptions:
+    """The training loop; `time_limit` in minutes for each module."""
+
+    seed: int = 0
+    batch: int = 8
+    window: int = 30
+    learning_rate: float = 1e-3
+    high_learning_rate: float = 1e-3
+    weight_decay: float = 0.0
+    gradient_norm: float = 1.0
+    epochs: int = 48
+    high_epochs: int = 12
+    validate_every: int = 2
+    patience: int = 10
+    time_limit: float = 0.0
+    threads: int = 0
+    device: str = "auto"
+    tensorboard: bool = True
+
+
+@dataclasses.dataclass(frozen=True)
+class EnsembleOptions:
+    """Pivots and the kernel that mixes them."""
+
+    pivots: int = 0
+    start_from_base: bool = True
+    epochs: int = 40
+    high_epochs: int = 15
+    learning_rate: float = 3e-4
+    frames: int = 60
+    sigmas: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
+    steps: int = 600
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """All settings of a training run; ``faithful.toml`` explains each.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range.
+
+    Examples
+    --------
+    >>> Config(low=LowOptions(hidden=64)).low.rotation
+    'euler'
+    """
+
+    data: DataOptions = DataOptions()
+    bones: BoneOptions = BoneOptions()
+    features: FeatureOptions = FeatureOptions()
+    low: LowOptions = LowOptions()
+    high: HighOptions = HighOptions()
+    train: TrainOptions = TrainOptions()
+    ensemble: EnsembleOptions = EnsembleOptions()
+
+    def __post_init__(self) -> None:
+        for section in dataclasses.fields(self):
+            part = getattr(self, section.name)
+            for field in dataclasses.fields(part):
+                value = getattr(part, field.name)
+                name = f"{section.name}.{field.name}"
+                if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
+                    raise InputError(name, "a number >= 0", value)
+                low = 0 if field.name in _ZERO else 1
+                for number in value if isinstance(value, tuple) else (value,):
+                    if type(number) is int and number < low:
+                        raise InputError(name, f"an integer >= {low}", number)
+
+        if self.low.dropout >= 1:
+            raise InputError("low.dropout", "a fraction below 1", self.low.dropout)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Nested dictionaries; :meth:`of` reads them."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def of(cls, table: Any, origin: str = "config") -> Config:
+        """From nested dictionaries, as TOML and JSON give them.
+
+        Raises
+        ------
+        FormatError
+            If a setting is unknown or of the wrong type; the message names `origin` and the
+            setting.
+
+        Examples
+        --------
+        >>> Config.of({"train": {"seed": 3}}).train.seed
+        3
+        """
+        return from_table(cls, table, file=origin)
+
+
+# Integers that may be 0; all others are at least 1.
+_ZERO = ("seed", "threads", "pivots")
+
+
+def preset_names() -> list[str]:
+    """Names of the configurations that ship with the package.
+
+    Examples
+    --------
+    >>> preset_names()
+    ['faithful', 'rooted', 'tiny']
+    """
+    files = resources.files(__package__).iterdir()
+    return sorted(f.name[:-5] for f in files if f.name.endswith(".toml"))
+
+
+def load_config(path: Path | str) -> Config:
+    """Read a TOML file, or a preset by its name.
+
+    Raises
+    ------
+    InputError
+        If there is neither such a file nor such a preset, or a number is out of range.
+    FormatError
+        If the file is not TOML or a setting is unknown or of the wrong type.
+
+    Examples
+    --------
+    >>> load_config("rooted").low.rotation
+    'sixd'
+    """
+    name = str(path)
+    if name in preset_names():
+        text = resources.files(__package__).joinpath(f"{name}.toml").read_text("utf-8")
+        return Config.of(parse_toml(text, name), name)
+    file = Path(path)
+    if not file.is_file():
+        presets = ", ".join(preset_names())
+        raise InputError("config", f"a TOML file or one of {presets}", name)
+    return Config.of(read_toml(file), name)
+
+
+def override(config: Config, changes: Sequence[str]) -> Config:
+    """A configuration with settings changed as ``section.name=value``, values as in TOML.
+
+    Raises
+    ------
+    FormatError
+        If a change cannot be read, or the setting is unknown or of another type.
+
+    Examples
+    --------
+    >>> override(Config(), ["train.seed=3", "high.mlp=[16, 16]"]).high.mlp
+    (16, 16)
+    """
+    table = config.as_dict()
+    for change in changes:
+        path, sign, value = change.partition("=")
+        section, dot, name = path.strip().partition(".")
+        if not (sign and dot and section in table and name in table[section]):
+            raise FormatError(f"{change}: expected section.name=value with a setting that exists")
+        try:
+            table[section][name] = parse_toml(f"value = {value}", change)["value"]
+        except FormatError:
+            table[section][name] = value.strip()  # a plain word needs no quotes
+    return Config.of(table, ", ".join(changes))

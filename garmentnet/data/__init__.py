@@ -1,0 +1,1 @@
+"""Clips of a simulated garment, body motion, skeletons and virtual bones; no torch here."""

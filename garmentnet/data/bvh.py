@@ -1,0 +1,212 @@
+"""Motion capture in BVH files."""
+
+from __future__ import annotations
+
+import dataclasses
+import gzip
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.registry import reading
+
+__all__ = ["Bvh", "find_bvh", "read_bvh"]
+
+Float = NDArray[np.float64]
+# Limits against hostile files, far above what a motion of a body needs.
+_MAX_BYTES = 1 << 28
+_MAX_JOINTS = 1000
+_MAX_DEPTH = 200  # joints, one inside the other
+_FRAME_TIMES = (1e-4, 10.0)  # seconds, shortest and longest
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bvh:
+    """A skeleton and its motion as a BVH file states them.
+
+    Attributes
+    ----------
+    names : tuple of str
+    parents : (J,) int array
+        -1 for the root.
+    offsets : (J, 3) float array
+        From the parent, in the file's units.
+    root : (F, 3) float array
+        Translation of the root.
+    rotations : (F, J, 3, 3) float array
+        Relative to the parent.
+    fps : float
+    """
+
+    names: tuple[str, ...]
+    parents: NDArray[np.int32]
+    offsets: Float
+    root: Float
+    rotations: Float
+    fps: float
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.root)
+
+
+def find_bvh(folder: str | os.PathLike[str]) -> tuple[Path, ...]:
+    """The BVH files (``.bvh``, ``.bvh.gz``) of a folder, sorted by name.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     (Path(folder) / "walk.bvh.gz").touch()
+    ...     [path.name for path in find_bvh(folder)]
+    ['walk.bvh.gz']
+    """
+    path = Path(folder)
+    files = [p for p in path.glob("*") if p.name.lower().endswith((".bvh", ".bvh.gz"))]
+    if not files:
+        raise InputError("motion", "a folder with BVH files (.bvh, .bvh.gz)", str(path))
+    return tuple(sorted(files))
+
+
+def read_bvh(path: str | os.PathLike[str]) -> Bvh:
+    """Read a BVH file, compressed (``.gz``) or not.
+
+    Raises
+    ------
+    FormatError
+        If it is damaged or is not one.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> text = '''HIERARCHY
+    ... ROOT Hips
+    ... {
+    ...   OFFSET 0 0 0
+    ...   CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+    ...   End Site { OFFSET 0 1 0 }
+    ... }
+    ... MOTION
+    ... Frames: 2
+    ... Frame Time: 0.04
+    ... 0 1 0 0 0 0
+    ... 0 2 0 90 0 0
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "a.bvh"
+    ...     _ = path.write_text(text)
+    ...     motion = read_bvh(path)
+    >>> motion.names, motion.fps, motion.root[1].tolist()
+    (('Hips',), 25.0, [0.0, 2.0, 0.0])
+    """
+    source = Path(path)
+    with reading(source):
+        opener = gzip.open if source.suffix.lower() == ".gz" else open
+        with opener(source, "rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise FormatError(f"more than {_MAX_BYTES} bytes")
+        text = data.decode("utf-8-sig")
+        head, separator, tail = text.partition("MOTION")
+        if not separator:
+            raise FormatError("no section MOTION")
+        names, parents, offsets, channels = _hierarchy(iter(head.split()))
+        lines = tail.split("\n")
+        words = " ".join(lines[:4]).split()
+        if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
+            raise FormatError("no 'Frames:' and 'Frame Time:' after MOTION")
+        frames, step = int(words[1]), float(words[4])
+        if not (frames >= 1 and _FRAME_TIMES[0] <= step <= _FRAME_TIMES[1]):
+            raise FormatError(f"{frames} frames of {step} s")
+        width = sum(len(c) for c in channels)
+        start = tail.index(words[4], tail.index("Time:")) + len(words[4])
+        values = np.array(tail[start:].split(), dtype=np.float64)
+        if len(values) != frames * width:
+            raise FormatError(
+                f"expected {frames} frames of {width} numbers, got {len(values)} numbers"
+            )
+        if not np.isfinite(values).all():
+            raise FormatError("NaN or Inf among the channels")
+        values = values.reshape(frames, width)
+        root = np.zeros((frames, 3))
+        rotations = np.broadcast_to(np.eye(3), (frames, len(names), 3, 3)).copy()
+        column = 0
+        for j, names_of_joint in enumerate(channels):
+            order, angles = "", []
+            for name in names_of_joint:
+                if name.endswith("position"):
+                    if j == 0:
+                        root[:, "XYZ".index(name[0])] = values[:, column]
+                else:
+                    order += name[0]
+                    angles.append(values[:, column])
+                column += 1
+            if order:
+                turned = Rotation.from_euler(order, np.stack(angles, axis=1), degrees=True)
+                rotations[:, j] = turned.as_matrix()
+        return Bvh(names, np.array(parents, np.int32), offsets, root, rotations, 1 / step)
+
+
+def _hierarchy(
+    words: Iterator[str],
+) -> tuple[tuple[str, ...], list[int], Float, list[list[str]]]:
+    try:
+        if next(words) != "HIERARCHY":
+            raise FormatError("does not begin with HIERARCHY")
+        names: list[str] = []
+        parents: list[int] = []
+        offsets: list[list[float]] = []
+        channels: list[list[str]] = []
+        stack: list[int] = []
+        end = False  # inside an End Site, whose offset no joint has
+        for word in words:
+            if word in ("ROOT", "JOINT"):
+                if (word == "ROOT") != (not names):
+                    raise FormatError("more than one ROOT, or none before a JOINT")
+                names.append(next(words))
+                parents.append(stack[-1] if stack else -1)
+                offsets.append([0.0, 0.0, 0.0])
+                channels.append([])
+                if len(names) > _MAX_JOINTS:
+                    raise FormatError(f"more than {_MAX_JOINTS} joints")
+            elif word == "End":
+                next(words)
+                end = True
+            elif word == "{":
+                stack.append(-2 if end else len(names) - 1)
+                if len(stack) > _MAX_DEPTH:
+                    raise FormatError(f"joints nested deeper than {_MAX_DEPTH}")
+            elif word == "}":
+                end = False
+                stack.pop()
+            elif word == "OFFSET":
+                values = [float(next(words)) for _ in range(3)]
+                if not np.isfinite(values).all():
+                    raise FormatError("an OFFSET that is not finite")
+                if stack[-1] >= 0:
+                    offsets[stack[-1]] = values
+            elif word == "CHANNELS":
+                chosen = [next(words) for _ in range(int(next(words)))]
+                kinds = {f"{a}{k}" for a in "XYZ" for k in ("position", "rotation")}
+                if not set(chosen) <= kinds or len(set(chosen)) != len(chosen):
+                    raise FormatError(f"channels {chosen}")
+                if sum(c.endswith("rotation") for c in chosen) not in (0, 3):
+                    raise FormatError(f"channels {chosen}: expected three rotations or none")
+                channels[stack[-1]] = chosen
+            else:
+                raise FormatError(f"{word!r} in the hierarchy")
+        if stack or not names:
+            raise FormatError("a hierarchy without end")
+    except (StopIteration, IndexError) as error:
+        raise FormatError("a hierarchy that is cut off") from error
+    return tuple(names), parents, np.array(offsets), channels

@@ -1,0 +1,129 @@
+"""One clip of a store; its frames are read when they are used."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.registry import reading
+from ssdr.sequence import MeshSequence
+from ssdr.skinning import skin
+
+from .clip_files import Frames, Split, check_finite, open_array
+from .motion import CLASSES
+from .outfit import Outfit
+from .parameters import SimulationParameters
+from .skeleton import mirror_transforms
+
+__all__ = ["MIRRORED", "Clip"]
+
+# Suffix of a mirrored clip's name; no name on disk may hold it.
+MIRRORED = "~mirrored"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Clip:
+    """One clip of a store.
+
+    Attributes
+    ----------
+    outfit : Outfit
+        Garment and body; those of the store.
+    name : str
+    split : {"train", "validation", "test"}
+    motion : str
+        Name of the motion; clips of one motion under several parameters share it.
+    parameters : SimulationParameters
+    seed : int
+    perturbation : float
+        Metres (RMS) by which the first frame was perturbed; 0 except for the second clip of a
+        pair that measures chaos.
+    quality : dict
+        ``accepted``, ``reason`` and the measurements of the quality gate.
+    provenance : dict
+        Scene and versions of the simulator, from which the clip can be made again.
+    n_frames : int
+    is_mirrored : bool
+        Reflected in x as it is read; only the original is stored.
+    """
+
+    outfit: Outfit
+    name: str
+    split: Split
+    motion: str
+    parameters: SimulationParameters
+    seed: int
+    perturbation: float
+    quality: dict[str, Any]
+    provenance: dict[str, Any]
+    n_frames: int
+    is_mirrored: bool
+    path: Path
+
+    @property
+    def accepted(self) -> bool:
+        return bool(self.quality["accepted"])
+
+    @property
+    def fps(self) -> float:
+        return self.outfit.fps
+
+    @property
+    def mirrored_of(self) -> str | None:
+        """Name of the clip that this one reflects."""
+        return self.name.removesuffix(MIRRORED) if self.is_mirrored else None
+
+    @functools.cached_property
+    def sequence(self) -> MeshSequence:
+        """The garment; frames are read from disk when they are used."""
+        vertices = Frames(
+            open_array(self.path, "vertices", (self.n_frames, self.outfit.n_vertices, 3)),
+            self.path,
+            self.outfit.mirror_vertices if self.is_mirrored else None,
+        )
+        faces = self.outfit.faces
+        return MeshSequence(vertices, faces, self.fps, name=self.name, validate=not self.accepted)
+
+    @functools.cached_property
+    def joints(self) -> NDArray[np.float32]:
+        """``(F, J, 3, 4)`` transforms from the body's rest pose to the pose of each frame."""
+        shape = (self.n_frames, self.outfit.skeleton.n_joints, 3, 4)
+        with reading(self.path):
+            values = np.asarray(open_array(self.path, "joints", shape)[:])
+            check_finite(values, "joints", 0)
+        if self.is_mirrored:
+            values = mirror_transforms(values, self.outfit.skeleton.mirror())
+        return values
+
+    @functools.cached_property
+    def classes(self) -> NDArray[np.int8]:
+        """``(F,)`` class of motion of each frame, an index into ``CLASSES``."""
+        with reading(self.path):
+            values = np.asarray(open_array(self.path, "classes", (self.n_frames,))[:])
+            if values.min() < 0 or values.max() >= len(CLASSES):
+                raise FormatError(f"classes: {values.min()} to {values.max()}")
+        return values
+
+    def body(self, frames: Any = slice(None)) -> NDArray[np.float32]:
+        """Body vertices ``(f, V, 3)`` in the named frames."""
+        rig = self.outfit.body
+        return np.asarray(skin(rig.rest, rig.joints, rig.weights, self.joints[frames]))
+
+    def mirrored(self) -> Clip:
+        """The clip reflected in x; of a mirrored clip, the clip itself.
+
+        Raises
+        ------
+        InputError
+            If the garment is not symmetric.
+        """
+        if self.outfit.mirror_vertices is None:
+            raise InputError("clip", "a clip of a symmetric garment", self.name)
+        name = self.name.removesuffix(MIRRORED) + ("" if self.is_mirrored else MIRRORED)
+        return dataclasses.replace(self, name=name, is_mirrored=not self.is_mirrored)

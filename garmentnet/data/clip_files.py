@@ -1,0 +1,201 @@
+"""Files of one clip: a zarr group of three arrays and its attributes, checked as they are read.
+
+Every chunk carries a checksum, and a missing chunk reads as a value that no clip may hold: damage
+is always found.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import free_name, remove
+from ssdr.io.registry import reading, require
+
+__all__ = [
+    "Frames",
+    "Split",
+    "check_finite",
+    "compressors",
+    "open_array",
+    "read_metadata",
+    "write_clip",
+    "zarr",
+]
+
+Split = Literal["train", "validation", "test"]
+# Frames of vertices that are compressed together: about 1 s, some 100 KiB for 2,000 vertices.
+_CHUNK_FRAMES = 32
+# Type of every array, and the value that a missing chunk reads as.
+_ARRAYS: Mapping[str, tuple[str, float]] = {
+    "vertices": ("float32", math.nan),
+    "joints": ("float32", math.nan),
+    "classes": ("int8", -1),
+}
+_REQUIRED = (
+    "frames",
+    "split",
+    "motion",
+    "parameters",
+    "seed",
+    "perturbation",
+    "quality",
+    "provenance",
+)
+
+
+def write_clip(
+    target: Path, arrays: Mapping[str, NDArray[Any]], metadata: Mapping[str, Any]
+) -> None:
+    """Write a clip under a temporary name; the folder is renamed when it is complete.
+
+    Parameters
+    ----------
+    target : Path
+    arrays : dict
+        ``vertices`` (F, V, 3), ``joints`` (F, J, 3, 4), ``classes`` (F,).
+    metadata : dict
+        The clip's attributes, plain JSON.
+    """
+    temporary = free_name(target)
+    frames = len(arrays["vertices"])
+    chunk = min(frames, _CHUNK_FRAMES)
+    try:
+        group = zarr().create_group(store=str(temporary), attributes=metadata)
+        for key, (_, fill) in _ARRAYS.items():
+            values = arrays[key]
+            array = group.create_array(
+                key,
+                shape=values.shape,
+                dtype=values.dtype,
+                chunks=(chunk if key == "vertices" else frames, *values.shape[1:]),
+                fill_value=fill,
+                compressors=compressors(values.itemsize),
+            )
+            array[:] = values
+        os.replace(temporary, target)
+    except BaseException:
+        remove(temporary)
+        raise
+
+
+def read_metadata(path: Path) -> dict[str, Any]:
+    """The attributes of a clip.
+
+    Raises
+    ------
+    FormatError
+        If one is missing or of the wrong type.
+    """
+    with reading(path):
+        metadata: dict[str, Any] = json.loads((path / "zarr.json").read_text())["attributes"]
+        missing = [k for k in _REQUIRED if k not in metadata]
+        if missing:
+            raise FormatError(f"no attribute {missing[0]}")
+        if metadata["split"] not in get_args(Split):
+            raise FormatError(f"split {metadata['split']!r}")
+        if not isinstance(metadata["quality"].get("accepted"), bool):
+            raise FormatError("quality does not state whether the clip was accepted")
+        return metadata
+
+
+def open_array(path: Path, name: str, shape: tuple[int, ...]) -> Any:
+    """An array of a clip, still on disk; its type and shape are checked.
+
+    Raises
+    ------
+    FormatError
+        If it is missing or another array.
+    """
+    with reading(path):
+        array = zarr().open_array(str(path / name), mode="r")
+        kind = _ARRAYS[name][0]
+        if tuple(array.shape) != shape or str(array.dtype) != kind:
+            raise FormatError(
+                f"{name}: expected {kind} {shape}, got {array.dtype} {tuple(array.shape)}"
+            )
+        return array
+
+
+class Frames:
+    """Vertices on disk that are read, checked and, if asked, reflected as they are indexed.
+
+    Parameters
+    ----------
+    array : zarr array (F, V, 3)
+    path : Path
+        Of the clip, for errors.
+    permutation : (V,) int32 or None
+        The vertex on the other side of each: the clip is reflected in x.
+    """
+
+    def __init__(self, array: Any, path: Path, permutation: NDArray[np.int32] | None) -> None:
+        self._array, self._path, self._permutation = array, path, permutation
+        self.shape: tuple[int, ...] = tuple(array.shape)
+        self.dtype = np.dtype(np.float32)
+        self.ndim = 3
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, index: Any) -> NDArray[np.float32]:
+        first, rest = (index[0], index[1:]) if isinstance(index, tuple) else (index, ())
+        with reading(self._path):
+            block = np.asarray(self._array[first])
+            check_finite(block, "vertices", first if isinstance(first, int) else 0)
+        if self._permutation is not None:
+            block = block[..., self._permutation, :] * np.array([-1, 1, 1], dtype=np.float32)
+        if rest:
+            block = block[(slice(None),) * (block.ndim - 2) + rest]
+        return block
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.asarray(self[:], dtype=dtype)
+
+
+def zarr() -> Any:
+    """The package zarr."""
+    return require("zarr", "garmentnet", "a store of clips")
+
+
+def compressors(itemsize: int = 4) -> Sequence[Any]:
+    """How the arrays of a store are compressed; `itemsize` in bytes."""
+    codecs = require("zarr.codecs", "garmentnet", "a store of clips")
+    # The checksum comes last: a flipped bit is found before anything is decompressed.
+    return (
+        codecs.BloscCodec(cname="zstd", clevel=5, shuffle="shuffle", typesize=itemsize),
+        codecs.Crc32cCodec(),
+    )
+
+
+def check_finite(values: NDArray[np.floating], what: str, first: int) -> None:
+    """Check that every number is finite.
+
+    Parameters
+    ----------
+    values : (F, ..., ...) array
+    what : str
+        Name of the array, for the error.
+    first : int
+        Number of its first frame.
+
+    Raises
+    ------
+    InputError
+        That names the first frame with NaN or Inf.
+
+    Examples
+    --------
+    >>> check_finite(np.zeros((2, 4, 3)), "vertices", 0)
+    """
+    if not np.isfinite(values).all():
+        frames = np.flatnonzero(~np.isfinite(values.reshape(-1, *values.shape[-2:])).all((1, 2)))
+        raise InputError(what, "finite numbers", f"NaN or Inf from frame {first + frames[0]} on")

@@ -1,0 +1,146 @@
+"""Motion of a body: poses over time, from a generator or from motion capture (BVH).
+
+Nothing here needs a simulator: the same code poses the body for training data and for
+prediction.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from ssdr.errors import InputError
+
+from .skeleton import Skeleton, check_joints
+
+__all__ = ["CLASSES", "Motion", "interpolate", "lead_in"]
+
+# Classes of motion; "recorded" is motion capture, the others are made by the generator.
+CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
+# Length of the heading, a unit vector seen from above, below which it says nothing.
+_NO_HEADING = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """A body's pose over time.
+
+    Parameters
+    ----------
+    joints : (F, J, 3, 4) float array
+        World transforms from the rest pose to the pose of each frame, rigid.
+    classes : (F,) int array
+        Class of motion of each frame, an index into :data:`garmentnet.data.motion.CLASSES`.
+    fps : float
+    name : str
+
+    Raises
+    ------
+    InputError
+        If shapes do not match, a number is not finite or a transform is not rigid.
+
+    Examples
+    --------
+    >>> still = Motion(np.tile(np.eye(3, 4), (10, 2, 1, 1)), np.zeros(10, int))
+    >>> still.n_frames, still.cut(2, 5).n_frames
+    (10, 3)
+    """
+
+    joints: NDArray[np.float64]
+    classes: NDArray[np.int8]
+    fps: float = 30.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.joints)
+        joints = check_joints(self.joints, shape[1] if len(shape) == 4 else 1)
+        classes = np.asarray(self.classes, dtype=np.int8)
+        if classes.shape != (len(joints),) or classes.min() < 0 or classes.max() >= len(CLASSES):
+            raise InputError("classes", f"{len(joints)} indices below {len(CLASSES)}", classes)
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise InputError("fps", "a positive number", self.fps)
+        object.__setattr__(self, "joints", joints)
+        object.__setattr__(self, "classes", classes)
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.joints)
+
+    def __len__(self) -> int:
+        return self.n_frames
+
+    def cut(self, start: int, stop: int, name: str | None = None) -> Motion:
+        """Frames from `start` up to `stop`."""
+        if not 0 <= start < stop <= self.n_frames:
+            raise InputError("start, stop", f"0 to {self.n_frames}", (start, stop))
+        return Motion(
+            self.joints[start:stop],
+            self.classes[start:stop],
+            self.fps,
+            self.name if name is None else name,
+        )
+
+
+def interpolate(
+    skeleton: Skeleton, joints: NDArray[np.float64], at: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """World transforms ``(n, J, 3, 4)`` at fractional frames `at`.
+
+    The root moves linearly and every rotation relative to the parent by slerp, so that no limb
+    changes its length between frames.
+
+    Examples
+    --------
+    >>> body = Skeleton(("root",), [-1], [[0, 0, 0]])
+    >>> joints = np.tile(np.eye(3, 4), (2, 1, 1, 1))
+    >>> joints[1, 0, :, 3] = [1, 0, 0]
+    >>> interpolate(body, joints, np.array([0.25]))[0, 0, :, 3].tolist()
+    [0.25, 0.0, 0.0]
+    """
+    count = len(joints)
+    at = np.clip(np.asarray(at, dtype=np.float64), 0, count - 1)
+    root, local = skeleton.pose(joints)
+    if count == 1:
+        return np.repeat(joints, len(at), axis=0)
+    frames = np.arange(count)
+    place = np.stack([np.interp(at, frames, root[:, c]) for c in range(3)], axis=1)
+    turned = np.empty((len(at), skeleton.n_joints, 3, 3))
+    for j in range(skeleton.n_joints):
+        turned[:, j] = Slerp(frames, Rotation.from_matrix(local[:, j]))(at).as_matrix()
+    return skeleton.transforms(place, turned)
+
+
+def lead_in(
+    skeleton: Skeleton, joints: NDArray[np.float64], moving: int, still: int
+) -> NDArray[np.float64]:
+    """Transforms ``(moving + still, J, 3, 4)`` that bring the body at rest to the first pose.
+
+    The motion starts in the rest pose, at the place and with the heading of the first frame,
+    reaches the first pose after `moving` frames and holds it for `still` frames.
+
+    Examples
+    --------
+    >>> body = Skeleton(("root",), [-1], [[0, 1, 0]])
+    >>> joints = body.transforms([[2.0, 1.5, 0.0]], np.eye(3)[None, None])
+    >>> body.positions(lead_in(body, joints, 2, 1))[:, 0].tolist()
+    [[2.0, 1.0, 0.0], [2.0, 1.25, 0.0], [2.0, 1.5, 0.0]]
+    """
+    root, local = skeleton.pose(joints[:1])
+    forward = local[0, 0] @ [0.0, 0.0, 1.0]
+    # A body that looks straight up or down has no heading; its own x axis then gives one.
+    heading = math.atan2(forward[0], forward[2])
+    if math.hypot(forward[0], forward[2]) < _NO_HEADING:
+        side = local[0, 0] @ [1.0, 0.0, 0.0]
+        heading = math.atan2(-side[2], side[0])
+    rest_root = np.array([root[0, 0], skeleton.rest[0, 1], root[0, 2]])
+    rest_local = np.broadcast_to(np.eye(3), local.shape[1:]).copy()
+    rest_local[0] = Rotation.from_euler("y", heading).as_matrix()
+    start = skeleton.transforms(rest_root[None], rest_local[None])
+    t = np.arange(moving) / max(1, moving)
+    t = t * t * (3 - 2 * t)  # starts and ends at rest
+    both = np.concatenate([start, joints[:1]])
+    return np.concatenate([interpolate(skeleton, both, t), np.repeat(joints[:1], still, axis=0)])

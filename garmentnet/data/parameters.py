@@ -1,0 +1,89 @@
+"""Simulation parameters: bending, density, time scale, and their normalised form."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import InputError
+
+__all__ = ["RANGES", "SimulationParameters"]
+
+# Ranges that the data sets cover, [-1, 1] when normalised; the units are those of
+# SimulationParameters.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "bending": (0.2, 2.0),
+    "density": (0.1, 0.3),
+    "time_scale": (0.7, 1.3),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulationParameters:
+    """The cloth's material and the speed of its time.
+
+    Parameters
+    ----------
+    bending : float
+        Bending stiffness, the simulator's ``edge_ke``; about 0.2 (soft) to 2 (stiff).
+    density : float
+        kg/m²; about 0.1 (light) to 0.3 (heavy).
+    time_scale : float
+        Seconds of the cloth in a second of the body; 0.7 (slow) to 1.3 (fast).
+
+    Raises
+    ------
+    InputError
+        If one is not a positive, finite number.
+
+    Examples
+    --------
+    >>> print(SimulationParameters(bending=1.0))
+    bending 1, density 0.2, time scale 1
+    """
+
+    bending: float = 0.5
+    density: float = 0.2
+    time_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not (number and math.isfinite(value) and value > 0):
+                raise InputError(field.name, "a positive number", repr(value))
+            object.__setattr__(self, field.name, float(value))
+
+    def __str__(self) -> str:
+        return f"bending {self.bending:g}, density {self.density:g}, time scale {self.time_scale:g}"
+
+    def normalised(self) -> NDArray[np.float64]:
+        """``(3,)`` logarithms of bending, density and time scale, [-1, 1] over :data:`RANGES`.
+
+        Logarithms, because all three act by their ratio: doubling one is a step of the same
+        length wherever it starts.
+
+        Examples
+        --------
+        >>> SimulationParameters(bending=2.0, density=0.1, time_scale=1.3).normalised()
+        array([ 1., -1.,  1.])
+        """
+        low, high = np.log(np.array([RANGES[f.name] for f in dataclasses.fields(self)])).T
+        value = np.log([self.bending, self.density, self.time_scale])
+        return np.asarray(2 * (value - low) / (high - low) - 1)
+
+    def outside(self) -> tuple[str, ...]:
+        """Names of the parameters that lie outside :data:`RANGES`.
+
+        Examples
+        --------
+        >>> SimulationParameters(bending=5.0).outside()
+        ('bending',)
+        """
+        beyond = np.abs(self.normalised()) > 1 + 1e-9  # the ends themselves, with rounding
+        names = (f.name for f in dataclasses.fields(self))
+        return tuple(n for n, far in zip(names, beyond, strict=True) if far)

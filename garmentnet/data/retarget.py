@@ -1,0 +1,199 @@
+"""Motion capture carried over to a body of another build."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssdr.errors import InputError
+
+from .bvh import Bvh
+from .motion import CLASSES, Motion, interpolate
+from .skeleton import Skeleton
+
+Float = NDArray[np.float64]
+
+__all__ = ["retarget"]
+
+
+# Names of the body's joints in other skeletons, in lower case (Daz, CMU, Mixamo and others);
+# right joints follow from the left ones.
+_NAMES = {
+    "pelvis": ("hip", "hips", "pelvis", "root"),
+    "abdomen": ("abdomen", "lowerback", "spine"),
+    "spine": ("spine1", "waist"),
+    "chest": ("chest", "spine2", "spine1", "torso"),
+    "neck": ("neck", "neck1"),
+    "head": ("head",),
+    "collar_l": ("lcollar", "leftshoulder", "leftcollar"),
+    "arm_l": ("lshldr", "leftarm", "lshoulder", "leftuparm"),
+    "forearm_l": ("lforearm", "leftforearm", "lelbow", "leftlowarm"),
+    "hand_l": ("lhand", "lefthand", "lwrist"),
+    "thigh_l": ("lthigh", "leftupleg", "lhip", "lefthip"),
+    "shin_l": ("lshin", "leftleg", "lknee", "leftlowleg"),
+    "foot_l": ("lfoot", "leftfoot", "lankle"),
+}
+
+
+_NEEDED = ("pelvis", "thigh_l", "shin_l", "foot_l", "arm_l", "forearm_l", "hand_l")
+# Bones whose rest directions differ between A-pose and T-pose, with the joint at their end.
+_LIMBS = {"arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
+
+
+def retarget(bvh: Bvh, skeleton: Skeleton, *, fps: float = 30.0, name: str = "") -> Motion:
+    """Retarget a motion to another skeleton.
+
+    Joints are matched by name.  Every joint takes the world rotation of the joint of that name,
+    relative to the file's zero pose.  Arms and legs may point elsewhere in the body's rest pose
+    (A-pose against T-pose): the shortest rotation from the one direction to the other comes
+    first.  The root's path is scaled by the length of the legs, starts above the origin and is
+    raised so that the feet stand on y = 0.
+
+    Parameters
+    ----------
+    bvh : Bvh
+    skeleton : Skeleton
+        Of :mod:`garmentnet.scenes.body`, or with the same names.
+    fps : float
+        Of the result.
+    name : str
+
+    Returns
+    -------
+    Motion
+        Of the class ``recorded``.
+
+    Raises
+    ------
+    InputError
+        If the file has no joint for one that is needed; the message says which.
+    """
+    if not (math.isfinite(fps) and 1 <= fps <= 1000):
+        raise InputError("fps", "1 to 1000", fps)
+    source = _match(bvh, skeleton)
+    zero = np.zeros((len(bvh.names), 3))
+    world = np.empty_like(bvh.rotations)
+    for j, parent in enumerate(bvh.parents):
+        zero[j] = bvh.offsets[j] + (zero[parent] if parent >= 0 else 0)
+        relative = bvh.rotations[:, j]
+        world[:, j] = relative if parent < 0 else world[:, parent] @ relative
+    # Files differ in which axis is up and in which direction the figure faces.
+    across = zero[source["thigh_l"]] - zero[source["thigh_r"]]
+    down = (zero[source["foot_l"]] + zero[source["foot_r"]]) / 2 - zero[source["pelvis"]]
+    up = -down / max(float(np.linalg.norm(down)), 1e-12)
+    left = across - (across @ up) * up
+    if np.linalg.norm(left) < 1e-9 or np.linalg.norm(down) < 1e-9:
+        raise InputError("bvh", "hips with a left, a right and legs", "a skeleton without")
+    # Snapped to the nearest axes: a zero pose may lean a little, the file's axes do not.
+    up, left = _axis(up), _axis(left)
+    ours = np.stack([left, up, np.cross(left, up)])
+    legs = sum(
+        float(np.linalg.norm(zero[source[f"{b}_l"]] - zero[source[f"{a}_l"]]))
+        for a, b in (("thigh", "shin"), ("shin", "foot"))
+    )
+    own_legs = sum(
+        float(np.linalg.norm(_rest(skeleton, f"{b}_l") - _rest(skeleton, f"{a}_l")))
+        for a, b in (("thigh", "shin"), ("shin", "foot"))
+    )
+    first = _first_frame(bvh, world)
+    turned = ours @ world[first:] @ ours.T
+    count = len(turned)
+    rotations = np.empty((count, skeleton.n_joints, 3, 3))
+    for j, joint in enumerate(skeleton.names):
+        base, _, side = joint.partition("_")
+        if joint not in source:
+            rotations[:, j] = rotations[:, skeleton.parents[j]]
+            continue
+        align = np.eye(3)
+        bone = "forearm" if base == "hand" else base
+        if bone in _LIMBS:
+            a, b = f"{bone}_{side}", f"{_LIMBS[bone]}_{side}"
+            theirs = ours @ (zero[source[b]] - zero[source[a]])
+            align = _arc(_rest(skeleton, b) - _rest(skeleton, a), theirs)
+        rotations[:, j] = turned[:, source[joint]] @ align
+    local = rotations.copy()
+    for j, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            local[:, j] = rotations[:, parent].swapaxes(-1, -2) @ rotations[:, j]
+    path: Float = bvh.root[first:] @ ours.T * (own_legs / legs)
+    path -= [path[0, 0], 0.0, path[0, 2]]
+    joints = skeleton.transforms(path, local)
+    soles = skeleton.positions(joints)[:, [skeleton.index(n) for n in ("foot_l", "foot_r")], 1]
+    # The second percentile, not the minimum: a few frames of noise may lie below the floor.
+    joints[..., 1, 3] -= np.percentile(soles.min(axis=1), 2) - _rest(skeleton, "foot_l")[1]
+    # 1e-3 of a frame: a rate written as 0.0333333 s must not cost the last frame.
+    frames = max(1, math.floor((count - 1) * fps / bvh.fps + 1e-3) + 1)
+    at = np.arange(frames, dtype=np.float64) * (bvh.fps / fps)
+    joints = interpolate(skeleton, joints, at)
+    recorded = np.full(frames, CLASSES.index("recorded"), dtype=np.int8)
+    return Motion(joints, recorded, fps, name)
+
+
+def _match(bvh: Bvh, skeleton: Skeleton) -> dict[str, int]:
+    """The file's joint of each of the skeleton's."""
+    theirs = {n.split(":")[-1].replace("_", "").lower(): j for j, n in enumerate(bvh.names)}
+    matched: dict[str, int] = {}
+    taken: set[int] = set()
+    for joint in skeleton.names:
+        right = joint.endswith("_r")
+        for name in _NAMES.get(joint[:-1] + "l" if right else joint, ()):
+            if right:
+                name = "right" + name[4:] if name.startswith("left") else "r" + name[1:]
+            j = theirs.get(name, -1)
+            if j >= 0 and j not in taken:
+                matched[joint] = j
+                taken.add(j)
+                break
+    needed = {*_NEEDED, *(n[:-1] + "r" for n in _NEEDED if n.endswith("_l"))}
+    absent = sorted(needed - set(skeleton.names))
+    if absent:
+        raise InputError(
+            "skeleton",
+            f"joints {', '.join(absent)}, to which a BVH's motion can be carried over",
+            f"joints {', '.join(skeleton.names)}",
+        )
+    missing = sorted(n for n in needed if n not in matched)
+    if missing:
+        raise InputError(
+            "bvh", f"joints for {', '.join(missing)}", f"joints {', '.join(bvh.names[:40])}"
+        )
+    return matched
+
+
+def _first_frame(bvh: Bvh, world: Float) -> int:
+    """First frame of the motion itself.
+
+    Some converters put a calibration pose before the motion and jump from it within a few
+    frames.  The start is left out as long as it is much faster than the motion itself.
+    """
+    # Frames that may be left out: 12 (0.1 s at 120 frames a second), at most a quarter.
+    lead = min(12, bvh.n_frames // 4)
+    if lead == 0:
+        return 0
+    heads = np.zeros((bvh.n_frames, len(bvh.names), 3))
+    for j, parent in enumerate(bvh.parents):
+        if parent >= 0:
+            heads[:, j] = heads[:, parent] + world[:, parent] @ bvh.offsets[j]
+    speed = np.linalg.norm(np.diff(heads, axis=0), axis=2).max(axis=1)
+    # By half faster than the 99th percentile: faster than the motion ever is, but for noise.
+    fast = speed[:lead] > 1.5 * np.percentile(speed[lead:], 99)
+    return int(fast.argmin()) if not fast.all() else lead
+
+
+def _rest(skeleton: Skeleton, name: str) -> Float:
+    return np.asarray(skeleton.rest[skeleton.index(name)])
+
+
+def _axis(v: Float) -> Float:
+    out = np.zeros(3)
+    k = int(np.abs(v).argmax())
+    out[k] = np.sign(v[k])
+    return out
+
+
+def _arc(a: Float, b: Float) -> Float:
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    return np.asarray(Rotation.align_vectors(b[None], a[None])[0].as_matrix())

@@ -1,0 +1,215 @@
+"""A body's skeleton: its joints' hierarchy and rest positions, poses of them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ssdr.errors import InputError
+
+__all__ = ["REFLECTION", "Skeleton", "check_joints", "mirror_transforms"]
+
+# Reflection in the plane x = 0, the symmetry of body and garment.
+REFLECTION = np.diag([-1.0, 1.0, 1.0])
+# Largest entry of |RRᵀ − I| that still counts as a rotation; text files round to few digits.
+_ORTHOGONAL = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Joints in the rest pose; every joint's axes are the world's there.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Left and right joints differ by the ends ``_l`` and ``_r``.
+    parents : (J,) int array
+        The parent of every joint, which comes before it; -1 for the root, the first.
+    rest : (J, 3) float array
+        Positions in the rest pose, metres, y up.
+
+    Raises
+    ------
+    InputError
+        If shapes do not match or a parent does not come before its child.
+
+    Examples
+    --------
+    >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+    >>> arm.n_joints, arm.index("fore")
+    (2, 1)
+    """
+
+    names: tuple[str, ...]
+    parents: NDArray[np.int32]
+    rest: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "names", tuple(str(n) for n in self.names))
+        count = len(self.names)
+        if count == 0 or len(set(self.names)) != count:
+            raise InputError("names", "one or more names, no two the same", self.names)
+        parents = np.asarray(self.parents, dtype=np.int32)
+        if parents.shape != (count,) or parents[0] != -1:
+            raise InputError("parents", f"{count} indices, the first -1", parents)
+        for j in range(1, count):
+            if not 0 <= parents[j] < j:
+                raise InputError("parents", f"an index from 0 to {j - 1} at {j}", parents[j])
+        rest = np.asarray(self.rest, dtype=np.float64)
+        if rest.shape != (count, 3) or not np.isfinite(rest).all():
+            raise InputError("rest", f"finite numbers of shape ({count}, 3)", f"{rest.shape}")
+        put(self, "parents", parents)
+        put(self, "rest", rest)
+
+    @property
+    def n_joints(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """Number of the joint `name`."""
+        if name not in self.names:
+            raise InputError("name", f"one of {', '.join(self.names)}", repr(name))
+        return self.names.index(name)
+
+    def mirror(self) -> NDArray[np.int32]:
+        """The joint ``(J,)`` on the other side of each; in the middle the joint itself."""
+        other = {"_l": "_r", "_r": "_l"}
+        return np.array(
+            [
+                self.index(n[:-2] + other[n[-2:]]) if n[-2:] in other else j
+                for j, n in enumerate(self.names)
+            ],
+            dtype=np.int32,
+        )
+
+    def transforms(self, root: ArrayLike, rotations: ArrayLike) -> NDArray[np.float64]:
+        """World transforms of a pose.
+
+        Parameters
+        ----------
+        root : (F, 3) array
+            Position of the root joint.
+        rotations : (F, J, 3, 3) array
+            Rotation of every joint relative to its parent, in the axes of the rest pose; the
+            root's is that of the body in the world.
+
+        Returns
+        -------
+        (F, J, 3, 4) float64
+            ``[R | T]`` from the rest pose to the pose.
+
+        Examples
+        --------
+        >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+        >>> still = np.tile(np.eye(3), (1, 2, 1, 1))
+        >>> arm.transforms([[0, 3, 0]], still)[0, 1, :, 3].tolist()
+        [0.0, 2.0, 0.0]
+        """
+        local = np.asarray(rotations, dtype=np.float64)
+        place = np.asarray(root, dtype=np.float64)
+        if local.ndim != 4 or local.shape[1:] != (self.n_joints, 3, 3):
+            raise InputError("rotations", f"shape (F, {self.n_joints}, 3, 3)", local.shape)
+        if place.shape != (len(local), 3):
+            raise InputError("root", f"shape ({len(local)}, 3)", place.shape)
+        world = np.empty_like(local)
+        heads = np.empty((*local.shape[:2], 3))
+        for j, parent in enumerate(self.parents):
+            if parent < 0:
+                world[:, j], heads[:, j] = local[:, j], place
+            else:
+                world[:, j] = world[:, parent] @ local[:, j]
+                heads[:, j] = heads[:, parent] + world[:, parent] @ (
+                    self.rest[j] - self.rest[parent]
+                )
+        shift = heads - np.einsum("fjab,jb->fja", world, self.rest)
+        return np.concatenate([world, shift[..., None]], axis=-1)
+
+    def positions(self, joints: ArrayLike) -> NDArray[np.float64]:
+        """Positions ``(F, J, 3)`` of the joints under world transforms ``(F, J, 3, 4)``.
+
+        Examples
+        --------
+        >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+        >>> arm.positions(np.eye(3, 4)[None, None].repeat(2, axis=1))[0, 1].tolist()
+        [1.0, 1.0, 0.0]
+        """
+        m = self._checked(joints)
+        return np.asarray(np.einsum("fjab,jb->fja", m[..., :3], self.rest) + m[..., 3])
+
+    def pose(self, joints: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Root positions ``(F, 3)`` and relative rotations ``(F, J, 3, 3)`` of world transforms.
+
+        The inverse of :meth:`transforms`.
+
+        Examples
+        --------
+        >>> arm = Skeleton(("upper", "fore"), [-1, 0], [[0, 1, 0], [1, 1, 0]])
+        >>> root, rotations = arm.pose(np.tile(np.eye(3, 4), (5, 2, 1, 1)))
+        >>> root[0].tolist(), rotations.shape
+        ([0.0, 1.0, 0.0], (5, 2, 3, 3))
+        """
+        m = self._checked(joints)
+        world = m[..., :3]
+        local = world.copy()
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                local[:, j] = world[:, parent].swapaxes(-1, -2) @ world[:, j]
+        return self.positions(m)[:, 0], local
+
+    def _checked(self, joints: ArrayLike) -> NDArray[np.float64]:
+        m = np.asarray(joints, dtype=np.float64)
+        if m.ndim != 4 or m.shape[1:] != (self.n_joints, 3, 4):
+            raise InputError("joints", f"shape (F, {self.n_joints}, 3, 4)", f"shape {m.shape}")
+        return m
+
+
+def mirror_transforms(joints: ArrayLike, mirror: ArrayLike) -> NDArray[np.floating]:
+    """Reflect world transforms ``(F, J, 3, 4)`` in x: S M S of the joint on the other side.
+
+    They stay rigid: one reflection comes before, one after.
+
+    Examples
+    --------
+    >>> moved = np.eye(3, 4)[None, None] + [0, 0, 0, 1]
+    >>> mirror_transforms(moved, [0])[0, 0, :, 3].tolist()
+    [-1.0, 1.0, 1.0]
+    """
+    m = np.asarray(joints)[:, np.asarray(mirror)]
+    sign = np.outer([-1, 1, 1], [-1, 1, 1, 1]).astype(m.dtype)
+    return np.asarray(m * sign)
+
+
+def check_joints(joints: ArrayLike, n_joints: int) -> NDArray[np.float64]:
+    """Joint transforms as float64 ``(F, J, 3, 4)``.
+
+    Raises
+    ------
+    InputError
+        If the shape does not fit, a number is not finite or a 3×3 block is not a
+        rotation; the message names frame and joint.
+
+    Examples
+    --------
+    >>> check_joints(np.eye(3, 4)[None, None], 1).shape
+    (1, 1, 3, 4)
+    >>> check_joints(2 * np.eye(3, 4)[None, None], 1)
+    Traceback (most recent call last):
+    ssdr.errors.InputError: joints: expected rigid transforms, got no rotation at frame 0, joint 0
+    """
+    m = np.asarray(joints, dtype=np.float64)
+    if m.ndim != 4 or m.shape[1:] != (n_joints, 3, 4) or not len(m):
+        raise InputError("joints", f"shape (F, {n_joints}, 3, 4)", f"shape {m.shape}")
+    bad = ~np.isfinite(m).all(axis=(2, 3))
+    if bad.any():
+        t, j = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError("joints", "finite numbers", f"NaN or Inf at frame {t}, joint {j}")
+    r = m[..., :3]
+    off = np.abs(r @ r.swapaxes(-1, -2) - np.eye(3)).max(axis=(2, 3))
+    bad = (off > _ORTHOGONAL) | (np.linalg.det(r) < 0)
+    if bad.any():
+        t, j = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError("joints", "rigid transforms", f"no rotation at frame {t}, joint {j}")
+    return m

@@ -1,0 +1,413 @@
+"""A store: simulated clips of one garment on one body, in a folder.
+
+Garment and body are stored once; each clip is a zarr group with the garment's vertices, the body's
+joint transforms and the class of motion of every frame.  A clip is on disk complete or not at all.
+Training, evaluation and prediction need nothing else.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+import ssdr
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import free_name, remove
+from ssdr.io.registry import reading
+from ssdr.sequence import MeshSequence
+from ssdr.skinning import Skinning
+
+from .clip import MIRRORED, Clip
+from .clip_files import Split, check_finite, compressors, read_metadata, write_clip, zarr
+from .motion import CLASSES
+from .outfit import Outfit
+from .parameters import SimulationParameters
+from .skeleton import Skeleton
+
+__all__ = ["ClipStore"]
+
+_FORMAT, _VERSION = "garmentnet clips", 1
+_ARRAYS = ("rest", "faces", "pinned", "mirror_vertices")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ClipStore(Outfit):
+    """A folder of clips of one garment on one body.
+
+    Made by :meth:`create`, opened by :meth:`open`.
+
+    Attributes
+    ----------
+    path : Path
+    attributes : dict
+        Further facts that were passed to :meth:`create`.
+
+    The attributes of :class:`~garmentnet.data.outfit.Outfit` come first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from ssdr import Skinning
+    >>> triangle = np.eye(3, dtype=np.float32)
+    >>> body = Skinning(
+    ...     triangle, np.zeros((3, 1), int), np.ones((3, 1)), np.eye(3, 4)[None, None],
+    ...     faces=[[0, 1, 2]], bone_names=("root",),
+    ... )
+    >>> skeleton = Skeleton(("root",), [-1], [[0, 0, 0]])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     store = ClipStore.create(
+    ...         Path(folder) / "a.clips", rest=triangle, faces=[[0, 1, 2]], body=body,
+    ...         skeleton=skeleton,
+    ...     )
+    ...     clip = store.add(
+    ...         "still", vertices=[triangle] * 5, joints=[np.eye(3, 4)[None]] * 5,
+    ...         classes=[0] * 5, split="train", motion="still", seed=0,
+    ...         parameters=SimulationParameters(), quality={"accepted": True}, provenance={},
+    ...     )
+    ...     store.names("train"), clip.n_frames, clip.sequence.n_vertices
+    (('still',), 5, 3)
+    """
+
+    path: Path
+    attributes: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"ClipStore({str(self.path)!r}, {len(self.names())} clips, V={self.n_vertices})"
+
+    @classmethod
+    def create(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        rest: ArrayLike,
+        faces: ArrayLike,
+        body: Skinning,
+        skeleton: Skeleton,
+        fps: float = 30.0,
+        mirror_vertices: ArrayLike | None = None,
+        pinned: ArrayLike | None = None,
+        attributes: Mapping[str, Any] | None = None,
+    ) -> ClipStore:
+        """Make an empty store, or open an existing one of the same garment and body.
+
+        Parameters
+        ----------
+        path : path
+        rest : (V, 3) array
+            The garment on the body at rest, metres.
+        faces : (T, 3) int array
+        body : Skinning
+        skeleton : Skeleton
+            With the names of the body's bones.
+        fps : float
+        mirror_vertices : (V,) int array, optional
+        pinned : (V,) bool array, optional
+            None by default.
+        attributes : mapping, optional
+            Further facts to store, plain JSON.
+
+        Raises
+        ------
+        InputError
+            If an array does not fit, or `path` is something else or a store of another
+            garment, body or frame rate.
+        """
+        target = Path(path)
+        garment = MeshSequence(np.asarray(rest, dtype=np.float32)[None], faces, fps)
+        if body.names() != skeleton.names:
+            raise InputError("skeleton", f"the body's joints {body.names()}", skeleton.names)
+        count = garment.n_vertices
+        mask = np.zeros(count, bool) if pinned is None else np.asarray(pinned, dtype=bool)
+        if mask.shape != (count,):
+            raise InputError("pinned", f"shape ({count},)", mask.shape)
+        outfit = Outfit(
+            rest=np.asarray(garment.vertices[0]),
+            faces=garment.faces,
+            body=body,
+            skeleton=skeleton,
+            fps=garment.fps,
+            pinned=mask,
+            mirror_vertices=(
+                None if mirror_vertices is None else _checked_mirror(mirror_vertices, garment)
+            ),
+        )
+        if target.exists():
+            there = cls.open(target)
+            if not there.is_like(outfit):
+                expected = "a new folder or a store of this garment and body"
+                raise InputError("path", expected, there.path)
+            return there
+        if not target.parent.is_dir():
+            raise InputError("path", "a folder in a folder that exists", str(target))
+        metadata = {
+            "format": _FORMAT,
+            "version": _VERSION,
+            "fps": outfit.fps,
+            "root": 0,
+            "parents": skeleton.parents.tolist(),
+            "joint_rest": skeleton.rest.tolist(),
+            "joint_names": list(skeleton.names),
+            "mirror_joints": skeleton.mirror().tolist(),
+            "classes": list(CLASSES),
+            "made_by": json.loads(json.dumps(dict(attributes or {}))),
+        }
+        temporary = free_name(target)
+        try:
+            group = zarr().create_group(store=str(temporary), attributes=metadata)
+            for name in _ARRAYS:
+                values = getattr(outfit, name)
+                if values is not None:
+                    group.create_array(name, data=values, compressors=compressors())
+            (temporary / "clips").mkdir()
+            ssdr.save(body, temporary / "body.npz")
+            os.replace(temporary, target)
+        except BaseException:
+            remove(temporary)
+            raise
+        return cls.open(target)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> ClipStore:
+        """Open a store.
+
+        Raises
+        ------
+        FormatError
+            If it is not a store of clips or a part of it is missing or damaged.
+        """
+        target = Path(path)
+        if not target.is_dir():
+            raise FormatError(f"{target}: no such folder")
+        if not (target / "zarr.json").is_file():
+            raise FormatError(f"{target}: not a store of clips (no zarr.json)")
+        with reading(target):
+            group = zarr().open_group(str(target), mode="r")
+            attributes = dict(group.attrs)
+            if attributes.get("format") != _FORMAT:
+                raise FormatError("not a store of clips (no such attribute format)")
+            if attributes.get("version") != _VERSION:
+                raise FormatError(f"version {attributes.get('version')}, this reads {_VERSION}")
+            arrays: dict[str, Any] = {
+                name: np.asarray(group[name][:])
+                for name in _ARRAYS
+                if name in group or name != "mirror_vertices"
+            }
+            MeshSequence(arrays["rest"][None], arrays["faces"])
+            body = ssdr.load_skinning(target / "body.npz")
+            if list(attributes["classes"]) != list(CLASSES):
+                raise FormatError(f"other classes of motion: {attributes['classes']}")
+            joint_rest = np.asarray(attributes["joint_rest"])
+            return cls(
+                **arrays,
+                body=body,
+                skeleton=Skeleton(body.names(), attributes["parents"], joint_rest),
+                fps=float(attributes["fps"]),
+                path=target,
+                attributes=dict(attributes.get("made_by", {})),
+            )
+
+    def names(
+        self,
+        split: Split | None = None,
+        parameters: SimulationParameters | None = None,
+        accepted: bool | None = True,
+        perturbed: bool | None = False,
+    ) -> tuple[str, ...]:
+        """Names of the clips, sorted, that meet all conditions.
+
+        Parameters
+        ----------
+        split : {"train", "validation", "test"}, optional
+        parameters : SimulationParameters, optional
+        accepted : bool or None
+            Whether the quality gate accepted them; None: either.
+        perturbed : bool or None
+            Whether their first frame was perturbed to measure chaos; None: either.
+        """
+        if split is not None and split not in get_args(Split):
+            raise InputError("split", f"one of {get_args(Split)}", repr(split))
+        chosen = []
+        for name in self._present():
+            metadata = self._metadata(name)
+            if split is not None and metadata["split"] != split:
+                continue
+            if parameters is not None and metadata["parameters"] != dataclasses.asdict(parameters):
+                continue
+            if accepted is not None and metadata["quality"]["accepted"] is not accepted:
+                continue
+            if perturbed is not None and (metadata["perturbation"] > 0) is not perturbed:
+                continue
+            chosen.append(name)
+        return tuple(chosen)
+
+    def clip(self, name: str) -> Clip:
+        """A clip by its name; reflected if the name ends in ``~mirrored``.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name.
+        FormatError
+            If it is damaged.
+        """
+        if name.endswith(MIRRORED):
+            return self.clip(name.removesuffix(MIRRORED)).mirrored()
+        if name not in self:
+            raise InputError("name", f"a clip of {self.path}", repr(name))
+        metadata = self._metadata(name)
+        path = self.path / "clips" / name
+        with reading(path):
+            return Clip(
+                outfit=self,
+                name=name,
+                split=metadata["split"],
+                motion=str(metadata["motion"]),
+                parameters=SimulationParameters(**metadata["parameters"]),
+                seed=int(metadata["seed"]),
+                perturbation=float(metadata["perturbation"]),
+                quality=dict(metadata["quality"]),
+                provenance=dict(metadata["provenance"]),
+                n_frames=int(metadata["frames"]),
+                is_mirrored=False,
+                path=path,
+            )
+
+    def clips(self, *args: Any, **kwargs: Any) -> Iterator[Clip]:
+        """The clips that :meth:`names` chooses."""
+        return (self.clip(name) for name in self.names(*args, **kwargs))
+
+    def parameters(self) -> tuple[SimulationParameters, ...]:
+        """The parameter sets of accepted clips, those with most clips first."""
+        count: dict[SimulationParameters, int] = {}
+        for clip in self.clips():
+            count[clip.parameters] = count.get(clip.parameters, 0) + 1
+        return tuple(sorted(count, key=lambda p: (-count[p], dataclasses.astuple(p))))
+
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Names of each accepted clip and of the same clip from a perturbed first frame."""
+        named = []
+        for twin in self.clips(perturbed=True):
+            original = str(twin.provenance.get("repeat_of", ""))
+            if original in self and self._metadata(original)["quality"]["accepted"]:
+                named.append((original, twin.name))
+        return tuple(named)
+
+    def __contains__(self, name: object) -> bool:
+        return (
+            isinstance(name, str)
+            and bool(_NAME.match(name))
+            and (self.path / "clips" / name / "zarr.json").is_file()
+        )
+
+    def add(
+        self,
+        name: str,
+        *,
+        vertices: ArrayLike,
+        joints: ArrayLike,
+        classes: ArrayLike,
+        split: Split,
+        motion: str,
+        parameters: SimulationParameters,
+        seed: int,
+        quality: Mapping[str, Any],
+        provenance: Mapping[str, Any],
+        perturbation: float = 0.0,
+    ) -> Clip:
+        """Write a clip; it is in the store when it is complete.
+
+        Parameters
+        ----------
+        name : str
+            Letters, digits, ``_``, ``.`` and ``-``.
+        vertices : (F, V, 3) array
+        joints : (F, J, 3, 4) array
+            From the body's rest pose to the pose of each frame.
+        classes : (F,) int array
+        split, motion, parameters, seed, quality, provenance, perturbation
+            As in :class:`Clip`.  `quality` must hold a bool ``accepted``; only a clip that is not
+            accepted may hold NaN or Inf.
+
+        Raises
+        ------
+        InputError
+            If the name is taken or has other characters, shapes do not match or numbers are
+            not finite.
+        """
+        if not (isinstance(name, str) and _NAME.match(name)):
+            raise InputError("name", "letters, digits, '_', '.' and '-'", repr(name))
+        target = self.path / "clips" / name
+        if target.exists():
+            raise InputError("name", "a clip that is not in the store", repr(name))
+        if split not in get_args(Split):
+            raise InputError("split", f"one of {get_args(Split)}", repr(split))
+        accepted = quality.get("accepted")
+        if not isinstance(accepted, bool):
+            raise InputError("quality", "a bool 'accepted'", quality)
+        v = np.asarray(vertices, dtype=np.float32)
+        if v.ndim != 3 or v.shape[1:] != (self.n_vertices, 3) or len(v) < 1:
+            raise InputError("vertices", f"shape (F, {self.n_vertices}, 3)", f"shape {v.shape}")
+        frames = len(v)
+        m = np.asarray(joints, dtype=np.float32)
+        shape = (frames, self.skeleton.n_joints, 3, 4)
+        if m.shape != shape or not np.isfinite(m).all():
+            raise InputError("joints", f"finite numbers of shape {shape}", f"shape {m.shape}")
+        c = np.asarray(classes, dtype=np.int8)
+        if c.shape != (frames,) or c.min() < 0 or c.max() >= len(CLASSES):
+            raise InputError("classes", f"{frames} indices below {len(CLASSES)}", c)
+        if accepted:
+            check_finite(v, "vertices", 0)
+        metadata = {
+            "frames": frames,
+            "fps": self.fps,
+            "split": split,
+            "motion": str(motion),
+            "parameters": dataclasses.asdict(parameters),
+            "seed": int(seed),
+            "perturbation": float(perturbation),
+            "quality": json.loads(json.dumps(dict(quality))),
+            "provenance": json.loads(json.dumps(dict(provenance))),
+        }
+        write_clip(target, {"vertices": v, "joints": m, "classes": c}, metadata)
+        return self.clip(name)
+
+    def sweep(self) -> int:
+        """Remove incomplete clips that killed writers left behind; their number.
+
+        Only while nobody writes to the store.
+        """
+        left = [p for p in (self.path / "clips").iterdir() if p.name.startswith(".")]
+        for path in left:
+            remove(path)
+        return len(left)
+
+    def _present(self) -> list[str]:
+        folder = self.path / "clips"
+        if not folder.is_dir():
+            raise FormatError(f"{self.path}: no folder clips")
+        return sorted(p.name for p in folder.iterdir() if p.name in self)
+
+    def _metadata(self, name: str) -> dict[str, Any]:
+        return read_metadata(self.path / "clips" / name)
+
+
+def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:
+    m = np.asarray(mirror, dtype=np.int32)
+    count = garment.n_vertices
+    if m.shape != (count,) or not np.array_equal(np.sort(m), np.arange(count)):
+        raise InputError("mirror_vertices", f"a permutation of {count}", f"shape {m.shape}")
+    if not np.array_equal(m[m], np.arange(count)):
+        raise InputError("mirror_vertices", "a permutation that is its own inverse", "another")
+    turned = {tuple(sorted(f)) for f in m[garment.faces].tolist()}
+    if turned != {tuple(sorted(f)) for f in garment.faces.tolist()}:
+        raise InputError("mirror_vertices", "triangles that map to triangles", "others")
+    return m

@@ -1,0 +1,1 @@
+"""Errors on unseen clips, beside baselines and bounds."""

@@ -1,0 +1,156 @@
+"""Baselines, each with ``predict(joints)`` to ``(F, V, 3)``: mean shape, body skinning, ridge."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.spatial import cKDTree
+
+import ssdr
+from ssdr import Skinning
+
+from ..configs.config import FeatureOptions
+from ..data.skin_weights import strongest
+from ..data.store import ClipStore
+from ..data.virtual_bones import VirtualBones
+from ..networks.features import PoseFeatures, transforms_in_frame
+from ..networks.low_frequency import BoneCode
+from ..networks.skinning import TorchSkinning
+
+__all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
+
+_INFLUENCES = 8  # joints a vertex, as engines support
+# Metres; closer body vertices count like this far, so that no weight is infinite.
+_CLOSEST = 1e-4
+# Factors of the number of frames, from hardly a penalty to a dominant one.
+_PENALTIES = 10.0 ** np.arange(-6, 2)
+# Pose features of one frame, without memory.
+_STATIC = FeatureOptions(
+    rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
+)
+
+
+class MeanShape:
+    """The mean of the training frames, moved with the root's position and heading.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    names : sequence of str
+        Training clips.
+    """
+
+    def __init__(self, bones: VirtualBones, names: Sequence[str]) -> None:
+        self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
+        total, high, frames = np.zeros((bones.store.n_vertices, 3)), 0.0, 0
+        for name in names:
+            clip, fitted = bones.store.clip(name), bones.clip(name)
+            _, frame, _ = self.features(clip.joints)
+            low = fitted.read("low").astype(np.float64) - frame[:, None, :, 3]
+            total += (low @ frame[..., :3]).sum(axis=0)
+            high = high + (fitted.read("high") @ frame[..., :3]).sum(axis=0)
+            frames += len(low)
+        self.high: NDArray[np.float64] = np.asarray(high / frames)
+        self.shape: NDArray[np.float64] = total / frames + self.high
+
+    def predict(self, joints: Any) -> NDArray[np.float32]:
+        _, frame, _ = self.features(joints)
+        turned = self.shape @ frame[..., :3].transpose(0, 2, 1)
+        return np.asarray(turned + frame[:, None, :, 3], np.float32)
+
+
+def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
+    """The garment's rest pose on the body's joints.
+
+    Weights are interpolated from the closest body vertices in the rest pose, by inverse squared
+    distance, which is how riggers start.
+
+    Parameters
+    ----------
+    store : ClipStore
+    neighbours : int
+        Body vertices.
+    """
+    body = store.body
+    distance, index = cKDTree(body.rest).query(store.rest, k=neighbours)
+    near = 1 / np.maximum(distance, _CLOSEST) ** 2
+    near /= near.sum(axis=1, keepdims=True)
+    weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])
+    joints, largest = strongest(weights, _INFLUENCES)
+    return Skinning(store.rest, joints, largest, body.transforms, faces=store.faces, fps=store.fps)
+
+
+class BodySkinned:
+    """The garment's rest pose, skinned by the body's joints."""
+
+    def __init__(self, store: ClipStore) -> None:
+        self.skinning = body_skinning(store)
+
+    def predict(self, joints: Any) -> NDArray[np.float32]:
+        s = self.skinning
+        m = np.asarray(joints, np.float64)
+        return np.asarray(ssdr.skin(s.rest, s.joints, s.weights, m), np.float32)
+
+
+class Ridge:
+    """Ridge regression from the pose of a frame to the bones' motion, without memory.
+
+    The input is the pose relative to the root as 6D rotations, the output the rotations and centres
+    of the bones.  The penalty is the best of a grid on the validation clips.  The mean detail of
+    the training clips is added.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    names, validation : sequence of str
+        Clips; mirrored ones too.
+    """
+
+    def __init__(
+        self, bones: VirtualBones, names: Sequence[str], validation: Sequence[str]
+    ) -> None:
+        self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
+        garment = bones.skinning
+        self.code = BoneCode(garment.centroids(), "sixd")
+        self.lbs = TorchSkinning.of(garment)
+        self.high = MeanShape(bones, names).high
+        pairs = [self._pair(bones, n) for n in names]
+        x, y = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
+        self.centre, self.scale = x.mean(axis=0), np.maximum(x.std(axis=0), _STATIC.floor)
+        self.mean = y.mean(axis=0)
+        z = self._design(x)
+        gram, right = z.T @ z, z.T @ (y - self.mean)
+        checks = [self._pair(bones, n) for n in validation]
+        best = math.inf
+        for penalty in len(z) * _PENALTIES:
+            factor = cho_factor(gram + penalty * np.eye(len(gram)))
+            matrix = np.asarray(cho_solve(factor, right))
+            error = sum(
+                float(((self._design(a) @ matrix + self.mean - b) ** 2).sum()) for a, b in checks
+            )
+            if error < best:
+                best, self.matrix, self.penalty = error, matrix, float(penalty / len(z))
+
+    def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
+        clip, fitted = bones.store.clip(name), bones.clip(name)
+        x, frame, _ = self.features(clip.joints)
+        local = transforms_in_frame(fitted.transforms, frame)
+        return x, self.code.numbers(local).reshape(len(x), -1)
+
+    def _design(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        z = ((x - self.centre) / self.scale).clip(-_STATIC.clamp, _STATIC.clamp)
+        return np.asarray(z)
+
+    def predict(self, joints: Any) -> NDArray[np.float32]:
+        x, frame, _ = self.features(joints)
+        y = (self._design(x) @ self.matrix + self.mean).reshape(len(x), *self.code.shape)
+        low = self.lbs(self.code(torch.from_numpy(y).float())).double().numpy()
+        local = low + self.high
+        world = local @ frame[..., :3].transpose(0, 2, 1) + frame[:, None, :, 3]
+        return np.asarray(world, np.float32)

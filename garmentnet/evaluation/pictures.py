@@ -1,0 +1,161 @@
+"""Pictures of simulation, prediction and error: of a clip, and of the hardest frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ssdr
+
+from ..data.clip import Clip
+from ..data.motion import CLASSES
+from ..data.store import ClipStore
+from ..data.virtual_bones import VirtualBones
+from .scores import Answer
+
+__all__ = ["HARD", "draw_clip", "draw_moments", "moments"]
+
+Array = NDArray[np.float32]
+# Classes of motion in which loose cloth moves most.
+HARD = ("spin", "kick", "squat", "stop")
+
+
+def moments(
+    store: ClipStore, names: Sequence[str], classes: Sequence[str] = HARD
+) -> list[tuple[str, str, int]]:
+    """The most pronounced frame of each class of motion that occurs in the clips.
+
+    Of spins the fastest rotation, of kicks the highest foot, of squats the lowest root, of other
+    classes the middle of the longest run of frames.
+
+    Parameters
+    ----------
+    store : ClipStore
+    names : sequence of str
+        Clips.
+    classes : sequence of str
+
+    Returns
+    -------
+    list of (class, clip, frame)
+    """
+    best: dict[str, tuple[float, str, int]] = {}
+    for name in names:
+        clip = store.clip(name)
+        for label in classes:
+            inside = clip.classes == CLASSES.index(label)
+            if not inside.any():
+                continue
+            value = np.where(inside, _strength(clip, label, inside), -np.inf)
+            frame = int(value.argmax())
+            if label not in best or value[frame] > best[label][0]:
+                best[label] = (float(value[frame]), name, frame)
+    return [(label, *best[label][1:]) for label in classes if label in best]
+
+
+def _strength(clip: Clip, label: str, inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+    skeleton, joints = clip.outfit.skeleton, np.asarray(clip.joints, np.float64)
+    places = skeleton.positions(joints)
+    if label == "spin":
+        root = skeleton.pose(joints)[1][:, 0]
+        turned = np.einsum("fij,fij->f", root[1:], root[:-1])
+        angle = np.arccos(np.clip((turned - 1) / 2, -1, 1))
+        return np.append(0.0, angle)
+    if label == "kick":
+        return _highest_foot(places)
+    if label == "squat":
+        return np.asarray(-places[:, 0, 1], float)
+    # Number of frames to the closer end of the run of frames of this class.
+    after = np.zeros(len(inside))
+    before = np.zeros(len(inside))
+    for f in range(1, len(inside)):
+        after[f] = after[f - 1] + 1 if inside[f] else 0
+        before[-1 - f] = before[-f] + 1 if inside[-1 - f] else 0
+    return np.minimum(after, before)
+
+
+def _highest_foot(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Shins and feet: the four joints that are lowest on average.
+    low = np.argsort(places[..., 1].mean(axis=0))[:4]
+    return np.asarray(places[:, low, 1].max(axis=1))
+
+
+def draw_clip(
+    bones: VirtualBones, clip: Clip, answer: Answer, path: Path, *, frames: Any = 5
+) -> Path:
+    """Draw simulation, prediction and error map of a clip, row by row, as a PNG.
+
+    Body and cloth are one mesh; the camera follows the root.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    clip : Clip
+    answer : Answer
+    path : Path
+    frames : int or list of int
+        How many, evenly spread, or which.
+    """
+    fitted = bones.clip(clip.name)
+    truth = fitted.read("low") + fitted.read("high")
+    simulated = _scene(bones, clip, truth)
+    predicted = _scene(bones, clip, answer.low + answer.high)
+    _draw(bones, simulated, predicted, clip.fps, path, title=clip.name, frames=frames)
+    return path
+
+
+def draw_moments(
+    bones: VirtualBones, method: Callable[[Clip], Answer], names: Sequence[str], path: Path
+) -> list[tuple[str, str, int]]:
+    """Draw the frames of :func:`moments` as the columns of one picture; returns them."""
+    hardest = moments(bones.store, names)
+    truths, answers = [], []
+    for _, name, frame in hardest:
+        clip, fitted = bones.store.clip(name), bones.clip(name)
+        answer = method(clip)
+        at = slice(frame, frame + 1)
+        truths.append(_scene(bones, clip, fitted.read("low", at) + fitted.read("high", at), at))
+        answers.append(_scene(bones, clip, (answer.low + answer.high)[at], at))
+    if hardest:
+        _draw(
+            bones,
+            np.concatenate(truths),
+            np.concatenate(answers),
+            bones.store.fps,
+            path,
+            title=", ".join(label for label, _, _ in hardest),
+            frames=list(range(len(hardest))),
+        )
+    return hardest
+
+
+def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None)) -> Array:
+    root = clip.outfit.skeleton.positions(clip.joints[at])[:, :1]
+    both = np.concatenate([clip.body(at), cloth], axis=1) - root
+    return np.asarray(both, np.float32)
+
+
+def _draw(
+    bones: VirtualBones,
+    truth: Array,
+    answer: Array,
+    fps: float,
+    path: Path,
+    *,
+    title: str,
+    frames: Any,
+) -> None:
+    from ssdr.render import contact_sheet, write_picture
+
+    store = bones.store
+    faces = np.concatenate([store.body.faces, store.faces + store.body.n_vertices])
+    simulated = ssdr.MeshSequence(truth, faces, fps, name="simulated")
+    predicted = ssdr.MeshSequence(answer, faces, fps, name="predicted")
+    sheet = contact_sheet(
+        predicted, reference=simulated, frames=frames, styles=["plain", "error"], title=title
+    )
+    write_picture(sheet, path)

@@ -1,0 +1,1 @@
+"""Files written complete or not at all, and TOML tables read into dataclasses."""

@@ -1,0 +1,363 @@
+"""Checkpoints: networks in a safetensors file with a JSON document; nothing in it is executed.
+
+A checkpoint holds everything that prediction needs: configuration, statistics, rest pose and skin
+weights of the virtual bones, the body and its skeleton, and for an ensemble every pivot and the
+kernel.  It names no Python module, so it does not depend on where the code lies.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ssdr import Skinning
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import atomic_path
+from ssdr.io.registry import reading, require
+
+from ..configs.config import Config
+from ..data.parameters import SimulationParameters
+from ..data.skeleton import Skeleton
+from ..data.store import ClipStore
+from ..data.subject import Subject, mesh_identity
+from ..io.files import writing
+from .ensemble import Ensemble, Kernel
+from .features import Normaliser
+from .network import Motion, MotionNetwork
+
+__all__ = [
+    "Checkpoint",
+    "load_checkpoint",
+    "load_tensors",
+    "load_weights",
+    "save_checkpoint",
+    "save_tensors",
+]
+
+_FORMAT, _VERSION = "garmentnet checkpoint", 1
+# Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
+# 80 bones in float32.
+_MAX_SKINNING = 4 << 30
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Checkpoint:
+    """One network, or the pivots of an ensemble.
+
+    Attributes
+    ----------
+    networks : tuple of MotionNetwork
+    parameters : tuple of SimulationParameters or None
+        Simulation parameters that each network was trained on; None: all training sets, for a
+        network that reads them.
+    kernel : Kernel or None
+        Of an ensemble.
+    """
+
+    networks: tuple[MotionNetwork, ...]
+    parameters: tuple[SimulationParameters | None, ...]
+    kernel: Kernel | None
+
+    @property
+    def subject(self) -> Subject:
+        return self.networks[0].subject
+
+    @property
+    def ensemble(self) -> Ensemble:
+        """The pivots as an ensemble.
+
+        Raises
+        ------
+        InputError
+            If the checkpoint is a single network.
+        """
+        if self.kernel is None:
+            raise InputError("checkpoint", "an ensemble", "a single network")
+        rows = np.stack([p.normalised() for p in self.parameters if p is not None])
+        return Ensemble(self.networks, rows, self.kernel)
+
+    def motions(
+        self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
+    ) -> list[Motion]:
+        """Predict a motion with the network or the ensemble.
+
+        Parameters
+        ----------
+        joints : (F, J, 3, 4) array
+        parameters : SimulationParameters, optional
+            For an ensemble and a network that reads them; other networks have parameters of
+            their own.
+
+        Raises
+        ------
+        InputError
+            If the parameters are missing, or the joints do not fit the body.
+        """
+        if self.kernel is not None or self.networks[0].condition:
+            if parameters is None:
+                raise InputError("parameters", "bending, density and time scale", None)
+            theta = parameters.normalised()
+            if self.kernel is None:
+                return self.networks[0].motions(joints, parameters=theta, detail=detail)
+            ensemble = self.ensemble
+            return ensemble.motions(joints, weights=ensemble.weights(theta), detail=detail)
+        return self.networks[0].motions(joints, detail=detail)
+
+    def predict(
+        self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
+    ) -> NDArray[np.float32]:
+        """World positions ``(F, V, 3)``, metres; arguments as :meth:`motions`."""
+        parts = self.motions(joints, parameters, detail=detail)
+        return np.concatenate([m.vertices() for m in parts])
+
+    def check_fits(self, store: ClipStore) -> None:
+        """Raise InputError unless the store has this garment, body and frame rate."""
+        trained, other = self.subject.garment_id, mesh_identity(store.rest, store.faces)
+        if trained != other:
+            raise InputError(
+                "checkpoint",
+                f"one of the garment of {store.path} ({other})",
+                f"another ({trained})",
+            )
+        subject = dataclasses.replace(self.subject, body=store.body, skeleton=store.skeleton)
+        if subject.body_id != self.subject.body_id:
+            raise InputError(
+                "checkpoint",
+                f"one of the body of {store.path} ({subject.body_id})",
+                f"another ({self.subject.body_id})",
+            )
+        if self.subject.fps != store.fps:
+            raise InputError("checkpoint", f"one of {store.fps:g} fps", f"{self.subject.fps:g}")
+
+
+def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
+    """Write a checkpoint under a temporary name; the file is renamed when it is complete."""
+    subject = checkpoint.subject
+    garment, body, skeleton = subject.garment, subject.body, subject.skeleton
+    tensors: dict[str, Tensor] = {}
+    for name, part in (("garment", garment), ("body", body)):
+        for field in ("rest", "joints", "weights", "faces"):
+            tensors[f"{name}.{field}"] = torch.from_numpy(np.array(getattr(part, field)))
+    tensors["skeleton.rest"] = torch.from_numpy(np.array(skeleton.rest))
+    tensors["skeleton.parents"] = torch.from_numpy(np.array(skeleton.parents))
+    record: list[dict[str, Any]] = []
+    for k, (network, trained_on) in enumerate(
+        zip(checkpoint.networks, checkpoint.parameters, strict=True)
+    ):
+        config = dataclasses.replace(
+            network.config, data=dataclasses.replace(network.config.data, store="")
+        )
+        record.append(
+            {
+                "config": config.as_dict(),
+                "parameters": None if trained_on is None else dataclasses.asdict(trained_on),
+                "high": network.high is not None,
+                "clamp": network.normaliser.clamp,
+            }
+        )
+        for key, value in network.state_dict().items():
+            tensors[f"network.{k}.{key}"] = value.detach().cpu()
+        for key in ("mean", "deviation"):
+            values = np.array(getattr(network.normaliser, key))
+            tensors[f"network.{k}.features.{key}"] = torch.from_numpy(values)
+    kernel = checkpoint.kernel
+    if kernel is not None:
+        tensors |= {f"kernel.{k}": v.detach() for k, v in kernel.state_dict().items()}
+    document = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "fps": subject.fps,
+        "garment_id": subject.garment_id,
+        "body_id": subject.body_id,
+        "joint_names": list(skeleton.names),
+        "networks": record,
+        "kernel": None if kernel is None else {"sizes": kernel.sizes, "sigma": kernel.sigma},
+    }
+    return save_tensors(Path(path), tensors, {"checkpoint": document})
+
+
+def load_checkpoint(path: Path | str) -> Checkpoint:
+    """Read a checkpoint.
+
+    Raises
+    ------
+    FormatError
+        If the file is something else, damaged or contradicts itself.
+    """
+    file = Path(path)
+    tensors, documents = load_tensors(file, ("checkpoint",))
+    with reading(file):
+        d = documents["checkpoint"]
+        if not isinstance(d, dict) or d.get("format") != _FORMAT:
+            raise FormatError("not a checkpoint of garmentnet")
+        if d.get("version") != _VERSION:
+            raise FormatError(f"version {d.get('version')}, this reads {_VERSION}")
+        arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("network.")}
+        names = tuple(str(n) for n in d["joint_names"])
+        skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
+        bones = len(tensors["network.0.low.code.centres"])
+        subject = Subject(
+            _skinning(arrays, "garment", bones, None),
+            _skinning(arrays, "body", skeleton.n_joints, names),
+            skeleton,
+            float(d["fps"]),
+            str(d["garment_id"]),
+        )
+        if subject.body_id != d["body_id"]:
+            raise FormatError("the body is not the one that the file names")
+        networks, parameters = [], []
+        for k, record in enumerate(d["networks"]):
+            config = Config.of(record["config"], "configuration")
+            part = _part(tensors, f"network.{k}.")
+            networks.append(_network(config, subject, record, part))
+            trained_on = record["parameters"]
+            parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
+        kernel = None
+        if d["kernel"] is not None:
+            if any(p is None for p in parameters):
+                raise FormatError("pivots without parameters")
+            inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
+            own_part = _part(tensors, "kernel.")
+            _expect(own_part, {"g.0.weight": (hidden, inputs), "g.2.weight": (latent, hidden)})
+            kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=d["kernel"]["sigma"])
+            kernel.load_state_dict(own_part)
+        elif len(networks) != 1:
+            raise FormatError(f"{len(networks)} networks without a kernel")
+        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel)
+        if kernel is not None:
+            _ = checkpoint.ensemble
+        return checkpoint
+
+
+def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
+    """Copy weights and statistics from a checkpoint into a module of a network.
+
+    Parameters
+    ----------
+    network : MotionNetwork
+    start : Checkpoint
+        Of a single network with the same sizes and virtual bones.
+    part : {"low", "high"}
+
+    Raises
+    ------
+    InputError
+        If it does not fit.
+    """
+    source = start.networks[0]
+    if not np.array_equal(source.subject.garment.rest, network.subject.garment.rest):
+        raise InputError("start", "a checkpoint with the same virtual bones", "others")
+    module, source_module = getattr(network, part), getattr(source, part)
+    try:
+        module.load_state_dict(source_module.state_dict())
+    except RuntimeError as error:
+        raise InputError("start", "a network of the same configuration", str(error)) from error
+    network.normaliser = source.normaliser
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
+    """Write tensors and JSON documents to one safetensors file, complete or not at all."""
+    safetensors = require("safetensors.torch", "garmentnet", "a checkpoint")
+    # One entry, because several are written in an order that changes from run to run.
+    text = json.dumps(documents, sort_keys=True)
+    # Tensors may share memory, which the format cannot express.
+    plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
+    with writing(path), atomic_path(path) as temporary:
+        temporary.touch()
+        mode = temporary.stat().st_mode
+        safetensors.save_file(plain, str(temporary), metadata={"garmentnet": text})
+        # safetensors makes the file readable by its owner alone.
+        temporary.chmod(mode)
+    return path
+
+
+def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and JSON documents of a safetensors file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    FormatError
+        If the file is of another format, lacks a document or holds NaN or Inf.
+    """
+    safetensors = require("safetensors", "garmentnet", "a checkpoint")
+    if not path.is_file():
+        raise InputError("checkpoint", "a file", str(path))
+    with reading(path):
+        with safetensors.safe_open(str(path), framework="pt") as file:
+            text = (file.metadata() or {}).get("garmentnet")
+            if text is None:
+                raise FormatError("safetensors, but not of garmentnet")
+            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
+        documents = json.loads(text)
+        missing = [k for k in wanted if k not in documents]
+        if missing:
+            raise FormatError(f"no document {missing[0]!r}")
+        for key, value in tensors.items():
+            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+                raise FormatError(f"NaN or Inf in {key}")
+    return tensors, documents
+
+
+def _skinning(
+    arrays: dict[str, Any], name: str, bones: int, names: tuple[str, ...] | None
+) -> Skinning:
+    rest, joints = arrays[f"{name}.rest"], arrays[f"{name}.joints"]
+    if len(rest) * bones * 16 > _MAX_SKINNING:
+        raise FormatError(f"{name}: {len(rest)} vertices and {bones} bones")
+    return Skinning(
+        rest,
+        joints,
+        arrays[f"{name}.weights"],
+        np.tile(np.eye(3, 4), (1, bones, 1, 1)),
+        faces=arrays[f"{name}.faces"],
+        bone_names=names,
+    )
+
+
+def _network(
+    config: Config, subject: Subject, record: dict[str, Any], part: dict[str, Tensor]
+) -> MotionNetwork:
+    # The sizes of the configuration are checked against the tensors before anything is allocated.
+    o, n = config.high, subject.garment.n_vertices
+    low = config.low.hidden
+    sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}
+    if record["high"]:
+        sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
+        sizes["high.spread.weight"] = (n * o.global_features, o.hidden)
+        widths = (3, *o.edge_features) if o.local else ()
+        for k, (a, b) in enumerate(itertools.pairwise(widths)):
+            sizes[f"high.edges.{k}.linear.weight"] = (b, 2 * a)
+        chain = (o.global_features + (widths[-1] if widths else 0), *o.mlp, 3)
+        for k, (a, b) in enumerate(itertools.pairwise(chain)):
+            sizes[f"high.mlp.{2 * k}.weight"] = (b, a)
+    _expect(part, sizes)
+    mean, deviation = part.pop("features.mean").numpy(), part.pop("features.deviation").numpy()
+    network = MotionNetwork(config, subject, Normaliser(mean, deviation, float(record["clamp"])))
+    if mean.shape != (network.features.size,) or deviation.shape != mean.shape:
+        raise FormatError(f"statistics of {mean.shape} features, not {network.features.size}")
+    if record["high"]:
+        network.add_high()
+    network.load_state_dict(part)
+    return network.eval()
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+
+
+def _expect(tensors: dict[str, Tensor], sizes: dict[str, tuple[int, ...]]) -> None:
+    for key, shape in sizes.items():
+        actual = tuple(tensors[key].shape)
+        if actual != shape:
+            raise FormatError(f"{key} is {actual}, the configuration says {shape}")

@@ -1,0 +1,158 @@
+"""Networks of several simulation parameters, mixed by a kernel (Pan et al. 2022, section 4.4).
+
+All pivots have the same rest pose, skin weights and moving frame.  LBS is linear in the transforms,
+so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i): the low-frequency mesh is skinned once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ssdr.errors import InputError
+
+from .network import FRAMES_AT_ONCE, Motion, MotionNetwork, NetworkState
+
+__all__ = ["Ensemble", "Kernel"]
+
+Array = NDArray[np.float64]
+
+
+class Kernel(nn.Module):
+    """Ψ(θ_i, θ) = exp(−‖g(θ_i) − g(θ)‖² / (2 σ²)), normalised over the pivots.
+
+    Parameters
+    ----------
+    inputs : int
+        Number of simulation parameters.
+    hidden, latent : int
+        Widths of the MLP g.
+    sigma : float
+        Bandwidth, in the units of g.
+
+    Examples
+    --------
+    >>> kernel = Kernel()
+    >>> float(kernel.weights([[0.0, 0, 0], [1, 1, 1]], [0.5, 0.5, 0.5]).sum().round(6))
+    1.0
+    """
+
+    def __init__(
+        self, inputs: int = 3, *, hidden: int = 16, latent: int = 4, sigma: float = 0.5
+    ) -> None:
+        super().__init__()
+        self.sigma = float(sigma)
+        self.sizes = (inputs, hidden, latent)
+        self.g = nn.Sequential(
+            nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, latent)
+        ).double()
+
+    def forward(self, pivots: Tensor, theta: Tensor) -> Tensor:
+        """Weights ``(..., K)``, summing to 1, of pivots ``(..., K, P)`` at ``(..., P)``."""
+        gap = (self.g(pivots) - self.g(theta)[..., None, :]).square().sum(-1)
+        # The normalised kernel is a softmax, which does not divide by 0 where every Ψ underflows.
+        return torch.softmax(-gap / (2 * self.sigma**2), dim=-1)
+
+    def weights(self, pivots: Any, theta: Any) -> Array:
+        """As :meth:`forward`, for arrays."""
+        with torch.no_grad():
+            out = self(
+                torch.as_tensor(np.asarray(pivots, float)),
+                torch.as_tensor(np.asarray(theta, float)),
+            )
+        weights: Array = np.array(out.numpy(), np.float64)
+        return weights
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Ensemble:
+    """Pivot networks and the kernel that mixes them.
+
+    Attributes
+    ----------
+    networks : tuple of MotionNetwork
+    parameters : (K, P) float64
+        Normalised parameters of the pivots.
+    kernel : Kernel
+
+    Raises
+    ------
+    InputError
+        If the networks differ in rest pose, skin weights or moving frame.
+    """
+
+    networks: tuple[MotionNetwork, ...]
+    parameters: Array
+    kernel: Kernel
+
+    def __post_init__(self) -> None:
+        if not self.networks or len(self.networks) != len(self.parameters):
+            raise InputError("networks", "as many as parameters", len(self.networks))
+        first = self.networks[0]
+        for other in self.networks[1:]:
+            a, b = first.subject.garment, other.subject.garment
+            same = (
+                a.rest.shape == b.rest.shape
+                and a.joints.shape == b.joints.shape
+                and np.array_equal(a.rest, b.rest)
+                and np.array_equal(a.joints, b.joints)
+                and np.array_equal(a.weights, b.weights)
+                and first.config.features.frame == other.config.features.frame
+            )
+            if not same:
+                raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
+
+    def weights(self, theta: Any) -> Array:
+        """Ψ̄ ``(K,)`` at normalised parameters."""
+        return self.kernel.weights(self.parameters, theta)
+
+    @torch.no_grad()
+    def run(
+        self,
+        joints: Any,
+        state: tuple[NetworkState, ...] | None = None,
+        *,
+        weights: Any,
+        detail: bool = True,
+    ) -> tuple[Motion, tuple[NetworkState, ...]]:
+        """As :meth:`MotionNetwork.run`, mixed with `weights` ``(K,)``."""
+        w = np.asarray(weights, float)
+        before = state or (None,) * len(self.networks)
+        runs = [n.run(joints, s, detail=detail) for n, s in zip(self.networks, before, strict=True)]
+        motions = [m for m, _ in runs]
+        transforms = sum(float(a) * m.transforms for a, m in zip(w, motions, strict=True))
+        assert isinstance(transforms, Tensor)
+        low = torch.as_tensor(self.networks[0].lbs(transforms))
+        high: Tensor | None = None
+        if all(m.high is not None for m in motions):
+            parts = [
+                float(a) * m.high for a, m in zip(w, motions, strict=True) if m.high is not None
+            ]
+            high = torch.stack(parts).sum(0)
+        return Motion(transforms, low, high, motions[0].frame), tuple(s for _, s in runs)
+
+    def motions(self, joints: Any, *, weights: Any, detail: bool = True) -> list[Motion]:
+        """The motion in parts of at most 128 frames."""
+        joints, state, out = np.asarray(joints), None, []
+        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
+            part = joints[start : start + FRAMES_AT_ONCE]
+            motion, state = self.run(part, state, weights=weights, detail=detail)
+            out.append(motion)
+        return out
+
+    def predict(self, joints: Any, theta: Any, *, detail: bool = True) -> NDArray[np.float32]:
+        """World positions ``(F, V, 3)`` at normalised parameters."""
+        parts = self.motions(joints, weights=self.weights(theta), detail=detail)
+        return np.concatenate([m.vertices() for m in parts])
+
+    def step(
+        self, state: tuple[NetworkState, ...] | None, pose: Any, theta: Any
+    ) -> tuple[tuple[NetworkState, ...], NDArray[np.float32]]:
+        """One frame: joints ``(J, 3, 4)`` to world positions ``(V, 3)``."""
+        motion, state = self.run(np.asarray(pose)[None], state, weights=self.weights(theta))
+        return state, motion.vertices()[0]

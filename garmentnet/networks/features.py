@@ -1,0 +1,195 @@
+"""Pose features: a network's input, and the moving frame of its output.
+
+Features depend on past frames only, through a state that is handed on: a motion gives the same
+numbers all at once, in parts and frame by frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ssdr.rigid import sixd_from_matrix
+
+from ..configs.config import FeatureOptions
+from ..data.skeleton import Skeleton, check_joints
+
+__all__ = ["Normaliser", "PoseFeatures", "PoseState", "transforms_in_frame"]
+
+Array = NDArray[np.float64]
+# Length of the twist's sine and cosine, at most 2, below which the body is upside down.
+_UPSIDE_DOWN = 1e-12
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PoseState:
+    """What the features of the next frame need of earlier frames; positions in metres."""
+
+    first: Array
+    position: Array
+    velocity: Array
+    rotation: Array  # of the root, in the world
+    pose: Array  # the rotations' features, for their speed
+
+
+class PoseFeatures:
+    """Features of a pose, and the moving frame in which the network predicts.
+
+    Parameters
+    ----------
+    skeleton : Skeleton
+    options : FeatureOptions
+    fps : float
+
+    Examples
+    --------
+    >>> body = Skeleton(("root",), [-1], [[0, 1, 0]])
+    >>> features = PoseFeatures(body, FeatureOptions(), fps=30)
+    >>> x, frame, state = features(np.tile(np.eye(3, 4), (5, 1, 1, 1)))
+    >>> x.shape, features.size, frame.shape
+    ((5, 6), 6, (5, 3, 4))
+    """
+
+    def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
+        self.skeleton, self.options, self.fps = skeleton, options, float(fps)
+
+    @property
+    def size(self) -> int:
+        """Number of features."""
+        o, n = self.options, self.skeleton.n_joints
+        each = 3 if o.rotation == "vector" else 6
+        pose = n * each
+        return pose + (pose if o.velocities else 0) + 3 * o.translation + 12 * o.root_motion
+
+    def __call__(
+        self, joints: Any, state: PoseState | None = None
+    ) -> tuple[Array, Array, PoseState]:
+        """Features of consecutive frames.
+
+        Parameters
+        ----------
+        joints : (F, J, 3, 4) array
+            World transforms from the body's rest pose.
+        state : PoseState, optional
+            Of the frame before; None: the motion starts here, from rest.
+
+        Returns
+        -------
+        features : (F, D) float64
+        frame : (F, 3, 4) float64
+            From the moving frame to the world.
+        state : PoseState
+
+        Raises
+        ------
+        InputError
+            If a shape does not fit or a number is not finite.
+        """
+        o = self.options
+        m = check_joints(joints, self.skeleton.n_joints)
+        position, relative = self.skeleton.pose(m)
+        root = relative[:, 0].copy()
+        heading = _heading(root)
+        if o.heading_free:
+            relative[:, 0] = np.einsum("fba,fbc->fac", heading, root)
+        pose = _code(relative, o.rotation)
+        if state is None:
+            zero = np.zeros(3)
+            state = PoseState(position[0], position[0], zero, root[0], pose[0])
+        parts = [pose]
+        if o.translation:
+            parts.insert(0, position - state.first)
+        if o.velocities:
+            parts.append((pose - np.concatenate([state.pose[None], pose[:-1]])) * self.fps)
+        before = np.concatenate([state.position[None], position[:-1]])
+        velocity = (position - before) * self.fps
+        if o.root_motion:
+            change = velocity - np.concatenate([state.velocity[None], velocity[:-1]])
+            turn = root @ np.concatenate([state.rotation[None], root[:-1]]).transpose(0, 2, 1)
+            spin = Rotation.from_matrix(turn).as_rotvec() * self.fps
+            local = [np.einsum("fba,fb->fa", heading, x) for x in (velocity, change, spin)]
+            parts += [local[0], local[1] * self.fps, local[2], local[2] ** 2]
+        frame = np.zeros((len(m), 3, 4))
+        frame[:, :, :3] = np.eye(3)
+        if o.frame != "world":
+            frame[:, :, :3] = root if o.frame == "root" else heading
+            frame[:, :, 3] = position
+        new = PoseState(state.first, position[-1], velocity[-1], root[-1], pose[-1])
+        return np.concatenate(parts, axis=1), frame, new
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Normaliser:
+    """Features scaled to zero mean and unit deviation.
+
+    Attributes
+    ----------
+    mean, deviation : (D,) float64
+    clamp : float
+        Largest absolute value on return; 0: none.
+
+    Examples
+    --------
+    >>> normaliser = Normaliser.fit([np.array([[0.0], [2.0]])], floor=0.1, clamp=5.0)
+    >>> normaliser(np.array([[2.0], [90.0]])).tolist()
+    [[1.0], [5.0]]
+    """
+
+    mean: Array
+    deviation: Array
+    clamp: float
+
+    @classmethod
+    def fit(cls, features: list[Array], *, floor: float, clamp: float) -> Normaliser:
+        """Mean and deviation over all frames; a deviation below `floor` counts as `floor`.
+
+        A feature that hardly changes in training would otherwise become huge on a motion where
+        it does.
+        """
+        count = sum(len(f) for f in features)
+        mean = sum(f.sum(axis=0) for f in features) / count
+        square = sum(((f - mean) ** 2).sum(axis=0) for f in features) / count
+        deviation = np.sqrt(np.maximum(square, 0.0))
+        deviation = np.maximum(deviation, floor)
+        return cls(mean, np.where(deviation > 0, deviation, 1.0), clamp)
+
+    def __call__(self, features: Array) -> NDArray[np.float32]:
+        z = (features - self.mean) / self.deviation
+        return (z if self.clamp <= 0 else z.clip(-self.clamp, self.clamp)).astype(np.float32)
+
+
+def transforms_in_frame(transforms: Any, frame: Array) -> Array:
+    """World transforms ``(F, J, 3, 4)`` relative to a moving frame ``(F, 3, 4)``.
+
+    Examples
+    --------
+    >>> frame = np.eye(3, 4)[None] + [0, 0, 0, 1]
+    >>> transforms_in_frame(np.eye(3, 4)[None, None], frame)[0, 0, :, 3].tolist()
+    [-1.0, -1.0, -1.0]
+    """
+    m = np.array(transforms, np.float64)
+    m[..., 3] -= frame[:, None, :, 3]
+    moved: Array = frame[:, None, :, :3].swapaxes(-1, -2) @ m
+    return moved
+
+
+def _heading(root: Array) -> Array:
+    # The twist about y of the swing–twist decomposition: unlike the direction of the z axis seen
+    # from above it is defined until the body is upside down.
+    s, c = root[:, 0, 2] - root[:, 2, 0], root[:, 0, 0] + root[:, 2, 2]
+    size = np.hypot(s, c)
+    s = np.divide(s, size, out=np.zeros_like(s), where=size > _UPSIDE_DOWN)
+    c = np.divide(c, size, out=np.ones_like(c), where=size > _UPSIDE_DOWN)
+    o = np.zeros_like(s)
+    return np.stack([c, o, s, o, o + 1, o, -s, o, c], axis=-1).reshape(-1, 3, 3)
+
+
+def _code(rotation: Array, kind: str) -> Array:
+    n = len(rotation)
+    if kind == "vector":
+        return Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(n, -1)
+    return np.asarray(sixd_from_matrix(rotation)).reshape(n, -1)

@@ -1,0 +1,141 @@
+"""The low-frequency module: body motion to bone motion (Pan et al. 2022, section 4.2)."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from torch import Tensor, nn
+
+from ssdr.errors import InputError
+from ssdr.rigid import sixd_from_matrix
+
+from .skinning import matrix_from_euler, matrix_from_rotation_vector, matrix_from_sixd
+
+__all__ = ["BoneCode", "LowFrequency"]
+
+_FROM = {
+    "euler": (3, matrix_from_euler),
+    "vector": (3, matrix_from_rotation_vector),
+    "sixd": (6, matrix_from_sixd),
+}
+# Smallest deviations that bone motion is divided by: a bone that hardly moves in training must not
+# move wildly for a small output.  Rotations in degrees, radians, none; translations in metres.
+_LEAST = {"euler": 0.5, "vector": 0.01, "sixd": 0.01}
+_LEAST_TRANSLATION = 1e-3
+
+
+class BoneCode(nn.Module):
+    """Transforms of the bones as normalised numbers, and back.
+
+    A bone rotates about its centre c: v = R (p − c) + t.  With any other centre its translation
+    would depend on its rotation.
+
+    Parameters
+    ----------
+    centres : (B, 3) array
+        Centroids, in the rest pose, of the vertices that each bone moves; metres.
+    rotation : {"euler", "vector", "sixd"}
+        Euler angles in degrees, rotation vectors, or two columns of the matrix.
+
+    Examples
+    --------
+    >>> code = BoneCode(np.zeros((2, 3)), "sixd")
+    >>> code.shape, code(torch.tensor([[[1.0, 0, 0, 0, 1, 0, 0, 0, 7]] * 2])).shape
+    ((2, 9), torch.Size([1, 2, 3, 4]))
+    """
+
+    centres: Tensor
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, centres: Any, rotation: str) -> None:
+        super().__init__()
+        self.rotation = rotation
+        width = _FROM[rotation][0] + 3
+        self.register_buffer("centres", torch.as_tensor(np.asarray(centres)).float())
+        self.register_buffer("mean", torch.zeros(len(centres), width))
+        self.register_buffer("deviation", torch.ones(len(centres), width))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of bones, and of numbers for each."""
+        return int(self.mean.shape[0]), int(self.mean.shape[1])
+
+    def fit(self, transforms: Any) -> None:
+        """Set mean and deviation from fitted transforms ``(F, B, 3, 4)``."""
+        numbers = self.numbers(transforms)
+        least = np.full(self.shape[1], _LEAST[self.rotation])
+        least[-3:] = _LEAST_TRANSLATION
+        self.mean.copy_(torch.from_numpy(numbers.mean(axis=0)))
+        self.deviation.copy_(torch.from_numpy(np.maximum(numbers.std(axis=0), least)))
+
+    def numbers(self, transforms: Any) -> NDArray[np.float64]:
+        """Rotation and translation ``(F, B, C)`` of transforms, not normalised."""
+        m = np.asarray(transforms, dtype=np.float64)
+        if m.shape[1:] != (self.shape[0], 3, 4):
+            raise InputError("transforms", f"shape (F, {self.shape[0]}, 3, 4)", m.shape)
+        r = m[..., :3]
+        if self.rotation == "sixd":
+            code = np.asarray(sixd_from_matrix(r))
+        else:
+            turn = Rotation.from_matrix(r.reshape(-1, 3, 3))
+            with warnings.catch_warnings():
+                # In gimbal lock one angle is free; any will do.
+                warnings.simplefilter("ignore", UserWarning)
+                angles = (
+                    turn.as_euler("xyz", degrees=True)
+                    if self.rotation == "euler"
+                    else turn.as_rotvec()
+                )
+            code = np.asarray(angles).reshape(*r.shape[:2], 3)
+        centre = np.einsum("fbij,bj->fbi", r, self.centres.double().cpu().numpy()) + m[..., 3]
+        return np.concatenate([code, centre], axis=-1)
+
+    def forward(self, z: Tensor) -> Tensor:
+        """Transforms ``(..., B, 3, 4)`` of normalised numbers ``(..., B, C)``."""
+        numbers = z * self.deviation + self.mean
+        r = _FROM[self.rotation][1](numbers[..., :-3])
+        t = numbers[..., -3:] - (r @ self.centres[..., None])[..., 0]
+        return torch.cat([r, t[..., None]], dim=-1)
+
+
+class LowFrequency(nn.Module):
+    """One GRU layer and one linear layer.
+
+    Parameters
+    ----------
+    inputs : int
+    hidden : int
+    code : BoneCode
+
+    Examples
+    --------
+    >>> module = LowFrequency(4, 8, BoneCode(np.zeros((2, 3)), "euler"))
+    >>> z, state = module(torch.zeros(1, 5, 4))
+    >>> z.shape, state.shape
+    (torch.Size([1, 5, 2, 6]), torch.Size([1, 1, 8]))
+    """
+
+    def __init__(self, inputs: int, hidden: int, code: BoneCode) -> None:
+        super().__init__()
+        bones, width = code.shape
+        self.code = code
+        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.out = nn.Linear(hidden, bones * width)
+
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Normalised bone motion ``(N, T, B, C)`` and the new state ``(1, N, H)``.
+
+        `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
+        """
+        h, state = self.gru(x, state)
+        if mask is not None:
+            h = h * mask
+        return self.out(h).unflatten(-1, self.code.shape), state

@@ -1,0 +1,256 @@
+"""The motion network: garment G = G_LF + G_HF from body motion, all at once or frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ssdr.errors import InputError
+
+from ..configs.config import Config
+from ..data.subject import Subject
+from .features import Normaliser, PoseFeatures, PoseState
+from .high_frequency import HighFrequency
+from .low_frequency import BoneCode, LowFrequency
+from .skinning import TorchSkinning, apply_frame
+
+__all__ = ["FRAMES_AT_ONCE", "Motion", "MotionNetwork", "NetworkState"]
+
+# Frames that are predicted at once: bounds the memory, results do not depend on it.
+FRAMES_AT_ONCE = 128
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NetworkState:
+    """What a network remembers between frames; the hidden states are ``(1, 1, H)``."""
+
+    pose: PoseState | None = None
+    low: Tensor | None = None
+    high: Tensor | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """A network's prediction for F frames, in the moving frame.
+
+    Attributes
+    ----------
+    transforms : (F, B, 3, 4)
+        Of the virtual bones.
+    low : (F, V, 3)
+        Low-frequency mesh, metres.
+    high : (F, V, 3) or None
+        Detail, metres; None without the high-frequency module.
+    frame : (F, 3, 4) float64
+        From the moving frame to the world.
+    """
+
+    transforms: Tensor
+    low: Tensor
+    high: Tensor | None
+    frame: NDArray[np.float64]
+
+    def vertices(self) -> NDArray[np.float32]:
+        """Vertices ``(F, V, 3)`` in the world, metres."""
+        local = self.low if self.high is None else self.low + self.high
+        return self.to_world(local)
+
+    def to_world(self, local: Tensor) -> NDArray[np.float32]:
+        frame = torch.from_numpy(self.frame)
+        return np.asarray(apply_frame(frame, local.double().cpu()).numpy(), np.float32)
+
+    def world_transforms(self) -> NDArray[np.float64]:
+        """Transforms ``(F, B, 3, 4)`` of the bones in the world."""
+        m = self.transforms.double().cpu().numpy()
+        r, t = self.frame[:, None, :, :3], self.frame[:, None, :, 3:]
+        moved: NDArray[np.float64] = r @ m
+        moved[..., 3:] += t
+        return moved
+
+
+class MotionNetwork(nn.Module):
+    """Low- and high-frequency module on one set of virtual bones.
+
+    Parameters
+    ----------
+    config : Config
+    subject : Subject
+    normaliser : Normaliser
+        Of the pose features.
+
+    Examples
+    --------
+    A network for a triangle that hangs from one joint, with random weights:
+
+    >>> from ssdr import Skinning
+    >>> from garmentnet.configs import LowOptions
+    >>> rig = Skinning(
+    ...     np.eye(3), np.zeros((3, 1), int), np.ones((3, 1)), np.eye(3, 4)[None, None],
+    ...     faces=[[0, 1, 2]], bone_names=("root",),
+    ... )
+    >>> from garmentnet.data.skeleton import Skeleton
+    >>> skeleton = Skeleton(("root",), [-1], [[0, 0, 0]])
+    >>> subject = Subject(rig, rig, skeleton, 30.0, "triangle")
+    >>> network = MotionNetwork(
+    ...     Config(low=LowOptions(hidden=8)), subject, Normaliser(np.zeros(6), np.ones(6), 0.0)
+    ... )
+    >>> network.predict(np.tile(np.eye(3, 4), (5, 1, 1, 1))).shape
+    (5, 3, 3)
+    """
+
+    def __init__(self, config: Config, subject: Subject, normaliser: Normaliser) -> None:
+        super().__init__()
+        self.config, self.subject, self.normaliser = config, subject, normaliser
+        self.features = PoseFeatures(subject.skeleton, config.features, subject.fps)
+        self.condition = 3 if config.data.condition else 0
+        garment = subject.garment
+        self.lbs = TorchSkinning.of(garment)
+        code = BoneCode(garment.centroids(), config.low.rotation)
+        inputs = self.features.size + self.condition
+        self.low = LowFrequency(inputs, config.low.hidden, code)
+        self.high: HighFrequency | None = None
+
+    def add_high(self) -> HighFrequency:
+        """Add the high-frequency module, with random weights."""
+        o, garment = self.config.high, self.subject.garment
+        bones, width = self.low.code.shape
+        inputs = bones * width if o.source == "bones" else self.features.size
+        a = np.asarray(garment.rest, np.float64)[garment.faces]
+        edge = float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean())
+        self.high = HighFrequency(
+            inputs + self.condition,
+            garment.faces,
+            garment.n_vertices,
+            hidden=o.hidden,
+            global_features=o.global_features,
+            edge_features=o.edge_features if o.local else (),
+            mlp=o.mlp,
+            edge_length=edge,
+        ).to(self.device)
+        return self.high
+
+    @property
+    def device(self) -> torch.device:
+        return next(self.low.parameters()).device
+
+    def inputs(self, features: NDArray[np.float64], parameters: Any = None) -> Tensor:
+        """Normalised features ``(F, D)``, with the parameters for a network that reads them.
+
+        Parameters
+        ----------
+        features : (F, D)
+        parameters : (3,) array, optional
+            Normalised simulation parameters.
+
+        Raises
+        ------
+        InputError
+            If the network reads parameters and there are none.
+        """
+        x = torch.from_numpy(self.normaliser(features))
+        if self.condition:
+            if parameters is None:
+                raise InputError("parameters", "the simulation's, which this network reads", None)
+            row = torch.as_tensor(np.asarray(parameters, np.float32))
+            x = torch.cat([x, row.expand(len(x), -1)], dim=1)
+        return x
+
+    def mesh(self, z: Tensor) -> Tensor:
+        """Low-frequency mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame."""
+        return torch.as_tensor(self.lbs(self.low.code(z)))
+
+    def high_inputs(self, x: Tensor, z: Tensor) -> Tensor:
+        """Input ``(N, T, D)`` of the high-frequency module's GRU."""
+        if self.config.high.source == "body":
+            return x
+        motion = z.flatten(-2)
+        if not self.condition:
+            return motion
+        return torch.cat([motion, x[..., -self.condition :]], dim=-1)
+
+    @torch.no_grad()
+    def run(
+        self,
+        joints: Any,
+        state: NetworkState | None = None,
+        *,
+        parameters: Any = None,
+        detail: bool = True,
+        frames: Any = None,
+    ) -> tuple[Motion, NetworkState]:
+        """Predict consecutive frames, from a state on.
+
+        Parameters
+        ----------
+        joints : (F, J, 3, 4) array
+            World transforms of the body's joints from its rest pose.
+        state : NetworkState, optional
+            None: the motion starts here, from rest.
+        parameters : (3,) array, optional
+            Normalised; for a network that reads them.
+        detail : bool
+            Whether to run the high-frequency module.
+        frames : (f,) int array, optional
+            Frames whose mesh is computed, all by default; the state passes through every frame.
+
+        Raises
+        ------
+        InputError
+            If the joints are not those of the body, not finite or not rigid.
+        """
+        state = state or NetworkState()
+        features, frame, pose = self.features(joints, state.pose)
+        x = self.inputs(features, parameters).to(self.device)[None]
+        z, low_state = self.low(x, state.low)
+        index = None
+        if frames is not None:
+            index = torch.as_tensor(np.asarray(frames, np.int64), device=self.device)
+            frame = frame[np.asarray(frames, np.int64)]
+        transforms = self.low.code(z if index is None else z[:, index])[0]
+        low = self.lbs(transforms)
+        high, high_state = None, state.high
+        if detail and self.high is not None:
+            chosen = None if index is None else index[None]
+            out, high_state = self.high(self.high_inputs(x, z), low[None], state.high, chosen)
+            high = out[0]
+        return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)
+
+    def predict(
+        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+    ) -> NDArray[np.float32]:
+        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
+        parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
+        return np.concatenate([m.vertices() for m in parts])
+
+    def motions(
+        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+    ) -> list[Motion]:
+        """The motion, or some of its frames, in parts of at most 128 frames."""
+        joints, state, out = np.asarray(joints), None, []
+        chosen = None if frames is None else np.asarray(frames, np.int64)
+        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
+            part = joints[start : start + FRAMES_AT_ONCE]
+            here = None
+            if chosen is not None:
+                here = chosen[(chosen >= start) & (chosen < start + len(part))] - start
+            # At least one frame, because a mesh of no frames has no shape.
+            some = here if here is None or len(here) else [0]
+            motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)
+            if here is None or len(here):
+                out.append(motion)
+        return out
+
+    def step(
+        self, state: NetworkState | None, pose: Any, *, parameters: Any = None
+    ) -> tuple[NetworkState, NDArray[np.float32]]:
+        """One frame: joints ``(J, 3, 4)`` to world positions ``(V, 3)``.
+
+        Equal to :meth:`predict`, except for rounding.
+        """
+        motion, state = self.run(np.asarray(pose)[None], state, parameters=parameters)
+        return state, motion.vertices()[0]

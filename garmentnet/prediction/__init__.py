@@ -1,0 +1,1 @@
+"""A trained network's garment for a motion, and files of it."""

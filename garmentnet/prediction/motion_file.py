@@ -1,0 +1,54 @@
+"""Motions from files: BVH, arrays, and clips of a store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.arrays.archive import read_arrays
+from ssdr.io.registry import reading
+
+from ..data.bvh import read_bvh
+from ..data.retarget import retarget
+from ..data.skeleton import check_joints
+from ..data.store import ClipStore
+from ..networks.checkpoint import Checkpoint
+
+__all__ = ["read_joints"]
+
+
+def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]:
+    """Joint transforms of a motion file for a checkpoint's body, at its frame rate.
+
+    Parameters
+    ----------
+    path : path
+        ``.bvh`` or ``.bvh.gz``, retargeted by the names of its joints; ``.npz`` with an array
+        ``joints`` ``(F, J, 3, 4)``; or the folder of a clip in a store.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    FormatError
+        If it is damaged, of an unknown kind or of another body.
+    """
+    file, subject = Path(path), checkpoint.subject
+    suffix = file.suffix.lower()
+    if not file.exists():
+        raise InputError("motion", "a .bvh, a .npz or a clip", str(file))
+    if file.name.lower().endswith((".bvh", ".bvh.gz")):
+        moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps, name=file.stem)
+        return np.asarray(moved.joints, np.float64)
+    if file.is_dir() and file.parent.name == "clips":
+        store = ClipStore.open(file.parent.parent)
+        checkpoint.check_fits(store)
+        return np.asarray(store.clip(file.name).joints, np.float64)
+    if suffix != ".npz":
+        raise FormatError(f"{file}: a motion is a .bvh, a .npz with joints, or a clip of a store")
+    joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)
+    with reading(file):
+        return check_joints(joints, subject.skeleton.n_joints)

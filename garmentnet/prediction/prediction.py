@@ -1,0 +1,168 @@
+"""The garment that a checkpoint predicts for a motion."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import ssdr
+from ssdr import MeshSequence, Skinning
+from ssdr.errors import InputError, SsdrWarning
+
+from ..data.parameters import RANGES, SimulationParameters
+from ..networks.checkpoint import Checkpoint
+
+__all__ = ["Prediction", "follow", "predict", "trained_range"]
+
+# Relative; parameters that are read from a file may be rounded.
+_ROUNDING = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Prediction:
+    """A predicted garment on its body.
+
+    Attributes
+    ----------
+    cloth, body : MeshSequence
+    skinning : Skinning
+        The low-frequency part: the virtual bones with their transforms in the world.
+    joints : (F, J, 3, 4) array
+    root : (F, 3) array
+        Positions of the root joint, metres.
+    extrapolated : tuple of str
+        A sentence for every parameter outside the trained range.
+    """
+
+    cloth: MeshSequence
+    body: MeshSequence
+    skinning: Skinning
+    joints: NDArray[np.float64]
+    root: NDArray[np.float64]
+    extrapolated: tuple[str, ...]
+
+    def scene(self, *, still: bool = True) -> MeshSequence:
+        """Cloth and body as one mesh; `still`: without the root's horizontal motion."""
+        where = self.root if still else None
+        return follow(
+            self.cloth.vertices,
+            self.body.vertices,
+            self.cloth.faces,
+            self.body.faces,
+            self.cloth.fps,
+            where,
+            self.cloth.name,
+        )
+
+
+def predict(
+    checkpoint: Checkpoint,
+    joints: Any,
+    parameters: SimulationParameters | None = None,
+    *,
+    detail: bool = True,
+    name: str = "prediction",
+) -> Prediction:
+    """The garment that a checkpoint predicts for a motion of its body.
+
+    Parameters
+    ----------
+    checkpoint : Checkpoint
+    joints : (F, J, 3, 4) array
+        World transforms from the body's rest pose, at the checkpoint's frame rate.
+    parameters : SimulationParameters, optional
+        Needed by an ensemble and by a network that reads them; any other network has its own
+        and accepts no others.
+    detail : bool
+        Whether to run the high-frequency module.
+
+    Raises
+    ------
+    InputError
+        If the joints do not fit the body or are not rigid, or the parameters are missing or not
+        those of a single network.
+
+    Warns
+    -----
+    SsdrWarning
+        If the parameters lie outside the trained range.
+    """
+    several = checkpoint.kernel is not None or checkpoint.networks[0].condition
+    trained_on = checkpoint.parameters[0]
+    if not several and None not in (parameters, trained_on) and parameters != trained_on:
+        expected = f"those of this single network, {trained_on} (an ensemble takes any)"
+        raise InputError("parameters", expected, parameters)
+    beyond: tuple[str, ...] = ()
+    if several and parameters is not None:
+        beyond = _beyond(checkpoint, parameters)
+        if beyond:
+            text = "; ".join(beyond)
+            warnings.warn(f"extrapolated: {text}", SsdrWarning, stacklevel=2)
+    motions = checkpoint.motions(joints, parameters, detail=detail)
+    subject, m = checkpoint.subject, np.asarray(joints, np.float64)
+    garment, rig = subject.garment, subject.body
+    cloth = np.concatenate([part.vertices() for part in motions])
+    moved = np.concatenate([part.world_transforms() for part in motions])
+    body = np.asarray(ssdr.skin(rig.rest, rig.joints, rig.weights, m), np.float32)
+    return Prediction(
+        cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
+        body=MeshSequence(body, rig.faces, subject.fps, name="body"),
+        skinning=Skinning(
+            garment.rest,
+            garment.joints,
+            garment.weights,
+            moved,
+            faces=garment.faces,
+            fps=subject.fps,
+            bone_model="affine" if several else "rigid",
+            name=name,
+        ),
+        joints=m,
+        root=subject.skeleton.positions(m)[:, 0],
+        extrapolated=beyond,
+    )
+
+
+def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:
+    """Lowest and highest value of every parameter among the networks; empty if unknown."""
+    known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
+    if not known:
+        return {}
+    return {k: (min(p[k] for p in known), max(p[k] for p in known)) for k in known[0]}
+
+
+def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
+    limits = trained_range(checkpoint)
+    messages = []
+    if not limits:  # a network that reads parameters does not know its training sets
+        for key in parameters.outside():
+            low, high = RANGES[key]
+            messages.append(f"{key} {getattr(parameters, key):g}, meant for {low:g} to {high:g}")
+        return tuple(messages)
+    for key, value in dataclasses.asdict(parameters).items():
+        low, high = limits[key]
+        if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
+            messages.append(f"{key} {value:g}, trained from {low:g} to {high:g}")
+    return tuple(messages)
+
+
+def follow(
+    cloth: Any,
+    body: Any,
+    cloth_faces: Any,
+    body_faces: Any,
+    fps: float,
+    root: NDArray[np.floating] | None,
+    name: str = "",
+) -> MeshSequence:
+    """Cloth and body as one mesh, without the horizontal motion of `root` ``(F, 3)`` if given."""
+    both = np.concatenate([np.asarray(body), np.asarray(cloth)], axis=1).astype(np.float64)
+    if root is not None:
+        # Not vertically, so that jumps stay visible.
+        both = both - np.asarray(root)[:, None] * np.array([1.0, 0.0, 1.0])
+    faces = np.concatenate([body_faces, np.asarray(cloth_faces) + np.asarray(body).shape[1]])
+    return MeshSequence(both.astype(np.float32), faces, fps, name=name)

@@ -1,0 +1,1 @@
+"""Dances generated from a seed: moves, their choreography and the joints."""

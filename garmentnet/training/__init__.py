@@ -1,0 +1,1 @@
+"""From a store of clips to trained networks."""

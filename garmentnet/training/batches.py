@@ -1,0 +1,161 @@
+"""Batches for truncated back-propagation through time: several clips in parallel, in windows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..data.clip import Clip
+from ..data.virtual_bones import ClipBones, VirtualBones
+from ..networks.features import transforms_in_frame
+from ..networks.network import MotionNetwork
+from ..networks.skinning import remove_frame
+
+__all__ = ["Batch", "Track", "Window", "batches", "load_tracks"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Track:
+    """One clip with the inputs of a network in memory and its targets on disk.
+
+    Attributes
+    ----------
+    clip : Clip
+    bones : ClipBones
+    inputs : (F, D) float32 tensor
+    frame : (F, 3, 4) float64
+        From the moving frame, in which the network predicts, to the world.
+    extra : (F, ...) float32 tensor, optional
+        What an objective computed beforehand for every frame.
+    """
+
+    clip: Clip
+    bones: ClipBones
+    inputs: Tensor
+    frame: NDArray[np.float64]
+    extra: Tensor | None = None
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.inputs)
+
+    def target(self, part: str, frames: Any = slice(None)) -> Tensor:
+        """Frames of "low" or "high" in the moving frame, ``(f, V, 3)`` float32."""
+        world = torch.from_numpy(self.bones.read(part, frames))
+        frame = torch.from_numpy(self.frame[frames])
+        if part == "high":  # a difference of positions: only rotated
+            return world @ frame[..., :3].float()
+        return remove_frame(frame, world.double()).float()
+
+    def joints(self, frames: Any = slice(None)) -> Tensor:
+        """Joint transforms in the moving frame, ``(f, J, 3, 4)`` float32."""
+        moved = transforms_in_frame(self.clip.joints[frames], self.frame[frames])
+        return torch.from_numpy(moved.astype(np.float32))
+
+
+def load_tracks(network: MotionNetwork, bones: VirtualBones, names: Sequence[str]) -> list[Track]:
+    """Tracks of the named clips, for the inputs of a network."""
+    tracks = []
+    for name in names:
+        clip = bones.store.clip(name)
+        features, frame, _ = network.features(clip.joints)
+        theta = clip.parameters.normalised() if network.condition else None
+        tracks.append(Track(clip, bones.clip(name), network.inputs(features, theta), frame))
+    return tracks
+
+
+class Window(NamedTuple):
+    """Frames `start` to `stop` of a track."""
+
+    track: Track
+    start: int
+    stop: int
+
+    @property
+    def frames(self) -> slice:
+        return slice(self.start, self.stop)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Batch:
+    """One window of every lane; a lane is a queue of clips.
+
+    Attributes
+    ----------
+    windows : list of Window or None
+        One for each of the N lanes; None: the lane is finished.
+    mask : (N, T) bool tensor
+        Which frames exist; shorter windows are padded.
+    fresh : (N,) bool tensor
+        Lanes in which a clip begins: the GRU's state is reset.
+    """
+
+    windows: list[Window | None]
+    mask: Tensor
+    fresh: Tensor
+
+    def inputs(self) -> Tensor:
+        """``(N, T, D)``, zero where there is no frame."""
+        return self.stack([w and w.track.inputs[w.frames] for w in self.windows])
+
+    def stack(self, parts: Sequence[Tensor | None]) -> Tensor:
+        """One tensor of every lane, padded with zeros to ``(N, T, ...)``."""
+        shape = next(p.shape[1:] for p in parts if p is not None)
+        out = torch.zeros(*self.mask.shape, *shape)
+        for lane, part in enumerate(parts):
+            if part is not None:
+                out[lane, : len(part)] = part
+        return out
+
+    def forget(self, state: Tensor | None) -> Tensor | None:
+        """A GRU's state ``(1, N, H)`` with zeros for the lanes in which a clip begins."""
+        if state is None:
+            return None
+        return state * (~self.fresh).to(state)[None, :, None]
+
+
+def batches(
+    tracks: Sequence[Track], lanes: int, window: int, rng: np.random.Generator | None
+) -> Iterator[Batch]:
+    """One epoch: every frame of every track once, each track in order.
+
+    Tracks are shuffled, assigned to the lane with the fewest frames and cut into windows.  The
+    first window of a track has a random length, so that the cuts change from epoch to epoch.
+
+    Parameters
+    ----------
+    tracks : sequence of Track
+    lanes : int
+        Clips in parallel.
+    window : int
+        Frames of a window, at most.
+    rng : numpy.random.Generator or None
+        None: no shuffling, and every window has full length.
+    """
+    order = np.arange(len(tracks)) if rng is None else rng.permutation(len(tracks))
+    queues: list[list[Window]] = [[] for _ in range(lanes)]
+    load = np.zeros(lanes, int)
+    for k in order:
+        track = tracks[int(k)]
+        lane = int(load.argmin())
+        load[lane] += track.n_frames
+        stop = window if rng is None else int(rng.integers(window // 2 + 1, window + 1))
+        start = 0
+        while start < track.n_frames:
+            queues[lane].append(Window(track, start, min(stop, track.n_frames)))
+            start, stop = stop, stop + window
+    for step in range(max((len(q) for q in queues), default=0)):
+        windows = [q[step] if step < len(q) else None for q in queues]
+        mask = torch.zeros(lanes, window, dtype=torch.bool)
+        fresh = torch.ones(lanes, dtype=torch.bool)
+        for lane, w in enumerate(windows):
+            if w is not None:
+                mask[lane, : w.stop - w.start] = True
+                fresh[lane] = w.start == 0
+        yield Batch(windows, mask, fresh)

@@ -1,0 +1,225 @@
+"""Losses of the two modules, and their validation errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm, mesh_laplacian
+from ..networks.network import MotionNetwork
+from .batches import Batch, Track
+
+__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective"]
+
+# Metres; the smallest deviation by which the output of a module is scaled.
+LEAST_DEVIATION = 1e-4
+# Frames of vertices in memory at once.
+_FRAMES_AT_ONCE = 64
+
+
+class _SkinnedNorm:
+    """‖A M − G‖² of many frames, exact and without the vertices.
+
+    With the thin QR factorisation A = Q R it is ‖R M − Qᵀ G‖² + ‖G − Q Qᵀ G‖².  R has 4B rows, A
+    has V.  Qᵀ G and the last term do not depend on M and are computed once for every frame.
+
+    Parameters
+    ----------
+    matrix : (V, 4B) array
+        Rest pose and weights as one matrix, or an operator on vertices times that.
+    """
+
+    def __init__(self, matrix: NDArray[np.float64], device: torch.device) -> None:
+        self._q, r = np.linalg.qr(matrix)
+        self._r = torch.from_numpy(r).float().to(device)
+        self.size = 3 * len(r) + 1
+
+    def code(self, targets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Qᵀ G and ‖G − Q Qᵀ G‖² of frames ``(F, V, 3)``, as rows ``(F, size)``."""
+        flat = targets.transpose(1, 0, 2).reshape(targets.shape[1], -1)
+        inner = self._q.T @ flat
+        rest = ((flat - self._q @ inner) ** 2).reshape(len(flat), -1, 3).sum(axis=(0, 2))
+        inner = inner.reshape(len(inner), -1, 3).transpose(1, 0, 2)
+        return np.concatenate([inner.reshape(len(targets), -1), rest[:, None]], axis=1)
+
+    def __call__(self, transforms: Tensor, code: Tensor) -> Tensor:
+        """Squared norms ``(N,)`` for transforms ``(N, B, 3, 4)``."""
+        n = len(transforms)
+        m = transforms.permute(1, 3, 0, 2).reshape(self._r.shape[1], 3 * n)
+        gap = (self._r @ m).view(-1, n, 3) - code[:, :-1].view(n, -1, 3).transpose(0, 1)
+        return gap.square().sum((0, 2)) + code[:, -1]
+
+
+class LowFrequencyObjective:
+    """Loss of the low-frequency module: ‖Ĝ_LF − G_LF‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(G_LF)‖.
+
+    Parameters
+    ----------
+    network : MotionNetwork
+    tracks, validation : list of Track
+    """
+
+    def __init__(
+        self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
+    ) -> None:
+        self.network, self.module = network, network.low
+        garment = network.subject.garment
+        self.weight = network.config.low.laplacian
+        self._count = garment.n_vertices
+        skinned = network.lbs.matrix.double().cpu().numpy()
+        self._laplacian = mesh_laplacian(garment.faces, garment.n_vertices)
+        self._position = _SkinnedNorm(skinned, network.device)
+        self._detail = _SkinnedNorm(self._laplacian @ skinned, network.device)
+        self.tracks = [self._with_targets(t) for t in tracks]
+        self.validation = [self._with_targets(t) for t in validation]
+
+    def _with_targets(self, track: Track) -> Track:
+        codes = []
+        for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
+            g = (
+                track.target("low", slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames)))
+                .double()
+                .numpy()
+            )
+            flat = g.transpose(1, 0, 2).reshape(self._count, -1)
+            bent = (self._laplacian @ flat).reshape(self._count, -1, 3).transpose(1, 0, 2)
+            codes.append(np.hstack([self._position.code(g), self._detail.code(bent)]))
+        return dataclasses.replace(track, extra=torch.from_numpy(np.concatenate(codes)).float())
+
+    def _norms(self, z: Tensor, code: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean squared distance of vertices, and of their Laplacians, for each frame."""
+        transforms, code = self.network.low.code(z), code.to(self.network.device)
+        first, second = code.split([self._position.size, self._detail.size], dim=1)
+        return (
+            self._position(transforms, first) / self._count,
+            self._detail(transforms, second) / self._count,
+        )
+
+    def loss(
+        self, batch: Batch, state: Tensor | None, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor]:
+        x, drop = batch.inputs(), self.network.config.low.dropout
+        mask = None
+        if drop:
+            # Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
+            stays = rng.random((*x.shape[:2], self.module.gru.hidden_size), np.float32) >= drop
+            mask = torch.from_numpy(stays).to(self.network.device) / (1 - drop)
+        z, state = self.module(x.to(self.network.device), state, mask)
+        code = torch.cat([_extra(w.track)[w.frames] for w in batch.windows if w])
+        position, detail = self._norms(z[batch.mask.to(z.device)], code)
+        loss = (position + EXACT).sqrt().mean()
+        if self.weight:
+            loss = loss + self.weight * (detail + EXACT).sqrt().mean()
+        return loss, state
+
+    def validate(self) -> float:
+        """RMSE of the low-frequency mesh, metres; NaN without validation clips."""
+        square, count = 0.0, 0
+        for track in self.validation:
+            z = self.module(track.inputs[None].to(self.network.device))[0][0]
+            position, _ = self._norms(z, _extra(track))
+            square += float(position.double().sum())
+            count += track.n_frames
+        return math.sqrt(square / count) if count else math.nan
+
+
+class HighFrequencyObjective:
+    """Loss of the high-frequency module on the low-frequency mesh: position and collision.
+
+    The GRU reads every frame of a window; the loss is computed on a few frames, because the layers
+    after the GRU are the expensive ones.
+
+    Parameters
+    ----------
+    network : MotionNetwork
+    tracks, validation : list of Track
+    """
+
+    def __init__(
+        self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
+    ) -> None:
+        assert network.high is not None
+        self.network, self.module = network, network.high
+        self.tracks = [self._with_motion(t) for t in tracks]
+        self.validation = [self._with_motion(t) for t in validation]
+        self.body = BodyShape(network.subject.body).to(network.device)
+
+    @torch.no_grad()
+    def _with_motion(self, track: Track) -> Track:
+        z = self.network.low(track.inputs[None].to(self.network.device))[0][0]
+        return dataclasses.replace(track, extra=z.cpu())
+
+    def _inputs(self, x: Tensor, z: Tensor) -> Tensor:
+        device = self.network.device
+        return self.network.high_inputs(x.to(device), z.to(device))
+
+    def loss(
+        self, batch: Batch, state: Tensor | None, rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor]:
+        device, options = self.network.device, self.network.config.high
+        lanes = [k for k, w in enumerate(batch.windows) if w]
+        windows = [w for w in batch.windows if w]
+        # The same number of frames in every lane, some twice where a window is shorter.
+        chosen = np.zeros((len(batch.windows), options.frames), int)
+        for k, w in zip(lanes, windows, strict=True):
+            length = w.stop - w.start
+            short = length < options.frames
+            chosen[k] = np.sort(rng.choice(length, options.frames, replace=short))
+        z = batch.stack([w and _extra(w.track)[w.frames] for w in batch.windows])
+        pick = torch.from_numpy(chosen)
+        with torch.no_grad():
+            index = pick[:, :, None, None].expand(-1, -1, *z.shape[2:])
+            low = self.network.mesh(z.gather(1, index).to(device))
+        x = self._inputs(batch.inputs(), z)
+        high, state = self.module(x, low, state, pick.to(device))
+        frames = [w.start + chosen[k] for k, w in zip(lanes, windows, strict=True)]
+        targets = [w.track.target("high", f) for w, f in zip(windows, frames, strict=True)]
+        truth = torch.stack(targets).to(device)
+        loss = frame_norm(high[lanes] - truth)
+        if options.collision:
+            joints = torch.cat([w.track.joints(f) for w, f in zip(windows, frames, strict=True)])
+            body, normals = self.body(joints.to(device))
+            mesh = (low + high)[lanes].flatten(0, 1)
+            loss = loss + options.collision * collision_depth(mesh, body, normals).mean()
+        return loss, state
+
+    def validate(self) -> float:
+        """RMSE of the garment, low and high frequencies together, metres."""
+        square, count = 0.0, 0
+        for track in self.validation:
+            state, z = None, _extra(track)
+            for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
+                part = slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames))
+                low = self.network.mesh(z[part].to(self.network.device))[None]
+                x = self._inputs(track.inputs[None, part], z[None, part])
+                high, state = self.module(x, low, state)
+                truth = track.target("low", part) + track.target("high", part)
+                gap = (low + high)[0].cpu() - truth
+                square += float(gap.double().square().sum())
+                count += gap.shape[0] * gap.shape[1]
+        return math.sqrt(square / count) if count else math.nan
+
+    def fit_statistics(self) -> None:
+        """Set the mean detail of every vertex and one deviation, over the training clips."""
+        total, square, frames = torch.zeros(()), 0.0, 0
+        for track in self.tracks:
+            high = track.target("high").double()
+            total = total + high.sum(0)
+            square += float(high.square().sum())
+            frames += len(high)
+        mean = total / frames
+        variance = square / (mean.numel() * frames) - float(mean.square().mean())
+        low = self.network.mesh(_extra(self.tracks[0])[:1].to(self.network.device))
+        self.module.mean.copy_(mean)
+        self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
+        self.module.centre.copy_(low[0].mean(0))
+
+
+def _extra(track: Track) -> Tensor:
+    assert track.extra is not None
+    return track.extra

@@ -1,0 +1,309 @@
+"""Which networks become pivots, and the kernel that mixes them (Pan et al. 2022, section 4.4).
+
+All of it needs only Gram matrices of the predictions.  For a training set s with residuals
+r_i = G_i − Ĝ_s of every network i, ‖Σ w_i G_i − Ĝ_s‖² = wᵀ Q_s w with Q_s = ⟨r_i, r_j⟩, because
+Σ w = 1.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from torch import Tensor
+
+from ssdr.errors import InputError
+
+from ..networks.ensemble import Kernel
+
+Array = NDArray[np.float64]
+# Distance of normalised parameters, at most about 2 apart, that counts as none.
+_SAME = 1e-12
+# Square of 10 nm: an exact mixture has no gradient.
+_EXACT = 1e-16
+# Metres²; only against a division by 0 where all residuals vanish.
+_TINY = 1e-30
+
+__all__ = [
+    "convex_fit",
+    "error_of",
+    "extremes",
+    "fit_kernel",
+    "gram",
+    "inverse_distance",
+    "left_out_errors",
+    "nearest",
+    "select_pivots",
+    "smallest_good",
+]
+
+
+def inverse_distance(pivots: Any, theta: Any) -> Array:
+    """Weights ∝ 1 / ‖θ_i − θ‖, the paper's first alternative; 1 for a pivot at θ itself.
+
+    Examples
+    --------
+    >>> inverse_distance([[0.0], [3.0]], [1.0]).round(3).tolist()
+    [0.667, 0.333]
+    """
+    gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
+    same = gap < _SAME
+    near = np.asarray(same, np.float64) if same.any() else 1 / gap
+    return np.asarray(near / near.sum())
+
+
+def nearest(pivots: Any, theta: Any) -> Array:
+    """Weight 1 for the pivot whose normalised parameters are closest.
+
+    Examples
+    --------
+    >>> nearest([[0.0], [3.0]], [1.0]).tolist()
+    [1.0, 0.0]
+    """
+    gap = np.linalg.norm(np.asarray(pivots, float) - np.asarray(theta, float), axis=1)
+    return np.asarray(np.arange(len(gap)) == gap.argmin(), float)
+
+
+def gram(predictions: Sequence[Any], truth: Any) -> Array:
+    """Q ``(S, S)``: mean over frames and vertices of ⟨r_i, r_j⟩, metres².
+
+    Parameters
+    ----------
+    predictions : S arrays (F, V, 3)
+    truth : (F, V, 3)
+
+    Examples
+    --------
+    >>> truth = np.zeros((1, 2, 3))
+    >>> gram([truth + 1, truth - 1], truth).tolist()
+    [[3.0, -3.0], [-3.0, 3.0]]
+    """
+    truth = np.asarray(truth, np.float64)
+    r = np.stack([(np.asarray(p, np.float64) - truth).ravel() for p in predictions])
+    return np.asarray(r @ r.T / (truth.shape[0] * truth.shape[1]))
+
+
+def error_of(q: Array, weights: Any) -> float:
+    """RMSE of a mixture, metres: √(wᵀ Q w).
+
+    Examples
+    --------
+    >>> error_of(np.array([[3.0, -3.0], [-3.0, 3.0]]), [0.5, 0.5])
+    0.0
+    """
+    w = np.asarray(weights, float)
+    return float(np.sqrt(max(0.0, w @ q @ w)))
+
+
+def convex_fit(q: Array) -> tuple[Array, float]:
+    """Weights ≥ 0 with sum 1 that minimise wᵀ Q w, and the root of the minimum.
+
+    Examples
+    --------
+    >>> weights, error = convex_fit(np.diag([1.0, 3.0]))
+    >>> weights.round(3).tolist(), round(error**2, 3)
+    ([0.75, 0.25], 0.75)
+    """
+    # The penalty (1 − Σ w)² in place of the constraint gives non-negative least squares.  Its
+    # minimum along a ray rises with wᵀ Q w at Σ w = 1, so the best ray is the same.
+    values, vectors = np.linalg.eigh(q)
+    root = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+    unit = np.sqrt(max(float(np.trace(q)) / len(q), _TINY))
+    w, _ = nnls(np.vstack([root / unit, np.ones(len(q))]), np.append(np.zeros(len(q)), 1.0))
+    w = w / w.sum()
+    return w, error_of(q, w)
+
+
+def extremes(parameters: Any) -> list[int]:
+    """Sets with at least one highest or lowest parameter; the first if all are equal.
+
+    Examples
+    --------
+    >>> extremes([[0.0, 1.0], [0.5, 1.0], [1.0, 1.0]])
+    [0, 2]
+    """
+    p = np.asarray(parameters, float)
+    spread = p.max(axis=0) > p.min(axis=0)
+    at_end = (np.isclose(p, p.max(axis=0)) | np.isclose(p, p.min(axis=0))) & spread
+    return np.flatnonzero(at_end.any(axis=1)).tolist() or [0]
+
+
+def select_pivots(grams: Sequence[Array], parameters: Any, count: int) -> list[int]:
+    """K pivots as the paper chooses them: the extremes, then the worst fitted, one at a time.
+
+    A network s is fitted by the convex mixture of pivots that is closest to the network's
+    predictions on set s.  If K is smaller than the number of extremes, those extremes are chosen
+    that fit all other networks best.
+
+    Parameters
+    ----------
+    grams : S arrays (S, S)
+        Of all networks on the frames of each set; see :func:`gram`.
+    parameters : (S, P) array
+    count : int
+        K, 1 to S.
+
+    Returns
+    -------
+    list of int
+        Indices of the sets, in the order in which they were chosen.
+
+    Raises
+    ------
+    InputError
+        If `count` is not from 1 to S.
+
+    Examples
+    --------
+    >>> grams = [np.eye(3)] * 3
+    >>> select_pivots(grams, [[0.0], [0.4], [1.0]], 2)
+    [0, 2]
+    """
+    n = len(grams)
+    if not 1 <= count <= n:
+        raise InputError("count", f"an integer from 1 to {n}", count)
+
+    def misfit(s: int, pivots: Sequence[int]) -> float:
+        # r_i − r_s = G_i − G_s: the simulation cancels.
+        q, p = grams[s], list(pivots)
+        between = q[np.ix_(p, p)] - q[p, s][:, None] - q[s, p][None] + q[s, s]
+        return convex_fit(between)[1]
+
+    start = extremes(parameters)
+    if count < len(start):
+
+        def total(pivots: Iterable[int]) -> float:
+            pivots = tuple(pivots)
+            return sum(misfit(s, pivots) ** 2 for s in range(n) if s not in pivots)
+
+        return list(min(itertools.combinations(start, count), key=total))
+    chosen = list(start)
+    while len(chosen) < count:
+        rest = [s for s in range(n) if s not in chosen]
+        chosen.append(max(rest, key=lambda s: misfit(s, chosen)))
+    return chosen
+
+
+def fit_kernel(
+    grams: Sequence[Array],
+    parameters: Any,
+    pivots: Sequence[int],
+    *,
+    validation: Sequence[tuple[Array, Any]] = (),
+    sigma: float = 0.5,
+    steps: int = 600,
+    learning_rate: float = 1e-2,
+    weight_decay: float = 1e-3,
+    seed: int = 0,
+) -> tuple[Kernel, float]:
+    """Train the kernel, leaving out one training set at a time.
+
+    The mixture of the pivots other than s is compared with the simulation of s, for every training
+    set s.  If s were among the pivots, a kernel that always chooses s would be perfect and nothing
+    would be learned.
+
+    Parameters
+    ----------
+    grams : S arrays (S, S)
+        Of all networks against the simulation of each training set.
+    parameters : (S, P) array
+        Normalised.
+    pivots : sequence of int
+    validation : pairs (Q, θ)
+        Of sets that no network was trained on; the step with the smallest error on them is
+        returned.  Without any it is the last step.
+    sigma : float
+        Bandwidth of the kernel.
+    steps : int
+        Of Adam, with `learning_rate` and `weight_decay`.
+    seed : int
+        Of the initial weights.
+
+    Returns
+    -------
+    Kernel
+    float
+        The validation error at that step, or the training error without validation sets; metres.
+        NaN if nothing can be left out.
+
+    Examples
+    --------
+    >>> kernel, error = fit_kernel([np.eye(2)] * 2, [[0.0], [1.0]], [0, 1], steps=2)
+    >>> round(error, 3)
+    1.0
+    """
+    torch_state = torch.random.get_rng_state()
+    torch.manual_seed(seed)
+    kernel = Kernel(np.shape(parameters)[1], sigma=sigma)
+    torch.random.set_rng_state(torch_state)
+    p = list(pivots)
+    theta = torch.as_tensor(np.asarray(parameters, float))
+    places = theta[p]
+    left_out = []
+    for s, q in enumerate(grams):
+        others = [k for k, i in enumerate(p) if i != s]
+        if others:
+            indices = [p[k] for k in others]
+            left_out.append(
+                (places[others], theta[s], torch.as_tensor(q[np.ix_(indices, indices)]))
+            )
+    held_out = [
+        (places, torch.as_tensor(np.asarray(t, float)), torch.as_tensor(q[np.ix_(p, p)]))
+        for q, t in validation
+    ]
+
+    def mean_error(sets: list[tuple[Tensor, Tensor, Tensor]]) -> Tensor:
+        errors = []
+        for where, at, q in sets:
+            w = kernel(where, at)
+            errors.append((w @ q @ w).clamp(min=_EXACT).sqrt())
+        return torch.stack(errors).mean()
+
+    if not left_out:  # one pivot that is the only set: its weight is 1 whatever g is
+        return kernel, float("nan")
+    optimiser = torch.optim.Adam(kernel.parameters(), lr=learning_rate, weight_decay=weight_decay)
+    best, best_state = float("inf"), {k: v.clone() for k, v in kernel.state_dict().items()}
+    for _ in range(steps + 1):
+        loss = mean_error(left_out)
+        with torch.no_grad():
+            value = float(mean_error(held_out)) if held_out else float(loss)
+        if value < best or not held_out:
+            best, best_state = value, {k: v.clone() for k, v in kernel.state_dict().items()}
+        optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        optimiser.step()
+    kernel.load_state_dict(best_state)
+    return kernel, best
+
+
+def left_out_errors(
+    kernel: Kernel, grams: Sequence[Array], parameters: Any, pivots: Sequence[int]
+) -> list[float]:
+    """RMSE, metres, of each training set mixed from the pivots other than itself.
+
+    A set that is the only pivot is skipped.
+    """
+    theta, errors = np.asarray(parameters, float), []
+    for s, q in enumerate(grams):
+        others = [i for i in pivots if i != s]
+        if others:
+            weights = kernel.weights(theta[others], theta[s])
+            errors.append(error_of(q[np.ix_(others, others)], weights))
+    return errors
+
+
+def smallest_good(errors: Sequence[float], within: float = 0.02) -> int:
+    """Smallest K (1 for the first entry) whose error is within a fraction of the best.
+
+    Examples
+    --------
+    >>> smallest_good([9.0, 5.05, 5.0, 5.1])
+    2
+    """
+    e = np.asarray(errors, float)
+    return int(np.flatnonzero(e <= (1 + within) * np.nanmin(e))[0]) + 1

@@ -1,0 +1,219 @@
+"""A run: from a store of clips to a checkpoint.
+
+The low-frequency module is trained first, then the high-frequency module on its output.  A run
+that was stopped continues from its folder, bit for bit on the same machine and with the same number
+of threads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ssdr.errors import InputError
+from ssdr.io.atomic import write_bytes
+
+from ..configs.config import Config
+from ..data.clip import MIRRORED
+from ..data.parameters import SimulationParameters
+from ..data.store import ClipStore
+from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
+from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
+from ..networks.network import MotionNetwork
+from .batches import load_tracks
+from .loop import Progress, fit
+from .objectives import HighFrequencyObjective, LowFrequencyObjective
+
+__all__ = ["build_network", "choose_clips", "train"]
+
+
+def choose_clips(
+    store: ClipStore, config: Config, split: str = "train", *, needed: bool = True
+) -> tuple[list[str], SimulationParameters | None]:
+    """Names of the clips of a split that a configuration uses, without mirrored ones.
+
+    Parameters
+    ----------
+    store : ClipStore
+    config : Config
+    split : {"train", "validation", "test"}
+    needed : bool
+        Whether it is an error if there are none.
+
+    Returns
+    -------
+    names : list of str
+    parameters : SimulationParameters or None
+        Those of all the clips; None: those of all training sets.
+
+    Raises
+    ------
+    InputError
+        If there are no such clips and they are needed, or ``data.parameters`` cannot be read.
+    """
+    roles = parameter_roles(store)
+    text, chosen = config.data.parameters, None
+    if text and not config.data.condition:
+        try:
+            bending, density, time_scale = (float(x) for x in text.split(","))
+            chosen = SimulationParameters(bending, density, time_scale)
+        except (TypeError, ValueError) as error:
+            expected = "'bending,density,time_scale'"
+            raise InputError("data.parameters", expected, repr(text)) from error
+    elif not config.data.condition:
+        chosen = store.parameters()[0] if store.parameters() else None
+    names = [
+        c.name
+        for c in store.clips(split)
+        if (c.parameters == chosen if chosen else roles[c.parameters] == "train")
+    ]
+    if needed and not names:
+        raise InputError("store", f"{split} clips of {chosen or 'training sets'}", str(store.path))
+    return names, chosen
+
+
+def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> MotionNetwork:
+    """A network with random weights and the statistics of the named clips."""
+    subject = bones.subject
+    features = PoseFeatures(subject.skeleton, config.features, subject.fps)
+    inputs, transforms = [], []
+    for name in names:
+        x, frame, _ = features(bones.store.clip(name).joints)
+        inputs.append(x)
+        if not name.endswith(MIRRORED):
+            transforms.append(transforms_in_frame(bones.clip(name).transforms, frame))
+    o = config.features
+    normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)
+    network = MotionNetwork(config, subject, normaliser)
+    network.low.code.fit(np.concatenate(transforms))
+    return network
+
+
+def train(
+    store: ClipStore,
+    config: Config,
+    folder: Path | str,
+    *,
+    start: Checkpoint | None = None,
+    bones_folder: Path | str | None = None,
+    callback: Callable[[Progress], bool | None] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Path:
+    """Train both modules of a network; called again, it continues.
+
+    Parameters
+    ----------
+    store : ClipStore
+    config : Config
+    folder : path
+        Of the run: ``checkpoint.safetensors`` and ``history.json`` when it is finished, states and
+        curves before.
+    start : Checkpoint, optional
+        Start from its weights instead of random ones, as pivots do from the base network.
+    bones_folder : path, optional
+        As in :func:`~garmentnet.data.virtual_bones.virtual_bones`.
+    callback : callable, optional
+        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch; returning True
+        stops, to continue later.
+    progress : callable, optional
+        Called during the preparation with a description and the fraction that is done.
+
+    Returns
+    -------
+    Path
+        Of the checkpoint; also written when a callback stops the run.
+
+    Raises
+    ------
+    InputError
+        If the store lacks the clips, the folder holds a run of another
+        configuration or `start` does not fit.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    names, parameters = choose_clips(store, config)
+    # A pivot starts from a trained network; its few clips need not include validation clips.
+    held = choose_clips(store, config, "validation", needed=start is None)[0]
+    mirror = config.data.mirror and store.mirror_vertices is not None
+    learned = names + ([n + MIRRORED for n in names] if mirror else [])
+    _claim(folder, config, learned)
+    o = config.train
+    if o.threads:
+        torch.set_num_threads(o.threads)
+    device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
+    bones = virtual_bones(store, config.bones, folder=bones_folder, progress=progress)
+    bones.prepare([*names, *held], progress)
+    # The initial weights depend on the seed alone, not on what ran before.
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(o.seed)
+        network = build_network(config, bones, learned).to(device)
+    if start is not None:
+        load_weights(network, start, "low")
+    tracks = load_tracks(network, bones, learned)
+    validation = load_tracks(network, bones, held)
+
+    stopped = False
+
+    def after_epoch(p: Progress) -> bool:
+        nonlocal stopped
+        stopped = bool(callback(p)) if callback else False
+        return stopped
+
+    history = {
+        "low": fit(
+            LowFrequencyObjective(network, tracks, validation),
+            o,
+            name="low",
+            epochs=o.epochs,
+            learning_rate=o.learning_rate,
+            folder=folder,
+            callback=after_epoch,
+        )
+    }
+    if not stopped:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(o.seed + 1)
+            network.add_high()
+        objective = HighFrequencyObjective(network, tracks, validation)
+        objective.fit_statistics()
+        if start is not None and start.networks[0].high is not None:
+            load_weights(network, start, "high")
+        history["high"] = fit(
+            objective,
+            o,
+            name="high",
+            epochs=o.high_epochs,
+            learning_rate=o.high_learning_rate,
+            folder=folder,
+            callback=after_epoch,
+        )
+    lines = {k: [dataclasses.asdict(e) for e in v] for k, v in history.items()}
+    write_bytes(folder / "history.json", json.dumps(lines, indent=1).encode())
+    return save_checkpoint(
+        Checkpoint((network,), (parameters,), None), folder / "checkpoint.safetensors"
+    )
+
+
+def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
+    # Settings that do not change the weights may differ from call to call.
+    free = ("patience", "time_limit", "tensorboard", "device", "threads")
+    record = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
+    record["config"]["data"].pop("store")
+    for key in free:
+        record["config"]["train"].pop(key)
+    file = folder / "run.json"
+    if not file.is_file():
+        write_bytes(file, json.dumps(record, indent=1).encode())
+        return
+    try:
+        there = json.loads(file.read_text("utf-8"))
+    except ValueError as error:
+        raise InputError("folder", "a run of this package", f"{file}: {error}") from error
+    if there != record:
+        raise InputError("folder", "a new one, or a run of this configuration and clips", folder)

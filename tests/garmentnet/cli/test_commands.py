@@ -1,0 +1,216 @@
+import json
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+import toy_store as toy
+from typer.testing import CliRunner
+
+from garmentnet.cli import app, main
+from garmentnet.configs import load_config
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.store import ClipStore
+from garmentnet.data.virtual_bones import virtual_bones
+from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from garmentnet.networks.ensemble import Kernel
+from ssdr.errors import FormatError, InputError
+
+RUN = CliRunner()
+BVH = (
+    "HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition "
+    "Zrotation Yrotation Xrotation\n End Site\n {\n  OFFSET 0 1 0\n }\n}\nMOTION\n"
+    "Frames: 2\nFrame Time: 0.0333333\n0 0 0 0 0 0\n0 0 0 0 0 0\n"
+)
+
+
+def call(*arguments):
+    """Run the command in this process; its output, or the error that it raised."""
+    result = RUN.invoke(app, [str(a) for a in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
+    monkeypatch.setenv("GARMENTNET_DATA", str(tmp_path / "data"))
+    (tmp_path / "c.toml").write_text(
+        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
+        "[low]\nhidden = 16\n[high]\nhidden = 8\n"
+        "[train]\nepochs = 2\nhigh_epochs = 1\nthreads = 1\ntensorboard = false\n"
+    )
+    out = call("train", tmp_path / "c.toml", "--store", toy_store.path, "--seed", 3)
+    checkpoint = tmp_path / "data" / "runs" / "c-seed3" / "checkpoint.safetensors"
+    assert out.strip() == str(checkpoint)
+
+    out = call("evaluate", checkpoint, "--store", toy_store.path, "--pictures", 0)
+    assert "Santesteban 2019" in out
+    report = json.loads((tmp_path / "data" / "evaluation" / "report.json").read_text())
+    names = [r["name"] for r in report["unseen_motions"]]
+    assert names[0] == "bones themselves"
+    assert {"mean shape", "body-skinned", "ridge", "Santesteban 2019"} <= set(names)
+
+    motion = toy_store.path / "clips" / "base-test-0"
+    out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")
+    assert "90 frames of vertices" in out
+    with np.load(tmp_path / "dress.npz") as archive:
+        assert any(archive[k].shape == (90, 112, 3) for k in archive.files)
+    with pytest.raises(InputError, match="single network"):
+        call("predict", checkpoint, motion, "--bending", 2, "-o", tmp_path / "dress.npz")
+
+
+def test_clear_errors(toy_run, toy_store, tmp_path):
+    checkpoint = toy_run / "checkpoint.safetensors"
+    with pytest.raises(InputError, match="--store"):
+        call("train", "rooted")
+    with pytest.raises(InputError, match="config"):
+        call("train", "no-such-preset", "--store", toy_store.path)
+    with pytest.raises(FormatError, match="no such folder"):
+        call("train", "rooted", "--store", tmp_path / "nothing")
+    with pytest.raises(InputError, match="output"):
+        call("predict", checkpoint, "m.bvh", "-o", tmp_path / "no" / "folder.gif")
+    with pytest.raises(FormatError, match="setting"):
+        call("train", "rooted", "--store", toy_store.path, "--set", "train.sed=1")
+
+
+def said(capfd, *arguments):
+    """What a user sees of a failure: exit code and the one line on stderr."""
+    code = main([str(a) for a in arguments])
+    lines = [x for x in capfd.readouterr().err.splitlines() if x.startswith("garmentnet: ")]
+    assert len(lines) == 1, lines
+    return code, lines[0]
+
+
+def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
+    """Arguments end with 2, files with 3; each line names what is wrong."""
+    checkpoint = toy_run / "checkpoint.safetensors"
+    joints = np.array(toy_store.clip("base-test-0").joints)
+    joints[3, 1, 0, 3] = np.nan
+    np.savez(tmp_path / "nan.npz", joints=joints)
+    (tmp_path / "hostile.safetensors").write_bytes(pickle.dumps({"format": "garmentnet"}))
+    clip = toy_store.path / "clips" / "base-test-0"
+    out = tmp_path / "x.npz"
+    cases = [
+        (3, r"nan\.npz.* frame 3, joint 1", checkpoint, tmp_path / "nan.npz", "-o", out),
+        (3, r"hostile\.safetensors", tmp_path / "hostile.safetensors", clip, "-o", out),
+        (2, "nothing", tmp_path / "nothing.safetensors", clip, "-o", out),
+        (2, "a suffix of .*mp4", checkpoint, clip, "-o", tmp_path / "x.xyz"),
+        (2, "folder that exists", checkpoint, clip, "-o", tmp_path / "no" / "x.npz"),
+        (2, "single network.*bending 0.5.*bending 2", checkpoint, clip, "--bending", 2, "-o", out),
+        (2, "bending: expected a positive", checkpoint, clip, "--bending", "nan", "-o", out),
+        (2, "--output", checkpoint, clip),
+    ]
+    for code, words, *arguments in cases:
+        got = said(capfd, "predict", *arguments)
+        assert got[0] == code, got
+        assert re.search(words, got[1]), got
+    assert not out.exists()
+    got = said(capfd, "train", "rooted", "--store", toy_run)
+    assert got[0] == 3
+    assert "not a store of clips" in got[1]
+
+
+def test_another_garment_or_skeleton(toy_run, toy_store, tmp_path, capfd):
+    rest, faces, _ = toy.skirt(columns=18)
+    rig, skeleton = toy.body()
+    ClipStore.create(
+        tmp_path / "other", rest=rest, faces=faces, body=rig, skeleton=skeleton, fps=toy.FPS
+    )
+    checkpoint = toy_run / "checkpoint.safetensors"
+    code, line = said(capfd, "evaluate", checkpoint, "--store", tmp_path / "other")
+    assert code == 2
+    assert "the garment of" in line
+    # The toy's joints are none that motion capture could move.
+    (tmp_path / "m.bvh").write_text(BVH)
+    code, line = said(capfd, "predict", checkpoint, tmp_path / "m.bvh", "-o", tmp_path / "x.npz")
+    assert code == 2
+    assert re.search("skeleton: expected joints arm_l.* got joints root, leg_l, leg_r", line)
+
+
+def test_what_lies_outside_is_said(toy_run, toy_store, tmp_path, capfd):
+    network = load_checkpoint(toy_run / "checkpoint.safetensors").networks[0]
+    pair = Checkpoint((network, network), (toy.BASE, SimulationParameters(bending=2.0)), Kernel())
+    path = save_checkpoint(pair, tmp_path / "pair.safetensors")
+    assert path.stat().st_mode & 0o777 == (toy_store.path / "zarr.json").stat().st_mode & 0o777
+    clip = toy_store.path / "clips" / "base-test-0"
+    assert (
+        main(["predict", str(path), str(clip), "--bending", "5", "-o", str(tmp_path / "x.npz")])
+        == 0
+    )
+    err = capfd.readouterr().err
+    assert "warning: extrapolated: bending 5, trained from 0.5 to 2" in err
+    assert "of bending 5, density 0.2, time scale 1" in err
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL here")
+def test_killed_training_goes_on(toy_store, tmp_path):
+    """A real process, killed in the first module and again in the second."""
+    (tmp_path / "c.toml").write_text(
+        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
+        "[low]\nhidden = 16\n[high]\nhidden = 8\n"
+        "[train]\nepochs = 40\nhigh_epochs = 20\nthreads = 1\ntensorboard = false\n"
+        "device = 'cpu'\n"
+    )
+    given = [str(tmp_path / "c.toml"), "--store", str(toy_store.path)]
+    call("train", *given, "-o", tmp_path / "whole")
+    cut = tmp_path / "cut"
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    for state in ("low", "high"):
+        process = subprocess.Popen(
+            [sys.executable, "-m", "garmentnet.cli", "train", *given, "-o", str(cut)],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        deadline = time.monotonic() + 300
+        while not (cut / f"{state}.state.safetensors").exists():
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        process.kill()
+        process.wait()
+        assert not (cut / "checkpoint.safetensors").exists()
+    call("train", *given, "-o", cut)
+    name = "checkpoint.safetensors"
+    assert (cut / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_limit_of_a_file_while_training(toy_store, tmp_path):
+    """A disk that takes no more: a state that cannot be written, and the one before it kept."""
+    resource = pytest.importorskip("resource")
+    (tmp_path / "c.toml").write_text(
+        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
+        "[low]\nhidden = 128\n[high]\nhidden = 8\n[train]\nepochs = 1\nhigh_epochs = 1\n"
+        "threads = 1\ntensorboard = false\ndevice = 'cpu'\n"
+    )
+    virtual_bones(toy_store, load_config(str(tmp_path / "c.toml")).bones)
+    arguments = ["train", str(tmp_path / "c.toml"), "--store", str(toy_store.path)]
+    # In a process of its own: the limit cannot be lifted again everywhere.
+    code = (
+        "import resource, signal, sys\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY))\n"
+        "from garmentnet.cli import main\n"
+        f"sys.exit(main({[*arguments, '-o', str(tmp_path / 'run')]!r}))\n"
+    )
+    assert resource.RLIMIT_FSIZE
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
+    )
+    assert done.returncode == 1, done.stderr
+    assert re.search(r"low\.state\.safetensors: could not be written", done.stderr)
+    assert [p.name for p in (tmp_path / "run").iterdir()] == ["run.json"]

@@ -1,0 +1,56 @@
+"""Presets, files that cannot be read, and changes on the command line."""
+
+# ruff: noqa: E402
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+
+from garmentnet.configs import Config, load_config, override, preset_names
+from ssdr.errors import FormatError, InputError
+
+
+def test_presets_are_complete():
+    # A commented line for every default: nothing is set that no line explains.
+    import tomllib
+    from importlib import resources
+
+    assert {"faithful", "rooted"} <= set(preset_names())
+    plain = Config().as_dict()
+    for name in preset_names():
+        text = resources.files("garmentnet.configs").joinpath(f"{name}.toml").read_text()
+        table = tomllib.loads(text)
+        for section, part in plain.items():
+            assert set(table[section]) == set(part), (name, section)
+        lines = [x for x in text.splitlines() if " = " in x and not x.startswith("#")]
+        assert all("# " in x for x in lines)
+    assert load_config("faithful") == Config()
+
+
+def test_bad_configurations(tmp_path):
+    file = tmp_path / "c.toml"
+    for text, what in (
+        ("[low]\nwidth = 3", "width"),
+        ("[low]\nhidden = 'wide'", "hidden"),
+        ("[features]\nrotation = 'quaternion'", "rotation"),
+        ("low = 3", "low"),
+        ("[low", "TOML"),
+        ("[high]\nedge_features = [8, 'x']", "edge_features"),
+    ):
+        file.write_text(text)
+        with pytest.raises(FormatError, match=what):
+            load_config(file)
+    file.write_text("[low]\nhidden = 0")
+    with pytest.raises(InputError, match="hidden"):
+        load_config(file)
+    with pytest.raises(InputError, match="config"):
+        load_config(tmp_path / "nothing.toml")
+
+
+def test_override():
+    c = override(Config(), ["train.seed=3", "low.rotation=sixd", "high.mlp=[16, 16]"])
+    assert (c.train.seed, c.low.rotation, c.high.mlp) == (3, "sixd", (16, 16))
+    for wrong in ("train.sed=3", "seed=3", "train.seed"):
+        with pytest.raises(FormatError):
+            override(Config(), [wrong])

@@ -1,0 +1,323 @@
+"""The store of clips: what is read is what was written, and damage is named."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("zarr")
+
+import ssdr
+from garmentnet.data.clip import MIRRORED, Clip
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.skeleton import Skeleton
+from garmentnet.data.store import ClipStore
+from ssdr.errors import FormatError, InputError
+from ssdr.rigid import matrix_from_quaternion
+
+NAMES = ("pelvis", "thigh_l", "thigh_r")
+PARENTS = np.array([-1, 0, 0])
+HEADS = np.array([[0.0, 1.0, 0.0], [0.1, 0.9, 0.0], [-0.1, 0.9, 0.0]])
+
+
+def skeleton() -> Skeleton:
+    return Skeleton(NAMES, PARENTS, HEADS)
+
+
+def body() -> ssdr.Skinning:
+    rest = np.concatenate([HEADS, HEADS + np.array([0.0, 0.0, 0.1])]).astype(np.float32)
+    identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, 3, 3, 4))
+    joints = np.tile(np.arange(3), 2)[:, None]
+    return ssdr.Skinning(
+        rest, joints, np.ones((6, 1), np.float32), identity, faces=[[0, 1, 2]], bone_names=NAMES
+    )
+
+
+# A strip, symmetric in x: 0 <-> 1, 2 <-> 3, 4 in the middle.
+GARMENT = np.array([[1, 0, 0], [-1, 0, 0], [1, 1, 0], [-1, 1, 0], [0, 2, 0]], dtype=np.float32)
+FACES = np.array([[0, 3, 1], [0, 2, 3], [2, 4, 3]])
+SYMMETRIC_FACES = np.array([[2, 4, 3], [0, 2, 4], [1, 4, 3]])
+MIRROR = np.array([1, 0, 3, 2, 4])
+
+
+def random_pose(rng: np.random.Generator, frames: int) -> np.ndarray:
+    rotations = matrix_from_quaternion(rng.normal(size=(frames, 3, 4)))
+    return skeleton().transforms(rng.normal(size=(frames, 3)), rotations)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> ClipStore:
+    return ClipStore.create(
+        tmp_path / "clips",
+        rest=GARMENT,
+        faces=SYMMETRIC_FACES,
+        body=body(),
+        skeleton=skeleton(),
+        mirror_vertices=MIRROR,
+        pinned=[False, False, False, False, True],
+        attributes={"scene": "strip"},
+    )
+
+
+def arguments(rng: np.random.Generator, frames: int = 70, **changes: Any) -> dict[str, Any]:
+    return {
+        "vertices": rng.normal(size=(frames, 5, 3)).astype(np.float32),
+        "joints": random_pose(rng, frames).astype(np.float32),
+        "classes": rng.integers(0, 5, frames),
+        "split": "train",
+        "motion": "dance-1",
+        "parameters": SimulationParameters(),
+        "seed": 7,
+        "quality": {"accepted": True, "reason": ""},
+        "provenance": {"scene": "strip"},
+        **changes,
+    }
+
+
+def test_reads_what_was_written(store: ClipStore, rng: np.random.Generator) -> None:
+    given = arguments(rng)
+    store.add("a-1", **given)
+    again = ClipStore.open(store.path)
+    assert again.names() == ("a-1",)
+    clip = again.clip("a-1")
+    assert clip.sequence.is_lazy
+    assert clip.sequence.fps == 30.0
+    np.testing.assert_array_equal(clip.sequence.frames(slice(None)), given["vertices"])
+    np.testing.assert_array_equal(clip.sequence.frames([33, 2]), given["vertices"][[33, 2]])
+    np.testing.assert_array_equal(clip.joints, given["joints"])
+    np.testing.assert_array_equal(clip.classes, given["classes"])
+    assert (clip.split, clip.motion, clip.seed) == ("train", "dance-1", 7)
+    assert clip.parameters == SimulationParameters()
+    np.testing.assert_array_equal(again.rest, GARMENT)
+    np.testing.assert_array_equal(again.pinned, [0, 0, 0, 0, 1])
+    assert again.skeleton.names == NAMES
+    assert again.attributes == {"scene": "strip"}
+    naive = np.einsum(
+        "fvab,vb->fva",
+        clip.joints[:, body().joints[:, 0]].astype(float),
+        np.c_[body().rest, np.ones(6)],
+    )
+    np.testing.assert_allclose(clip.body(), naive, atol=1e-5)
+
+
+def test_names_choose(store: ClipStore, rng: np.random.Generator) -> None:
+    soft = SimulationParameters(bending=0.2)
+    store.add("a", **arguments(rng, 3))
+    store.add("b", **arguments(rng, 3, split="test", parameters=soft))
+    store.add("c", **arguments(rng, 3, quality={"accepted": False, "reason": "stretch"}))
+    store.add("a-moved", **arguments(rng, 3, perturbation=1e-3, provenance={"repeat_of": "a"}))
+    assert store.names() == ("a", "b")
+    assert store.names("test") == ("b",)
+    assert store.names(parameters=soft) == ("b",)
+    assert store.names(accepted=False) == ("c",)
+    assert store.names(accepted=None, perturbed=None) == ("a", "a-moved", "b", "c")
+    assert store.pairs() == (("a", "a-moved"),)
+    assert set(store.parameters()) == {soft, SimulationParameters()}
+    assert store.clip("c").quality["reason"] == "stretch"
+    with pytest.raises(InputError, match="split"):
+        store.names("all")  # type: ignore[arg-type]
+
+
+def test_mirrored_twice_is_the_clip(store: ClipStore, rng: np.random.Generator) -> None:
+    clip = store.add("a", **arguments(rng))
+    other = clip.mirrored()
+    assert other.name == "a" + MIRRORED
+    assert other.mirrored_of == "a"
+    assert clip.mirrored_of is None
+    given = clip.sequence.frames(slice(None))
+    seen = store.clip("a" + MIRRORED).sequence.frames(slice(None))
+    np.testing.assert_array_equal(seen, given[:, MIRROR] * [-1, 1, 1])
+    np.testing.assert_array_equal(other.sequence.frames(40), seen[40])
+    np.testing.assert_array_equal(other.sequence.vertices[3:5, 2], seen[3:5, 2])
+    np.testing.assert_array_equal(other.mirrored().sequence.frames(slice(None)), given)
+    np.testing.assert_array_equal(other.mirrored().joints, clip.joints)
+    rotation = other.joints[..., :3].astype(float)
+    np.testing.assert_allclose(np.linalg.det(rotation), 1, atol=1e-5)
+    # The body's mesh is symmetric under the joints' permutation, so its pose reflects as well.
+    np.testing.assert_allclose(
+        other.body(), clip.body()[:, [0, 2, 1, 3, 5, 4]] * [-1, 1, 1], atol=1e-6
+    )
+
+
+def test_mirror_needs_symmetry(tmp_path: Path, rng: np.random.Generator) -> None:
+    given = {"rest": GARMENT, "faces": FACES, "body": body(), "skeleton": skeleton()}
+    plain = ClipStore.create(tmp_path / "plain", **given)
+    with pytest.raises(InputError, match="symmetric"):
+        plain.add("a", **arguments(rng, 2)).mirrored()
+    for bad in ([1, 0, 3, 2, 2], [1, 2, 3, 4, 0], MIRROR):
+        with pytest.raises(InputError, match="mirror_vertices"):
+            ClipStore.create(tmp_path / "other", **given, mirror_vertices=bad)
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"vertices": np.zeros((3, 4, 3))}, "vertices"),
+        ({"vertices": np.full((3, 5, 3), np.nan)}, "vertices"),
+        ({"joints": np.zeros((3, 3, 3, 3))}, "joints"),
+        ({"joints": np.full((3, 3, 3, 4), np.inf)}, "joints"),
+        ({"classes": [0, 1]}, "classes"),
+        ({"classes": [0, 1, 99]}, "classes"),
+        ({"split": "all"}, "split"),
+        ({"quality": {}}, "quality"),
+    ],
+)
+def test_add_refuses(
+    store: ClipStore, rng: np.random.Generator, change: dict[str, Any], word: str
+) -> None:
+    with pytest.raises(InputError, match=word):
+        store.add("a", **{**arguments(rng, 3), **change})
+    assert store.names(accepted=None, perturbed=None) == ()
+    assert list((store.path / "clips").iterdir()) == []
+
+
+def test_names_stay_in_the_folder(store: ClipStore, rng: np.random.Generator) -> None:
+    for name in ("../a", ".a", "a/b", ""):
+        with pytest.raises(InputError, match="name"):
+            store.add(name, **arguments(rng, 2))
+        with pytest.raises(InputError, match="name"):
+            store.clip(name)
+    store.add("a", **arguments(rng, 2))
+    with pytest.raises(InputError, match="not in the store"):
+        store.add("a", **arguments(rng, 2))
+
+
+def test_half_written_clips_are_not_seen(
+    store: ClipStore, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = arguments(rng)
+
+    def full(*args: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("garmentnet.data.store.os.replace", full)
+    with pytest.raises(OSError, match="No space"):
+        store.add("a", **given)
+    monkeypatch.undo()
+    assert list((store.path / "clips").iterdir()) == []
+    # What a killed process leaves: a temporary name, whole or not.
+    store.add("b", **given)
+    shutil.copytree(store.path / "clips" / "b", store.path / "clips" / ".c.123-abc")
+    assert store.names() == ("b",)
+    assert store.sweep() == 1
+    assert store.names() == ("b",)
+
+
+def test_the_same_bytes_twice(tmp_path: Path) -> None:
+    def make(name: str) -> dict[str, bytes]:
+        rng = np.random.default_rng(3)
+        made = ClipStore.create(
+            tmp_path / name, rest=GARMENT, faces=FACES, body=body(), skeleton=skeleton()
+        )
+        made.add("a", **arguments(rng))
+        folder = made.path / "clips"
+        return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.*")}
+
+    assert make("one") == make("two")
+
+
+def read_whole(clip: Clip) -> None:
+    assert clip.classes.shape == clip.joints.shape[:1] == (70,)
+    clip.sequence.frames(slice(None))
+
+
+def chunk_files(store: ClipStore, array: str) -> list[Path]:
+    return sorted(p for p in (store.path / "clips/a" / array / "c").rglob("*") if p.is_file())
+
+
+def damage_flip(store: ClipStore) -> None:
+    path = chunk_files(store, "vertices")[1]
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def damage_cut(store: ClipStore) -> None:
+    path = chunk_files(store, "vertices")[0]
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def damage_missing(store: ClipStore) -> None:
+    chunk_files(store, "vertices")[1].unlink()
+
+
+def damage_joints(store: ClipStore) -> None:
+    chunk_files(store, "joints")[0].unlink()
+
+
+def damage_classes(store: ClipStore) -> None:
+    chunk_files(store, "classes")[0].unlink()
+
+
+def damage_json(store: ClipStore) -> None:
+    path = store.path / "clips/a/zarr.json"
+    path.write_text(path.read_text()[:50])
+
+
+def damage_frames(store: ClipStore) -> None:
+    path = store.path / "clips/a/zarr.json"
+    stated = json.loads(path.read_text())
+    stated["attributes"]["frames"] = 71
+    path.write_text(json.dumps(stated))
+
+
+def damage_parameters(store: ClipStore) -> None:
+    path = store.path / "clips/a/zarr.json"
+    stated = json.loads(path.read_text())
+    stated["attributes"]["parameters"]["bending"] = -1
+    path.write_text(json.dumps(stated))
+
+
+def damage_array(store: ClipStore) -> None:
+    shutil.rmtree(store.path / "clips/a/vertices")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        damage_flip,
+        damage_cut,
+        damage_missing,
+        damage_joints,
+        damage_classes,
+        damage_json,
+        damage_frames,
+        damage_parameters,
+        damage_array,
+    ],
+)
+def test_damage_is_named(store: ClipStore, rng: np.random.Generator, damage: Any) -> None:
+    store.add("a", **arguments(rng))
+    damage(store)
+    with pytest.raises(FormatError, match=re.escape(str(store.path / "clips" / "a"))):
+        read_whole(ClipStore.open(store.path).clip("a"))
+
+
+def test_foreign_folders(tmp_path: Path, store: ClipStore) -> None:
+    with pytest.raises(FormatError, match="no such folder"):
+        ClipStore.open(tmp_path / "nothing")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FormatError, match="empty"):
+        ClipStore.open(tmp_path / "empty")
+    (store.path / "body.npz").write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(FormatError, match="body"):
+        ClipStore.open(store.path)
+
+
+def test_create_again_opens_the_same_garment(store: ClipStore) -> None:
+    given = {
+        "faces": SYMMETRIC_FACES,
+        "body": body(),
+        "skeleton": skeleton(),
+        "pinned": [False, False, False, False, True],
+    }
+    assert ClipStore.create(store.path, rest=GARMENT, **given).names() == ()
+    with pytest.raises(InputError, match="this garment"):
+        ClipStore.create(store.path, rest=GARMENT * 2, **given)

@@ -1,0 +1,57 @@
+# ruff: noqa: E402
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import ssdr
+from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge, body_skinning
+
+TRAIN = [f"base-train-{k}" for k in range(8)]
+HELD = ["base-validation-0", "base-validation-1"]
+
+
+def rmse(a, b):
+    return float(np.sqrt(((a - b) ** 2).sum(-1).mean()))
+
+
+def test_mean_shape_is_the_best_fixed_shape(toy_bones, toy_store):
+    clip = toy_store.clip(TRAIN[0])
+    whole = clip.sequence.frames(slice(None))
+    mean = MeanShape(toy_bones, [TRAIN[0]])
+    best = rmse(mean.predict(clip.joints), whole)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        mean.shape = mean.shape + 5e-3 * rng.normal(size=mean.shape.shape)
+        assert rmse(mean.predict(clip.joints), whole) > best
+
+
+def test_body_skinned_is_the_rest_pose_at_rest(toy_store):
+    rest = np.tile(np.eye(3, 4), (1, 3, 1, 1))
+    assert np.abs(BodySkinned(toy_store).predict(rest)[0] - toy_store.rest).max() < 1e-6
+    s = body_skinning(toy_store)
+    assert np.allclose(s.weights.sum(axis=1), 1)
+    # The hem hangs where the legs are, the waist at the root.
+    dense = s.dense_weights()
+    assert dense[:16, 0].mean() > dense[-16:, 0].mean()
+
+
+def test_ridge_finds_a_linear_rule(toy_bones, toy_store):
+    # Bones that follow the pose at once: what a static regression can tell exactly.
+    import copy
+
+    fake = copy.copy(toy_bones)
+    kept = {n: toy_bones.clip(n) for n in (*TRAIN[:3], *HELD)}
+    import dataclasses
+
+    def posed(name):
+        joints = toy_store.clip(name).joints
+        moved = np.repeat(joints[:, :1], toy_bones.skinning.n_bones, axis=1)
+        return dataclasses.replace(kept[name], transforms=moved.astype(np.float32))
+
+    object.__setattr__(fake, "clip", posed)
+    ridge = Ridge(fake, TRAIN[:3], HELD)
+    ridge.high = 0 * ridge.high
+    s = toy_bones.skinning
+    expected = ssdr.skin(s.rest, s.joints, s.weights, posed(HELD[0]).transforms)
+    assert rmse(ridge.predict(toy_store.clip(HELD[0]).joints), expected) < 5e-3

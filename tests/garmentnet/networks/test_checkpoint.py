@@ -1,0 +1,180 @@
+# ruff: noqa: E402
+import dataclasses
+import json
+import struct
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import toy_store as toy
+
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.data.skeleton import Skeleton
+from garmentnet.data.store import ClipStore
+from garmentnet.networks.checkpoint import (
+    Checkpoint,
+    load_checkpoint,
+    load_tensors,
+    load_weights,
+    save_checkpoint,
+    save_tensors,
+)
+from garmentnet.networks.ensemble import Kernel
+from ssdr.errors import FormatError, InputError, SsdrError
+
+
+@pytest.fixture(scope="module")
+def file(toy_run):
+    return toy_run / "checkpoint.safetensors"
+
+
+def altered(file, target, change):
+    """The same tensors under a document that was tampered with."""
+    tensors, documents = load_tensors(file, ("checkpoint",))
+    change(tensors, documents["checkpoint"])
+    save_tensors(target, tensors, documents)
+    return target
+
+
+def test_round_trip(file, toy_network, toy_store, tmp_path):
+    again = save_checkpoint(toy_network, tmp_path / "again.safetensors")
+    assert again.read_bytes() == file.read_bytes()
+    joints = toy_store.clip("base-test-1").joints[:15]
+    assert np.array_equal(load_checkpoint(again).predict(joints), toy_network.predict(joints))
+    assert toy_network.parameters == (toy.BASE,)
+    toy_network.check_fits(toy_store)
+
+
+def test_it_holds_no_path_of_this_machine(file, toy_store):
+    assert str(toy_store.path.parent).encode() not in file.read_bytes()
+
+
+def test_ensemble_round_trip(toy_network, toy_store, tmp_path):
+    network = toy_network.networks[0]
+    other = SimulationParameters(bending=2.0)
+    both = Checkpoint((network, network), (toy.BASE, other), Kernel(sigma=0.7))
+    loaded = load_checkpoint(save_checkpoint(both, tmp_path / "e.safetensors"))
+    assert loaded.kernel is not None
+    assert loaded.kernel.sigma == 0.7
+    theta = SimulationParameters(bending=1.0)
+    joints = toy_store.clip("base-test-1").joints[:5]
+    assert np.array_equal(loaded.predict(joints, theta), both.predict(joints, theta))
+
+
+def test_another_garment_or_skeleton(toy_network, tmp_path):
+    rest, faces, mirror = toy.skirt(columns=18)
+    rig, skeleton = toy.body()
+    common = {"body": rig, "skeleton": skeleton, "fps": toy.FPS}
+    other = ClipStore.create(tmp_path / "a", rest=rest, faces=faces, **common)
+    with pytest.raises(InputError, match="garment"):
+        toy_network.check_fits(other)
+    rest, faces, mirror = toy.skirt()
+    tall = Skeleton(skeleton.names, skeleton.parents, skeleton.rest * 1.1)
+    other = ClipStore.create(
+        tmp_path / "b",
+        rest=rest,
+        faces=faces,
+        mirror_vertices=mirror,
+        body=rig,
+        skeleton=tall,
+        fps=toy.FPS,
+    )
+    with pytest.raises(InputError, match="body"):
+        toy_network.check_fits(other)
+    slow = ClipStore.create(tmp_path / "c", rest=rest, faces=faces, **(common | {"fps": 60.0}))
+    with pytest.raises(InputError, match="fps"):
+        toy_network.check_fits(slow)
+
+
+def test_start_from_another_network(toy_network, toy_faithful):
+    with pytest.raises(InputError, match="configuration"):
+        load_weights(toy_faithful.networks[0], toy_network, "low")
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(InputError, match="nothing"):
+        load_checkpoint(tmp_path / "nothing.safetensors")
+
+
+def test_hostile_bytes(file, tmp_path):
+    good, bad = file.read_bytes(), tmp_path / "bad.safetensors"
+    import pickle
+
+    cases = [
+        b"",
+        b"\x00" * 64,
+        good[:200],
+        good[:-7],
+        b"PK\x03\x04" + good,
+        pickle.dumps({"format": "garmentnet"}),
+        struct.pack("<Q", 1 << 60) + b"{}",
+    ]
+    for data in cases:
+        bad.write_bytes(data)
+        with pytest.raises(FormatError, match=r"bad\.safetensors"):
+            load_checkpoint(bad)
+
+
+def test_other_safetensors(file, tmp_path):
+    from safetensors.torch import save_file
+
+    path = tmp_path / "other.safetensors"
+    save_file({"weight": torch.zeros(2)}, str(path))
+    with pytest.raises(FormatError, match="garmentnet"):
+        load_checkpoint(path)
+    save_file({"weight": torch.zeros(2)}, str(path), metadata={"garmentnet": json.dumps({})})
+    with pytest.raises(FormatError, match="checkpoint"):
+        load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t, d: d.update(format="other"),
+        lambda t, d: d.update(version=99),
+        lambda t, d: d.pop("networks"),
+        lambda t, d: d["networks"][0]["config"]["low"].update(hidden=10**9),
+        lambda t, d: d["networks"][0]["config"]["high"].update(hidden=10**9),
+        lambda t, d: d["networks"][0]["config"]["high"].update(global_features=10**9),
+        lambda t, d: d["networks"][0]["config"]["high"].update(edge_features=[10**9]),
+        lambda t, d: d["networks"][0]["config"]["high"].update(mlp=[10**9]),
+        lambda t, d: d["networks"][0]["config"]["low"].update(rotation="euler"),
+        lambda t, d: d["networks"][0]["config"].update(surprise=1),
+        lambda t, d: d["networks"][0].update(parameters={"bending": -1}),
+        lambda t, d: d["networks"].append(d["networks"][0]),
+        lambda t, d: d.update(kernel={"sizes": [3, 10**9, 4], "sigma": 1.0}),
+        lambda t, d: t.pop("network.0.low.out.bias"),
+        lambda t, d: t.update({"garment.joints": t["garment.joints"] + 1000}),
+        lambda t, d: t.update({"garment.rest": t["garment.rest"][:5]}),
+        lambda t, d: t.update({"body.rest": t["body.rest"] + 1}),
+        lambda t, d: t.update({"skeleton.parents": t["skeleton.parents"] * 0}),
+        lambda t, d: t["network.0.low.out.bias"].fill_(float("nan")),
+        lambda t, d: t.update({"network.0.low.code.centres": torch.zeros(10**7, 3)}),
+        lambda t, d: t.update({"network.0.features.mean": torch.zeros(3)}),
+    ],
+)
+def test_contradictions(file, tmp_path, change):
+    path = altered(file, tmp_path / "changed.safetensors", change)
+    with pytest.raises(FormatError, match=r"changed\.safetensors"):
+        load_checkpoint(path)
+
+
+def test_full_disk_leaves_the_old_file(file, toy_network, tmp_path, monkeypatch):
+    import safetensors.torch
+
+    path = tmp_path / "kept.safetensors"
+    save_checkpoint(toy_network, path)
+    before = path.read_bytes()
+
+    def full(tensors, name, metadata=None):
+        with open(name, "wb") as f:
+            f.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(safetensors.torch, "save_file", full)
+    with pytest.raises(SsdrError, match=r"kept\.safetensors: could not be written: No space left"):
+        save_checkpoint(dataclasses.replace(toy_network), path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["kept.safetensors"]

@@ -1,0 +1,72 @@
+"""The kernel, and networks mixed by it."""
+
+# ruff: noqa: E402
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+
+from garmentnet.networks.ensemble import Ensemble, Kernel
+from ssdr.errors import InputError
+
+
+def test_weights_are_convex_and_smooth():
+    kernel = Kernel(2, sigma=0.5)
+    pivots = np.array([[-1.0, 0], [0, 0.5], [1, 0]])
+    sweep = np.stack([np.linspace(-1.5, 1.5, 61), np.zeros(61)], axis=1)
+    w = np.stack([kernel.weights(pivots, t) for t in sweep])
+    assert w.min() >= 0
+    assert np.allclose(w.sum(axis=1), 1)
+    assert np.abs(np.diff(w, axis=0)).max() < 0.1
+    # The formula itself.
+    g = kernel.g(torch.from_numpy(pivots)).detach().numpy()
+    at = kernel.g(torch.from_numpy(sweep[7])).detach().numpy()
+    psi = np.exp(-((g - at) ** 2).sum(axis=1) / (2 * 0.5**2))
+    assert np.allclose(w[7], psi / psi.sum())
+
+
+def test_far_away_weights_do_not_underflow():
+    kernel = Kernel(1, sigma=1e-4)
+    w = kernel.weights(np.array([[-1.0], [1.0]]), np.array([0.9]))
+    assert np.allclose(w, [0, 1])
+
+
+def test_mixed_bones_are_mixed_meshes(toy_network, toy_store):
+    network = toy_network.networks[0]
+    import copy
+
+    other = copy.deepcopy(network)
+    with torch.no_grad():
+        for p in other.low.parameters():
+            p.add_(0.02 * torch.randn(p.shape, generator=torch.Generator().manual_seed(1)))
+    theta = np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    ensemble = Ensemble((network, other), theta, Kernel())
+    joints = toy_store.clip("base-test-0").joints[:20]
+    w = ensemble.weights([0.3, 0.0, 0.0])
+    mixed = sum(
+        a * n.predict(joints, detail=False) for a, n in zip(w, ensemble.networks, strict=True)
+    )
+    assert np.abs(ensemble.predict(joints, [0.3, 0, 0], detail=False) - mixed).max() < 2e-6
+    full = sum(a * n.predict(joints) for a, n in zip(w, ensemble.networks, strict=True))
+    whole = ensemble.predict(joints, [0.3, 0, 0])
+    assert np.abs(whole - full).max() < 2e-6
+    state, steps = None, []
+    for pose in joints:
+        state, vertices = ensemble.step(state, pose, [0.3, 0, 0])
+        steps.append(vertices)
+    assert np.abs(np.stack(steps) - whole).max() < 3e-6
+
+
+def test_pivots_must_share_their_bones(toy_network):
+    import copy
+
+    network = toy_network.networks[0]
+    other = copy.deepcopy(network)
+    g = network.subject.garment
+    moved = dataclasses.replace(g, rest=g.rest + np.float32(0.1))
+    other.subject = dataclasses.replace(network.subject, garment=moved)
+    with pytest.raises(InputError, match="rest pose"):
+        Ensemble((network, other), np.zeros((2, 3)), Kernel())

@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+import toy_store as toy
+from scipy.spatial.transform import Rotation
+
+from garmentnet.configs import FeatureOptions, load_config
+from garmentnet.data.skeleton import check_joints
+from garmentnet.networks.features import Normaliser, PoseFeatures
+from ssdr.errors import InputError
+
+FAITHFUL, ROOTED = load_config("faithful").features, load_config("rooted").features
+
+
+@pytest.fixture(scope="module")
+def moved():
+    _, skeleton = toy.body()
+    joints, heading, _ = toy.motion(np.random.default_rng(0), 40, skeleton)
+    return skeleton, joints, heading
+
+
+@pytest.mark.parametrize("options", [FAITHFUL, ROOTED])
+def test_pieces_give_the_same(moved, options):
+    skeleton, joints, _ = moved
+    features = PoseFeatures(skeleton, options, toy.FPS)
+    whole, frame, _ = features(joints)
+    assert whole.shape == (40, features.size)
+    for size in (1, 7):
+        state, parts, frames = None, [], []
+        for i in range(0, 40, size):
+            x, f, state = features(joints[i : i + size], state)
+            parts.append(x)
+            frames.append(f)
+        assert np.array_equal(np.concatenate(parts), whole)
+        assert np.array_equal(np.concatenate(frames), frame)
+
+
+def world(joints, angle, shift):
+    """The same motion elsewhere on the floor and facing elsewhere."""
+    turn = Rotation.from_euler("y", angle).as_matrix()
+    out = turn @ joints
+    out[..., 3] += shift
+    return out, turn
+
+
+@pytest.mark.parametrize("angle", [0.3, 2.0, -3.1])
+def test_rooted_does_not_see_place_and_heading(moved, angle):
+    skeleton, joints, _ = moved
+    features = PoseFeatures(skeleton, ROOTED, toy.FPS)
+    x, frame, _ = features(joints)
+    shift = np.array([3.0, 0.0, -2.0])
+    there, turn = world(joints, angle, shift)
+    y, other, _ = features(there)
+    # Speeds divide differences of rounding by 1/30 s, twice for acceleration.
+    assert np.abs(x - y).max() < 1e-8
+    assert np.allclose(other[..., :3], turn @ frame[..., :3], atol=1e-12)
+    assert np.allclose(other[..., 3], frame[..., 3] @ turn.T + shift, atol=1e-12)
+
+
+def test_faithful_sees_heading_but_not_where_it_starts(moved):
+    skeleton, joints, _ = moved
+    features = PoseFeatures(skeleton, FAITHFUL, toy.FPS)
+    x, _, _ = features(joints)
+    assert np.abs(features(world(joints, 0.0, [1.0, 2.0, 3.0])[0])[0] - x).max() < 1e-12
+    assert np.abs(features(world(joints, 1.0, 0.0)[0])[0] - x).max() > 0.5
+
+
+def test_vector_features_are_relative_rotations(moved):
+    skeleton, joints, _ = moved
+    x, _, _ = PoseFeatures(skeleton, FAITHFUL, toy.FPS)(joints)
+    leg = joints[5, 0, :, :3].T @ joints[5, 1, :, :3]
+    assert np.allclose(x[5, 6:9], Rotation.from_matrix(leg).as_rotvec(), atol=1e-12)
+    assert np.allclose(x[5, 3:6], Rotation.from_matrix(joints[5, 0, :, :3]).as_rotvec())
+    place = joints[:, 0, :, :3] @ skeleton.rest[0] + joints[:, 0, :, 3]
+    assert np.allclose(x[:, :3], place - place[0])
+
+
+def test_root_motion_of_a_steady_spin():
+    _, skeleton = toy.body()
+    time = np.arange(20) / toy.FPS
+    rotations = np.tile(np.eye(3), (20, 3, 1, 1))
+    rotations[:, 0] = Rotation.from_euler("y", 2.0 * time[:, None]).as_matrix()
+    place = np.stack([0.5 * time, 0 * time + 1, 0 * time], axis=1)
+    options = FeatureOptions(
+        rotation="sixd", heading_free=True, translation=False, root_motion=True, frame="heading"
+    )
+    x, _, _ = PoseFeatures(skeleton, options, toy.FPS)(skeleton.transforms(place, rotations))
+    velocity, change, spin, square = (x[:, -12 + 3 * k :][:, :3] for k in range(4))
+    assert np.allclose(np.linalg.norm(velocity[1:], axis=1), 0.5)
+    assert np.allclose(change[2:], 0, atol=1e-9)
+    assert np.allclose(spin[1:], [0, 2, 0], atol=1e-9)
+    assert np.allclose(square[1:], [0, 4, 0], atol=1e-8)
+    assert np.allclose(velocity[0], 0)
+    assert np.allclose(spin[0], 0)
+
+
+def test_normaliser_floors_and_clamps():
+    rng = np.random.default_rng(0)
+    x = np.stack([rng.normal(size=500) * 3 + 1, np.full(500, 2.0)], axis=1)
+    n = Normaliser.fit([x[:200], x[200:]], floor=0.01, clamp=5.0)
+    assert np.allclose(n.mean, x.mean(axis=0))
+    assert np.allclose(n.deviation[0], x[:, 0].std())
+    assert n.deviation[1] == 0.01
+    assert np.allclose(n(np.array([[1e9, 3.0]])), [[5.0, 5.0]])
+    plain = Normaliser.fit([x], floor=0.0, clamp=0.0)
+    assert plain.deviation[1] == 1.0
+    assert plain(np.array([[1e9, 3.0]]))[0, 0] > 1e8
+
+
+def test_bad_joints(moved):
+    _, joints, _ = moved
+    broken = joints.copy()
+    broken[3, 1, 0, 0] = np.nan
+    with pytest.raises(InputError, match="frame 3, joint 1"):
+        check_joints(broken, 3)
+    with pytest.raises(InputError, match="shape"):
+        check_joints(joints[:, :2], 3)
+    with pytest.raises(InputError, match="rigid"):
+        check_joints(joints * np.array([-1, 1, 1, 1]), 3)
+    with pytest.raises(InputError, match="shape"):
+        check_joints(joints[:0], 3)

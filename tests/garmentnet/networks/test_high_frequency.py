@@ -1,0 +1,73 @@
+"""EdgeConv against loops, and the high-frequency module."""
+
+# ruff: noqa: E402
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import toy_store as toy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from garmentnet.networks.high_frequency import EdgeConv, HighFrequency, neighbour_table
+
+
+def neighbours_of(faces, n):
+    found = [set() for _ in range(n)]
+    for a, b, c in faces:
+        for p, q in ((a, b), (b, c), (c, a)):
+            found[p].add(int(q))
+            found[q].add(int(p))
+    return found
+
+
+def test_neighbour_table():
+    _, faces, _ = toy.skirt()
+    expected = neighbours_of(faces, 113)  # one vertex is of no triangle
+    table = neighbour_table(faces, 113).numpy()
+    for i in range(113):
+        assert set(table[i]) == (expected[i] or {i})
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([1.0, 0.02]))
+def test_edge_conv_against_a_loop(seed, scale):
+    torch.manual_seed(seed)
+    _, faces, _ = toy.skirt(columns=8, rings=3)
+    n, frames = 24, 2
+    layer = EdgeConv(3, 5, scale).double()
+    x = torch.randn(n, frames, 3, dtype=torch.float64)
+    got = layer(x, neighbour_table(faces, n))
+    for i, near in enumerate(neighbours_of(faces, n)):
+        for f in range(frames):
+            edges = [
+                torch.relu(layer.linear(torch.cat([x[i, f], (x[j, f] - x[i, f]) / scale])))
+                for j in near
+            ]
+            assert torch.allclose(got[i, f], torch.stack(edges).amax(0), atol=1e-12)
+
+
+def test_edge_conv_gradient():
+    torch.manual_seed(0)
+    _, faces, _ = toy.skirt(columns=6, rings=2)
+    layer = EdgeConv(2, 3).double()
+    x = torch.randn(12, 1, 2, dtype=torch.float64, requires_grad=True)
+    table = neighbour_table(faces, 12)
+    assert torch.autograd.gradcheck(lambda v: layer(v, table), (x,))
+
+
+def test_high_frequency_of_chosen_frames():
+    torch.manual_seed(0)
+    rest, faces, _ = toy.skirt(columns=8, rings=3)
+    module = HighFrequency(
+        6, faces, 24, hidden=16, global_features=4, edge_features=(8, 8), mlp=(8,), edge_length=0.1
+    )
+    x = torch.randn(2, 9, 6)
+    low = torch.from_numpy(rest) + 0.01 * torch.randn(2, 9, 24, 3)
+    whole, state = module(x, low)
+    pick = torch.tensor([[0, 3, 8], [2, 2, 5]])
+    index = pick[:, :, None, None].expand(-1, -1, 24, 3)
+    some, same = module(x, low.gather(1, index), None, pick)
+    assert torch.allclose(some, whole.gather(1, index), atol=1e-6)
+    assert torch.equal(state, same)

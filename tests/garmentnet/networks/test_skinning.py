@@ -1,0 +1,99 @@
+# ruff: noqa: E402
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import ssdr
+from garmentnet.networks.skinning import (
+    TorchSkinning,
+    apply_frame,
+    matrix_from_euler,
+    matrix_from_rotation_vector,
+    matrix_from_sixd,
+    remove_frame,
+)
+from ssdr.errors import InputError
+
+
+def random_model(rng, frames=4, vertices=13, bones=5, influences=3):
+    rest = rng.normal(size=(vertices, 3))
+    joints = rng.integers(0, bones, size=(vertices, influences))
+    weights = rng.random((vertices, influences))
+    weights /= weights.sum(axis=1, keepdims=True)
+    r = Rotation.random(frames * bones, rng=rng).as_matrix().reshape(frames, bones, 3, 3)
+    return rest, joints, weights, np.concatenate([r, rng.normal(size=(frames, bones, 3, 1))], -1)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_same_as_ssdr(seed):
+    # Joints may repeat within a vertex: their weights add up.
+    rest, joints, weights, transforms = random_model(np.random.default_rng(seed))
+    expected = ssdr.skin(rest, joints, weights, transforms)
+    module = TorchSkinning(rest, joints, weights, 5)
+    single = module(torch.from_numpy(transforms).float()).numpy()
+    assert np.abs(single - expected).max() < 4e-6
+    lead = module(torch.from_numpy(transforms).float().reshape(2, 2, 5, 3, 4))
+    assert lead.shape == (2, 2, 13, 3)
+    assert np.abs(lead.reshape(4, 13, 3).numpy() - expected).max() < 4e-6
+
+
+def test_same_as_ssdr_to_double_rounding():
+    rest, joints, weights, transforms = random_model(np.random.default_rng(0))
+    module = TorchSkinning(rest, joints, weights, 5)
+    dense = np.zeros((13, 5))
+    np.add.at(dense, (np.arange(13)[:, None], joints), weights)
+    extended = np.concatenate([rest, np.ones((13, 1))], axis=1)
+    module.matrix = torch.from_numpy((dense[:, :, None] * extended[:, None]).reshape(13, 20))
+    got = module(torch.from_numpy(transforms)).numpy()
+    assert np.abs(got - ssdr.skin(rest, joints, weights, transforms)).max() < 1e-13
+
+
+def test_gradient():
+    rest, joints, weights, transforms = random_model(np.random.default_rng(1))
+    module = TorchSkinning(rest, joints, weights, 5).double()
+    m = torch.from_numpy(transforms).requires_grad_()
+    assert torch.autograd.gradcheck(module, (m,))
+
+
+def test_wrong_number_of_bones():
+    rest, joints, weights, transforms = random_model(np.random.default_rng(1))
+    with pytest.raises(InputError, match="transforms"):
+        TorchSkinning(rest, joints, weights, 5)(torch.from_numpy(transforms[:, :4]).float())
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([1e-9, 1e-5, 1e-3, 1.0, 3.0]))
+def test_rotations(seed, scale):
+    rng = np.random.default_rng(seed)
+    vector = torch.from_numpy(rng.normal(size=(3, 3)) * scale).requires_grad_()
+    expected = Rotation.from_rotvec(vector.detach().numpy()).as_matrix()
+    got = matrix_from_rotation_vector(vector)
+    assert np.abs(got.detach().numpy() - expected).max() < 1e-9
+    got.sum().backward()
+    assert bool(torch.isfinite(vector.grad).all())
+    degrees = rng.uniform(-180, 180, size=(3, 3))
+    expected = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
+    assert np.abs(matrix_from_euler(torch.from_numpy(degrees)).numpy() - expected).max() < 1e-12
+    columns = torch.from_numpy(np.concatenate([expected[..., 0], expected[..., 1]], -1))
+    assert np.abs(matrix_from_sixd(2.5 * columns).numpy() - expected).max() < 1e-12
+
+
+def test_rotation_vector_of_zero_has_a_gradient():
+    vector = torch.zeros(1, 3, dtype=torch.float64, requires_grad=True)
+    matrix_from_rotation_vector(vector)[0, 2, 1].backward()
+    assert torch.allclose(vector.grad, torch.tensor([[1.0, 0, 0]], dtype=torch.float64))
+
+
+def test_frames_undo_each_other():
+    rng = np.random.default_rng(3)
+    frame = torch.from_numpy(random_model(rng)[3][0])
+    points = torch.from_numpy(rng.normal(size=(5, 7, 3)))
+    assert torch.allclose(remove_frame(frame, apply_frame(frame, points)), points, atol=1e-12)
+    one = frame[0, :, :3].numpy() @ points[0, 0].numpy() + frame[0, :, 3].numpy()
+    assert np.allclose(apply_frame(frame, points)[0, 0], one)

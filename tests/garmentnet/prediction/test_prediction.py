@@ -1,0 +1,52 @@
+# ruff: noqa: E402
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import toy_store as toy
+
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.prediction.prediction import predict, trained_range
+from ssdr.errors import InputError, SsdrWarning
+
+
+def test_a_single_network(toy_network, joints, toy_store):
+    p = predict(toy_network, joints)
+    assert np.array_equal(p.cloth.vertices, toy_network.predict(joints))
+    assert np.abs(p.body.vertices - toy_store.clip("base-test-0").body(slice(0, 12))).max() < 1e-5
+    assert p.extrapolated == ()
+    assert predict(toy_network, joints, toy.BASE).extrapolated == ()
+    with pytest.raises(InputError, match="single network"):
+        predict(toy_network, joints, SimulationParameters(bending=1.0))
+
+
+def test_nan_poses(toy_network, joints):
+    broken = joints.copy()
+    broken[2] = np.nan
+    with pytest.raises(InputError, match="frame 2"):
+        predict(toy_network, broken)
+
+
+def test_extrapolation_is_stated(pair, joints):
+    assert trained_range(pair)["bending"] == (0.5, 2.0)
+    assert predict(pair, joints, SimulationParameters(bending=1.0)).extrapolated == ()
+    with pytest.warns(SsdrWarning, match=r"bending 3, trained from 0\.5 to 2"):
+        p = predict(pair, joints, SimulationParameters(bending=3.0))
+    assert len(p.extrapolated) == 1
+    with pytest.raises(InputError, match="parameters"):
+        predict(pair, joints)
+
+
+def test_skinning_is_the_low_part(pair, joints):
+    p = predict(pair, joints, SimulationParameters(bending=1.0), detail=False)
+    assert np.abs(p.skinning.skin() - p.cloth.vertices).max() < 1e-5
+
+
+def test_the_camera_walks_along(toy_network, joints):
+    p = predict(toy_network, joints)
+    still = p.scene().vertices
+    place = still[:, : p.body.n_vertices].mean(axis=1)
+    assert np.abs(place[:, [0, 2]]).max() < 0.2
+    assert p.scene().n_vertices == p.body.n_vertices + p.cloth.n_vertices

@@ -1,0 +1,125 @@
+"""The dance: seeded, varied, smooth, with feet on the floor and limbs that keep their length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("zarr")
+
+from garmentnet.data.motion import CLASSES, Motion
+from garmentnet.scenes.body import default_body
+from garmentnet.scenes.dance.choreography import DANCE_CLASSES, dance
+from ssdr.errors import InputError
+
+TREE = default_body().skeleton
+FEET = [TREE.index("foot_l"), TREE.index("foot_r")]
+ANKLE = TREE.rest[FEET[0], 1]
+
+
+def heads(motion: Motion) -> np.ndarray:
+    return TREE.positions(motion.joints)
+
+
+def yaw_rate(motion: Motion) -> np.ndarray:
+    forward = motion.joints[:, 0, :, 2]
+    yaw = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
+    return np.diff(yaw) * motion.fps
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=15, deadline=None)
+def test_any_seed_gives_a_plausible_dance(seed: int) -> None:
+    motion = dance(TREE, seed=seed, frames=150)
+    h = heads(motion)
+    for j in range(1, TREE.n_joints):
+        p = TREE.parents[j]
+        bone = np.linalg.norm(h[:, j] - h[:, p], axis=1)
+        np.testing.assert_allclose(bone, np.linalg.norm(TREE.rest[j] - TREE.rest[p]), rtol=1e-6)
+    # No foot under the floor; one on or near it but for jumps.
+    soles = h[:, FEET, 1] - ANKLE
+    assert soles.min() > -0.12
+    jumping = motion.classes == CLASSES.index("jump")
+    assert (soles.min(axis=1)[~jumping] < 0.14).mean() > 0.97
+    # No limb goes faster than a quick dancer's.
+    speed = np.linalg.norm(np.diff(h, axis=0), axis=2).max(axis=1) * motion.fps
+    assert speed.max() < 16
+    assert np.abs(h[:, 0, [0, 2]]).max() < 6
+
+
+def test_standing_feet_do_not_slide() -> None:
+    slides = []
+    for seed in range(4):
+        motion = dance(TREE, seed=seed, frames=200, classes=["sway", "walk"])
+        foot = heads(motion)[:, FEET]
+        down = foot[:, :, 1] - ANKLE < 1e-3
+        both = down[1:] & down[:-1]
+        step = np.linalg.norm(np.diff(foot[..., [0, 2]], axis=0), axis=2)
+        slides.append(step[both])
+    slid = np.concatenate(slides)
+    assert len(slid) > 500
+    # Some samples catch the begin or end of a step.
+    assert np.percentile(slid, 80) < 2e-3
+
+
+def test_the_same_seed_the_same_dance() -> None:
+    a, b, c = (dance(TREE, seed=s, frames=60) for s in (5, 5, 6))
+    np.testing.assert_array_equal(a.joints, b.joints)
+    np.testing.assert_array_equal(a.classes, b.classes)
+    assert np.abs(a.joints - c.joints).max() > 0.1
+
+
+def test_classes_do_what_they_say() -> None:
+    def of(name: str, seed: int) -> Motion:
+        return dance(TREE, seed=seed, frames=150, classes=[name])
+
+    spins = np.array([np.abs(yaw_rate(of("spin", s))).max() for s in range(8)])
+    assert (spins > 2 * np.pi * 0.7).all()
+    assert (spins < 2 * np.pi * 2.4).all()
+    squats = np.array([np.ptp(heads(of("squat", s))[:, 0, 1]) for s in range(8)])
+    assert squats.min() > 0.1
+    assert squats.max() > 0.3
+    jumps = np.array(
+        [(heads(of("jump", s))[:, FEET, 1].min(axis=1) - ANKLE).max() for s in range(8)]
+    )
+    assert jumps.min() > 0.05
+    kicks = np.array([heads(of("kick", s))[:, FEET, 1].max() for s in range(8)])
+    assert kicks.min() > 0.25
+    assert kicks.max() > 0.7
+    walks = np.array([np.ptp(heads(of("walk", s))[:, 0, [0, 2]], axis=0).max() for s in range(8)])
+    assert walks.min() > 0.4
+    stands = [
+        np.linalg.norm(np.diff(heads(of("stand", s))[:, 0], axis=0), axis=1).max() * 30
+        for s in range(8)
+    ]
+    assert max(stands) < 0.5
+
+
+def test_a_stop_is_sudden() -> None:
+    found = 0
+    for seed in range(6):
+        motion = dance(TREE, seed=seed, frames=240, classes=["spin", "stop"])
+        rate = np.abs(yaw_rate(motion))
+        stop = motion.classes[1:] == CLASSES.index("stop")
+        begins = np.flatnonzero(stop[1:] & ~stop[:-1]) + 1
+        for k in begins:
+            if k + 12 < len(rate):
+                assert rate[k + 6 : k + 12].max() < 1.5
+                found += 1
+    assert found >= 4
+
+
+def test_clips_are_varied() -> None:
+    used = [set(dance(TREE, seed=s, frames=300).classes.tolist()) for s in range(20)]
+    assert all(3 <= len(u) <= 6 for u in used)
+    assert set().union(*used) == {CLASSES.index(c) for c in DANCE_CLASSES}
+
+
+@pytest.mark.parametrize(
+    "change", [{"frames": 0}, {"fps": 0.0}, {"classes": ["fly"]}, {"classes": []}]
+)
+def test_dance_refuses(change: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        dance(TREE, **{"seed": 1, **change})  # type: ignore[arg-type]

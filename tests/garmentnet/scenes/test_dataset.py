@@ -1,0 +1,112 @@
+"""Data sets: interrupted runs, one writer, motion capture."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("zarr")
+pytest.importorskip("newton")
+
+from garmentnet.data.store import ClipStore
+from garmentnet.scenes import dataset
+from garmentnet.scenes.dataset import make_data_set
+from garmentnet.scenes.scene_file import load_data_set
+from ssdr.errors import InputError
+
+# Warnings of the simulator's own modules are its authors' to mend.
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning"),
+]
+
+
+FILE = """
+perturbation = 1e-3
+[garment]
+vertices = 300
+[solver]
+substeps = 10
+approach = 2
+settle = 3
+[motions]
+train = 3
+test = 1
+frames = 12
+"""
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {
+        str(p.relative_to(path)): p.read_bytes()
+        for p in sorted(path.rglob("*"))
+        if p.is_file() and p.name != "timing.jsonl"
+    }
+
+
+def test_killed_and_started_again(tmp_path: Path) -> None:
+    source = tmp_path / "few.toml"
+    source.write_text(FILE)
+    data_set = load_data_set(source)
+    names = {s.name for s in data_set.scenes()}
+    assert len(names) == 5
+    whole = make_data_set(data_set, tmp_path / "whole.clips", workers=1)
+    assert set(whole.names(accepted=None, perturbed=None)) == names
+    target = tmp_path / "killed.clips"
+    command = [sys.executable, "-m", "garmentnet.cli", "simulate", str(source), "-o", str(target)]
+    root = str(Path(__file__).parents[3])
+    process = subprocess.Popen(
+        [*command, "--workers", "2"],
+        env={**os.environ, "PYTHONPATH": root},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 300
+    while not any((target / "clips").glob("[!.]*")) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    half = ClipStore.open(target).names(accepted=None, perturbed=None)
+    assert 0 < len(half) < 5
+    before = {n: (target / "clips" / n / "zarr.json").stat().st_mtime_ns for n in half}
+    seen = []
+    again = make_data_set(data_set, target, workers=1, progress=seen.append)
+    assert {p.clip for p in seen if p.accepted is not None}.isdisjoint(half)
+    after = {n: (target / "clips" / n / "zarr.json").stat().st_mtime_ns for n in half}
+    assert before == after
+    assert set(again.names(accepted=None, perturbed=None)) == names
+    assert content(target) == content(tmp_path / "whole.clips")
+    # Nothing to do: nothing is done.
+    seen.clear()
+    make_data_set(data_set, target, progress=seen.append)
+    assert seen == []
+    # The same names from another scene are not taken for the same clips.
+    source.write_text(FILE.replace("substeps = 10", "substeps = 11"))
+    with pytest.raises(InputError, match="solver"):
+        make_data_set(load_data_set(source), target)
+    source.write_text(FILE.replace("vertices = 300", "vertices = 350"))
+    with pytest.raises(InputError, match="this garment"):
+        make_data_set(load_data_set(source), target)
+
+
+def test_one_writer_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "few.toml").write_text(FILE)
+    data_set = load_data_set(tmp_path / "few.toml")
+    store = dataset.open_store(data_set, tmp_path / "a.clips")
+    (store.path / "writing.lock").write_text(str(os.getppid()))
+    with pytest.raises(InputError, match="nobody writes"):
+        make_data_set(data_set, store.path)
+    (store.path / "writing.lock").unlink()
+    monkeypatch.setattr(
+        dataset.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1 << 10})()
+    )
+    with pytest.raises(InputError, match="to spare"):
+        make_data_set(data_set, store.path)
+    assert not (store.path / "writing.lock").exists()

@@ -1,0 +1,165 @@
+"""The body and the dress: sound meshes, exact symmetry, no skin through the cloth at rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip("zarr")
+
+import ssdr
+from garmentnet.scenes.body import Body, default_body
+from garmentnet.scenes.garments import Dress, cut_dress, garment_from_mesh, mirror_permutation
+from ssdr.errors import InputError
+
+BODY = default_body()
+
+
+def angles(points: np.ndarray) -> np.ndarray:
+    a, b, c = (np.linalg.norm(points[:, i] - points[:, (i + 1) % 3], axis=1) for i in range(3))
+    cosine = np.stack(
+        [
+            (a * a + c * c - b * b) / (2 * a * c),
+            (a * a + b * b - c * c) / (2 * a * b),
+            (b * b + c * c - a * a) / (2 * b * c),
+        ]
+    )
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def winding(points: np.ndarray, faces: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Winding number of a closed mesh, by solid angles (Van Oosterom and Strackee 1983)."""
+    total = np.zeros(len(at))
+    for face in faces:
+        a, b, c = (points[k].astype(float) - at for k in face)
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        above = (a * np.cross(b, c)).sum(axis=1)
+        below = (
+            la * lb * lc
+            + (a * b).sum(axis=1) * lc
+            + (b * c).sum(axis=1) * la
+            + (c * a).sum(axis=1) * lb
+        )
+        total += 2 * np.arctan2(above, below)
+    return total / (4 * np.pi)
+
+
+@pytest.mark.parametrize("vertices", [300, 1900, 6000])
+def test_dress_is_a_clean_mesh(vertices: int) -> None:
+    dress = cut_dress(BODY, Dress(vertices=vertices))
+    assert abs(dress.n_vertices - vertices) < 0.06 * vertices
+    corner = dress.rest.astype(float)[dress.faces]
+    assert angles(corner).min() > 30
+    mesh = trimesh.Trimesh(dress.rest, dress.faces, process=False)
+    # A tube: every edge has one or two triangles, none is used twice, Euler's number is 0.
+    assert mesh.is_winding_consistent
+    assert dress.n_vertices - len(dress.edges()) + len(dress.faces) == 0
+    assert len(np.unique(dress.faces)) == dress.n_vertices
+    # Outward, away from the axis of the body.
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    assert ((corner.mean(axis=1) * [1, 0, 1] * normal).sum(axis=1) > 0).all()
+    length = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2)
+    assert length.max() / length.min() < 2.2
+
+
+def test_mirror_is_exact() -> None:
+    dress = cut_dress(BODY)
+    assert dress.mirror is not None
+    np.testing.assert_array_equal(dress.rest[dress.mirror] * [-1, 1, 1], dress.rest)
+    turned = np.sort(np.sort(dress.mirror[dress.faces], axis=1).view("i4,i4,i4"), axis=0)
+    own = np.sort(np.sort(dress.faces, axis=1).view("i4,i4,i4"), axis=0)
+    np.testing.assert_array_equal(turned, own)
+    np.testing.assert_array_equal(dress.pinned[dress.mirror], dress.pinned)
+    weights = np.zeros((dress.n_vertices, BODY.skeleton.n_joints))
+    np.add.at(weights, (np.arange(dress.n_vertices)[:, None], dress.joints), dress.weights)
+    np.testing.assert_allclose(weights[dress.mirror][:, BODY.skeleton.mirror()], weights, atol=1e-6)
+    np.testing.assert_array_equal(mirror_permutation(dress.rest, dress.faces), dress.mirror)
+
+
+def test_no_mirror_where_there_is_none() -> None:
+    dress = cut_dress(BODY, Dress(vertices=300))
+    bent = dress.rest.copy()
+    bent[3, 1] += 0.01
+    assert mirror_permutation(bent, dress.faces) is None
+    assert mirror_permutation(dress.rest, dress.faces[1:]) is None
+
+
+def test_no_skin_through_the_cloth_at_rest() -> None:
+    dress = cut_dress(BODY)
+    rig = BODY.skinning
+    inside = winding(rig.rest, rig.faces, dress.rest.astype(float)) > 0.5
+    # A few of the uppermost vertices lie beneath the arm pits, where the arm begins.
+    assert not inside[~dress.pinned].any()
+    assert inside.mean() < 0.005
+
+
+def test_pleats_and_flare() -> None:
+    plain = cut_dress(BODY, Dress(pleats=0, pleat_depth=0.0))
+    hem = plain.rest[plain.rest[:, 1] < plain.rest[:, 1].min() + 1e-6]
+    waist_height, height = Dress().waist * BODY.height(), BODY.height()
+    ring = plain.rest[np.abs(plain.rest[:, 1] - waist_height) < 1e-4]
+    grown = np.ptp(hem[:, 0]) / 2 - np.ptp(ring[:, 0]) / 2
+    drop = (Dress().waist - Dress().hem) * height
+    assert grown == pytest.approx(Dress().flare * drop, rel=0.01)
+    pleated = cut_dress(BODY)
+    hem = pleated.rest[pleated.rest[:, 1] < pleated.rest[:, 1].min() + 1e-6]
+    centre = np.array([0, 0, (hem[:, 2].max() + hem[:, 2].min()) / 2])
+    radius = np.linalg.norm(hem - centre * [1, 0, 1] - [0, hem[0, 1], 0], axis=1)
+    order = np.argsort(np.arctan2(hem[:, 0], hem[:, 2] - centre[2]))
+    wave = (
+        radius[order]
+        - np.convolve(np.tile(radius[order], 3), np.ones(11) / 11, "same")[len(hem) : 2 * len(hem)]
+    )
+    assert ((wave > 0) & (np.roll(wave, 1) <= 0)).sum() == 8
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"vertices": 10},
+        {"hem": 0.7},
+        {"top": 0.9},
+        {"flare": -1.0},
+        {"pleats": 100},
+        {"pleat_depth": 0.9},
+        {"clearance": 0.0},
+    ],
+)
+def test_dress_refuses(change: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        Dress(**change)
+
+
+def test_garment_from_a_file(tmp_path: Path) -> None:
+    dress = cut_dress(BODY, Dress(vertices=300))
+    ssdr.save(ssdr.MeshSequence(dress.rest[None], dress.faces), tmp_path / "d.npz")
+    level = Dress().waist * BODY.height() - 1e-6
+    read = garment_from_mesh(BODY, tmp_path / "d.npz", pinned_above=level)
+    np.testing.assert_array_equal(read.rest, dress.rest)
+    np.testing.assert_array_equal(read.pinned, dress.pinned)
+    np.testing.assert_array_equal(read.mirror, dress.mirror)
+    np.testing.assert_allclose(read.weights, dress.weights, atol=1e-6)
+    for level in (0.0, 9.0):
+        with pytest.raises(InputError, match="pinned_above"):
+            garment_from_mesh(BODY, tmp_path / "d.npz", pinned_above=level)
+
+
+def test_bodies_of_other_builds_can_be_dressed() -> None:
+    wide = BODY.skinning.rest * np.array([1.2, 1.05, 1.15], dtype=np.float32)
+    rig = ssdr.Skinning(
+        wide,
+        BODY.skinning.joints,
+        BODY.skinning.weights,
+        BODY.skinning.transforms,
+        faces=BODY.skinning.faces,
+        bone_names=BODY.skinning.bone_names,
+    )
+    tree = BODY.skeleton
+    other = Body(rig, type(tree)(tree.names, tree.parents, tree.rest * [1.2, 1.05, 1.15]))
+    dress = cut_dress(other, Dress(vertices=500))
+    skirt = dress.rest[~dress.pinned].astype(float)
+    assert (winding(wide, rig.faces, skirt) < 0.5).all()

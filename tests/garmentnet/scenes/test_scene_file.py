@@ -1,0 +1,152 @@
+"""Scene files: what they expand to, and what is said of those that cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("zarr")
+
+from garmentnet.data.parameters import SimulationParameters
+from garmentnet.scenes.dataset import recorded_motions
+from garmentnet.scenes.garments import Dress
+from garmentnet.scenes.scene import DataSet
+from garmentnet.scenes.scene_file import load_data_set, presets
+from ssdr.errors import FormatError
+
+SCENE = """
+name = "one"
+seed = 3
+[garment]
+vertices = 300
+[motion]
+seed = 4
+frames = 20
+classes = ["spin", "stop"]
+[base]
+bending = 1.0
+"""
+
+
+def load(tmp_path: Path, text: str) -> DataSet:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    return load_data_set(path)
+
+
+def test_a_scene(tmp_path: Path) -> None:
+    data_set = load(tmp_path, SCENE)
+    (scene,) = data_set.scenes()
+    assert data_set.garment == Dress(vertices=300)
+    assert scene.parameters.parameters == SimulationParameters(bending=1.0)
+    assert scene.name == "base-dance-0004"
+    assert scene.seed == 7
+    motion = scene.motion.make(data_set.make_body(), data_set.fps)
+    assert motion.n_frames == 20
+    assert scene.provenance({"newton": "0"})["motion"]["classes"] == ("spin", "stop")
+
+
+def test_presets_hold_what_is_promised() -> None:
+    assert presets() == ("small", "tiny")
+    small = load_data_set("small")
+    assert isinstance(small.garment, Dress)
+    assert 2000 <= small.garment.vertices <= 3000
+    assert len(small.motions) >= 30
+    assert sum(m.frames for m in small.motions) >= 9000
+    names = [m.name for m in small.motions]
+    assert len(set(names)) == len(names)
+    assert {m.split for m in small.motions} == {"train", "validation", "test"}
+    splits = [s.split for s in small.sets]
+    assert (splits.count("train"), splits.count("validation"), splits.count("test")) == (9, 1, 2)
+    for split, least in (("train", 500), ("test", 200)):
+        assert sum(m.frames for m in small.set_motions if m.split == split) >= least
+    every = [s.parameters for s in (*small.sets, small.base)]
+    assert len(set(every)) == 13
+    assert all(p.outside() == () for p in every)
+    # Training sets reach every end of the range; tests lie between.
+    learnt = np.array(
+        [p.parameters.normalised() for p in (*small.sets, small.base) if p.split == "train"]
+    )
+    asked = np.array([p.parameters.normalised() for p in small.sets if p.split == "test"])
+    np.testing.assert_allclose(learnt.min(axis=0), -1, atol=1e-9)
+    np.testing.assert_allclose(learnt.max(axis=0), 1, atol=1e-9)
+    assert np.abs(asked[0]).max() < 0.6
+    assert np.abs(asked[1]).max() > 0.75
+    names = [s.name for s in small.scenes()]
+    assert len(set(names)) == len(names)
+
+
+def test_short_motions_begin_the_long_ones() -> None:
+    tiny = load_data_set("tiny")
+    body = tiny.make_body()
+    for short in tiny.set_motions:
+        (whole,) = (m for m in tiny.motions if m.name == short.name)
+        long = whole.make(body, tiny.fps)
+        np.testing.assert_array_equal(
+            short.make(body, tiny.fps).joints, long.joints[: short.frames]
+        )
+
+
+def test_test_clips_are_paired() -> None:
+    tiny = load_data_set("tiny")
+    moved = [s for s in tiny.scenes() if s.perturbation > 0]
+    assert len(moved) == 1 + len(tiny.sets)
+    names = {s.name: s for s in tiny.scenes()}
+    for scene in moved:
+        assert names[scene.repeat_of].motion == scene.motion
+        assert names[scene.repeat_of].perturbation == 0
+
+
+def test_recorded_motions_reach_every_split(data_dir: Path) -> None:
+    folder = data_dir / "motion"
+    if not folder.is_dir():
+        pytest.skip(f"no motion capture at {folder}")
+    tiny = load_data_set("tiny")
+    found = recorded_motions(folder, tiny, frames=300)
+    assert {m.split for m in found} == {"train", "validation", "test"}
+    by_file: dict[str, set[str]] = {}
+    for m in found:
+        by_file.setdefault(m.file, set()).add(m.split)
+    assert all(len(splits) == 1 for splits in by_file.values())
+    motion = found[1].make(tiny.make_body(), tiny.fps)
+    assert motion.n_frames == found[1].frames
+    assert len(tiny.with_motions(found).scenes()) > len(tiny.scenes())
+    # No path of the machine in what is stored.
+    scene = tiny.with_motions(found).scenes()[len(tiny.motions)]
+    assert str(folder) not in str(scene.provenance({}))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("seed = 3", "sead = 3", "sead"),
+        ("vertices = 300", "vertices = 3", "garment.vertices"),
+        ("vertices = 300", 'vertices = "300"', "garment.vertices"),
+        ("vertices = 300", "vertices = true", "garment.vertices"),
+        ("vertices = 300", "points = 300", "garment.points"),
+        ("vertices = 300", 'mesh = "a.obj"', "garment.pinned_above"),
+        ("frames = 20", "frames = 0", "motion"),
+        ('"spin"', '"fly"', "fly"),
+        ('["spin", "stop"]', '"spin"', "motion.classes"),
+        ("bending = 1.0", "bending = -1.0", "base.bending"),
+        ("bending = 1.0", "bending = nan", "base.bending"),
+        ("[base]", "[solver]\nsubsteps = 0\n[base]", "solver.substeps"),
+        ("[base]", "[motions]\ntrain = 1\n[base]", "motion"),
+        ("[base]", '[[set]]\nsplit = "all"\n[base]', "set\\[0\\].split"),
+        ("[base]", "[base", "scene.toml"),
+        ("seed = 3", "seed = -3", "seed"),
+        ("seed = 3", "fps = 0", "fps"),
+    ],
+)
+def test_bad_files_say_where(tmp_path: Path, old: str, new: str, word: str) -> None:
+    assert old in SCENE
+    with pytest.raises(FormatError, match=word) as caught:
+        load(tmp_path, SCENE.replace(old, new))
+    assert "scene.toml" in str(caught.value)
+
+
+def test_missing_files_name_the_presets() -> None:
+    with pytest.raises(FormatError, match="small, tiny"):
+        load_data_set("medium")

@@ -1,0 +1,29 @@
+"""The examples in the docstrings run as they stand."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pkgutil
+
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("zarr")
+
+import garmentnet
+
+# These run the command or are compiled by warp.
+_WITHOUT = ("garmentnet.__main__", "garmentnet.cli.__main__", "garmentnet.scenes.warp_kernels")
+_MODULES = [
+    module.name
+    for module in pkgutil.walk_packages(garmentnet.__path__, "garmentnet.")
+    if module.name not in _WITHOUT
+]
+
+
+@pytest.mark.parametrize("name", _MODULES)
+def test_examples_of_a_module_run(name: str) -> None:
+    flags = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+    result = doctest.testmod(importlib.import_module(name), optionflags=flags)
+    assert result.failed == 0

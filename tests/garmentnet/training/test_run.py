@@ -1,0 +1,149 @@
+# ruff: noqa: E402
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import toy_store as toy
+
+from garmentnet.data.store import ClipStore
+from garmentnet.training.run import choose_clips, train
+from ssdr.errors import FormatError, InputError
+
+
+def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
+    from garmentnet.evaluation.baselines import MeanShape, Ridge
+    from garmentnet.evaluation.scores import evaluate, network_method, plain_method
+
+    names = [n for n in toy_store.names("train") if n.startswith("base")]
+    held = [n for n in toy_store.names("validation") if n.startswith("base")]
+    methods = {
+        "network": network_method(toy_network),
+        "mean": plain_method(toy_bones, MeanShape(toy_bones, names).predict),
+        "ridge": plain_method(toy_bones, Ridge(toy_bones, names, held).predict),
+    }
+    rows = {r.name: r for r in evaluate(toy_bones, methods, ["base-test-0", "base-test-1"])}
+    for other in ("mean", "ridge"):
+        assert rows["network"].overall.rmse < 0.7 * rows[other].overall.rmse
+
+
+def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
+    # Twice cut off, once in each phase, against a run in one piece.
+    config = toy_config(epochs=4, high_epochs=3, validate_every=1)
+    whole = train(toy_store, config, tmp_path / "whole").read_bytes()
+    folder = tmp_path / "cut"
+    cut = train(toy_store, config, folder, callback=lambda p: p.epoch == 2).read_bytes()
+    assert cut != whole
+    train(toy_store, config, folder, callback=lambda p: p.phase == "high")
+    assert train(toy_store, config, folder).read_bytes() == whole
+    assert train(toy_store, config, folder).read_bytes() == whole
+
+
+def test_killed_between_epochs(toy_store, toy_config, tmp_path):
+    # As after a kill: the state of the second epoch, and nothing later.
+    config = toy_config(epochs=4, high_epochs=1, validate_every=1)
+    files = {}
+
+    def keep(p):
+        if p.phase == "low" and p.epoch == 2:
+            files["state"] = (tmp_path / "a" / "low.state.safetensors").read_bytes()
+
+    whole = train(toy_store, config, tmp_path / "a", callback=keep).read_bytes()
+    (tmp_path / "b").mkdir()
+    shutil.copy(tmp_path / "a" / "run.json", tmp_path / "b")
+    (tmp_path / "b" / "low.state.safetensors").write_bytes(files["state"])
+    assert train(toy_store, config, tmp_path / "b").read_bytes() == whole
+
+
+def test_seeds(toy_store, toy_config, tmp_path):
+    def run(name, seed):
+        config = toy_config(epochs=1, high_epochs=1, seed=seed)
+        return train(toy_store, config, tmp_path / name).read_bytes()
+
+    first = run("a", 0)
+    torch.manual_seed(99)
+    np.random.seed(99)  # noqa: NPY002
+    assert run("b", 0) == first
+    assert run("c", 1) != first
+    # The bones have a seed of their own: networks of all seeds share them.
+    homes = list(toy_store.path.with_name(toy_store.path.name + ".bones").iterdir())
+    assert len(homes) == 1
+
+
+def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
+    seen = []
+    # A rate of nothing: validation cannot improve after the first time.
+    config = toy_config(epochs=50, high_epochs=1, validate_every=1, patience=3, learning_rate=1e-12)
+    train(toy_store, config, tmp_path, callback=lambda p: seen.append(p) and False)
+    low = [p for p in seen if p.phase == "low"]
+    assert len(low) <= 8
+    assert all(p.time_left >= 0 and 0 < p.fraction <= 1 for p in seen)
+    import json
+
+    history = json.loads((tmp_path / "history.json").read_text())
+    assert len(history["low"]) == len(low)
+    assert history["low"][-1]["learning_rate"] < history["low"][0]["learning_rate"]
+
+
+def test_tensorboard_curves(toy_store, toy_config, tmp_path):
+    pytest.importorskip("tensorboard")
+    config = toy_config(epochs=1, high_epochs=1, tensorboard=True)
+    train(toy_store, config, tmp_path)
+    assert list((tmp_path / "tensorboard" / "low").glob("events*"))
+
+
+def test_another_configuration_in_the_same_folder(toy_store, toy_config, tmp_path):
+    train(toy_store, toy_config(epochs=1, high_epochs=1), tmp_path)
+    with pytest.raises(InputError, match="folder"):
+        train(toy_store, toy_config(epochs=1, high_epochs=1, window=20), tmp_path)
+
+
+def test_damaged_state(toy_store, toy_config, tmp_path):
+    config = toy_config(epochs=2, high_epochs=1)
+    train(toy_store, config, tmp_path)
+    file = tmp_path / "low.state.safetensors"
+    file.write_bytes(file.read_bytes()[:-100])
+    with pytest.raises(FormatError, match=r"low\.state\.safetensors"):
+        train(toy_store, config, tmp_path)
+
+
+def test_a_start_is_where_it_starts(toy_store, toy_config, toy_network, tmp_path):
+    config = toy_config(epochs=1, high_epochs=1, learning_rate=1e-12, high_learning_rate=1e-12)
+    from garmentnet.networks.checkpoint import load_checkpoint
+
+    path = train(toy_store, config, tmp_path, start=toy_network)
+    joints = toy_store.clip("base-test-0").joints[:10]
+    gap = load_checkpoint(path).predict(joints) - toy_network.predict(joints)
+    assert np.abs(gap).max() < 1e-5
+
+
+def test_which_clips(toy_store, toy_config):
+    names, chosen = choose_clips(toy_store, toy_config())
+    assert chosen == toy.BASE
+    assert len(names) == 8
+    config = toy_config()
+    own = dataclasses.replace(
+        config, data=dataclasses.replace(config.data, parameters="2.0, 0.2, 1")
+    )
+    assert choose_clips(toy_store, own)[0] == ["set1-train-0"]
+    with pytest.raises(InputError, match="validation clips"):
+        choose_clips(toy_store, own, "validation")
+    assert choose_clips(toy_store, own, "validation", needed=False)[0] == []
+    for wrong in ("2.0,0.2", "a,b,c", "-1,1,1"):
+        own = dataclasses.replace(config, data=dataclasses.replace(config.data, parameters=wrong))
+        with pytest.raises(InputError):
+            choose_clips(toy_store, own)
+
+
+def test_a_corrupt_clip_is_named(tmp_path, toy_config):
+    store = toy.make_store(tmp_path / "store", frames=40, train=2)
+    chunks = tmp_path / "store" / "clips" / "base-train-1" / "vertices" / "c"
+    chunk = next(p for p in chunks.rglob("*") if p.is_file())
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 2] ^= 255
+    chunk.write_bytes(bytes(data))
+    with pytest.raises(FormatError, match="base-train-1"):
+        train(ClipStore.open(store.path), toy_config(epochs=1, high_epochs=1), tmp_path / "run")
