@@ -38,9 +38,8 @@ def toy_config():
 def toy_store(tmp_path_factory):
     pytest.importorskip("torch")
     pytest.importorskip("zarr")
-    import toy_store as toy
-
     from garmentnet.data.parameters import SimulationParameters as P
+    from helpers import toy_store as toy
 
     others = [
         (P(0.2, 0.2, 1.0), "train"),

@@ -13,7 +13,6 @@ import pytest
 
 pytest.importorskip("torch")
 
-import toy_store as toy
 from typer.testing import CliRunner
 
 from garmentnet.cli import app, main
@@ -23,6 +22,7 @@ from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError
 
 RUN = CliRunner()

@@ -20,7 +20,7 @@ def test_report(toy_run, toy_store, tmp_path):
 
 
 def test_report_refuses_another_garment(toy_run, tmp_path):
-    import toy_store as toy
+    from helpers import toy_store as toy
 
     rest, faces, _ = toy.skirt(columns=18)
     rig, skeleton = toy.body()

@@ -8,8 +8,6 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
@@ -22,6 +20,7 @@ from garmentnet.networks.checkpoint import (
     save_tensors,
 )
 from garmentnet.networks.ensemble import Kernel
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError, SsdrError
 
 

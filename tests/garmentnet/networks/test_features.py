@@ -3,12 +3,12 @@ import pytest
 
 pytest.importorskip("torch")
 
-import toy_store as toy
 from scipy.spatial.transform import Rotation
 
 from garmentnet.configs import FeatureOptions, load_config
 from garmentnet.data.skeleton import check_joints
 from garmentnet.networks.features import Normaliser, PoseFeatures
+from helpers import toy_store as toy
 from ssdr.errors import InputError
 
 FAITHFUL, ROOTED = load_config("faithful").features, load_config("rooted").features

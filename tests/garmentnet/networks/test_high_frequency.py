@@ -6,11 +6,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from garmentnet.networks.high_frequency import EdgeConv, HighFrequency, neighbour_table
+from helpers import toy_store as toy
 
 
 def neighbours_of(faces, n):

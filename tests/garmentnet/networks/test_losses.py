@@ -4,8 +4,6 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 from garmentnet.networks.losses import (
     BodyShape,
     closest_vertices,
@@ -13,6 +11,7 @@ from garmentnet.networks.losses import (
     frame_norm,
     mesh_laplacian,
 )
+from helpers import toy_store as toy
 
 
 def test_frame_norm_is_the_rmse_of_a_frame():

@@ -8,11 +8,11 @@ import pytest
 @pytest.fixture(scope="module")
 def pair(toy_network):
     import torch
-    import toy_store as toy
 
     from garmentnet.data.parameters import SimulationParameters
     from garmentnet.networks.checkpoint import Checkpoint
     from garmentnet.networks.ensemble import Kernel
+    from helpers import toy_store as toy
 
     network = toy_network.networks[0]
     other = copy.deepcopy(network)

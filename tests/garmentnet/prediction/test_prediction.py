@@ -5,10 +5,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.prediction.prediction import predict, trained_range
+from helpers import toy_store as toy
 from ssdr.errors import InputError, SsdrWarning
 
 

@@ -7,10 +7,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-import toy_store as toy
-
 from garmentnet.data.store import ClipStore
 from garmentnet.training.run import choose_clips, train
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError
 
 

@@ -9,6 +9,7 @@ import ssdr
 from helpers import motions
 from helpers.measures import diagonal, wavy
 from ssdr import parsimony
+from ssdr.parsimony.rate_distortion import knee
 from ssdr.streaming import scan
 
 
@@ -43,10 +44,10 @@ def test_curve_of_streamed_frames_has_the_bytes_of_all(monkeypatch: pytest.Monke
 
 def test_knee() -> None:
     sizes = np.array([10, 20, 40, 80, 160])
-    assert parsimony.knee(sizes, np.array([1.0, 0.5, 0.01, 0.008, 0.007]), 0.0) == 2
-    assert parsimony.knee(sizes, np.array([1.0, 0.5, 0.0, 0.0, 0.0]), 1e-5) == 2
-    assert parsimony.knee(sizes, np.zeros(5), 1e-5) == 0
-    assert parsimony.knee(sizes[:1], np.ones(1), 0.0) == 0
+    assert knee(sizes, np.array([1.0, 0.5, 0.01, 0.008, 0.007]), 0.0) == 2
+    assert knee(sizes, np.array([1.0, 0.5, 0.0, 0.0, 0.0]), 1e-5) == 2
+    assert knee(sizes, np.zeros(5), 1e-5) == 0
+    assert knee(sizes[:1], np.ones(1), 0.0) == 0
 
 
 def test_curve_refuses_and_cancels() -> None:
