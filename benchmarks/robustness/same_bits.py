@@ -18,6 +18,7 @@ import argparse
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -52,23 +53,28 @@ def main() -> int:
 
 def measured(revision: str, folder: Path, only: str) -> dict[str, Any]:
     """Install a revision and run the table of calls with it."""
-    place = folder / hashlib.sha256(revision.encode()).hexdigest()[:12]
-    if not (place / "site" / "ssdr").is_dir() or Path(revision).is_dir():
-        install(revision, place)
+    place, environment = installed(revision, folder)
     out = place / "digests.json"
-    environment = os.environ | {
-        "PYTHONPATH": str(place / "site"),
-        "NUMBA_CACHE_DIR": str(place / "numba"),
-    }
     # -P: the folder of this script must not come before the installation
     command = [sys.executable, "-P", str(Path(__file__).resolve()), "--worker", str(out)]
     subprocess.run([*command, "--only", only], env=environment, check=True, cwd=folder)
     return dict(json.loads(out.read_text()))
 
 
-def install(revision: str, place: Path) -> None:
+def installed(revision: str, folder: Path) -> tuple[Path, dict[str, str]]:
+    """The folder of a revision's installation, and the environment of a process that uses it."""
+    place = folder / hashlib.sha256(revision.encode()).hexdigest()[:12]
+    if not (place / "site" / "ssdr").is_dir() or Path(revision).is_dir():
+        _install(revision, place)
+    paths = {"PYTHONPATH": str(place / "site"), "NUMBA_CACHE_DIR": str(place / "numba")}
+    return place, os.environ | paths
+
+
+def _install(revision: str, place: Path) -> None:
     source = place / "source"
-    source.mkdir(parents=True, exist_ok=True)
+    for stale in (source, place / "site"):
+        shutil.rmtree(stale, ignore_errors=True)
+    source.mkdir(parents=True)
     if Path(revision).is_dir():
         names = ["git", "ls-files", "-co", "--exclude-standard", "-z"]
         listed = subprocess.run(names, cwd=revision, check=True, capture_output=True).stdout
