@@ -66,7 +66,7 @@ class Listener(event.Listener):
 listener = Listener()
 event.register("numba:compile", listener)
 import ssdr
-from ssdr.warmup import compile_kernels
+from ssdr.solver.warmup import compile_kernels
 seconds = compile_kernels()
 print(json.dumps({"found": listener.found, "all": seconds}))
 """
