@@ -42,7 +42,7 @@ class InputError(SsdrError, ValueError):
     ...     ssdr.set_threads(0)
     ... except ssdr.InputError as error:
     ...     print(error)
-    count: expected ...
+    count: expected a positive integer or None, got 0
     """
 
     def __init__(self, argument: str, expected: str, got: object) -> None:

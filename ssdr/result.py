@@ -53,7 +53,7 @@ class Decomposition:
     >>> result = ssdr.decompose(dancer, bones=4, effort="fast", max_iterations=1)
     >>> result.skinning.n_bones, result.reconstruct().shape
     (4, (24, 799, 3))
-    >>> result.rmse == result.history[-1].rmse
+    >>> np.allclose(result.rmse, result.history[-1].rmse)
     True
     """
 

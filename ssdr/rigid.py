@@ -92,10 +92,9 @@ _COLLINEAR = 1e-13
 
 
 def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation R, det R = +1, of largest tr(Rᵀ M).
+    """Rotation R, det R = +1, of largest tr(Rᵀ M): the nearest to M in the Frobenius norm.
 
-    For a matrix M of full rank and positive determinant it is the rotation nearest to M in
-    the Frobenius norm; :func:`kabsch` takes M = Σ_i w_i t_i s_iᵀ of centred points.
+    :func:`kabsch` takes M = Σ_i w_i t_i s_iᵀ, of points about their centroids.
 
     Parameters
     ----------
