@@ -145,6 +145,15 @@ def decompose(
     ----------
     Le and Deng, "Smooth skinning decomposition with rigid bones", 2012; the
     polish is variable projection (Golub and Pereyra 1973).
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.decompose(dancer, bones=4, effort="fast", max_iterations=1)
+    >>> result.skinning.n_bones, result.skinning.n_influences
+    (4, 4)
+    >>> result.rmse < 0.1 * dancer.diagonal()
+    True
     """
     problem = check_problem(
         sequence,

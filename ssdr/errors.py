@@ -19,13 +19,30 @@ __all__ = [
 
 
 class SsdrError(Exception):
-    """Base class of every error raised by :mod:`ssdr`."""
+    """Base class of every error raised by :mod:`ssdr`.
+
+    Examples
+    --------
+    >>> try:
+    ...     ssdr.load("horse.xyz")
+    ... except ssdr.SsdrError as error:
+    ...     print(type(error).__name__)
+    FormatError
+    """
 
 
 class InputError(SsdrError, ValueError):
     """An argument is not what the function needs.
 
     The message reads ``argument: expected ..., got ...``.
+
+    Examples
+    --------
+    >>> try:
+    ...     ssdr.set_threads(0)
+    ... except ssdr.InputError as error:
+    ...     print(error)
+    count: expected a positive integer or None, got 0
     """
 
     def __init__(self, argument: str, expected: str, got: object) -> None:
@@ -40,19 +57,54 @@ class InputError(SsdrError, ValueError):
 
 
 class FormatError(SsdrError, ValueError):
-    """A file is truncated, hostile, mislabelled or holds what it must not."""
+    """A file is truncated, hostile, mislabelled or holds what it must not.
+
+    Examples
+    --------
+    >>> try:
+    ...     ssdr.load("horse.xyz")
+    ... except ssdr.FormatError:
+    ...     print("not a file that can be read")
+    not a file that can be read
+    """
 
 
 class MissingDependencyError(SsdrError, ImportError):
-    """An optional package is needed; the message says how to install it."""
+    """An optional package is needed; the message says how to install it.
+
+    Examples
+    --------
+    >>> issubclass(ssdr.MissingDependencyError, ssdr.SsdrError)
+    True
+    """
 
 
 class Cancelled(SsdrError):
-    """A callback asked to stop and there is no result to hand back yet."""
+    """A callback asked to stop and there is no result to hand back yet.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> try:
+    ...     ssdr.parsimony.curve(dancer, bones=2, callback=lambda progress: True)
+    ... except ssdr.Cancelled:
+    ...     print("stopped")
+    stopped
+    """
 
 
 class SsdrWarning(UserWarning):
-    """Something was solved, but not in the way that the caller may expect."""
+    """Something was solved, but not in the way that the caller may expect.
+
+    Examples
+    --------
+    >>> import warnings
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore", ssdr.SsdrWarning)
+    ...     result = ssdr.decompose(np.ones((2, 4, 3)), bones=2, effort="fast")
+    >>> result.warnings
+    ('2 of 2 bones could each go at no loss...',)
+    """
 
 
 def check_choice(value: object, argument: str, choices: Any) -> None:

@@ -34,6 +34,11 @@ def get_threads() -> int:
     """Number of threads that kernels use.
 
     What ``set_threads`` said, else ``SSDR_NUM_THREADS``, else the cores.
+
+    Examples
+    --------
+    >>> ssdr.get_threads() >= 1
+    True
     """
     if _threads is not None:
         return _threads
@@ -50,6 +55,14 @@ def set_threads(count: int | None) -> None:
     """Set the number of threads for this process; None goes back to the default.
 
     Results are the same, bit for bit, whatever the number.
+
+    Examples
+    --------
+    >>> before = ssdr.get_threads()
+    >>> ssdr.set_threads(2)
+    >>> ssdr.get_threads()
+    2
+    >>> ssdr.set_threads(before)
     """
     global _threads, _pool
     if count is not None and (isinstance(count, bool) or int(count) != count or count < 1):
@@ -61,7 +74,13 @@ def set_threads(count: int | None) -> None:
 
 
 def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
-    """Bounds of the pieces of at most `size` that cover ``range(n)``."""
+    """Bounds of the pieces of at most `size` that cover ``range(n)``.
+
+    Examples
+    --------
+    >>> ssdr.parallel.chunk_bounds(10, 4)
+    [(0, 4), (4, 8), (8, 10)]
+    """
     return [(start, min(n, start + size)) for start in range(0, n, size)]
 
 
@@ -70,6 +89,12 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
 
     Results come in the order of the chunks.  The first exception ends the work
     and is raised here.  A function may itself call ``run_chunks``.
+
+    Examples
+    --------
+    >>> bounds = ssdr.parallel.chunk_bounds(10, 4)
+    >>> ssdr.parallel.run_chunks(lambda chunk, start, stop: sum(range(start, stop)), bounds)
+    [6, 22, 17]
     """
     threads = min(get_threads(), len(bounds))
     if threads <= 1:
@@ -128,6 +153,13 @@ def serial_blas() -> Iterator[None]:
 
     The limit belongs to the process: it ends when the last of the threads that
     are inside leaves, and then the number of before is back.
+
+    Examples
+    --------
+    >>> with ssdr.parallel.serial_blas():
+    ...     product = np.eye(3) @ np.ones(3)
+    >>> product.shape
+    (3,)
     """
     global _controller, _limiter, _limited
     with _lock:

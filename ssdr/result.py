@@ -46,6 +46,15 @@ class Decomposition:
         What was also given as :class:`SsdrWarning`.
     parsimony : Parsimony or None
         With a tolerance: how small a model holds it, and what every pruning cost.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.decompose(dancer, bones=4, effort="fast", max_iterations=1)
+    >>> result.skinning.n_bones, result.reconstruct().shape
+    (4, (24, 799, 3))
+    >>> np.allclose(result.rmse, result.history[-1].rmse)
+    True
     """
 
     skinning: Skinning

@@ -53,6 +53,13 @@ def kabsch(
     ----------
     Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976;
     Umeyama, "Least-squares estimation of transformation parameters", 1991.
+
+    Examples
+    --------
+    >>> source = np.eye(3)
+    >>> transform = ssdr.kabsch(source, source + [1, 2, 3])
+    >>> np.allclose(transform[:, :3], np.eye(3)), np.allclose(transform[:, 3], [1, 2, 3])
+    (True, True)
     """
     s, t = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
     if s.ndim < 2 or s.shape[-1] != 3 or s.shape[-2] < 1:
@@ -85,6 +92,31 @@ _COLLINEAR = 1e-13
 
 
 def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation R, det R = +1, of largest tr(Rᵀ M): the nearest to M in the Frobenius norm.
+
+    :func:`kabsch` takes M = Σ_i w_i t_i s_iᵀ, of points about their centroids.
+
+    Parameters
+    ----------
+    moment : (..., 3, 3) float64 array
+        M; finite.
+
+    Returns
+    -------
+    (..., 3, 3) float64
+        U diag(1, 1, ±1) Vᵀ of M = U S Vᵀ.  Where M does not determine the rotation, the
+        smallest that fits: the identity for M = 0, the turn from line to line for rank 1.
+
+    References
+    ----------
+    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976;
+    Umeyama, "Least-squares estimation of transformation parameters", 1991.
+
+    Examples
+    --------
+    >>> np.allclose(ssdr.rigid.nearest_rotation(np.diag([3.0, 2.0, 1.0])), np.eye(3))
+    True
+    """
     u, s, vt = np.linalg.svd(moment)
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
@@ -116,6 +148,12 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
 
     The branch with the largest component is taken (Shepperd 1978), so that no
     rotation loses accuracy; w >= 0 on return.
+
+    Examples
+    --------
+    >>> half_turn = np.diag([-1.0, -1.0, 1.0])
+    >>> np.allclose(np.abs(ssdr.rigid.quaternion_from_matrix(half_turn)), [0, 0, 1, 0])
+    True
     """
     r = np.asarray(rotation, dtype=np.float64)
     if r.shape[-2:] != (3, 3):
@@ -166,7 +204,14 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` xyzw of any length but 0."""
+    """Rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` xyzw of any length but 0.
+
+    Examples
+    --------
+    >>> half_turn = ssdr.rigid.matrix_from_quaternion([0, 0, 1, 0])
+    >>> np.allclose(half_turn, np.diag([-1, -1, 1]))
+    True
+    """
     q = np.asarray(quaternion, dtype=np.float64)
     if q.shape[-1:] != (4,):
         raise InputError("quaternion", "an array of shape (..., 4)", f"shape {q.shape}")
@@ -187,6 +232,12 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
 
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.
+
+    Examples
+    --------
+    >>> keys = np.array([[0, 0, 0, 1.0], [0, 0, 0, -1.0]])
+    >>> np.allclose(ssdr.rigid.unflip_quaternions(keys), [0, 0, 0, 1])
+    True
     """
     q = np.asarray(quaternion, dtype=np.float64)
     if q.ndim < 2 or q.shape[-1] != 4 or axis % q.ndim == q.ndim - 1:
@@ -198,7 +249,13 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
 
 
 def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
-    """First two columns of rotation matrices, ``(..., 6)`` (Zhou et al. 2019)."""
+    """First two columns of rotation matrices, ``(..., 6)`` (Zhou et al. 2019).
+
+    Examples
+    --------
+    >>> np.allclose(ssdr.rigid.sixd_from_matrix(np.eye(3)), [1, 0, 0, 0, 1, 0])
+    True
+    """
     r = np.asarray(rotation, dtype=np.float64)
     if r.shape[-2:] != (3, 3):
         raise InputError("rotation", "an array of shape (..., 3, 3)", f"shape {r.shape}")
@@ -212,6 +269,11 @@ def matrix_from_sixd(sixd: ArrayLike) -> NDArray[np.float64]:
     ------
     InputError
         If two vectors are parallel, zero or not finite.
+
+    Examples
+    --------
+    >>> np.allclose(ssdr.rigid.matrix_from_sixd([2, 0, 0, 1, 1, 0]), np.eye(3))
+    True
     """
     d = np.asarray(sixd, dtype=np.float64)
     if d.shape[-1:] != (6,):

@@ -40,6 +40,12 @@ class Material:
         The encoded base colour image, carried untouched.
     texture_type : str
         Its MIME type, ``image/png`` or ``image/jpeg``.
+
+    Examples
+    --------
+    >>> red = ssdr.Material(name="red", base_color=(1, 0, 0, 1))
+    >>> red.name, red.texture is None
+    ('red', True)
     """
 
     name: str = "material"
@@ -68,6 +74,13 @@ class Surface:
     material_index : (T,) int32 or None
         Index into `materials`; None means that all triangles use the first.
     materials : tuple of Material
+
+    Examples
+    --------
+    >>> uv = np.array([[[0, 0], [1, 0], [0, 1]]], np.float32)
+    >>> surface = ssdr.Surface(uv=uv)
+    >>> ssdr.MeshSequence(np.zeros((2, 3, 3)), [[0, 1, 2]], surface=surface).surface.uv.shape
+    (1, 3, 2)
     """
 
     uv: NDArray[np.float32] | None = None
@@ -86,6 +99,13 @@ class WeldReport:
         Number of vertices.
     tolerance : float
         Largest distance, in the mesh's units, at which vertices were merged.
+
+    Examples
+    --------
+    >>> corners = np.array([[[0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0]]], float)
+    >>> welded, report = ssdr.MeshSequence(corners).weld()
+    >>> report.before, report.after
+    (4, 3)
     """
 
     before: int
@@ -122,6 +142,13 @@ class MeshSequence:
     InputError
         If a shape, a number or a face index is not usable; the message names
         the argument and the first offender.
+
+    Examples
+    --------
+    >>> vertices = np.zeros((10, 3, 3))
+    >>> sequence = ssdr.MeshSequence(vertices, [[0, 1, 2]], fps=30)
+    >>> sequence.n_frames, sequence.n_vertices, sequence.faces.shape
+    (10, 3, (1, 3))
     """
 
     vertices: Any

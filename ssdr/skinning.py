@@ -56,6 +56,14 @@ class Skinning:
         If shapes do not match, an index is out of range, a number is not
         finite, a weight is negative or a row of weights does not sum to 1
         within 1e-4.
+
+    Examples
+    --------
+    >>> rest, joints, weights = np.eye(3), np.zeros((3, 1), int), np.ones((3, 1))
+    >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 1, 3, 4))
+    >>> skinning = ssdr.Skinning(rest, joints, weights, transforms)
+    >>> skinning.n_frames, skinning.n_bones, skinning.skin().shape
+    (5, 1, (5, 3, 3))
     """
 
     rest: Any
@@ -249,6 +257,14 @@ def skin(
     References
     ----------
     Magnenat-Thalmann et al., "Joint-dependent local deformations", 1988.
+
+    Examples
+    --------
+    >>> move = np.eye(3, 4)[None]
+    >>> move[0, :, 3] = [1, 2, 3]
+    >>> posed = ssdr.skin(np.zeros((2, 3)), np.zeros((2, 1), int), np.ones((2, 1)), move)
+    >>> np.allclose(posed, [1, 2, 3])
+    True
     """
     p, w, m = np.asarray(rest), np.asarray(weights), np.asarray(transforms)
     j = np.asarray(joints)

@@ -69,6 +69,13 @@ def initialize(
     ----------
     Le and Deng 2012, section 3.1, for the alternation of assignment and Kabsch;
     the choice among patches is greedy facility location (Cornuéjols et al. 1977).
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> start = ssdr.initialize(dancer, bones=4)
+    >>> start.n_bones, start.weights.shape
+    (4, (799, 4))
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices

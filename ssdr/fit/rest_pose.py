@@ -37,6 +37,16 @@ class RestPoseFit:
         Σ_t |d|² of each vertex, in squared units of the mesh.
     rmse : float
         sqrt(Σ|d|² / (F V)).
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> start = ssdr.initialize(dancer, bones=4)
+    >>> fit = ssdr.fit_rest_pose(
+    ...     dancer, joints=start.joints, weights=start.weights, transforms=start.transforms
+    ... )
+    >>> np.allclose(fit.rmse, np.sqrt(fit.squared_error.sum() / (24 * 799)))
+    True
     """
 
     rest: NDArray[np.float64]
@@ -85,6 +95,16 @@ def fit_rest_pose(
     References
     ----------
     Le and Deng 2012, section 3.4.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> start = ssdr.initialize(dancer, bones=4)
+    >>> fit = ssdr.fit_rest_pose(
+    ...     dancer, joints=start.joints, weights=start.weights, transforms=start.transforms
+    ... )
+    >>> fit.rest.shape
+    (799, 3)
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices

@@ -41,6 +41,14 @@ class WeightFit:
         Σ_t |d|² of each vertex, in squared units of the mesh.
     rmse : float
         sqrt(Σ|d|² / (F V)).
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> start = ssdr.initialize(dancer, bones=4)
+    >>> fit = ssdr.fit_weights(dancer, rest=start.rest, transforms=start.transforms)
+    >>> fit.joints.shape, np.allclose(fit.weights.sum(axis=1), 1)
+    ((799, 4), True)
     """
 
     joints: NDArray[np.int32]
@@ -94,6 +102,16 @@ def fit_weights(
     ----------
     Le and Deng 2012, section 3.2 (there by bounded variable least squares);
     keeping the K largest and solving again as in their section 3.2.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> start = ssdr.initialize(dancer, bones=4)
+    >>> fit = ssdr.fit_weights(
+    ...     dancer, rest=start.rest, transforms=start.transforms, influences=2
+    ... )
+    >>> fit.weights.shape
+    (799, 2)
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices

@@ -61,6 +61,12 @@ def load(
         If the format needs an optional package that is not installed.
     FileNotFoundError
         If there is no such file.
+
+    Examples
+    --------
+    >>> dancer = ssdr.load(ssdr.samples.path("dancer_small"))
+    >>> dancer.vertices.shape, dancer.fps
+    ((24, 799, 3), 8.0)
     """
     if fps is not None and not (_is_number(fps) and math.isfinite(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
@@ -103,6 +109,16 @@ def load_skinning(path: str | os.PathLike[str], **options: Any) -> Skinning:
         If the format or the file holds no skinning, or the file is damaged.
     InputError, MissingDependencyError, FileNotFoundError
         As in :func:`load`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> start = ssdr.initialize(ssdr.samples.load("dancer_small"), bones=4)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = ssdr.save(start, f"{folder}/dancer.npz")
+    ...     again = ssdr.load_skinning(report.path)
+    >>> again.n_bones
+    4
     """
     source = _as_path(path)
     suffix, format_ = format_of(source)
@@ -140,6 +156,16 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
         If the thing cannot be written in that format or an option is unknown.
     MissingDependencyError
         If the format needs an optional package that is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = ssdr.save(dancer, f"{folder}/dancer.npz")
+    ...     again = ssdr.load(report.path)
+    >>> np.array_equal(again.vertices, dancer.vertices)
+    True
     """
     from ..skinning import Skinning
 

@@ -53,6 +53,14 @@ class SaveReport:
         interpolates.
     note : str
         What else the user should know, in a sentence.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = ssdr.save(ssdr.samples.load("dancer_small"), f"{folder}/dancer.npz")
+    ...     report.bytes == report.path.stat().st_size
+    True
     """
 
     path: Path

@@ -39,6 +39,16 @@ class SkinWeights:
     weights : (V, K) float64
         Non-negative, summing to 1 over K.
     bone_names : tuple of B str
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = pathlib.Path(folder, "weights.csv")
+    ...     _ = table.write_text("vertex,bone,weight\\n0,hip,1\\n1,hip,0.5\\n1,leg,0.5\\n")
+    ...     skin_weights = ssdr.io.read_weights(table)
+    >>> skin_weights.bone_names, skin_weights.weights.shape
+    (('hip', 'leg'), (2, 2))
     """
 
     joints: NDArray[np.int32]
@@ -121,6 +131,16 @@ def read_weights(
         weights are negative or do not sum to 1 within 1e-4.
     InputError
         If the suffix is neither.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = pathlib.Path(folder, "weights.csv")
+    ...     _ = table.write_text("vertex,bone,weight\\n0,hip,1\\n1,leg,1\\n")
+    ...     skin_weights = ssdr.io.read_weights(table, bones=["leg", "hip"])
+    >>> skin_weights.joints[:, 0].tolist()
+    [1, 0]
     """
     source = Path(path)
     suffix = source.suffix.lower()

@@ -51,6 +51,13 @@ def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
     ------
     InputError
         If `n_vertices` is below 1 or a face index is out of range.
+
+    Examples
+    --------
+    >>> ssdr.laplacian.uniform_laplacian([[0, 1, 2]], 3).toarray().astype(int)
+    array([[ 2, -1, -1],
+           [-1,  2, -1],
+           [-1, -1,  2]])
     """
     n = _check_count(n_vertices)
     triangles = _check_faces(faces, n, "faces")
@@ -96,6 +103,13 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     ----------
     Pinkall and Polthier, "Computing discrete minimal surfaces and their
     conjugates", 1993.
+
+    Examples
+    --------
+    >>> vertices, faces = np.eye(3), [[0, 1, 2]]
+    >>> stiffness = ssdr.laplacian.cotangent_laplacian(vertices, faces)
+    >>> stiffness.shape, np.allclose(stiffness @ np.ones(3), 0)
+    ((3, 3), True)
     """
     points, triangles = _check_mesh(vertices, faces)
     dots, double_area = _corners(points, triangles)
@@ -139,6 +153,13 @@ def mass_matrix(
     ----------
     Meyer et al., "Discrete differential-geometry operators for triangulated
     2-manifolds", 2003, section 3.3.
+
+    Examples
+    --------
+    >>> vertices, faces = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]
+    >>> mass = ssdr.laplacian.mass_matrix(vertices, faces)
+    >>> np.allclose(mass.diagonal().sum(), 0.5)
+    True
     """
     points, triangles = _check_mesh(vertices, faces)
     check_choice(kind, "kind", MassKind)

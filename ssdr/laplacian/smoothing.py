@@ -92,6 +92,13 @@ class LaplacianSmoother:
     ----------
     Desbrun et al., "Implicit fairing of irregular meshes using diffusion and
     curvature flow", 1999.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> smoother = ssdr.laplacian.LaplacianSmoother(dancer.frames(0), dancer.faces, 0.05)
+    >>> smoother.smooth(dancer.frames(0)).shape
+    (799, 3)
     """
 
     def __init__(
@@ -199,6 +206,13 @@ def implicit_smooth(
 
     Parameters and result are those of :class:`LaplacianSmoother` and its
     :meth:`~LaplacianSmoother.smooth`.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> pose = dancer.frames(0)
+    >>> ssdr.laplacian.implicit_smooth(pose, pose, dancer.faces, length=0.05).shape
+    (799, 3)
     """
     smoother = LaplacianSmoother(vertices, faces, length, kind=kind, mass=mass, backend=backend)
     return smoother.smooth(values)
@@ -216,6 +230,13 @@ class FrequencySplit:
         ``frames - low``, in the input's dtype.
     smoother : LaplacianSmoother
         The operator, for more frames of the same mesh.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> split = ssdr.laplacian.split_frequencies(dancer, length=0.05)
+    >>> split.length, split.high.shape
+    (0.05, (24, 799, 3))
     """
 
     low: NDArray[np.floating]
@@ -268,6 +289,13 @@ def split_frequencies(
     ------
     InputError
         If an argument is not usable.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> split = ssdr.laplacian.split_frequencies(dancer, length=0.05)
+    >>> np.allclose(split.low + split.high, dancer.vertices, atol=1e-5)
+    True
     """
     if not isinstance(frames, MeshSequence):
         frames = MeshSequence(frames, faces)

@@ -38,6 +38,13 @@ class Sted:
         As given.
     normaliser : float
         s, in the mesh's units.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.metrics.sted(dancer, dancer)
+    >>> result.value, result.spatial_per_frame.shape, result.temporal_per_frame.shape
+    (0.0, (24,), (23,))
     """
 
     value: float
@@ -125,6 +132,13 @@ def sted(
     ----------
     Váša and Skala, "A perception correlated comparison method for dynamic
     meshes", 2011.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> moved = dancer.vertices + np.float32(1)
+    >>> ssdr.metrics.sted(dancer, moved, dancer.faces).value < 1e-3
+    True
     """
     first, second = as_pair(reference, other, faces)
     for name, number in (("neighbourhood", neighbourhood), ("window", window)):

@@ -36,6 +36,13 @@ class Hausdorff:
         faces.
     subdivisions : int
         As given.
+
+    Examples
+    --------
+    >>> reference = np.zeros((2, 3, 3))
+    >>> result = ssdr.metrics.hausdorff(reference, reference + [3, 0, 0])
+    >>> result.vertex_per_frame.shape, round(result.vertex_max, 3), result.surface_max
+    ((2,), 3.0, None)
     """
 
     vertex_per_frame: NDArray[np.float64]
@@ -107,6 +114,13 @@ def hausdorff(
     Points no triangle uses are no part of a surface.  Distances to triangles
     are exact, by a bounding-volume hierarchy refitted to each frame; a search
     ends early where it cannot raise the maximum.
+
+    Examples
+    --------
+    >>> flat = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], float)
+    >>> result = ssdr.metrics.hausdorff(flat, flat + [0, 0, 2], [[0, 1, 2]])
+    >>> round(result.surface_max, 3)
+    2.0
     """
     first = as_sequence(reference, faces, "reference")
     second = as_sequence(other, other_faces, "other")

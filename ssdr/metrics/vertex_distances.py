@@ -38,6 +38,15 @@ class Distances:
         rmse of each vertex.
     diagonal : float
         Of the reference's bounding box in the frame where it is largest.
+
+    Examples
+    --------
+    >>> reference = np.zeros((2, 4, 3))
+    >>> other = reference.copy()
+    >>> other[1, 2] = [3, 4, 0]
+    >>> result = ssdr.metrics.distances(reference, other)
+    >>> round(result.max, 3), result.max_frame, result.max_vertex
+    (5.0, 1, 2)
     """
 
     rmse: float
@@ -65,6 +74,13 @@ def distances(reference: Frames, other: Frames) -> Distances:
     ------
     InputError
         If shapes differ or a number is not finite.
+
+    Examples
+    --------
+    >>> reference = np.zeros((2, 4, 3))
+    >>> result = ssdr.metrics.distances(reference, reference + [3, 4, 0])
+    >>> round(result.mean, 3), result.per_frame.shape
+    (5.0, (2,))
     """
     first, second = as_pair(reference, other)
     n_frames, n_vertices = first.n_frames, first.n_vertices
@@ -110,6 +126,12 @@ def rmse(reference: Frames, other: Frames) -> float:
     ------
     InputError
         If shapes differ or a number is not finite.
+
+    Examples
+    --------
+    >>> reference = np.zeros((2, 4, 3))
+    >>> round(ssdr.metrics.rmse(reference, reference + [3, 4, 0]), 3)
+    5.0
     """
     first, second = as_pair(reference, other)
     total = sum(float(np.vdot(a - b, a - b)) for _, a, b in blocks(first, second))

@@ -52,6 +52,13 @@ class Curve:
         the ends of the curve, on logarithmic axes, each scaled to unit length;
         errors under 1e-5 of the diagonal count as that (Satopää et al. 2011,
         "Finding a kneedle in a haystack").
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> curve = ssdr.parsimony.curve(dancer.frames(slice(0, 4)), bones=3)
+    >>> bool(np.all(np.diff(curve.rmse) <= 0)), 0 <= curve.knee < len(curve.bones)
+    (True, True)
     """
 
     bones: NDArray[np.int64]
@@ -107,6 +114,13 @@ def curve(
         If an argument is not usable.
     Cancelled
         If the callback stopped the work.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> curve = ssdr.parsimony.curve(dancer.frames(slice(0, 4)), bones=3)
+    >>> curve.bones.tolist()
+    [1, 2, 3]
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices

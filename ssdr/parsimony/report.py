@@ -25,7 +25,14 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """One try: bones, the error that it reached, steps that it took, where it started."""
+    """One try: bones, the error that it reached, steps that it took, where it started.
+
+    Examples
+    --------
+    >>> attempt = ssdr.parsimony.Attempt(bones=4, error=0.25, iterations=6, start="merged")
+    >>> attempt.bones, attempt.iterations
+    (4, 6)
+    """
 
     bones: int
     error: float
@@ -50,6 +57,11 @@ class Size:
         A key: rotation 16 and translation 12 (float32), 4 more for a scale;
         48 for an affine bone.  A bone without a key at every frame stores the
         frame of each as well: 2 (4 beyond 65,536 frames).
+
+    Examples
+    --------
+    >>> ssdr.parsimony.Size(rest=1200, weights=400, joints=48, keys=112).total
+    1760
     """
 
     rest: int
@@ -74,6 +86,12 @@ class Pruning:
     bytes_before, bytes_after : int
     error_before, error_after : float
         In the mesh's units, as the tolerance means it.
+
+    Examples
+    --------
+    >>> pruning = ssdr.parsimony.Pruning("bones", 8, 6, 4000, 3500, 0.25, 0.5)
+    >>> pruning.before - pruning.after, pruning.cost
+    (2, 0.25)
     """
 
     what: Literal["bones", "influences", "keyframes"]
@@ -112,6 +130,15 @@ class Parsimony:
         Bones, influences, keyframes, in this order; none after a stop.
     attempts : tuple of Attempt
         Everything that was tried: bones, error, iterations, where it started.
+
+    Examples
+    --------
+    >>> points = np.random.default_rng(0).random((8, 3))
+    >>> turn = np.diag([-1.0, -1.0, 1.0])
+    >>> frames = np.stack([points, points @ turn, points + 1])
+    >>> result = ssdr.decompose(frames, tolerance="0.5%", effort="fast", bones=2)
+    >>> result.parsimony.held, result.parsimony.bones
+    (True, 1)
     """
 
     tolerance: float
@@ -137,6 +164,13 @@ def size(skinning: Skinning) -> Size:
     Returns
     -------
     Size
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> size = ssdr.parsimony.size(ssdr.initialize(dancer, bones=4))
+    >>> size.rest == 12 * 799, size.joints == 12 * 4
+    (True, True)
     """
     frames, bones = skinning.transforms.shape[:2]
     keys = np.full(bones, frames)

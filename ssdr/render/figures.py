@@ -81,6 +81,13 @@ def render_frame(
     InputError
         If an option is out of range, the style needs what the subject lacks, or
         subject and reference do not match.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> from ssdr.render import render_frame
+    >>> render_frame(dancer, 3, size=(64, 48)).size
+    (64, 48)
     """
     scene = Scene.of(subject, reference)
     chosen = _checked_style(style, scene)
@@ -133,6 +140,13 @@ def contact_sheet(
     ------
     InputError
         As :func:`render_frame`.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> from ssdr.render import contact_sheet
+    >>> contact_sheet(dancer, frames=2, width=320).width
+    320
     """
     scene = Scene.of(subject, reference)
     columns = _spread(frames, scene.n_frames)
@@ -222,6 +236,16 @@ def animate(
         If the suffix is none of the three.
     InputError
         As :func:`render_frame`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from ssdr.render import animate
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     film = animate(dancer, f"{folder}/dancer.gif", size=(64, 64), frames=[0, 8, 16])
+    ...     film.name
+    'dancer.gif'
     """
     path = Path(path)
     kind = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}.get(path.suffix.lower())
@@ -281,6 +305,16 @@ def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options:
         If Pillow writes no such suffix.
     InputError
         If the folder does not exist.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> from ssdr.render import render_frame, write_picture
+    >>> picture = render_frame(ssdr.samples.load("dancer_small"), size=(64, 64))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_picture(picture, f"{folder}/dancer.png")
+    ...     pathlib.Path(folder, "dancer.png").exists()
+    True
     """
     path = Path(path)
     options.setdefault("format", picture_format(path))

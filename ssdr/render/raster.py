@@ -59,6 +59,15 @@ class Camera:
     perspective : bool
     vertical : (3,) float64
         The world's up axis, where the sky is.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> from ssdr.render import Camera
+    >>> camera = Camera.fit(dancer.vertices.reshape(-1, 3), azimuth=45)
+    >>> pixels = camera.project(dancer.frames(0), (640, 640))
+    >>> pixels.shape, bool((pixels[:, :2] >= 0).all() and (pixels[:, :2] <= 640).all())
+    ((799, 3), True)
     """
 
     axes: Float

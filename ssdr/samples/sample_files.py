@@ -21,6 +21,11 @@ def names() -> tuple[str, ...]:
     ``dancer`` has F = 72 frames, V = 4202 vertices, T = 8392 triangles at 24
     frames per second; ``dancer_small`` is the same motion with F = 24, V = 799
     at 8 frames per second, for tests and first tries.  Metres, y up.
+
+    Examples
+    --------
+    >>> ssdr.samples.names()
+    ('dancer', 'dancer_small')
     """
     return tuple(sorted(file.stem for file in _FOLDER.glob("*.npz")))
 
@@ -32,6 +37,11 @@ def path(name: str = "dancer") -> _Path:
     ------
     InputError
         If there is no sample of that name.
+
+    Examples
+    --------
+    >>> ssdr.samples.path("dancer_small").name
+    'dancer_small.npz'
     """
     if name not in names():
         raise InputError("name", f"one of {', '.join(names())}", repr(name))
@@ -45,6 +55,12 @@ def load(name: str = "dancer") -> MeshSequence:
     ------
     InputError
         If there is no sample of that name.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> dancer.n_frames, dancer.n_vertices
+    (24, 799)
     """
     from .. import io
 

@@ -24,6 +24,14 @@ class Record:
         sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units.
     phase : str
         The step that found it.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.decompose(dancer, bones=3, effort="fast", max_iterations=1)
+    >>> last = result.history[-1]
+    >>> last.iteration >= 1, np.allclose(last.rmse, result.rmse)
+    (True, True)
     """
 
     iteration: int
@@ -49,6 +57,20 @@ class Progress:
         Estimated fraction of the work that is done, 0 to 1.
     time_left : float
         Estimate in seconds.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> fractions = []
+    >>> result = ssdr.decompose(
+    ...     dancer,
+    ...     bones=3,
+    ...     effort="fast",
+    ...     max_iterations=1,
+    ...     callback=lambda progress: fractions.append(progress.fraction),
+    ... )
+    >>> all(0 <= fraction <= 1 for fraction in fractions)
+    True
     """
 
     phase: str

@@ -56,6 +56,17 @@ class SolverState:
         them found.
     source : str
         The file that it was read from, for messages.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> options = dict(bones=3, effort="fast", max_iterations=1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = ssdr.decompose(dancer, **options).state.save(f"{folder}/state.npz")
+    ...     result = ssdr.decompose(dancer, **options, resume=path)
+    >>> result.skinning.n_bones
+    3
     """
 
     settings: dict[str, Any]
