@@ -132,9 +132,11 @@ def single_bone_errors(
             p = np.einsum("jde,iej->idj", solve, right)
             positions[i:k] = p
             out[i:k] = (
-                data.x2[part, None] - 2.0 * y[:, 3] + gram[:, 3, 3]
+                data.x2[part, None]
+                - 2.0 * y[:, 3]
+                + gram[:, 3, 3]
                 - np.einsum("idj,idj->ij", p, right)
-            )  # fmt: skip
+            )
 
         run_chunks(work, chunk_bounds(len(rows), CHUNK))
     return np.maximum(out, 0.0, out=out), positions

@@ -84,9 +84,15 @@ def _alternation_half() -> None:
     bone_costs(data, model)
     target = np.zeros((1, data.n_vertices, 3))
     squared_error_range(
-        model.rest, model.joints, model.weights, model.transforms[:1], target, 0, 1,
+        model.rest,
+        model.joints,
+        model.weights,
+        model.transforms[:1],
+        target,
+        0,
+        1,
         np.zeros(data.n_vertices),
-    )  # fmt: skip
+    )
 
 
 def _toy() -> tuple[Trajectories, Model]:
@@ -118,10 +124,13 @@ class _Second(event.Listener):
         told = {"version": sys.version, "path": sys.path, "file": __file__}
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-I", "-c", _PROGRAM], text=True, stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                [sys.executable, "-I", "-c", _PROGRAM],
+                text=True,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
                 creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-            )  # fmt: skip
+            )
             assert self.process.stdin is not None
             with self.process.stdin as stream:
                 stream.write(json.dumps(told))
