@@ -36,6 +36,7 @@ from .vertex_newton import newton_vertices
 
 __all__ = ["Polish"]
 
+# at most so many tasks: each holds B×B 4×4 sums of its own (memory), fewer use fewer cores
 _TASKS = 8
 _GROUPS = 32  # at most this many factors in the preconditioner
 # E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6

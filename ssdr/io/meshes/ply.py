@@ -42,7 +42,7 @@ _TYPES = {
     "double": "d",
     "float64": "d",
 }
-_MAX_HEADER = 1 << 16
+_MAX_HEADER = 1 << 16  # bytes searched for end_header, so that no large file is searched whole
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
