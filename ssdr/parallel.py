@@ -27,7 +27,7 @@ _pool: ThreadPoolExecutor | None = None
 _threads: int | None = None
 _controller: threadpoolctl.ThreadpoolController | None = None
 _limiter: Any = None
-_limited = 0
+_limited = 0  # blocks of serial_blas entered and not left: the last lifts the limit
 
 
 def get_threads() -> int:

@@ -17,6 +17,7 @@ __all__ = [
     "nearest_rotation",
     "quaternion_from_matrix",
     "sixd_from_matrix",
+    "slerp",
     "unflip_quaternions",
 ]
 
@@ -246,6 +247,45 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
     flip = np.ones(q.shape[:-1])
     flip[1:] = np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     return np.moveaxis(q * np.cumprod(flip, axis=0)[..., None], 0, axis)
+
+
+# Sine of the angle below which sin(u·angle)/sin(angle) is replaced by u: both differ by less than
+# rounding there, and equal quaternions would divide zero by zero.
+_SMALL_SINE = 1e-8
+
+
+def slerp(
+    a: NDArray[np.float64], b: NDArray[np.float64], u: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Spherical linear interpolation of unit quaternions along the shorter arc.
+
+    Parameters
+    ----------
+    a, b : (..., 4) float64
+        Unit quaternions; they are not normalised again.
+    u : (...) float64
+        0 gives `a`, 1 gives `b` or −`b`, whichever is nearer to `a`.
+
+    Returns
+    -------
+    (..., 4) float64
+
+    References
+    ----------
+    Shoemake, "Animating rotation with quaternion curves", 1985.
+    """
+    u = u[..., None]
+    b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
+    # Half the angle by arctan2: arccos loses half the digits near 1.
+    angle = 2 * np.arctan2(
+        np.linalg.norm(a - b, axis=-1, keepdims=True), np.linalg.norm(a + b, axis=-1, keepdims=True)
+    )
+    sine = np.sin(angle)
+    near = sine < _SMALL_SINE
+    safe = np.where(near, 1.0, sine)
+    from_a = np.where(near, 1 - u, np.sin((1 - u) * angle) / safe)
+    from_b = np.where(near, u, np.sin(u * angle) / safe)
+    return np.asarray(from_a * a + from_b * b)
 
 
 def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:

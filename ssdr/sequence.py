@@ -22,7 +22,7 @@ from .errors import InputError
 
 __all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
-_CHUNK_BYTES = 64 << 20
+_CHUNK_BYTES = 64 << 20  # bytes of frames in memory at a time: more takes more memory
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -164,9 +164,7 @@ def fit_bones(
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
     inner, start = data.from_world(rest, world)
-    fixed = Fixed(
-        rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=bone_model
-    )  # fmt: skip
+    fixed = Fixed(rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=bone_model)
     # a bone may not turn inside out on its way, which bars affine ones some ways from their
     # own fit that are open from rigid ones
     kinds: list[BoneModel] = [bone_model]
@@ -187,9 +185,11 @@ def fit_bones(
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, joints, weights, out)
     return BoneFit(
-        transforms=out, rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
-        sweeps=sweeps, converged=moved <= tolerance,
-    )  # fmt: skip
+        transforms=out,
+        rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
+        sweeps=sweeps,
+        converged=moved <= tolerance,
+    )
 
 
 def _settle(
@@ -216,10 +216,12 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
     """
     u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
     flat = flat_blocks(u)
-    energy = np.array([
-        float((data.importance * (data.frame(t) ** 2).sum(axis=1)).sum())
-        for t in range(data.n_frames)
-    ])  # fmt: skip
+    energy = np.array(
+        [
+            float((data.importance * (data.frame(t) ** 2).sum(axis=1)).sum())
+            for t in range(data.n_frames)
+        ]
+    )
 
     def error(transforms: Array) -> Array:
         """(F,) squared error."""

@@ -91,6 +91,11 @@ def initialize(
     vertex_step(data, model, fixed=fixed)
     out_rest, transforms = data.to_world(model.rest, model.transforms)
     return Skinning(
-        out_rest, model.joints, model.weights, transforms,
-        faces=sequences[0].faces, fps=sequences[0].fps, bone_model=bone_model,
-    )  # fmt: skip
+        out_rest,
+        model.joints,
+        model.weights,
+        transforms,
+        faces=sequences[0].faces,
+        fps=sequences[0].fps,
+        bone_model=bone_model,
+    )

@@ -134,6 +134,7 @@ def fit_rest_pose(
         out[locked] = outer[locked]
     squared = model.error * data.scale**2
     return RestPoseFit(
-        rest=out, squared_error=squared,
+        rest=out,
+        squared_error=squared,
         rmse=float(np.sqrt(squared.sum() / (data.n_frames * n))),
-    )  # fmt: skip
+    )

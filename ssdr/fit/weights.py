@@ -139,6 +139,8 @@ def fit_weights(
     squared = model.error * data.scale**2
     joints, weights = pad_influences(model, k)
     return WeightFit(
-        joints=joints, weights=weights, squared_error=squared,
+        joints=joints,
+        weights=weights,
+        squared_error=squared,
         rmse=float(np.sqrt(squared.sum() / (data.n_frames * n))),
-    )  # fmt: skip
+    )

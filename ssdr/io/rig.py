@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError, check_choice
-from ..rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
+from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import BoneModel, Skinning, skin
 
 __all__ = [
@@ -41,9 +41,11 @@ __all__ = [
 Up = Literal["y", "z"]
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
-MAX_BYTES = 16 << 30
-_CHUNK_BYTES = 64 << 20
+MAX_BYTES = 16 << 30  # 16 GiB that a file's counts may ask for unless the caller allows more
+_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
+# frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
+# a quarter turn about x, which carries z up to y up
 _Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
@@ -258,23 +260,11 @@ def _scaled_rotations(
 
 
 def interpolate_quaternions(
-    a: NDArray[Any], b: NDArray[Any], share: NDArray[np.float64]
+    a: NDArray[Any], b: NDArray[Any], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Spherical interpolation of quaternions ``(..., 4)`` along the shortest arc."""
+    """:func:`slerp` of quaternions ``(..., 4)`` of any length but 0, as files hold them."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
-    dot = (p * q).sum(axis=-1, keepdims=True)
-    q = np.where(dot < 0, -q, q)
-    # Half the angle between quaternions by atan2: arccos loses half the digits near 1.
-    angle = 2 * np.arctan2(
-        np.linalg.norm(p - q, axis=-1, keepdims=True), np.linalg.norm(p + q, axis=-1, keepdims=True)
-    )
-    u = share[..., None]
-    sine = np.sin(angle)
-    near = sine < 1e-8
-    safe = np.where(near, 1.0, sine)
-    first = np.where(near, 1 - u, np.sin((1 - u) * angle) / safe)
-    second = np.where(near, u, np.sin(u * angle) / safe)
-    return np.asarray(first * p + second * q)
+    return slerp(p, q, u)
 
 
 def quantise(

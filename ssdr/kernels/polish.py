@@ -103,9 +103,23 @@ def equilibrate(a, n, scale):
 
 @kernel
 def polish_vertices(
-    y, x2, gram, gram4, rest, joints, weights, error, keep_weights, move_rest,
-    entering, rounds, inverse, gradient, first, last,
-):  # fmt: skip
+    y,
+    x2,
+    gram,
+    gram4,
+    rest,
+    joints,
+    weights,
+    error,
+    keep_weights,
+    move_rest,
+    entering,
+    rounds,
+    inverse,
+    gradient,
+    first,
+    last,
+):
     """Vertex step of the polish: no vertex's error rises.
 
     Up to `entering` bones are tried by reduced gradient against each member of a

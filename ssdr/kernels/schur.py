@@ -14,9 +14,24 @@ from .vertices import store
 
 @kernel
 def schur_vertices(
-    cross, start, bones, count, slot, rest, weights, importance, free, inverse, gradient, share,
-    step, total, move_rest, first, last,
-):  # fmt: skip
+    cross,
+    start,
+    bones,
+    count,
+    slot,
+    rest,
+    weights,
+    importance,
+    free,
+    inverse,
+    gradient,
+    share,
+    step,
+    total,
+    move_rest,
+    first,
+    last,
+):
     """Eliminate the vertices of groups first..last from the normal equations.
 
     Group g is the vertices ``start[g]`` to ``start[g + 1]``, which share the ``count[g]`` bones
@@ -59,9 +74,11 @@ def schur_vertices(
                 a[held, u], a[held, u + 1], a[held, u + 2], a[held, u + 3] = v0, v1, v2, w
                 for t in range(width):
                     image[t] += (
-                        v0 * block[u, t] + v1 * block[u + 1, t]
-                        + v2 * block[u + 2, t] + w * block[u + 3, t]
-                    )  # fmt: skip
+                        v0 * block[u, t]
+                        + v1 * block[u + 1, t]
+                        + v2 * block[u + 2, t]
+                        + w * block[u + 3, t]
+                    )
             g0 = g1 = g2 = 0.0
             for q in range(n):
                 w = weights[i, q]

@@ -143,9 +143,24 @@ def squared_error(x2, gram4, y, joints, w, n, p):
 
 @kernel
 def solve_vertices(
-    y, x2, gram, pairs, pull, stiff, rest, support, share, count,
-    joints, weights, error, keep_weights, move_rest, first, last,
-):  # fmt: skip
+    y,
+    x2,
+    gram,
+    pairs,
+    pull,
+    stiff,
+    rest,
+    support,
+    share,
+    count,
+    joints,
+    weights,
+    error,
+    keep_weights,
+    move_rest,
+    first,
+    last,
+):
     """One alternation's vertex step for vertices first..last.
 
     The QP over all bones is kept warm on its unpruned support (`support`,

@@ -37,7 +37,7 @@ __all__ = [
 
 LaplacianKind = Literal["cotangent", "uniform"]
 
-_BATCH_BYTES = 64 << 20
+_BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time: more takes more memory
 
 
 class LaplacianSmoother:

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..sequence import MeshSequence
 
 Frames = MeshSequence | ArrayLike
-_CHUNK_BYTES = 16 << 20
+_CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time: more takes more memory
 
 
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import chunk_bounds, run_chunks
-from ..rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
+from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning
 from ..solver.trajectories import Array
 from .report import KEY_BYTES, time_bytes
@@ -105,18 +105,8 @@ class Tracks:
             v = u[..., None]
             return (1 - v) * self.linear[first, bone] + v * self.linear[last, bone], place
         a, b = self.turn[first, bone], self.turn[last, bone]
-        b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
-        angle = 2 * np.arctan2(
-            np.linalg.norm(a - b, axis=-1, keepdims=True),
-            np.linalg.norm(a + b, axis=-1, keepdims=True),
-        )
-        sine = np.sin(angle)
-        near = sine < 1e-8
-        safe = np.where(near, 1.0, sine)
-        one = np.where(near, 1 - u, np.sin((1 - u) * angle) / safe)
-        two = np.where(near, u, np.sin(u * angle) / safe)
         scale = (1 - share) * self.scale[first, bone] + share * self.scale[last, bone]
-        return matrix_from_quaternion(one * a + two * b) * scale[..., None, None], place
+        return matrix_from_quaternion(slerp(a, b, share)) * scale[..., None, None], place
 
     def _span_costs(self) -> list[Array]:
         """For every span (F − span, B): squared error of the frames that it leaves out."""

@@ -26,7 +26,7 @@ from .scene import Scene, Style, View, draw_panel
 __all__ = ["Camera", "Style", "animate", "contact_sheet", "render_frame", "write_picture"]
 
 _INK, _QUIET = "#20242c", "#6b7280"
-_SIZES = (16, 8192)
+_SIZES = (16, 8192)  # smallest and largest side in pixels: larger needs gigabytes of samples
 
 
 def render_frame(

@@ -15,6 +15,7 @@ _LMS_FROM_RGB = np.array(
         [0.0883024619, 0.2817188376, 0.6299787005],
     ]
 )
+# from cube roots of LMS; both matrices are those of Oklab (Ottosson 2020)
 _LAB_FROM_LMS = np.array(
     [
         [0.2104542553, 0.7936177850, -0.0040720468],

@@ -32,15 +32,19 @@ __all__ = [
 ]
 
 Float = NDArray[np.float64]
-_BAND = 48
-# Lights in view axes: right, up, towards the viewer.
+_BAND = 48  # rows of pixels in a task: fewer balance threads better, each visits all triangles
+# Unit directions of lights in view axes: right, up, towards the viewer.
 _KEY = np.array([-0.50, 0.72, 0.62]) / np.linalg.norm([-0.50, 0.72, 0.62])
+# from the other side, so that no part stays black
 _FILL = np.array([0.85, 0.05, 0.45]) / np.linalg.norm([0.85, 0.05, 0.45])
+# halfway between the key light and the viewer: the highlight lies there (Blinn 1977)
 _HALF = (_KEY + np.array([0.0, 0.0, 1.0])) / np.linalg.norm(_KEY + np.array([0.0, 0.0, 1.0]))
+# Linear RGB times strength, chosen by eye: a warm key light, a cool fill, a sky above and a
+# warmer floor below; larger factors brighten, and nearer ones flatten, the shape.
 _KEY_COLOR = np.array([1.00, 0.96, 0.90]) * 0.74
-_FILL_COLOR = np.array([0.80, 0.90, 1.00]) * 0.22
-_SKY = np.array([0.94, 0.98, 1.06]) * 0.44
-_GROUND = np.array([1.00, 0.94, 0.88]) * 0.21
+_FILL_COLOR = np.array([0.80, 0.90, 1.00]) * 0.22  # weak beside the key light
+_SKY = np.array([0.94, 0.98, 1.06]) * 0.44  # light from above, from everywhere
+_GROUND = np.array([1.00, 0.94, 0.88]) * 0.21  # light back from the floor
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

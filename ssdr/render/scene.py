@@ -24,9 +24,11 @@ __all__ = ["Scene", "Style", "View", "draw_panel"]
 Style = Literal["plain", "weights", "bones", "error"]
 Float = NDArray[np.float64]
 
+# sRGB, chosen by eye: a light warm grey on which shading shows
 _CLAY = linear_from_srgb([0.84, 0.82, 0.79])
+# sRGB of a bone's x, y and z axes: red, green, blue, as modelling programs draw them
 _AXES = linear_from_srgb([[0.86, 0.27, 0.25], [0.30, 0.66, 0.31], [0.22, 0.45, 0.85]])
-_FIT_FRAMES = 24
+_FIT_FRAMES = 24  # frames that the camera is fitted to: more are slower, fewer may cut motion off
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -22,8 +22,10 @@ Array = NDArray[np.float64]
 PATCH_RIDGE = 0.1  # for a first guess: few vertices, and they may lie in a plane
 _RIDGE = 1e-4  # of a bone's own spread
 _LEAP_RIDGE, _LEAPS = 1e-3, 2
-_SWEEPS = 2
-_HALVINGS = 10
+_SWEEPS = 2  # Gauss–Seidel passes over the bones in a step: more are slower and settle further
+_HALVINGS = (
+    10  # of a move that is not admissible, to 1/512 of it; if that is not either, the bone stays
+)
 
 
 def admissible(old: Array, new: Array) -> NDArray[np.bool_]:

@@ -16,9 +16,9 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["farthest_points", "fit_patches", "start_model"]
 
-_PATCHES_PER_BONE = 8
+_PATCHES_PER_BONE = 8  # candidates for each bone: more are slower and offer more to choose from
 _SAMPLE = 20_000  # vertices that choose among patches
-_REFITS = 3
+_REFITS = 3  # rounds of assigning vertices and fitting patches: more are slower, settle further
 _FEWEST_STRETCHED = 6  # vertices from which a patch may do more than move rigidly
 _SKETCH = 32  # dimensions in which distances between trajectories are compared
 
@@ -132,9 +132,11 @@ def single_bone_errors(
             p = np.einsum("jde,iej->idj", solve, right)
             positions[i:k] = p
             out[i:k] = (
-                data.x2[part, None] - 2.0 * y[:, 3] + gram[:, 3, 3]
+                data.x2[part, None]
+                - 2.0 * y[:, 3]
+                + gram[:, 3, 3]
                 - np.einsum("idj,idj->ij", p, right)
-            )  # fmt: skip
+            )
 
         run_chunks(work, chunk_bounds(len(rows), CHUNK))
     return np.maximum(out, 0.0, out=out), positions

@@ -36,6 +36,7 @@ from .vertex_newton import newton_vertices
 
 __all__ = ["Polish"]
 
+# at most so many tasks: each holds B×B 4×4 sums of its own (memory), fewer use fewer cores
 _TASKS = 8
 _GROUPS = 32  # at most this many factors in the preconditioner
 # E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6
@@ -96,12 +97,18 @@ class _Grouped:
         bones, slot = bones[order], slot[order]
         first = np.flatnonzero(np.append(True, (bones[1:] != bones[:-1]).any(axis=1)))
         return _Grouped(
-            order=order, start=np.append(first, len(bones)), bones=bones[first],
-            count=(bones[first] < n_bones).sum(axis=1), slot=slot, rest=model.rest[order],
+            order=order,
+            start=np.append(first, len(bones)),
+            bones=bones[first],
+            count=(bones[first] < n_bones).sum(axis=1),
+            slot=slot,
+            rest=model.rest[order],
             weights=np.take_along_axis(model.weights[order], slot, axis=1),
-            importance=data.importance[order], free=~keep[order],
-            inverse=left.inverse[order], gradient=left.gradient[order],
-        )  # fmt: skip
+            importance=data.importance[order],
+            free=~keep[order],
+            inverse=left.inverse[order],
+            gradient=left.gradient[order],
+        )
 
 
 class Polish:
@@ -154,18 +161,29 @@ class Polish:
         with serial_blas():
             x, predicted = self._solve()
         trial = dataclasses.replace(
-            model, transforms=model.transforms.copy(), rest=model.rest.copy(),
-            joints=model.joints.copy(), weights=model.weights.copy(), error=model.error.copy(),
-        )  # fmt: skip
+            model,
+            transforms=model.transforms.copy(),
+            rest=model.rest.copy(),
+            joints=model.joints.copy(),
+            weights=model.weights.copy(),
+            error=model.error.copy(),
+        )
         step = self._back_substitute(x)
         self._move(trial.transforms, x)
         move_rest = not self.fixed.rest
 
         def work(_: int, i: int, k: int) -> None:
             apply_vertex_step(
-                step[i:k], 1.0, trial.rest[i:k], trial.joints[i:k], trial.weights[i:k],
-                self._keep[i:k], move_rest, 0, k - i,
-            )  # fmt: skip
+                step[i:k],
+                1.0,
+                trial.rest[i:k],
+                trial.joints[i:k],
+                trial.weights[i:k],
+                self._keep[i:k],
+                move_rest,
+                0,
+                k - i,
+            )
 
         run_chunks(work, self._vertices)
         left = self._vertex_step(trial, entering=entering, rounds=2)
@@ -320,9 +338,13 @@ class Polish:
         n_frames, n_bones = self.model.transforms.shape[:2]
         out = np.empty((n_frames, n_bones, 6))
         tangent_pullback(
-            self.model.transforms, np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones),
-            self.data.frame_scale, out, 0, n_frames,
-        )  # fmt: skip
+            self.model.transforms,
+            np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones),
+            self.data.frame_scale,
+            out,
+            0,
+            n_frames,
+        )
         return out
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
@@ -341,10 +363,24 @@ class Polish:
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
             schur_vertices(
-                cross, own.start, own.bones, own.count, own.slot, own.rest, own.weights,
-                own.importance, own.free, own.inverse, own.gradient, share, step, total,
-                move_rest, i, k,
-            )  # fmt: skip
+                cross,
+                own.start,
+                own.bones,
+                own.count,
+                own.slot,
+                own.rest,
+                own.weights,
+                own.importance,
+                own.free,
+                own.inverse,
+                own.gradient,
+                share,
+                step,
+                total,
+                move_rest,
+                i,
+                k,
+            )
             return total
 
         cuts = np.searchsorted(own.start, [0, *(k for _, k in self._vertices)])

@@ -143,9 +143,13 @@ class Trajectories(Alignment):
         z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
         flat = z.reshape(self.n_vertices, -1)
         return dataclasses.replace(
-            self, z=flat, x2=np.einsum("ij,ij->i", flat, flat), centre=self.centre[frames],
-            turn=self.turn[frames], frame_scale=self.frame_scale[frames],
-        )  # fmt: skip
+            self,
+            z=flat,
+            x2=np.einsum("ij,ij->i", flat, flat),
+            centre=self.centre[frames],
+            turn=self.turn[frames],
+            frame_scale=self.frame_scale[frames],
+        )
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
@@ -220,9 +224,16 @@ def gather(
     flat = x.reshape(n_vertices, 3 * n_frames)
     x2 = np.einsum("ij,ij->i", flat, flat)
     data = Trajectories(
-        z=flat, q=None, x2=x2, importance=importance, frame_scale=frame_scale,
-        centre=centre, turn=turn, scale=scale, lost=0.0,
-    )  # fmt: skip
+        z=flat,
+        q=None,
+        x2=x2,
+        importance=importance,
+        frame_scale=frame_scale,
+        centre=centre,
+        turn=turn,
+        scale=scale,
+        lost=0.0,
+    )
     return data.compressed(bones) if compress else data
 
 

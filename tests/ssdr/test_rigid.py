@@ -14,6 +14,7 @@ from ssdr.rigid import (
     matrix_from_sixd,
     quaternion_from_matrix,
     sixd_from_matrix,
+    slerp,
     unflip_quaternions,
 )
 
@@ -222,3 +223,13 @@ def test_formats_refuse():
             function(bad)
     with pytest.raises(InputError):
         unflip_quaternions(np.zeros((5, 4)), axis=-1)
+
+
+def test_slerp_turns_evenly_along_the_shorter_arc():
+    half = np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)])
+    start, third = np.array([0.0, 0.0, 0.0, 1.0]), np.array([0, 0, np.sin(0.1), np.cos(0.1)])
+    u = np.array([0.0, 1 / 3, 1.0])
+    for end in (half, -half):
+        ways = slerp(np.tile(start, (3, 1)), np.tile(end, (3, 1)), u)
+        np.testing.assert_allclose(ways, [start, third, half], atol=1e-15)
+    np.testing.assert_array_equal(slerp(half, half, np.array(0.25)), half)

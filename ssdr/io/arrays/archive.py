@@ -25,10 +25,10 @@ from ..registry import describe, reading
 __all__ = ["has", "read_array", "read_arrays", "write_array", "write_arrays"]
 
 _npy: Any = np.lib.format  # NumPy types it only in part
-_MAX_BYTES = 16 << 30
+_MAX_BYTES = 16 << 30  # 16 GiB in one archive unless the caller allows more: stops a false size
 _BOMB_BYTES, _BOMB_RATIO = 256 << 20, 100
-_MAX_HEADER = 10_000
-_CHUNK = 16 << 20
+_MAX_HEADER = 10_000  # characters of an .npy header; NumPy's own limit, against costly parsing
+_CHUNK = 16 << 20  # bytes read or written at a time: more only takes more memory
 # The time stamp that every member gets, the earliest a zip can hold: same content, same bytes.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 

@@ -28,7 +28,7 @@ __all__ = ["FORMAT_VERSION", "read", "read_skinning", "write_sequence", "write_s
 
 _log = logging.getLogger(__name__)
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 1  # of the arrays' names and meaning; raised when an old reader would misread
 _SURFACE = ("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*")
 _SKINNING = ("rest", "joints", "weights", "transforms", "faces", "fps", "format_version")
 

@@ -17,8 +17,8 @@ from ..registry import SaveReport, reading, require
 
 __all__ = ["read", "write_sequence"]
 
-_CHUNK = 8 << 20
-_MAX_BYTES = 1 << 42
+_CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
+_MAX_BYTES = 1 << 42  # 4 TiB: stores are read chunk by chunk, so only absurd shapes are refused
 
 
 def read(

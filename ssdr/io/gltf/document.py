@@ -28,6 +28,7 @@ _COMPONENTS: dict[int, np.dtype[Any]] = {
     5126: np.dtype("<f4"),
 }
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+# bytes (1 GiB) of an accessor without a buffer: the file needs no data to claim any size
 _ZEROS_LIMIT = 1 << 30
 _KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual"}
 _CURES = {

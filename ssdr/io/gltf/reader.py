@@ -22,7 +22,7 @@ from .writer import write_skinning
 __all__ = ["read", "read_skinning", "write_skinning"]
 
 _log = logging.getLogger(__name__)
-_CHUNK_BYTES = 64 << 20
+_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 
 
 def read(

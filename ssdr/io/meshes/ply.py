@@ -23,11 +23,26 @@ from .polygons import Mesh, fan
 __all__ = ["parse_ply", "write_ply"]
 
 _TYPES = {
-    "char": "b", "int8": "b", "uchar": "B", "uint8": "B", "short": "h", "int16": "h",
-    "ushort": "H", "uint16": "H", "int": "i", "int32": "i", "uint": "I", "uint32": "I",
-    "int64": "q", "uint64": "Q", "float": "f", "float32": "f", "double": "d", "float64": "d",
-}  # fmt: skip
-_MAX_HEADER = 1 << 16
+    "char": "b",
+    "int8": "b",
+    "uchar": "B",
+    "uint8": "B",
+    "short": "h",
+    "int16": "h",
+    "ushort": "H",
+    "uint16": "H",
+    "int": "i",
+    "int32": "i",
+    "uint": "I",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float": "f",
+    "float32": "f",
+    "double": "d",
+    "float64": "d",
+}
+_MAX_HEADER = 1 << 16  # bytes searched for end_header, so that no large file is searched whole
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
