@@ -15,10 +15,15 @@ COLUMNS = 512  # of the trajectories that are summed at once
 
 @kernel
 def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
-    """Add the sums over vertices first..last that the bones of every frame need.
+    """Add the sums over vertices first..last from which the bones of every frame are solved.
 
-    u (B, B, 10) receives Σ w_j w_k p̃p̃ᵀ in the ten monomials, for j <= k;
-    az (4, B, r) receives Σ w_j p̃ z_i.
+    joints      (V, K)      int32    bone of each influence, in
+    weights     (V, K)      float64  its weight, 0 in unused influences, in
+    rest        (V, 3)      float64  rest positions, in
+    importance  (V,)        float64  factor of each vertex's error, in
+    z           (V, r)      float64  trajectories, compressed to r numbers, in
+    u           (B, B, 10)  float64  Σ w_j w_k p̃p̃ᵀ in the ten monomials, for j <= k, added to
+    az          (4, B, r)   float64  Σ w_j p̃ z_i, added to
     """
     n_bones = az.shape[1]
     r = z.shape[1]
@@ -217,8 +222,14 @@ def rotate_toward(s, r, a, turn, new):
 def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, first, last):
     """Gauss–Seidel sweeps over the bones of frames first..last.
 
-    transforms (F, B, 3, 4) is updated; c (F, 3, 4, B) is Σ_i v_i w_j p̃; u (B, B, 4, 4);
-    bone j shares vertices with ``neighbour[start[j]:start[j+1]]`` (itself left out).
+    transforms  (F, B, 3, 4)  float64  bones, updated
+    c           (F, 3, 4, B)  float64  Σ_i w_j v_i p̃ᵀ, in
+    u           (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
+    start       (B + 1,)      int32    where each bone's entries of `neighbour` start, in
+    neighbour   (N,)          int32    bones that share vertices with bone j, itself left out, at
+                                       start[j]..start[j + 1], in
+    locked      (B,)          bool     bones that stay, in
+
     With `scaled` the 3×3 blocks are scaled rotations (Umeyama 1991), else rotations.
     """
     n_bones = transforms.shape[1]

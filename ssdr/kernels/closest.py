@@ -66,7 +66,13 @@ def _box(p, box):
 
 @kernel
 def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
-    """Fill the bounding boxes ``(2**(depth+1) - 1, 6)`` of all nodes, leaves first."""
+    """Bounding boxes of all nodes of the tree, leaves first.
+
+    vertices   (V, 3)                  float64  positions, in
+    triangles  (T, 3)                  int32    vertices of triangles in the tree's order, in
+    depth                              int      levels below the root
+    boxes      (2**(depth + 1) - 1, 6)  float64  lower, then upper corner of each node, out
+    """
     count = len(triangles)
     base = (1 << depth) - 1
     for j in range(1 << depth):
@@ -89,11 +95,18 @@ def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
 def farthest(
     points: Any, vertices: Any, triangles: Any, depth: int, boxes: Any, hints: Any, lead: int
 ) -> tuple[float, int]:
-    """Largest squared distance of `points` to the triangles, and the point that has it.
+    """Largest squared distance of the points to the triangles, and the point that has it.
 
-    ``hints (n,)`` holds a triangle likely to be near each point and is updated.
-    Point `lead` goes first: once one far point is known, a search ends as soon
-    as any triangle is nearer than that.
+    points     (n, 3)                  float64  in
+    vertices   (V, 3)                  float64  positions of the triangles' corners, in
+    triangles  (T, 3)                  int32    vertices of triangles in the tree's order, in
+    depth                              int      levels below the root
+    boxes      (2**(depth + 1) - 1, 6)  float64  from :func:`fit_boxes`, in
+    hints      (n,)                    int64    a triangle likely to be near each point, updated
+    lead                               int      the point that is searched first
+
+    Once one far point is known, the search for another ends as soon as any triangle is nearer
+    to it than that distance: a good `lead` makes most searches short.
     """
     count = len(triangles)
     stack_node = np.empty(2 * depth + 2, dtype=np.int64)

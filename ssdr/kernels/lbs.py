@@ -13,7 +13,16 @@ from .policy import kernel
 def skin_range(
     rest: Any, joints: Any, weights: Any, transforms: Any, out: Any, first: int, last: int
 ) -> None:
-    """Write frames ``out (f,V,3)`` of vertices first..last; transforms ``(f,B,3,4)``."""
+    """Linear blend skinning of vertices first..last in every frame.
+
+    rest        (V, 3)        float     rest positions, in
+    joints      (V, K)        int32     bone of each influence, in
+    weights     (V, K)        float     its weight, 0 in unused influences, in
+    transforms  (F, B, 3, 4)  float     bones, in
+    out         (F, V, 3)     float     positions, written for first..last
+
+    float is float32 or float64, the same for all four.
+    """
     n_slots = joints.shape[1]
     for t in range(transforms.shape[0]):
         # Blending the twelve entries by flat index is a quarter faster than blending points; the
@@ -56,7 +65,15 @@ def squared_error_range(
     last: int,
     per_vertex: Any,
 ) -> None:
-    """Add each vertex's squared distance over the frames ``target (f,V,3)`` to `per_vertex`."""
+    """Add each vertex's squared distance to the target frames.
+
+    rest        (V, 3)        float64   rest positions, in
+    joints      (V, K)        int32     bone of each influence, in
+    weights     (V, K)        float64   its weight, 0 in unused influences, in
+    transforms  (F, B, 3, 4)  float64   bones, in
+    target      (F, V, 3)     float     positions to reproduce, float32 or float64, in
+    per_vertex  (V,)          float64   added to for vertices first..last
+    """
     n_slots = joints.shape[1]
     for t in range(transforms.shape[0]):
         for i in range(first, last):

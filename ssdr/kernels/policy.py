@@ -1,4 +1,8 @@
-"""The one place that says how kernels are compiled."""
+"""The one place that says how kernels are compiled.
+
+Numba's cache on disk looks at the date of the file in which a kernel stands.  It does not see a
+change of a helper in another file: after one, delete ``ssdr/kernels/__pycache__``.
+"""
 
 from __future__ import annotations
 

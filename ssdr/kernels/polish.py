@@ -120,13 +120,24 @@ def polish_vertices(
     first,
     last,
 ):
-    """Vertex step of the polish: no vertex's error rises.
+    """The vertex step of the polish, for vertices first..last: no vertex's error rises.
 
-    Up to `entering` bones are tried by reduced gradient against each member of a
-    full support (negative: weights are not touched at all); then `rounds` guarded
-    Gauss–Newton steps on weights and rest position together.  Leaves the inverse
-    of the Gauss–Newton matrix (V, D, D) and the half gradient (V, D) for the
-    Schur complement.
+    y             (V, 4, B)     float64  Σ_t v_i^t M_j^tᵀ, in
+    x2            (V,)          float64  Σ_t |v_i^t|², in
+    gram          (B, 10, B)    float64  coefficients of p̃ᵀ G_jk p̃, in
+    gram4         (B, B, 4, 4)  float64  G_jk, in
+    rest          (V, 3)        float64  rest positions, updated where `move_rest`
+    joints        (V, K)        int32    bone of each influence, updated
+    weights       (V, K)        float64  its weight, descending, updated
+    error         (V,)          float64  squared error, out
+    keep_weights  (V,)          bool     vertices whose weights stay, in
+    inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, D = K + 2, out
+    gradient      (V, D)        float64  half gradient of the error, out
+
+    Up to `entering` bones are tried, by reduced gradient, against each member of a full support;
+    a negative number leaves out the solve of the weights too.  Then `rounds` Gauss–Newton steps
+    are taken on weights and rest position together, each only if it lowers the error.  The Schur
+    complement needs `inverse` and `gradient`.
     """
     n_bones = gram.shape[0]
     n_keep = joints.shape[1]

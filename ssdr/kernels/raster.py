@@ -9,11 +9,13 @@ from .policy import kernel
 
 @kernel
 def raster_triangles(points, faces, depth, index, first, last) -> None:
-    """Keep in rows first..last the nearest triangle at each pixel's centre.
+    """Nearest triangle at the centre of each pixel of rows first..last.
 
-    `points` (V,3) float64: x and y in pixels, then nearness, which is linear over the
-    screen and larger when nearer; a vertex with NaN there is behind the camera and takes its
-    triangles with it.  `depth` (H,W) and `index` (H,W) hold the nearest so far.
+    points  (V, 3)  float64  x and y in pixels, then nearness: linear over the screen, larger
+                             when nearer, NaN behind the camera (drops the vertex's triangles), in
+    faces   (T, 3)  int32    vertices of triangles, in
+    depth   (H, W)  float64  nearness of the nearest triangle so far, updated
+    index   (H, W)  int32    its number, updated
     """
     width = depth.shape[1]
     for t in range(faces.shape[0]):
@@ -50,10 +52,12 @@ def raster_triangles(points, faces, depth, index, first, last) -> None:
 
 @kernel
 def raster_balls(balls, depth, index, first, last) -> None:
-    """Keep in rows first..last the nearest ball at each pixel's centre.
+    """Nearest ball at the centre of each pixel of rows first..last.
 
-    `balls` (N,5) float64: x, y and radius in pixels, nearness of the centre, and how much
-    nearness grows from there to the point of the ball that is closest to the viewer.
+    balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much nearness
+                            grows from there to the point closest to the viewer, in
+    depth  (H, W)  float64  nearness of the nearest ball so far, updated
+    index  (H, W)  int32    its number, updated
     """
     width = depth.shape[1]
     for k in range(balls.shape[0]):

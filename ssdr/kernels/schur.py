@@ -34,11 +34,19 @@ def schur_vertices(
 ):
     """Eliminate the vertices of groups first..last from the normal equations.
 
-    Group g is the vertices ``start[g]`` to ``start[g + 1]``, which share the ``count[g]`` bones
-    ``bones[g]``; weights (V, K) follow these, ``slot`` says which weight each was in the vertex's
-    own order, that of `inverse` and `gradient`.  cross (B, B, 4, 4) is Mᵀ δM summed over frames.
-    Writes ``step`` (V, D), the inverse times (H_vm δM + share·gradient), and adds to ``total``
-    (B, B, 4, 4) its image Σ δa aᵀ.
+    cross       (B, B, 4, 4)  float64  Mᵀ δM summed over frames, in
+    start       (G + 1,)      integer  group g is vertices start[g]..start[g + 1], in
+    bones       (G, K)        integer  bones that all vertices of a group use, in
+    count       (G,)          integer  how many, in
+    slot        (V, K)        integer  place of each weight in the order of `inverse`, in
+    rest        (V, 3)        float64  rest positions, in
+    weights     (V, K)        float64  weights in the order of the group's bones, in
+    importance  (V,)          float64  factor of each vertex's error, in
+    free        (V,)          bool     vertices whose weights may change, in
+    inverse     (V, D, D)     float64  of the Gauss–Newton matrix, D = K + 2, in
+    gradient    (V, D)        float64  half gradient of the error, in
+    step        (V, D)        float64  inverse times (H_vm δM + share·gradient), out
+    total       (B, B, 4, 4)  float64  added to: the image Σ δa aᵀ of the step
     """
     n_keep = bones.shape[1]
     # Rows of whole vectors: what is beyond 4·count holds anything finite, and nothing reads it.
@@ -142,7 +150,14 @@ def schur_vertices(
 
 @kernel
 def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest, first, last):
-    """Move weights and rest position by −size·step, weights back onto the simplex."""
+    """Move weights and rest position by −size·step, weights back onto the simplex.
+
+    step          (V, K + 2)  float64  weights but the first, then rest position, in
+    rest          (V, 3)      float64  rest positions, updated where `move_rest`
+    joints        (V, K)      int32    bone of each influence, updated
+    weights       (V, K)      float64  its weight, descending, updated
+    keep_weights  (V,)        bool     vertices whose weights stay, in
+    """
     n_keep = joints.shape[1]
     w = np.empty(n_keep)
     ids = np.empty(n_keep, dtype=np.uint32)
@@ -167,7 +182,13 @@ def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest
 
 @kernel
 def tangent_image(transforms, x, scale, out, first, last):
-    """out (3F, 4, B) = the change of the stacked transforms under tangents x (F, B, 6)."""
+    """The change of the transforms of frames first..last under tangents of the bones.
+
+    transforms  (F, B, 3, 4)  float64  bones, in
+    x           (F, B, 6)     float64  tangents (ω, τ), in
+    scale       (F,)          float64  root of each frame's importance, in
+    out         (3F, 4, B)    float64  scale times δM, out
+    """
     for t in range(first, last):
         s = scale[t]
         for j in range(transforms.shape[1]):
@@ -183,7 +204,13 @@ def tangent_image(transforms, x, scale, out, first, last):
 
 @kernel
 def tangent_pullback(transforms, g, scale, out, first, last):
-    """out (F, B, 6) = transpose of :func:`tangent_image` applied to g (3F, 4, B)."""
+    """Transpose of :func:`tangent_image`.
+
+    transforms  (F, B, 3, 4)  float64  bones, in
+    g           (3F, 4, B)    float64  gradient in the entries of the transforms, in
+    scale       (F,)          float64  root of each frame's importance, in
+    out         (F, B, 6)     float64  gradient in the tangents (ω, τ), out
+    """
     for t in range(first, last):
         s = scale[t]
         for j in range(transforms.shape[1]):
@@ -201,7 +228,12 @@ def tangent_pullback(transforms, g, scale, out, first, last):
 
 @kernel
 def move_bones(transforms, x, locked, first, last):
-    """M ← M exp(x) for frames first..last, rotations kept orthonormal."""
+    """M ← M exp(x) for frames first..last, rotations kept orthonormal.
+
+    transforms  (F, B, 3, 4)  float64  bones, updated
+    x           (F, B, 6)     float64  tangents (ω, τ), in
+    locked      (B,)          bool     bones that stay, in
+    """
     turn = np.empty((3, 3))
     old = np.empty(3)
     for t in range(first, last):

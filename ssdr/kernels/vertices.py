@@ -161,13 +161,25 @@ def solve_vertices(
     first,
     last,
 ):
-    """One alternation's vertex step for vertices first..last.
+    """The vertex step of one alternation, for vertices first..last: weights, then rest position.
 
-    The QP over all bones is kept warm on its unpruned support (`support`,
-    `share`, `count`), bones enter by gradient; the K largest weights are kept
-    and solved again (`joints`, `weights`); then the rest position moves.
-    `pull` (V,B) or (0,0) and `stiff` (V,) add 2·pullᵀw − stiff·|w|² to what is
-    maximised (smoothness).  `keep_weights` (V,) marks vertices whose weights stay.
+    y             (V, 4, B)    float64  Σ_t v_i^t M_j^tᵀ, in
+    x2            (V,)         float64  Σ_t |v_i^t|², in
+    gram          (B, 10, B)   float64  coefficients of p̃ᵀ G_jk p̃, bones outermost, in
+    pairs         (B, B, 10)   float64  the same, coefficients innermost, in
+    pull          (V, B)       float64  linear term of weight smoothness, (0, 0) without it, in
+    stiff         (V,)         float64  its quadratic term, (0,) without it, in
+    rest          (V, 3)       float64  rest positions, updated where `move_rest`
+    support       (V, S)       int32    bones of the solution before pruning, updated
+    share         (V, S)       float64  their weights, updated
+    count         (V,)         int32    how many of them are used, updated
+    joints        (V, K)       int32    bones of the K largest weights, updated
+    weights       (V, K)       float64  those weights, solved again; descending, updated
+    error         (V,)         float64  squared error, out
+    keep_weights  (V,)         bool     vertices whose weights stay, in
+
+    The QP over all bones starts from the solution of the last call; bones enter by steepest
+    descent.  Smoothness adds stiff·|w|² − 2·pullᵀw to the quadratic error that is minimised.
     """
     n_bones = gram.shape[0]
     n_slots = support.shape[1]
@@ -332,7 +344,18 @@ def store(ids, w, n, joints, weights):
 
 @kernel
 def removal_cost(y, x2, gram, rest, support, share, count, importance, cost, first, last):
-    """Add to ``cost[j]`` what vertices first..last would lose if bone j were not there."""
+    """How much the error of vertices first..last would rise without each bone.
+
+    y           (V, 4, B)   float64  Σ_t v_i^t M_j^tᵀ, in
+    x2          (V,)        float64  Σ_t |v_i^t|², not read
+    gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
+    rest        (V, 3)      float64  rest positions, in
+    support     (V, S)      int32    bones of each vertex before pruning, in
+    share       (V, S)      float64  their weights, in
+    count       (V,)        int32    how many of them are used, in
+    importance  (V,)        float64  factor of each vertex's error, in
+    cost        (B,)        float64  added to
+    """
     n_slots = support.shape[1]
     n_bones = gram.shape[0]
     m = np.empty(10)
