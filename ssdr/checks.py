@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import InputError, check_choice
+from .errors import InputError, check_choice, is_real, is_whole
 from .sequence import MeshSequence
 from .skinning import BoneModel
 
@@ -82,7 +82,7 @@ def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
 
 
 def _integer(value: Any, argument: str, expected: str) -> int:
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+    if not is_whole(value):
         raise InputError(argument, expected, repr(value))
     return int(value)
 
@@ -104,8 +104,7 @@ def check_index(value: Any, argument: str, count: int) -> int:
 
 def check_nonnegative(value: Any, argument: str, expected: str) -> float:
     """A finite real number >= 0."""
-    number = isinstance(value, (int, float, np.integer, np.floating))
-    if not (number and not isinstance(value, bool) and math.isfinite(value) and value >= 0):
+    if not (is_real(value) and value >= 0):
         raise InputError(argument, expected, repr(value))
     return float(value)
 
@@ -282,10 +281,7 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
         if not (math.isfinite(share) and share > 0):
             raise InputError("tolerance", _EXPECTED, repr(tolerance))
         return share * diagonal
-    number = isinstance(tolerance, (int, float, np.integer, np.floating))
-    if isinstance(tolerance, bool) or not (
-        number and math.isfinite(tolerance) and float(tolerance) > 0
-    ):
+    if not (is_real(tolerance) and float(tolerance) > 0):
         raise InputError("tolerance", _EXPECTED, repr(tolerance))
     return float(tolerance)
 

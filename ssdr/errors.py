@@ -6,7 +6,10 @@ those about an argument or a file are ``ValueError`` as well.
 
 from __future__ import annotations
 
-from typing import Any, get_args
+import math
+from typing import Any, TypeGuard, get_args
+
+import numpy as np
 
 __all__ = [
     "Cancelled",
@@ -105,6 +108,21 @@ class SsdrWarning(UserWarning):
     >>> result.warnings
     ('2 of 2 bones could each go at no loss...',)
     """
+
+
+def is_whole(value: object) -> TypeGuard[int]:
+    """Whether it is an integer, which True and False are not."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
+    """Whether it is a real number, which True, False and complex numbers are not."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        return False
+    try:
+        return not finite or math.isfinite(value)
+    except OverflowError:  # an integer that no float holds
+        return False
 
 
 def check_choice(value: object, argument: str, choices: Any) -> None:

@@ -273,6 +273,14 @@ def slerp(
     References
     ----------
     Shoemake, "Animating rotation with quaternion curves", 1985.
+
+    Examples
+    --------
+    >>> none = np.array([0.0, 0.0, 0.0, 1.0])
+    >>> quarter = ssdr.rigid.quaternion_from_matrix([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    >>> eighth = ssdr.rigid.slerp(none, quarter, np.array(0.5))
+    >>> np.allclose(2 * np.degrees(np.arccos(eighth[3])), 45)
+    True
     """
     u = u[..., None]
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)

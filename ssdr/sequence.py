@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .errors import InputError
+from .errors import InputError, is_real
 
 __all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
@@ -164,14 +164,9 @@ class MeshSequence:
         put = object.__setattr__
         put(self, "vertices", _check_vertices(self.vertices, "vertices", validate))
         put(self, "faces", _check_faces(self.faces, self.vertices.shape[1], "faces"))
-        fps = self.fps
-        if (
-            isinstance(fps, bool)
-            or not isinstance(fps, (int, float, np.number))
-            or not (math.isfinite(fps) and fps > 0)
-        ):
-            raise InputError("fps", "a positive number", repr(fps))
-        put(self, "fps", float(fps))
+        if not (is_real(self.fps) and self.fps > 0):
+            raise InputError("fps", "a positive number", repr(self.fps))
+        put(self, "fps", float(self.fps))
         if self.vertex_map is not None:
             put(self, "vertex_map", _check_vertex_map(self.vertex_map, self.n_vertices))
         if self.surface is not None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from .errors import InputError, check_choice
+from .errors import InputError, check_choice, is_real, is_whole
 from .kernels.lbs import skin_range
 from .parallel import chunk_bounds, run_chunks
 from .sequence import Surface
@@ -107,8 +106,7 @@ class Skinning:
                 "weights", "rows that sum to 1", f"{weights[worst].sum()} at vertex {worst}"
             )
         check_choice(self.bone_model, "bone_model", BoneModel)
-        number = isinstance(self.fps, (int, float, np.number)) and not isinstance(self.fps, bool)
-        if not (number and math.isfinite(self.fps) and self.fps > 0):
+        if not (is_real(self.fps) and self.fps > 0):
             raise InputError("fps", "a positive number", repr(self.fps))
         faces = _check_faces(self.faces, n_vertices, "faces")
         if self.keyframes is not None:
@@ -205,8 +203,7 @@ class Skinning:
         InputError
             If `influences` is below 1 or `minimum` is not in [0, 1).
         """
-        whole = isinstance(influences, (int, np.integer)) and not isinstance(influences, bool)
-        if not whole or influences < 1:
+        if not is_whole(influences) or influences < 1:
             raise InputError("influences", "an integer >= 1", repr(influences))
         if not 0 <= minimum < 1:
             raise InputError("minimum", "a number in [0, 1)", minimum)

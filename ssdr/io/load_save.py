@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, is_real
 from ..sequence import MeshSequence
 from .registry import FORMATS, SaveReport, bake, call, format_of
 
@@ -68,7 +65,7 @@ def load(
     >>> dancer.vertices.shape, dancer.fps
     ((24, 799, 3), 8.0)
     """
-    if fps is not None and not (_is_number(fps) and math.isfinite(fps) and fps > 0):
+    if fps is not None and not (is_real(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
     source = _as_path(path)
     if source.suffix.lower() not in FORMATS and _is_many(source):
@@ -199,10 +196,6 @@ def _writable(kind: type | None = None) -> list[str]:
         for suffix, format_ in FORMATS.items()
         if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
     )
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
 
 
 def _is_many(path: Path) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array, dia_array
 
-from ..errors import InputError, check_choice
+from ..errors import InputError, check_choice, is_whole
 from ..sequence import _check_faces
 
 __all__ = ["MassKind", "cotangent_laplacian", "mass_matrix", "uniform_laplacian"]
@@ -234,7 +234,6 @@ def _check_mesh(
 
 
 def _check_count(n_vertices: int) -> int:
-    whole = isinstance(n_vertices, (int, np.integer)) and not isinstance(n_vertices, bool)
-    if not whole or n_vertices < 1:
+    if not is_whole(n_vertices) or n_vertices < 1:
         raise InputError("n_vertices", "an integer >= 1", repr(n_vertices))
     return int(n_vertices)

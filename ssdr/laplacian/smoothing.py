@@ -7,14 +7,13 @@ discrete Laplace–Beltrami operator and (M + ℓ²L) x = M x₀ smooths.
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
-from ..errors import InputError, check_choice
+from ..errors import InputError, check_choice, is_real, is_whole
 from ..sequence import MeshSequence
 from .factor import Backend, factor_spd
 from .operators import (
@@ -113,8 +112,7 @@ class LaplacianSmoother:
     ) -> None:
         points, triangles = _check_mesh(vertices, faces)
         check_choice(kind, "kind", LaplacianKind)
-        number = isinstance(length, (int, float, np.number)) and not isinstance(length, bool)
-        if not (number and math.isfinite(length) and length >= 0):
+        if not (is_real(length) and length >= 0):
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
         self.length = float(length)
         self.kind: LaplacianKind = kind
@@ -300,7 +298,7 @@ def split_frequencies(
     if not isinstance(frames, MeshSequence):
         frames = MeshSequence(frames, faces)
     triangles = frames.faces if faces is None else faces
-    if isinstance(rest, (int, np.integer)) and not isinstance(rest, bool):
+    if is_whole(rest):
         if not -frames.n_frames <= rest < frames.n_frames:
             raise InputError("rest", f"a frame below {frames.n_frames} or a (V, 3) pose", rest)
         pose = frames.frames(int(rest) % frames.n_frames)

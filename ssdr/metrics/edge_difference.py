@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
-from ..errors import InputError
+from ..errors import InputError, is_real, is_whole
 from ..parallel import run_chunks
 from ..sequence import MeshSequence
 from .inputs import Frames, as_pair, chunk_size, edges_of, read
@@ -142,8 +142,7 @@ def sted(
     """
     first, second = as_pair(reference, other, faces)
     for name, number in (("neighbourhood", neighbourhood), ("window", window)):
-        whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
-        if not whole or number < 1:
+        if not is_whole(number) or number < 1:
             raise InputError(name, "an integer >= 1", repr(number))
     if window % 2 == 0:
         raise InputError("window", "an odd number", window)
@@ -273,7 +272,6 @@ def _bounds(count: int, step: int) -> list[tuple[int, int]]:
 
 
 def _check_number(argument: str, value: object, *, positive: bool) -> None:
-    usable = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-    if usable and math.isfinite(value) and (value > 0 if positive else value >= 0):  # type: ignore[arg-type, operator]
+    if is_real(value) and (value > 0 if positive else value >= 0):
         return
     raise InputError(argument, f"a number {'> 0' if positive else '>= 0'}", repr(value))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..errors import InputError
+from ..errors import InputError, is_whole
 from ..kernels.closest import farthest, fit_boxes
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
@@ -130,8 +130,7 @@ def hausdorff(
         second = as_sequence(second, first.faces, "other")
     elif len(first.faces) == 0 and len(second.faces) and faces is None:
         first = as_sequence(first, second.faces, "reference")
-    whole = isinstance(subdivisions, (int, np.integer)) and not isinstance(subdivisions, bool)
-    if not whole or subdivisions < 1:
+    if not is_whole(subdivisions) or subdivisions < 1:
         raise InputError("subdivisions", "an integer >= 1", repr(subdivisions))
     bounds = chunk_bounds(first.n_frames, _FRAMES)
     vertex = np.empty(first.n_frames)

@@ -23,7 +23,7 @@ from ..checks import (
     check_rng,
     parse_tolerance,
 )
-from ..errors import InputError, check_choice
+from ..errors import InputError, check_choice, is_real
 from ..sequence import MeshSequence
 from ..solver.model import Fixed
 from ..solver.smoothness import WeightSmoothness
@@ -279,8 +279,5 @@ def _check_tolerance(problem: Problem) -> None:
 
 
 def _check_time_limit(seconds: Any) -> None:
-    if seconds is None:
-        return
-    number = isinstance(seconds, (int, float, np.integer, np.floating))
-    if not number or isinstance(seconds, bool) or not seconds > 0:
+    if seconds is not None and not (is_real(seconds, finite=False) and seconds > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(seconds))
