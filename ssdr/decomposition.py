@@ -88,7 +88,7 @@ def decompose(
         far is returned; at least one model is always made.
     callback : callable, optional
         Called with a :class:`Progress` after every step; returning True stops.
-        A walk over streamed frames is finished first.
+        A pass over streamed frames is finished first.
     resume : SolverState or path, optional
         State of an earlier call with the same input and arguments.
     checkpoint : path, optional
@@ -131,7 +131,10 @@ def decompose(
     Raises
     ------
     InputError
-        If an argument is not usable; nothing has been computed by then.
+        If an argument is not usable, before anything is computed; if a state to resume
+        from is of another run, once the frames have been read.
+    FormatError
+        If a state to resume from is not one, or damaged.
     Cancelled
         If the callback stopped the run before there was any model.
 
@@ -189,10 +192,10 @@ def decompose(
         outcome = solve_streamed(problem)
     else:
         outcome = solve_in_memory(problem)
-    for note in outcome.warnings:
-        warnings.warn(note, SsdrWarning, stacklevel=2)
     if problem.checkpoint is not None:
         problem.checkpoint.save(outcome.state)
+    for note in outcome.warnings:
+        warnings.warn(note, SsdrWarning, stacklevel=2)
     return Decomposition(
         skinning=outcome.skinning,
         rmse=outcome.rmse,

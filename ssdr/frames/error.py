@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,12 @@ def largest_error(
 ) -> float:
     """The largest |d| of any vertex in any frame."""
     walk = _walk(_largest_square_of_span, sequences, rest, joints, weights, transforms)
-    return math.sqrt(max((executor or Local()).map(walk)))
+    # np.max and not max: NaN must be seen
+    return math.sqrt(np.max(list((executor or Local()).map(walk))))
 
 
 def _walk(
-    function: object,
+    function: Callable[..., object],
     sequences: Sequence[MeshSequence],
     rest: Array,
     joints: NDArray[np.int32],
@@ -61,7 +62,6 @@ def _walk(
     transforms: Array,
 ) -> Walk:
     spans = spans_of(len(transforms))
-    assert callable(function)
     return Walk(
         function,
         sequences,
@@ -93,5 +93,5 @@ def _largest_square_of_span(
     for start, block in frames.blocks():
         moves = transforms[start : start + len(block)]
         d = skin(rest, joints, weights, moves, dtype=np.float64) - block
-        largest = max(largest, float(np.einsum("tic,tic->ti", d, d).max()))
+        largest = float(np.maximum(largest, np.einsum("tic,tic->ti", d, d).max()))
     return largest

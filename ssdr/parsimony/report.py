@@ -127,7 +127,7 @@ class Parsimony:
         No model of fewer holds the tolerance: proven by the rank of the motion.
     size : Size
     prunings : tuple of Pruning
-        Bones, influences, keyframes, in this order; none after a stop.
+        Bones, influences, keyframes, in this order; after a stop those that were done.
     attempts : tuple of Attempt
         Everything that was tried: bones, error, iterations, where it started.
 

@@ -37,8 +37,8 @@ __all__ = ["Effort", "Schedule", "fingerprint", "schedule_for", "settling_schedu
 Effort = Literal["fast", "balanced", "best"]
 Schedule = tuple[Stage, ...]
 
-# On the frames as they are and without a bone too many: what it finds is soon there to be had,
-# and now and then stays the best.
+# On the frames as they are and without a bone too many: a usable model early, which now and then
+# stays the best.
 FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress())
 
 # The longest part of "balanced": six polish steps a number of influences, where "best" takes
@@ -99,9 +99,9 @@ class _Tries:
     last: int
 
 
-# Fitted on a dozen sequences (docs/theory.md).  Small problems, below 2e6 vertices × frames ×
+# Chosen by hand on a dozen sequences.  Small problems, below 2e6 vertices × frames ×
 # bones: where a rebuild takes seconds the first model is rebuilt six times before the merged
-# start is set beside it (ea_bone with 5 bones: 3.95 for 4.49 without).  Large ones, above 1e7:
+# start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without).  Large ones, above 1e7:
 # four rebuilds in place of six, for the time that they take.
 _SMALL = _Tries(first=10, before=6, after=6, last=10)
 _MIDDLE = _Tries(first=10, before=0, after=6, last=10)
@@ -116,7 +116,7 @@ _MANY_BONES, _STARTS, _TRIES_OF_A_START = 24, 3, 4
 
 
 def judged(tries: int, *, branch: bool = False) -> Schedule:
-    """What bones in other places are worth shows only once weights have followed them."""
+    """Relax, polish, search: bones in new places can be judged only after the weights adapt."""
     return (
         Relax(branch=branch),
         Polish(steps=8, branch=branch),

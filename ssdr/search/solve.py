@@ -31,8 +31,8 @@ from .state import SolverState, check_settings, check_size, taking_up
 __all__ = ["Outcome", "begin", "idle_bones", "outcome_of", "restore", "solve", "state_of", "walk"]
 
 _logger = logging.getLogger(__name__)
-# Ratio of the true error to the objective's, beyond which they say different things: what has
-# importance is exact, and the error is of what has none.
+# Ratio of the true error to the objective's, beyond which they say different things: the error is
+# then of vertices of next to no importance, and records keep the objective's.
 _MOST_RATIO = 10.0
 # Of the motion's energy: what solving for it leaves to rounding.  A bone whose loss costs less
 # is idle.
@@ -72,8 +72,10 @@ def solve(problem: Problem) -> Outcome:
     Cancelled
         If the callback stopped the run before there was any model.
     """
+    clock = Clock()
     data = problem.gather(problem.sequences, problem.frame_importance)
-    run, settings = begin(problem, data, problem.prescribed.inside(data), Clock())
+    run, settings = begin(problem, data, problem.prescribed.inside(data), clock)
+    del data  # what a compressed run needs no longer is freed
     if problem.resume is not None:
         restore(run, problem.resume)
 
@@ -209,6 +211,7 @@ def outcome_of(
     `records` hold squared errors in the solver's space.
     """
     joints, weights = pad_influences(model, problem.influences)
+    joints, weights = joints.copy(), weights.copy()  # the state has its own
     if problem.fixed.bone_model != "rigid":
         model = model.copy()  # the state has its own, so that resuming ends on the same bits
         normalise_gauge(model, importance, problem.fixed)

@@ -1,6 +1,6 @@
 """The stages that a schedule is made of, each with its few numbers and its own step.
 
-Every threshold stands beside what it was chosen by; the experiments are in ``docs/theory.md``.
+Thresholds are chosen by hand unless an experiment is named; those are in ``docs/theory.md``.
 """
 
 from __future__ import annotations
@@ -341,8 +341,9 @@ class Search(Stage):
     gain : float
         Relative gain in the objective that makes a try a success.
     race : (float, float)
-        Ratio to the search that ended lowest, after as many tries, at which this one gives up:
-        before the first try, and once each kind of change had its turn.  0: never.
+        The search gives up where the objective is above this many times that of the search
+        that ended lowest, at the same try: before the first try, and once each kind of change
+        had its turn.  0: never.
     """
 
     phase: ClassVar[str] = "search"
@@ -389,7 +390,7 @@ class Search(Stage):
 
     @staticmethod
     def next_change(run: Run) -> int:
-        """The change that has waited longest for its turn, of those that failed the less so.
+        """The change whose wait, divided by 1 + its recent failures, is the longest.
 
         By turns while all pay; which ones do differs from sequence to sequence and
         from the first rounds to the last.

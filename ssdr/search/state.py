@@ -192,6 +192,8 @@ class Checkpoint:
         self.path = Path(path)
         if self.path.suffix != ".npz" or not self.path.parent.is_dir():
             raise InputError("checkpoint", "a name ending in .npz in a folder that exists", path)
+        if self.path.is_dir():
+            raise InputError("checkpoint", "the path of an .npz", f"a folder, {path}")
         self._last = time.monotonic()
 
     def offer(self, state: Callable[[], SolverState]) -> None:
@@ -200,10 +202,10 @@ class Checkpoint:
             self.save(state())
 
     def save(self, state: SolverState) -> None:
-        """Save a state; a full disk does not end a run that may have taken hours."""
+        """Save a state; a full disk or a folder that has gone does not end a run of hours."""
         try:
             state.save(self.path)
-        except OSError as error:
+        except (OSError, InputError) as error:
             warnings.warn(f"no checkpoint at {self.path}: {error}", SsdrWarning, stacklevel=4)
         self._last = time.monotonic()
 
@@ -240,6 +242,9 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
     if f"{prefix}rest" not in arrays:
         return None
     parts = {name: np.ascontiguousarray(arrays[prefix + name]) for name in _FIELDS}
+    for name, (_, shape) in _ARRAYS.items():
+        if parts[name].ndim != len(shape):
+            raise ValueError(f"{prefix}{name} has shape {parts[name].shape}")
     n, k = parts["joints"].shape
     frames, bones = parts["transforms"].shape[:2]
     sizes = {"F": frames, "B": bones, "V": n, "K": k, "3": 3, "4": 4}
@@ -253,8 +258,10 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
         array = parts[name]
         if array.shape != tuple(sizes[axis] for axis in shape) or array.dtype.kind != kind:
             raise ValueError(f"{prefix}{name} has shape {array.shape}, dtype {array.dtype}")
-        if kind == "f" and not np.isfinite(array).all():
-            raise ValueError(f"{prefix}{name} holds NaN or Inf")
+        if kind == "f":
+            if not np.isfinite(array).all():
+                raise ValueError(f"{prefix}{name} holds NaN or Inf")
+            parts[name] = array.astype(np.float64, copy=False)
         if kind == "i":
             least, most = least_and_most[name]
             if array.size and not (least <= array.min() and array.max() <= most):

@@ -1,4 +1,4 @@
-"""The alternation of Le and Deng 2012: weights and rest pose, then bones."""
+"""The alternation of Le and Deng 2012: bones, then weights and rest pose."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ __all__ = ["alternate", "bone_costs", "bone_step", "vertex_step"]
 def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
     """`count` alternations of bones, weights and rest pose (in place).
 
-    Each half is exact given the other but for the choice of a vertex's influences, which keeps
-    the largest weights whether that pays or not (Le and Deng 2012, section 3).
+    Neither half raises the error but for the choice of a vertex's influences, which keeps the
+    largest weights whether that pays or not (Le and Deng 2012, section 3).
     """
     for _ in range(count):
         bone_step(data, model, fixed=fixed)
@@ -100,7 +100,7 @@ def bone_step(
 
 
 def bone_costs(data: Trajectories, model: Model) -> Array:
-    """(B,) how much the objective would rise, to first order, without each bone."""
+    """(B,) rise of the objective without each bone, its vertices' weights solved again."""
     n_bones = model.n_bones
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)

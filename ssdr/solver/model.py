@@ -1,4 +1,4 @@
-"""The state that the solver's steps pass on, and the steps themselves in array form."""
+"""The model that the solver's steps pass on, and what of it stays fixed."""
 
 from __future__ import annotations
 

@@ -44,7 +44,8 @@ def newton_vertices(
     model : Model
     fixed : Fixed
     entering : int
-        Bones that may enter a vertex's support; −1: none, and what stands is only factored.
+        Bones that may enter a vertex's support; −1: none, and weights stay (with 0 rounds
+        only `inverse` and `gradient` are computed).
     rounds : int
         Of Gauss–Newton.
     inverse, gradient : (V, K + 2, K + 2), (V, K + 2) arrays, optional

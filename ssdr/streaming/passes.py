@@ -1,4 +1,4 @@
-"""Passes over all frames: each an exact alternation of a model that was found on some of them.
+"""Passes over all frames: each an alternation on all of them of a model that was found on some.
 
 Bones of every frame, then weights and rest pose from sums that the pass gathers.  A pass needs a
 block of frames, the transforms and two (V, 4B) matrices; what it states is the error over all
@@ -58,7 +58,7 @@ def carried(
 
 
 class AllFrames:
-    """Exact alternations over all frames of a model that was found on some of them.
+    """Alternations over all frames of a model that was found on some of them.
 
     Parameters
     ----------

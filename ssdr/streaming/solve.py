@@ -62,6 +62,7 @@ def solve(problem: Problem) -> Outcome:
 
     data, prescribed = _frames(problem, few, few.importance(problem.frame_importance), executor)
     run, settings = begin(problem, data, prescribed, clock)
+    del data  # what a compressed or released run needs no longer is freed
     if more is not None and streamed.settling:
         run = _settling(problem, few, more, run, executor)
     if problem.resume is not None:

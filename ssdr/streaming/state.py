@@ -95,7 +95,11 @@ class StreamedState:
         if (self.model is not None) != (len(self.passes) > 0):
             raise refuse("passes and their model do not fit")
         if self.model is None:
+            if self.done:
+                raise refuse("passes are done, and there is none")
             return
+        if min(value for _, _, value in self.passes) < 0:
+            raise refuse("a pass of negative error")
         if len(self.model.transforms) != self.scan.alignment.n_frames:
             raise refuse("model_transforms does not fit the scan")
         best = state.best

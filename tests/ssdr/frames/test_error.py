@@ -7,7 +7,7 @@ import pytest
 
 import ssdr
 from helpers import motions, naive
-from ssdr.frames.error import squared_error
+from ssdr.frames.error import largest_error, squared_error
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -18,3 +18,11 @@ def test_true_error_against_loops(kind: type, rng: np.random.Generator) -> None:
     got = squared_error(shots, rig.rest, rig.joints, rig.weights, rig.transforms)
     want = naive.squared_error(frames, rig.rest, rig.joints, rig.weights, rig.transforms)
     np.testing.assert_allclose(got, want, rtol=1e-10)
+
+
+def test_a_largest_error_that_is_no_number_is_seen() -> None:
+    rig = motions.chain(bones=3, rows=6, frames=7)
+    transforms = rig.transforms.copy()
+    transforms[5, 1, 0, 0] = np.nan
+    shots = [ssdr.MeshSequence(rig.frames)]
+    assert np.isnan(largest_error(shots, rig.rest, rig.joints, rig.weights, transforms))

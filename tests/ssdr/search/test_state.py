@@ -285,6 +285,7 @@ def put(name: str, value: Callable[[np.ndarray], object]) -> Callable[[dict], No
         put("best_joints", lambda a: a - 1),
         put("best_joints", lambda a: a + 4),
         put("current_support", lambda a: a + 100),
+        put("current_support", lambda a: a.ravel()),
         put("current_count", lambda a: a * 0),
         put("current_count", lambda a: a + 100),
         put("best_rest", lambda a: a * np.nan),
@@ -294,7 +295,7 @@ def put(name: str, value: Callable[[np.ndarray], object]) -> Callable[[dict], No
         put("best_transforms", lambda a: a.ravel()),
         put("history", lambda a: a.ravel()[:-1]),
     ],
-    ids=range(18),
+    ids=range(19),
 )
 def test_damaged_state(edit: Callable[[dict], None], tmp_path: Path) -> None:
     path = damaged(tmp_path, edit)
@@ -325,3 +326,11 @@ def test_models_are_plain_arrays() -> None:
     state = whole()[0].state
     assert isinstance(state.best, Model)
     assert {type(v) for v in vars(state.best).values()} == {np.ndarray}
+
+
+def test_a_result_shares_no_memory_with_its_state() -> None:
+    result, _ = whole()
+    assert result.state.best is not None
+    for name in ("rest", "joints", "weights", "transforms"):
+        mine, its = getattr(result.skinning, name), getattr(result.state.best, name)
+        assert not np.shares_memory(mine, its), name

@@ -191,9 +191,28 @@ def test_a_killed_run_goes_on_from_its_checkpoint(
 
 
 def test_a_checkpoint_must_have_a_place(tmp_path: Path) -> None:
-    for path in (tmp_path / "a.txt", tmp_path / "none" / "a.npz", 3):
+    (tmp_path / "folder.npz").mkdir()
+    for path in (tmp_path / "a.txt", tmp_path / "none" / "a.npz", tmp_path / "folder.npz", 3):
         with pytest.raises(ssdr.InputError, match="checkpoint"):
             ssdr.decompose(np.zeros((2, 4, 3)), bones=1, checkpoint=path)
+
+
+def test_a_checkpoint_whose_folder_goes_does_not_end_the_run(tmp_path: Path) -> None:
+    folder = tmp_path / "gone"
+    folder.mkdir()
+
+    calls = []
+
+    def remove(progress: object) -> None:
+        calls.append(progress)
+        if folder.exists():
+            folder.rmdir()
+
+    frames, path = motions.rippled(12), folder / "a.npz"
+    with pytest.warns(ssdr.SsdrWarning, match="no checkpoint"):
+        result = ssdr.decompose(frames, bones=3, effort="fast", checkpoint=path, callback=remove)
+    assert calls
+    assert np.isfinite(result.rmse)
 
 
 @pytest.mark.usefixtures("tiny_memory")
