@@ -19,7 +19,7 @@ from ..search.state import SolverState, check_settings, check_size, taking_up
 from ..skinning import Skinning
 from ..solver.model import Fixed, Model, pad_influences
 from ..solver.trajectories import Array, Trajectories
-from ..streaming.passes import AllFrames
+from ..streaming.passes import ENTERING, GAIN, AllFrames
 from ..streaming.scan import Scan, needs_streaming, subset
 from ..streaming.solve import PASSES, SCANNED, scan_of
 from .fewest_bones import FewestBones, Stopped
@@ -33,8 +33,6 @@ _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
 # Polish steps of the model that holds: what they gain is error budget for pruning.
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
 _RETRIES = 4  # where the search sees a part of the frames, until all of them hold
-_PASS_GAIN = 2e-3  # of the objective, below which another pass over all frames is not made
-_ENTERING = 3  # bones that may enter a vertex's support in a pass
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,7 +67,7 @@ def solve(problem: Problem) -> SmallestModel:
         model = hunt.search.held or hunt.search.closest
         if model is None:
             raise Cancelled("stopped by the callback before there was any model")
-        skinning = hunt.over_all_frames(model, passes=1, entering=_ENTERING)
+        skinning = hunt.over_all_frames(model, passes=1, entering=ENTERING)
     error = hunt.true_error(skinning)
     held = error <= hunt.tolerance
     if not held and reason == "tolerance held":
@@ -205,7 +203,7 @@ class _Hunt:
             if search.held is None:
                 return skinning
             search.improve(_IMPROVE[effort])
-            skinning = self.over_all_frames(search.held, passes=PASSES[effort], entering=_ENTERING)
+            skinning = self.over_all_frames(search.held, passes=PASSES[effort], entering=ENTERING)
             if self.scan is None:
                 return skinning
             error = self.true_error(skinning)
@@ -264,7 +262,7 @@ class _Hunt:
         last = math.inf
         for _ in range(passes):
             value = frames.pass_over(entering=entering)
-            if not value < (1 - _PASS_GAIN) * last:
+            if not value < (1 - GAIN) * last:
                 break
             last = value
         rest, transforms = frames.alignment.to_world(frames.model.rest, frames.model.transforms)

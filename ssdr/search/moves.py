@@ -17,6 +17,7 @@ from ..solver.vertex_newton import newton_rows
 
 __all__ = [
     "drop_influence",
+    "entering_at",
     "grow_and_shed",
     "grow_bone",
     "kick",
@@ -50,7 +51,8 @@ _FEWEST_VERTICES = 4  # of a patch: a rotation needs three that are not on a lin
 # Of Gauss–Newton on a vertex that tries to do without a bone: nine of ten vertices end within
 # 0.1 % of their least error (as the tests of this file hold it to).
 _ROUNDS = 2
-_ENTERING_EVERY, _ENTERING_BONES = 3, 3  # as in the stage of the polish
+# Every third polish step tries bones that could enter: every step costs more than it brings.
+_ENTERING_EVERY, _ENTERING_BONES = 3, 3
 
 
 def merge_step(
@@ -244,11 +246,16 @@ def _thinned(
     return model
 
 
+def entering_at(step: int) -> int:
+    """Bones that may enter a vertex's support in this step of a polish, counted from 0."""
+    return _ENTERING_BONES if step % _ENTERING_EVERY == 0 else 0
+
+
 def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
     """`count` steps of the polish (in place), every third of which lets bones enter."""
     polish = polish_of(data, model, fixed=fixed)
     for k in range(count):
-        polish.step(entering=_ENTERING_BONES if k % _ENTERING_EVERY == 0 else 0)
+        polish.step(entering=entering_at(k))
     normalise_gauge(model, data.importance, fixed)
 
 

@@ -15,6 +15,7 @@ from ..solver.bone_models import normalise_gauge, polish_of
 from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
 from ..solver.model import Model
 from .moves import (
+    entering_at,
     grow_and_shed,
     kick,
     loosen,
@@ -53,8 +54,6 @@ _FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
 _PLATEAU = 1e-5
 _PLATEAU_ALTERNATIONS = 3  # in a row: fewer end on a pause that is followed by progress
 _POLISH_WINDOW = 8  # polish steps over which the stopping test looks
-# Every third polish step tries bones that could enter: every step costs more than it brings.
-_ENTERING_EVERY, _ENTERING_BONES = 3, 3
 POLISH_STEPS_OF_A_TRY = 8  # after which a try of a search is judged
 _CLOSE = 1.02  # ratio of objectives at which a try gets as many polish steps again
 _CHANGES = (loosen, grow_and_shed, kick, thin)  # the kinds of change that a search tries
@@ -319,7 +318,7 @@ class Polish(Stage):
         polish = run.polish
         if not memory.recent:
             memory.recent = [polish.value]
-        polish.step(entering=_ENTERING_BONES if memory.count % _ENTERING_EVERY == 0 else 0)
+        polish.step(entering=entering_at(memory.count))
         memory.damping = polish.damping
         run.iteration += 1
         memory.recent = [*memory.recent, polish.value][-_POLISH_WINDOW - 1 :]

@@ -24,6 +24,7 @@ __all__ = [
     "Alignment",
     "Trajectories",
     "centred",
+    "frame_scale_of",
     "gather",
     "scale_of",
     "truncated_basis",
@@ -195,9 +196,7 @@ def gather(
     importance = np.ones(n_vertices)
     if vertex_importance is not None:
         importance = vertex_importance / vertex_importance.mean()
-    frame_scale = np.ones(n_frames)
-    if frame_importance is not None:
-        frame_scale = np.sqrt(frame_importance / frame_importance.mean())
+    frame_scale = frame_scale_of(frame_importance, n_frames)
     # what has no importance shall not decide where the origin is
     share = None if vertex_importance is None else importance / n_vertices
     x = np.empty((n_vertices, n_frames, 3))
@@ -275,6 +274,11 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
         return _sketch(x, energy, rank)
     q = truncated_basis(x, lambda tail: max(_TAIL * tail[rank], _NOISE * energy))
     return (x, None) if q is None else (np.ascontiguousarray(x @ q), q)
+
+
+def frame_scale_of(importance: Array | None, n_frames: int) -> Array:
+    """(F,) root of the importance of frames, relative to its mean."""
+    return np.ones(n_frames) if importance is None else np.sqrt(importance / importance.mean())
 
 
 def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None:

@@ -19,16 +19,18 @@ from ..sequence import MeshSequence
 from ..solver.alternation import bone_step
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
-from ..solver.trajectories import Alignment, Array, Trajectories
+from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
 from .scan import OnProgress, Scan
 
-__all__ = ["AllFrames", "carried"]
+__all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
 
 _SWEEPS = 6  # Gauss–Seidel sweeps after a leap of the bones
 # Leaps of a pass; of the first, where the bones of a frame start from those of another frame.
 _LEAPS, _FIRST_LEAPS = 2, 4
 _ROUNDS = 3  # of Gauss–Newton on a vertex
+ENTERING = 3  # bones that may enter a vertex's support in a pass
+GAIN = 2e-3  # of the objective, below which another pass is not made
 
 
 def carried(
@@ -96,10 +98,7 @@ class AllFrames:
         ratio = data.scale / self.alignment.scale
         self.model = carried(model, scan.nearest, ratio, prescribed, fixed)
         self.vertex_importance = data.importance
-        mean = 1.0 if importance is None else float(importance.mean())
-        self.frame_scale = (
-            np.ones(len(scan.nearest)) if importance is None else np.sqrt(importance / mean)
-        )
+        self.frame_scale = frame_scale_of(importance, len(scan.nearest))
 
     def restore(self, model: Model, passes: int) -> None:
         """Go on with a model of all frames after so many passes."""

@@ -26,7 +26,7 @@ from ..search.schedule import settling_schedule
 from ..search.solve import Outcome, begin, idle_bones, outcome_of, restore, state_of, walk
 from ..search.state import SolverState
 from ..solver.trajectories import Array, Trajectories
-from .passes import AllFrames, carried
+from .passes import ENTERING, GAIN, AllFrames, carried
 from .scan import Scan, scan, subset
 from .state import StreamedState
 
@@ -36,8 +36,6 @@ __all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
 # on more of them: as measured at the paper's size.
 SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
 PASSES = {"fast": 1, "balanced": 4, "best": 8}  # over all frames, at most
-_ENTERING = 3  # bones that may enter a vertex's support in a pass
-_GAIN = 2e-3  # of the objective, below which another pass is not made
 
 
 def solve(problem: Problem) -> Outcome:
@@ -208,14 +206,14 @@ def _passes(
         count = len(streamed.passes)
         last = streamed.passes[-1][2] if streamed.passes else math.inf
         value = frames.pass_over(
-            entering=0 if run.smoothness else _ENTERING, on_progress=on_progress
+            entering=0 if run.smoothness else ENTERING, on_progress=on_progress
         )
         if value >= last:
             streamed.done = True
             frames.restore(streamed.model, count)
             break
         streamed.passes.append((run.iteration + count + 1, run.clock.elapsed, value))
-        streamed.done = value > (1 - _GAIN) * last or count + 1 >= most
+        streamed.done = value > (1 - GAIN) * last or count + 1 >= most
         streamed.model = frames.model if streamed.done else frames.model.copy()
         if save is not None and not streamed.done:
             save()
