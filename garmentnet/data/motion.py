@@ -19,8 +19,12 @@ from .skeleton import Skeleton, check_joints
 
 __all__ = ["CLASSES", "Motion", "interpolate", "lead_in"]
 
-# Classes of motion; "recorded" is motion capture, the others are made by the generator.
-CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop", "recorded")
+# Classes of motion; "recorded" is motion capture, the others are made by the generator.  New ones
+# are added at the end: stores hold indices into this list.
+CLASSES = (
+    *("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop"),
+    *("recorded", "turn", "shift"),
+)
 # Length of the heading, a unit vector seen from above, below which it says nothing.
 _NO_HEADING = 1e-3
 

@@ -138,12 +138,16 @@ def make_data_set(
     with _writing(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s, made_with)]
-        # Training clips first: training need not wait for the test clips.
-        todo.sort(key=lambda s: get_args(Split).index(s.motion.split))
+        # The base parameters first, and of these the training clips: training need not wait.
+        todo.sort(key=lambda s: (s.parameters != data_set.base, bool(s.repeat_of), _order(s)))
         _check_space(store, todo)
         if todo:
             Run(store, scenes, todo, progress).go(min(count, len(todo)))
     return store
+
+
+def _order(scene: Scene) -> int:
+    return get_args(Split).index(scene.motion.split)
 
 
 def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool:

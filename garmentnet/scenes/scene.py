@@ -18,7 +18,7 @@ from ..data.parameters import SimulationParameters
 from ..data.retarget import retarget
 from .body import Body, default_body, load_body
 from .cloth import Solver
-from .dance.choreography import dance
+from .dance.choreography import Repertoire, dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
 from .quality import Gate
 
@@ -49,6 +49,8 @@ class MotionSource:
     whole : int
         Frames that are generated, of which the first `frames` are used; 0: only `frames`.  A
         shorter dance is not the beginning of a longer one.
+    repertoire : {"basic", "wide"}
+        Of the generator.
 
     Examples
     --------
@@ -65,6 +67,7 @@ class MotionSource:
     file: str = ""
     start: int = 0
     whole: int = 0
+    repertoire: Repertoire = "basic"
 
     def make(self, body: Body, fps: float) -> Motion:
         """Generate or read the motion."""
@@ -79,6 +82,7 @@ class MotionSource:
             fps=fps,
             classes=self.classes or None,
             name=self.name,
+            repertoire=self.repertoire,
         )
         return danced.cut(0, self.frames)
 
@@ -134,6 +138,9 @@ class Scene:
         motion = dataclasses.asdict(self.motion)
         # The name alone: with the path, the stored bytes would depend on the machine.
         motion["file"] = Path(self.motion.file).name
+        if self.motion.repertoire == "basic":
+            # Stores from before there was another one do not name it.
+            del motion["repertoire"]
         return {
             "data_set": self.data_set.name,
             "garment": dataclasses.asdict(self.data_set.garment),
@@ -180,11 +187,13 @@ class DataSet:
         Simulated with every motion.
     motions : tuple of MotionSource
     sets : tuple of ParameterSet
-        Simulated with `set_motions`.
-    set_motions : tuple of MotionSource
+    set_motions : tuple of tuple of MotionSource
+        The motions of each of `sets`.
     perturbation : float
         RMS displacement in metres with which test clips are simulated a second time; 0: they are
         not.
+    perturb_sets : bool
+        Whether those of `sets` are, too.
 
     Examples
     --------
@@ -204,14 +213,16 @@ class DataSet:
     base: ParameterSet
     motions: tuple[MotionSource, ...]
     sets: tuple[ParameterSet, ...] = ()
-    set_motions: tuple[MotionSource, ...] = ()
+    set_motions: tuple[tuple[MotionSource, ...], ...] = ()
     perturbation: float = 0.0
+    perturb_sets: bool = True
 
     def scenes(self) -> tuple[Scene, ...]:
         """One scene for each clip: base parameters, their perturbed test clips, other sets."""
         scenes = self._with_pairs([self._scene(self.base, m) for m in self.motions])
-        for parameters in self.sets:
-            scenes += self._with_pairs([self._scene(parameters, m) for m in self.set_motions])
+        for parameters, motions in zip(self.sets, self.set_motions, strict=True):
+            further = [self._scene(parameters, m) for m in motions]
+            scenes += self._with_pairs(further) if self.perturb_sets else further
         return tuple(scenes)
 
     def with_motions(self, motions: tuple[MotionSource, ...]) -> DataSet:

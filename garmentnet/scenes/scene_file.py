@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ssdr.errors import FormatError, InputError
 
@@ -12,7 +12,7 @@ from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..io.tables import from_table, read_toml
 from .cloth import Solver
-from .dance.choreography import DANCE_CLASSES
+from .dance.choreography import DANCE_CLASSES, Repertoire
 from .garments import Dress
 from .quality import Gate
 from .scene import DataSet, MeshGarment, MotionSource, ParameterSet
@@ -20,7 +20,8 @@ from .scene import DataSet, MeshGarment, MotionSource, ParameterSet
 __all__ = ["load_data_set", "presets"]
 
 _PRESETS = Path(__file__).with_name("presets")
-# Seeds of the splits lie this far apart, so that a split can grow without changing another's.
+# Seeds of the splits, and after them those of the other parameter sets, lie this far apart, so
+# that one can grow without changing another's.
 _SEEDS_OF_A_SPLIT = 1000
 
 
@@ -30,7 +31,7 @@ def presets() -> tuple[str, ...]:
     Examples
     --------
     >>> presets()
-    ('small', 'tiny')
+    ('medium', 'small', 'tiny')
     """
     return tuple(sorted(p.stem for p in _PRESETS.glob("*.toml")))
 
@@ -70,20 +71,52 @@ class _Motions:
     test: int = 0
     frames: int = 300
     seed: int = 0
+    repertoire: Repertoire = "basic"
+    # Length of the training dances, if another: settling costs as much for a short clip.
+    train_frames: int = 0
     # For the other parameter sets: how many of each split, the first of them, and how long.
     set_train: int = 0
     set_test: int = 0
     set_frames: int = 0
+    # Training sets get so many dances of their own instead of the first ones of the base.
+    set_own: int = 0
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             least = 1 if field.name in ("train", "frames") else 0
-            if getattr(self, field.name) < least:
+            if field.type == "int" and getattr(self, field.name) < least:
                 raise InputError(field.name, f"an integer >= {least}", getattr(self, field.name))
         for split in ("train", "test"):
             count, most = getattr(self, f"set_{split}"), getattr(self, split)
             if count > most:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Further:
+    """``[[further]]``: more dances under the base parameters, of a name of their own."""
+
+    name: str
+    split: Split = "test"
+    count: int = 1
+    frames: int = 300
+    seed: int = 0
+    repertoire: Repertoire = "basic"
+
+    def __post_init__(self) -> None:
+        for name, least in (("count", 1), ("frames", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise InputError(name, f"an integer >= {least}", getattr(self, name))
+        if not self.name.isidentifier() or self.name == "dance":
+            raise InputError("name", 'letters, digits and _, not "dance"', self.name)
+
+    def sources(self) -> list[MotionSource]:
+        return [
+            MotionSource(
+                f"{self.name}-{s:04d}", self.split, s, self.frames, repertoire=self.repertoire
+            )
+            for s in range(self.seed, self.seed + self.count)
+        ]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -138,6 +171,7 @@ class _File:
     fps: float = 30.0
     seed: int = 0
     perturbation: float = 0.0
+    perturb_sets: bool = True
     garment: dict[str, Any] = dataclasses.field(default_factory=dict)
     body: _Body = _Body()
     solver: Solver = dataclasses.field(default_factory=Solver)
@@ -145,6 +179,7 @@ class _File:
     base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
     motions: _Motions | None = None
     motion: _Motion | None = None
+    further: tuple[_Further, ...] = ()
     set: tuple[_Set, ...] = ()
 
     def __post_init__(self) -> None:
@@ -165,7 +200,12 @@ def _data_set(content: _File, path: Path) -> DataSet:
         garment = dataclasses.replace(read, mesh=str(path.parent / read.mesh))
     else:
         garment = from_table(Dress, content.garment, file=str(path), name="garment")
-    motions, short = _sources(content, path)
+    sets = tuple(
+        ParameterSet(s.name or f"set{k + 1:02d}", s.split, s.parameters())
+        for k, s in enumerate(content.set)
+    )
+    motions = tuple(_base_motions(content, path))
+    further = [m for group in content.further for m in group.sources()]
     return DataSet(
         name=content.name or path.stem,
         fps=content.fps,
@@ -175,38 +215,57 @@ def _data_set(content: _File, path: Path) -> DataSet:
         solver=content.solver,
         gate=content.gate,
         base=ParameterSet("base", "train", content.base),
-        motions=motions,
-        sets=tuple(
-            ParameterSet(s.name or f"set{k + 1:02d}", s.split, s.parameters())
-            for k, s in enumerate(content.set)
-        ),
-        set_motions=short,
+        motions=(*motions, *further),
+        sets=sets,
+        set_motions=tuple(_set_motions(content, s.split, k, motions) for k, s in enumerate(sets)),
         perturbation=content.perturbation,
+        perturb_sets=content.perturb_sets,
     )
 
 
-def _sources(
-    content: _File, path: Path
-) -> tuple[tuple[MotionSource, ...], tuple[MotionSource, ...]]:
-    """Motions of the base parameters, and those of the other parameter sets."""
+def _base_motions(content: _File, path: Path) -> list[MotionSource]:
+    """Motions of the base parameters."""
     if content.motion is not None:
         one = content.motion
         file = str(path.parent / one.file) if one.file else ""
         stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
-        made = MotionSource(stem, one.split, one.seed, one.frames, one.classes, file, one.start)
-        return (made,), ()
+        return [MotionSource(stem, one.split, one.seed, one.frames, one.classes, file, one.start)]
     assert content.motions is not None
     g = content.motions
-    counts: dict[Split, int] = {"train": g.train, "validation": g.validation, "test": g.test}
-    motions: dict[str, list[MotionSource]] = {}
-    for k, (split, count) in enumerate(counts.items()):
-        first = g.seed + content.seed + _SEEDS_OF_A_SPLIT * k
-        motions[split] = [
-            MotionSource(f"dance-{s:04d}", split, s, g.frames) for s in range(first, first + count)
-        ]
-    frames = min(g.frames, g.set_frames or g.frames)
-    short = [
-        dataclasses.replace(m, frames=frames, whole=g.frames)
-        for m in motions["train"][: g.set_train] + motions["test"][: g.set_test]
+    counts: dict[Split, tuple[int, int]] = {
+        "train": (g.train, g.train_frames or g.frames),
+        "validation": (g.validation, g.frames),
+        "test": (g.test, g.frames),
+    }
+    return [
+        MotionSource(f"dance-{s:04d}", split, s, frames, repertoire=g.repertoire)
+        for k, (split, (count, frames)) in enumerate(counts.items())
+        for s in _seeds(g, content.seed, k, count)
     ]
-    return tuple(m for split in motions.values() for m in split), tuple(short)
+
+
+def _set_motions(
+    content: _File, split: Split, k: int, motions: tuple[MotionSource, ...]
+) -> tuple[MotionSource, ...]:
+    """Motions of the `k`-th of the other parameter sets, given those of the base."""
+    g = content.motions
+    if g is None:
+        return ()
+    train = [m for m in motions if m.split == "train"][: g.set_train]
+    test = [m for m in motions if m.split == "test"][: g.set_test]
+    if g.set_own and split == "train":
+        frames = g.train_frames or g.frames
+        train = [
+            MotionSource(f"dance-{s:04d}", "train", s, frames, repertoire=g.repertoire)
+            for s in _seeds(g, content.seed, len(get_args(Split)) + k, g.set_own)
+        ]
+    most = g.set_frames or max(g.frames, g.train_frames)
+    return tuple(
+        dataclasses.replace(m, frames=most, whole=m.frames) if m.frames > most else m
+        for m in train + test
+    )
+
+
+def _seeds(g: _Motions, seed: int, block: int, count: int) -> range:
+    first = g.seed + seed + _SEEDS_OF_A_SPLIT * block
+    return range(first, first + count)

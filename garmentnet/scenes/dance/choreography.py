@@ -6,23 +6,68 @@ Consecutive moves are blended; arm motion and small random motion are added thro
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from ssdr.errors import InputError
+from ssdr.errors import InputError, check_choice
 
 from ...data.motion import CLASSES, Motion
 from ...data.skeleton import Skeleton
-from .moves import MOVES, Controls, Float, State, smooth
+from .moves import MOVES, Controls, Float, Move, State, smooth
 from .puppet import CHANNELS, RATE, pose_joints
+from .wide_moves import TEMPI, WIDE_MOVES
 
-__all__ = ["DANCE_CLASSES", "dance"]
+__all__ = ["DANCE_CLASSES", "Repertoire", "dance"]
 
-DANCE_CLASSES = ("stand", "walk", "sway", "spin", "kick", "squat", "jump", "stop")
+Repertoire = Literal["basic", "wide"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Moves:
+    """What dances of a repertoire are made of."""
+
+    moves: dict[str, tuple[float, float, Move]]
+    tempi: dict[str, tuple[float, float]]
+    fast: tuple[str, ...]
+    slow: tuple[str, ...]
+    # Least and one more than the greatest number of classes in a dance, and of fast ones.
+    classes: tuple[int, int]
+    fast_classes: tuple[int, int]
+    # Probability that a fast move ends in a sudden stop, beside the stops of its classes.
+    sudden: float
+    # How far the arms wander around how far they are raised, and the highest; radians.
+    arms: tuple[float, float, float]
+
+
+_MOVES: dict[str, _Moves] = {
+    "basic": _Moves(
+        moves=MOVES,
+        tempi={},
+        fast=("spin", "kick", "squat", "jump"),
+        slow=("stand", "walk", "sway"),
+        classes=(4, 7),
+        fast_classes=(2, 4),
+        sudden=0.0,
+        arms=(0.6, 0.45, 2.0),
+    ),
+    "wide": _Moves(
+        moves=WIDE_MOVES,
+        tempi=TEMPI,
+        fast=("spin", "kick", "squat", "jump", "turn"),
+        slow=("stand", "walk", "sway", "shift"),
+        classes=(6, 9),
+        fast_classes=(3, 6),
+        sudden=0.25,
+        arms=(1.1, 0.7, 2.35),
+    ),
+}
+DANCE_CLASSES = tuple(WIDE_MOVES)
 
 
 def dance(
@@ -33,6 +78,7 @@ def dance(
     fps: float = 30.0,
     classes: Sequence[str] | None = None,
     name: str | None = None,
+    repertoire: Repertoire = "basic",
 ) -> Motion:
     """Generate a dance.
 
@@ -46,8 +92,11 @@ def dance(
     fps : float
     classes : sequence of str, optional
         Classes of motion, in this order first and then at random; by default four to six drawn
-        from the seed, at least two of them fast.
+        from the seed, at least two of them fast (`wide`: six to eight, at least three).
     name : str, optional
+    repertoire : {"basic", "wide"}
+        ``"wide"`` adds walking turns and weight shifts, varies the tempo, raises the arms up to
+        vertical, turns in jumps and stops suddenly after fast moves.
 
     Returns
     -------
@@ -69,27 +118,29 @@ def dance(
         raise InputError("frames", "at least 1", frames)
     if not (math.isfinite(fps) and 1 <= fps <= RATE):
         raise InputError("fps", f"1 to {RATE}", fps)
+    check_choice(repertoire, "repertoire", Repertoire)
+    made_of = _MOVES[repertoire]
     rng = np.random.default_rng([int(seed), 0xDA9CE])
-    chosen = _chosen(rng) if classes is None else list(classes)
+    chosen = _chosen(rng, made_of) if classes is None else list(classes)
     for c in chosen:
-        if c not in DANCE_CLASSES:
-            raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
+        if c not in made_of.moves:
+            raise InputError("classes", f"some of {', '.join(made_of.moves)}", c)
     if not chosen:
         raise InputError("classes", "at least one", chosen)
     heading = float(rng.uniform(-math.pi, math.pi))
     seconds = frames / fps
-    controls, label = _choreograph(rng, chosen, seconds, heading)
-    _add_arms(rng, controls, seconds)
-    _add_noise(rng, controls, seconds)
+    controls, label = _choreograph(rng, made_of, chosen, seconds, heading)
+    _add_arms(rng, made_of, controls)
+    _add_noise(rng, controls)
     joints = pose_joints(skeleton, controls, heading)
     at = np.minimum(np.round(np.arange(frames) * RATE / fps).astype(int), len(joints) - 1)
     return Motion(joints[at], label[at], fps, f"dance-{seed}" if name is None else name)
 
 
-def _chosen(rng: np.random.Generator) -> list[str]:
-    fast, slow = ["spin", "kick", "squat", "jump"], ["stand", "walk", "sway"]
-    count = int(rng.integers(4, 7))
-    n_fast = min(int(rng.integers(2, 4)), count - 2)
+def _chosen(rng: np.random.Generator, made_of: _Moves) -> list[str]:
+    count = int(rng.integers(*made_of.classes))
+    n_fast = min(int(rng.integers(*made_of.fast_classes)), count - 2)
+    fast, slow = list(made_of.fast), list(made_of.slow)
     picked = [*rng.permutation(fast)[:n_fast], *rng.permutation(slow)[: count - n_fast]]
     if len(picked) < count:
         picked.append("stop")
@@ -97,7 +148,11 @@ def _chosen(rng: np.random.Generator) -> list[str]:
 
 
 def _choreograph(
-    rng: np.random.Generator, chosen: list[str], seconds: float, heading: float
+    rng: np.random.Generator,
+    made_of: _Moves,
+    chosen: list[str],
+    seconds: float,
+    heading: float,
 ) -> tuple[Controls, NDArray[np.int8]]:
     count = math.ceil(seconds * RATE) + 1
     time = np.arange(count) / RATE
@@ -111,9 +166,12 @@ def _choreograph(
             order = [str(c) for c in rng.permutation(chosen)]
             if len(order) > 1 and order[0] == last:
                 order = order[1:] + order[:1]
+        if made_of.sudden and last in made_of.fast and rng.random() < made_of.sudden:
+            order.insert(0, "stop")
         kind = order.pop(0)
-        low, high, move = MOVES[kind]
-        length = float(rng.uniform(low, high))
+        low, high, move = made_of.moves[kind]
+        tempo = _tempo(rng, made_of, kind)
+        length = float(rng.uniform(low, high)) / tempo
         abrupt = bool(order) and order[0] == "stop"
         # Seconds; a stop must come suddenly.
         fade_out = 0.06 if abrupt else float(rng.uniform(0.15, 0.4))
@@ -124,7 +182,10 @@ def _choreograph(
             rise = smooth((local + fade_in) / (2 * fade_in))
             fall = smooth((length + fade_out - local) / (2 * fade_out))
             weight = rise * fall
-            wants = move(rng, local, length, state)
+            wants = move(rng, tempo * local, tempo * length, state)
+            for name in ("forward", "side", "turn"):
+                if name in wants:
+                    wants[name] = tempo * wants[name]
             for name, values in wants.items():
                 total[name][part] += weight * values
             weight_sum[part] += weight
@@ -138,6 +199,13 @@ def _choreograph(
     return {name: values / weight_sum for name, values in total.items()}, label
 
 
+def _tempo(rng: np.random.Generator, made_of: _Moves, kind: str) -> float:
+    """How fast a move is danced, from its range, even on a logarithmic scale."""
+    if kind not in made_of.tempi:
+        return 1.0
+    return math.exp(rng.uniform(*np.log(made_of.tempi[kind])))
+
+
 def _after(state: State, wants: Controls, weight: Float) -> State:
     """Approximate position and heading after a move."""
     zero = np.zeros(len(weight))
@@ -148,21 +216,22 @@ def _after(state: State, wants: Controls, weight: Float) -> State:
     return State(x, z, float(yaw[-1]))
 
 
-def _add_arms(rng: np.random.Generator, controls: Controls, seconds: float) -> None:
+def _add_arms(rng: np.random.Generator, made_of: _Moves, controls: Controls) -> None:
     """Add slow random arm motion; at times both arms move alike."""
     count = len(controls["turn"])
+    swing, middle, highest = made_of.arms
     together = _noise(rng, count, 0.25) > 0.2
     mix = uniform_filter1d(together.astype(np.float64), RATE // 2, mode="nearest")
     wander = {
         side: {
-            "reach": 0.45 + 0.6 * _noise(rng, count, 0.5),
+            "reach": middle + swing * _noise(rng, count, 0.5),
             "sweep": 0.5 + 0.6 * _noise(rng, count, 0.5),
             "elbow": 0.5 + 0.5 * _noise(rng, count, 0.6),
         }
         for side in "lr"
     }
     for name, (low, high) in (
-        ("reach", (-0.25, 2.0)),
+        ("reach", (-0.25, highest)),
         ("sweep", (-0.5, 1.6)),
         ("elbow", (-0.3, 1.7)),
     ):
@@ -175,7 +244,7 @@ def _add_arms(rng: np.random.Generator, controls: Controls, seconds: float) -> N
             )
 
 
-def _add_noise(rng: np.random.Generator, controls: Controls, seconds: float) -> None:
+def _add_noise(rng: np.random.Generator, controls: Controls) -> None:
     """Add small random motion: channel, amplitude in its unit, swings a second."""
     count = len(controls["turn"])
     for name, size, rate in (

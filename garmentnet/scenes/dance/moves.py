@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOVES", "Controls", "Float", "Move", "State", "smooth"]
+__all__ = ["MOVES", "Controls", "Float", "Move", "State", "bump", "smooth"]
 
 Float = NDArray[np.float64]
 Controls = dict[str, Float]
@@ -89,7 +89,7 @@ def _sway(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 def _spin(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
     way = rng.choice([-1.0, 1.0])
-    envelope = _bump(t, 0, length, rng.uniform(0.2, 0.45))
+    envelope = bump(t, 0, length, rng.uniform(0.2, 0.45))
     top = rng.uniform(0.8, 2.0) * 2 * math.pi
     rate = way * top * envelope
     if rng.random() < 0.25:
@@ -117,8 +117,8 @@ def _kick(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
     side = str(rng.choice(["l", "r"]))
     for k in range(count):
         begin, end = k * length / count, (k + 1) * length / count
-        up = _bump(t, begin, end, 0.22 * (end - begin) + 0.08)
-        peak = _bump(t, begin + 0.05, end - 0.05, 0.45 * (end - begin))
+        up = bump(t, begin, end, 0.22 * (end - begin) + 0.08)
+        peak = bump(t, begin + 0.05, end - 0.05, 0.45 * (end - begin))
         kind = rng.choice(["front", "front", "side", "back"])
         flex, spread = {
             "front": (rng.uniform(0.8, 1.75), rng.uniform(-0.1, 0.5)),
@@ -149,7 +149,7 @@ def _kick(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
 
 def _squat(rng: np.random.Generator, t: Float, length: float, state: State) -> Controls:
     depth, hold = rng.uniform(0.13, 0.4), rng.uniform(0.25, 0.45)
-    down = _bump(t, 0, length, hold * length)
+    down = bump(t, 0, length, hold * length)
     pulse = 0.15 * np.sin(2 * math.pi * rng.uniform(1, 2) * t) * down
     deep = depth * (down + pulse * rng.choice([0, 1]))
     wide = rng.uniform(0.0, 0.35)
@@ -183,12 +183,12 @@ def _jump(rng: np.random.Generator, t: Float, length: float, state: State) -> Co
         rise = np.clip(s * (flight - s), 0, None) * _GRAVITY / 2
         out["air"] += rise
         crouch = rng.uniform(0.1, 0.22)
-        load = _bump(t, off - 0.42, off + 0.02, 0.2) + _bump(
+        load = bump(t, off - 0.42, off + 0.02, 0.2) + bump(
             t, off + flight - 0.02, off + flight + 0.45, 0.16
         )
         out["lift"] -= crouch * load
         out["bend"] += 1.2 * crouch * load
-        flown = _bump(t, off, off + flight, 0.35 * flight)
+        flown = bump(t, off, off + flight, 0.35 * flight)
         out["turn"] += flown * rng.choice([0.0, 0.0, 1.0, -1.0]) * rng.uniform(1.5, 6)
         split, tuck = rng.uniform(0, 0.7) * rng.integers(0, 2), rng.uniform(0, 0.9)
         stride = rng.uniform(-0.7, 0.7) * rng.integers(0, 2)
@@ -239,7 +239,13 @@ def smooth(x: Float) -> Float:
     return np.asarray(x * x * x * (x * (6 * x - 15) + 10))
 
 
-def _bump(t: Float, begin: float, end: float, ramp: float) -> Float:
-    """1 between `begin` and `end`, 0 outside, with smooth ramps inside; seconds."""
+def bump(t: Float, begin: float, end: float, ramp: float) -> Float:
+    """1 between `begin` and `end`, 0 outside, with smooth ramps inside; seconds.
+
+    Examples
+    --------
+    >>> bump(np.array([0.0, 0.5, 1.0, 2.0]), 0.0, 2.0, 0.5).tolist()
+    [0.0, 1.0, 1.0, 0.0]
+    """
     ramp = min(ramp, (end - begin) / 2)
     return smooth((t - begin) / ramp) * smooth((end - t) / ramp)

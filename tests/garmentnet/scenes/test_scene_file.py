@@ -49,7 +49,7 @@ def test_a_scene(tmp_path: Path) -> None:
 
 
 def test_presets_hold_what_is_promised() -> None:
-    assert presets() == ("small", "tiny")
+    assert presets() == ("medium", "small", "tiny")
     small = load_data_set("small")
     assert isinstance(small.garment, Dress)
     assert 2000 <= small.garment.vertices <= 3000
@@ -61,7 +61,8 @@ def test_presets_hold_what_is_promised() -> None:
     splits = [s.split for s in small.sets]
     assert (splits.count("train"), splits.count("validation"), splits.count("test")) == (9, 1, 2)
     for split, least in (("train", 500), ("test", 200)):
-        assert sum(m.frames for m in small.set_motions if m.split == split) >= least
+        for motions in small.set_motions:
+            assert sum(m.frames for m in motions if m.split == split) >= least
     every = [s.parameters for s in (*small.sets, small.base)]
     assert len(set(every)) == 13
     assert all(p.outside() == () for p in every)
@@ -78,10 +79,48 @@ def test_presets_hold_what_is_promised() -> None:
     assert len(set(names)) == len(names)
 
 
+def test_medium_holds_what_is_promised() -> None:
+    medium, small = load_data_set("medium"), load_data_set("small")
+    base = [s for s in medium.scenes() if s.parameters == medium.base]
+    frames = {
+        split: sum(s.motion.frames for s in base if s.motion.split == split)
+        for split in ("train", "validation")
+    }
+    assert frames["train"] >= 64_000
+    seeds = [m.seed for m in medium.motions]
+    assert len(set(seeds)) == len(seeds)
+    of_split = {k: [m for m in medium.motions if m.split == k] for k in ("validation", "test")}
+    assert len(of_split["validation"]) == 8
+    test = [m for m in of_split["test"] if m.name.startswith("dance")]
+    assert len(test) == 24
+    # The second test: the motions of small's test clips.
+    second = [m for m in of_split["test"] if m.name.startswith("small")]
+    body = medium.make_body()
+    for ours, theirs in zip(second, [m for m in small.motions if m.split == "test"], strict=True):
+        np.testing.assert_array_equal(
+            ours.make(body, medium.fps).joints, theirs.make(body, small.fps).joints
+        )
+    # Training sets: motions of their own; the others: motions that the base trains on.
+    assert len(medium.sets) == 12
+    used = {m.seed for m in medium.motions if m.split != "test"}
+    for parameters, motions in zip(medium.sets, medium.set_motions, strict=True):
+        assert tuple(m for m in motions if m.split == "test") == tuple(test[:3])
+        own = [m for m in motions if m.split == "train"]
+        if parameters.split == "train":
+            assert sum(m.frames for m in own) >= 2000
+            assert not used & {m.seed for m in own}
+            used |= {m.seed for m in own}
+        else:
+            assert {m.seed for m in own} <= {m.seed for m in medium.motions if m.split == "train"}
+    moved = [s for s in medium.scenes() if s.perturbation]
+    assert len(moved) == 30
+    assert all(s.parameters == medium.base for s in moved)
+
+
 def test_short_motions_begin_the_long_ones() -> None:
     tiny = load_data_set("tiny")
     body = tiny.make_body()
-    for short in tiny.set_motions:
+    for short in tiny.set_motions[0]:
         (whole,) = (m for m in tiny.motions if m.name == short.name)
         long = whole.make(body, tiny.fps)
         np.testing.assert_array_equal(
@@ -148,5 +187,5 @@ def test_bad_files_say_where(tmp_path: Path, old: str, new: str, word: str) -> N
 
 
 def test_missing_files_name_the_presets() -> None:
-    with pytest.raises(FormatError, match="small, tiny"):
-        load_data_set("medium")
+    with pytest.raises(FormatError, match="medium, small, tiny"):
+        load_data_set("large")

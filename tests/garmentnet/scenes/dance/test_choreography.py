@@ -11,7 +11,7 @@ pytest.importorskip("zarr")
 
 from garmentnet.data.motion import CLASSES, Motion
 from garmentnet.scenes.body import default_body
-from garmentnet.scenes.dance.choreography import DANCE_CLASSES, dance
+from garmentnet.scenes.dance.choreography import DANCE_CLASSES, Repertoire, dance
 from ssdr.errors import InputError
 
 TREE = default_body().skeleton
@@ -114,11 +114,72 @@ def test_a_stop_is_sudden() -> None:
 def test_clips_are_varied() -> None:
     used = [set(dance(TREE, seed=s, frames=300).classes.tolist()) for s in range(20)]
     assert all(3 <= len(u) <= 6 for u in used)
-    assert set().union(*used) == {CLASSES.index(c) for c in DANCE_CLASSES}
+    assert set().union(*used) == {CLASSES.index(c) for c in DANCE_CLASSES} - WIDE_ONLY
+
+
+# The root's translation in the last frame of the dance of seed 2010.
+STAYS = [-0.05654100855, -0.01057896177, -0.06446602141]
+WIDE_ONLY = {CLASSES.index(c) for c in ("turn", "shift")}
+
+
+def test_basic_dances_stay_what_they_were() -> None:
+    # Data sets made before there was a wide repertoire must stay the same, up to rounding.
+    motion = dance(TREE, seed=2010, frames=300)
+    np.testing.assert_allclose(motion.joints[299, 0, :, 3], STAYS, atol=1e-9)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=10, deadline=None)
+def test_any_seed_gives_a_plausible_wide_dance(seed: int) -> None:
+    motion = dance(TREE, seed=seed, frames=150, repertoire="wide")
+    h = heads(motion)
+    soles = h[:, FEET, 1] - ANKLE
+    assert soles.min() > -0.12
+    in_air = np.isin(motion.classes, [CLASSES.index("jump"), CLASSES.index("kick")])
+    assert (soles.min(axis=1)[~in_air] < 0.14).mean() > 0.95
+    speed = np.linalg.norm(np.diff(h, axis=0), axis=2).max(axis=1) * motion.fps
+    assert speed.max() < 18
+
+
+def test_wide_dances_are_wider() -> None:
+    def measured(repertoire: Repertoire) -> dict[str, float]:
+        turning, hands, places, stops, used = [], [], [], 0, set()
+        for seed in range(16):
+            motion = dance(TREE, seed=seed, frames=600, repertoire=repertoire)
+            h = heads(motion)
+            walking = np.isin(motion.classes[1:], [CLASSES.index("walk"), CLASSES.index("turn")])
+            turning.append(np.abs(yaw_rate(motion))[walking])
+            hands.append((h[:, TREE.index("hand_l"), 1] > h[:, TREE.index("head"), 1]).mean())
+            places.append(np.ptp(h[:, 0, [0, 2]], axis=0).max())
+            stop = motion.classes == CLASSES.index("stop")
+            stops += int((stop[1:] & ~stop[:-1]).sum())
+            used |= set(motion.classes.tolist())
+        return {
+            "turning": float(np.percentile(np.concatenate(turning), 95)),
+            "hands": float(np.mean(hands)),
+            "places": float(np.median(places)),
+            "stops": stops,
+            "classes": len(used),
+        }
+
+    basic, wide = measured("basic"), measured("wide")
+    assert wide["classes"] == len(DANCE_CLASSES) == basic["classes"] + 2
+    assert wide["turning"] > 1.5 * basic["turning"]
+    assert wide["hands"] > 2 * basic["hands"]
+    assert wide["places"] > 1.5 * basic["places"]
+    assert wide["stops"] > 1.5 * basic["stops"]
 
 
 @pytest.mark.parametrize(
-    "change", [{"frames": 0}, {"fps": 0.0}, {"classes": ["fly"]}, {"classes": []}]
+    "change",
+    [
+        {"frames": 0},
+        {"fps": 0.0},
+        {"classes": ["fly"]},
+        {"classes": []},
+        {"classes": ["turn"]},
+        {"repertoire": "wild"},
+    ],
 )
 def test_dance_refuses(change: dict[str, object]) -> None:
     with pytest.raises(InputError):
