@@ -59,6 +59,7 @@ class FeatureOptions:
     """Pose features, a network's input, and the moving frame of its output."""
 
     rotation: Literal["vector", "sixd"] = "vector"
+    joints: tuple[str, ...] = ()
     heading_free: bool = False
     translation: bool = True
     velocities: bool = False
@@ -76,6 +77,8 @@ class LowOptions:
     rotation: Literal["euler", "vector", "sixd"] = "euler"
     laplacian: float = 1.0
     dropout: float = 0.0
+    collision: float = 0.0
+    frames: int = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,6 +91,10 @@ class HighOptions:
     global_features: int = 10
     edge_features: tuple[int, ...] = (8, 8, 16)
     mlp: tuple[int, ...] = (32,)
+    activation: Literal["relu", "prelu"] = "relu"
+    batch_norm: bool = False
+    dropout: float = 0.0
+    edge_dropout: float = 0.0
     collision: float = 0.1
     frames: int = 4
 
@@ -163,8 +170,13 @@ class Config:
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)
 
-        if self.low.dropout >= 1:
-            raise InputError("low.dropout", "a fraction below 1", self.low.dropout)
+        for name, value in (
+            ("low.dropout", self.low.dropout),
+            ("high.dropout", self.high.dropout),
+            ("high.edge_dropout", self.high.edge_dropout),
+        ):
+            if value >= 1:
+                raise InputError(name, "a fraction below 1", value)
 
     def as_dict(self) -> dict[str, Any]:
         """Nested dictionaries; :meth:`of` reads them."""

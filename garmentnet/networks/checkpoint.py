@@ -27,6 +27,7 @@ from ssdr.io.registry import reading, require
 from ..configs.config import Config
 from ..data.parameters import SimulationParameters
 from ..data.skeleton import Skeleton
+from ..data.skin_weights import BodyBound
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
 from ..io.files import writing
@@ -43,7 +44,8 @@ __all__ = [
     "save_tensors",
 ]
 
-_FORMAT, _VERSION = "garmentnet checkpoint", 1
+# Version 1 knew no vertices that the body carries; everything else is the same.
+_FORMAT, _VERSION, _READ = "garmentnet checkpoint", 2, (1, 2)
 # Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
 # 80 bones in float32.
 _MAX_SKINNING = 4 << 30
@@ -149,6 +151,9 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
             tensors[f"{name}.{field}"] = torch.from_numpy(np.array(getattr(part, field)))
     tensors["skeleton.rest"] = torch.from_numpy(np.array(skeleton.rest))
     tensors["skeleton.parents"] = torch.from_numpy(np.array(skeleton.parents))
+    if subject.bound is not None:
+        for key in (f.name for f in dataclasses.fields(BodyBound)):
+            tensors[f"bound.{key}"] = torch.from_numpy(np.array(getattr(subject.bound, key)))
     record: list[dict[str, Any]] = []
     for k, (network, trained_on) in enumerate(
         zip(checkpoint.networks, checkpoint.parameters, strict=True)
@@ -199,8 +204,8 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         d = documents["checkpoint"]
         if not isinstance(d, dict) or d.get("format") != _FORMAT:
             raise FormatError("not a checkpoint of garmentnet")
-        if d.get("version") != _VERSION:
-            raise FormatError(f"version {d.get('version')}, this reads {_VERSION}")
+        if d.get("version") not in _READ:
+            raise FormatError(f"version {d.get('version')}, this reads {_READ[0]} to {_READ[-1]}")
         arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("network.")}
         names = tuple(str(n) for n in d["joint_names"])
         skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
@@ -211,6 +216,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             skeleton,
             float(d["fps"]),
             str(d["garment_id"]),
+            _bound(arrays, skeleton.n_joints),
         )
         if subject.body_id != d["body_id"]:
             raise FormatError("the body is not the one that the file names")
@@ -325,11 +331,34 @@ def _skinning(
     )
 
 
+def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
+    fields = [f.name for f in dataclasses.fields(BodyBound)]
+    if f"bound.{fields[0]}" not in arrays:
+        return None
+    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in fields})
+    count, vertices = len(bound.index), len(arrays["garment.rest"])
+    fits = (
+        0 < count <= vertices
+        and bound.rest.shape == bound.smooth.shape == (count, 3)
+        and bound.joints.shape == bound.weights.shape == (count, bound.weights.shape[1])
+        and (np.diff(bound.index) > 0).all()
+        and bound.index[0] >= 0
+        and bound.index[-1] < vertices
+        and bound.joints.min() >= 0
+        and bound.joints.max() < joints
+    )
+    if not fits:
+        raise FormatError("bound: vertices or joints that do not exist")
+    return bound
+
+
 def _network(
     config: Config, subject: Subject, record: dict[str, Any], part: dict[str, Tensor]
 ) -> MotionNetwork:
     # The sizes of the configuration are checked against the tensors before anything is allocated.
     o, n = config.high, subject.garment.n_vertices
+    if subject.bound is not None:
+        n -= len(subject.bound.index)
     low = config.low.hidden
     sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}
     if record["high"]:

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from ssdr.errors import InputError
 
+from .features import transforms_in_frame
 from .network import FRAMES_AT_ONCE, Motion, MotionNetwork, NetworkState
 
 __all__ = ["Ensemble", "Kernel"]
@@ -127,7 +128,9 @@ class Ensemble:
         motions = [m for m, _ in runs]
         transforms = sum(float(a) * m.transforms for a, m in zip(w, motions, strict=True))
         assert isinstance(transforms, Tensor)
-        low = torch.as_tensor(self.networks[0].lbs(transforms))
+        first = self.networks[0]
+        moved = torch.from_numpy(transforms_in_frame(joints, motions[0].frame).astype(np.float32))
+        low, _ = first.carry(first.lbs(transforms), None, moved.to(first.device))
         high: Tensor | None = None
         if all(m.high is not None for m in motions):
             parts = [

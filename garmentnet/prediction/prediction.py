@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError, SsdrWarning
+from ssdr.skinning import BoneModel
 
 from ..data.parameters import RANGES, SimulationParameters
+from ..data.subject import Subject
 from ..networks.checkpoint import Checkpoint
 
 __all__ = ["Prediction", "follow", "predict", "trained_range"]
@@ -30,7 +32,8 @@ class Prediction:
     ----------
     cloth, body : MeshSequence
     skinning : Skinning
-        The low-frequency part: the virtual bones with their transforms in the world.
+        The low-frequency part: the virtual bones with their transforms in the world, and behind
+        them the joints of the body that carry vertices.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
@@ -111,19 +114,46 @@ def predict(
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
-        skinning=Skinning(
-            garment.rest,
-            garment.joints,
-            garment.weights,
-            moved,
-            faces=garment.faces,
-            fps=subject.fps,
-            bone_model="affine" if several else "rigid",
-            name=name,
-        ),
+        skinning=_skinning(subject, moved, m, "affine" if several else "rigid", name),
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
         extrapolated=beyond,
+    )
+
+
+def _skinning(
+    subject: Subject,
+    transforms: NDArray[np.float64],
+    joints: NDArray[np.float64],
+    bone_model: BoneModel,
+    name: str,
+) -> Skinning:
+    garment, bound = subject.garment, subject.bound
+    rest, bones, weights = garment.rest, garment.joints, garment.weights
+    names = [f"virtual_{b:02d}" for b in range(garment.n_bones)]
+    if bound is not None:
+        used = np.unique(bound.joints)
+        width = max(bones.shape[1], bound.joints.shape[1])
+        bones, weights, rest = (np.array(x) for x in (bones, weights, rest))
+        pad = ((0, 0), (0, width - bones.shape[1]))
+        bones, weights = np.pad(bones, pad), np.pad(weights, pad)
+        bones[bound.index] = weights[bound.index] = 0
+        columns = slice(0, bound.joints.shape[1])
+        bones[bound.index, columns] = garment.n_bones + np.searchsorted(used, bound.joints)
+        weights[bound.index, columns] = bound.weights
+        rest[bound.index] = bound.smooth
+        transforms = np.concatenate([transforms, joints[:, used]], axis=1)
+        names += [subject.skeleton.names[j] for j in used]
+    return Skinning(
+        rest,
+        bones,
+        weights,
+        transforms,
+        faces=garment.faces,
+        fps=subject.fps,
+        bone_model=bone_model,
+        bone_names=tuple(names),
+        name=name,
     )
 
 
