@@ -74,6 +74,7 @@ class LowOptions:
     """The low-frequency module."""
 
     hidden: int = 600
+    layers: int = 1
     rotation: Literal["euler", "vector", "sixd"] = "euler"
     laplacian: float = 1.0
     dropout: float = 0.0
@@ -85,8 +86,10 @@ class LowOptions:
 class HighOptions:
     """The high-frequency module."""
 
+    kind: Literal["vertices", "basis"] = "vertices"
     hidden: int = 600
     source: Literal["bones", "body"] = "bones"
+    rank: int = 64
     local: bool = True
     global_features: int = 10
     edge_features: tuple[int, ...] = (8, 8, 16)
@@ -170,6 +173,9 @@ class Config:
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)
 
+        if self.high.kind == "basis" and self.high.collision:
+            expected = 'collision = 0 where kind = "basis", which computes no mesh in training'
+            raise InputError("high.collision", expected, self.high.collision)
         for name, value in (
             ("low.dropout", self.low.dropout),
             ("high.dropout", self.high.dropout),

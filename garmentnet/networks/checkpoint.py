@@ -361,7 +361,11 @@ def _network(
         n -= len(subject.bound.index)
     low = config.low.hidden
     sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}
-    if record["high"]:
+    if record["high"] and o.kind == "basis":
+        sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
+        sizes["high.basis"] = (o.rank, 3 * n)
+        sizes["high.mean"] = (n, 3)
+    elif record["high"]:
         sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
         sizes["high.spread.weight"] = (n * o.global_features, o.hidden)
         widths = (3, *o.edge_features) if o.local else ()

@@ -14,6 +14,7 @@ from ssdr.errors import InputError
 
 from ..configs.config import Config
 from ..data.subject import Subject
+from .detail_basis import DetailBasis, SurfaceTurns
 from .features import Normaliser, PoseFeatures, PoseState, transforms_in_frame
 from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
@@ -114,12 +115,13 @@ class MotionNetwork(nn.Module):
         self.lbs = TorchSkinning.of(garment)
         code = BoneCode(garment.centroids(), config.low.rotation)
         inputs = self.features.size + self.condition
-        self.low = LowFrequency(inputs, config.low.hidden, code)
-        self.high: HighFrequency | None = None
+        self.low = LowFrequency(inputs, config.low.hidden, code, config.low.layers)
+        self.high: HighFrequency | DetailBasis | None = None
         bound = subject.bound
         n = garment.n_vertices
         # Vertices that the modules predict; the body carries the others.
         self.free = np.arange(n) if bound is None else bound.free(n)
+        self.turns = SurfaceTurns(garment.joints, garment.weights, garment.n_bones, self.free)
         self.carried: TorchSkinning | None = None
         if bound is not None:
             # Smooth and true positions of the same vertices, one below the other.
@@ -132,11 +134,17 @@ class MotionNetwork(nn.Module):
             index = torch.from_numpy(bound.index.astype(np.int64))
             self.register_buffer("bound", index, persistent=False)
 
-    def add_high(self) -> HighFrequency:
+    def add_high(self) -> HighFrequency | DetailBasis:
         """Add the high-frequency module, with random weights."""
         o, garment = self.config.high, self.subject.garment
         bones, width = self.low.code.shape
         inputs = bones * width if o.source == "bones" else self.features.size
+        if o.kind == "basis":
+            basis = DetailBasis(
+                inputs + self.condition, len(self.free), hidden=o.hidden, rank=o.rank
+            )
+            self.high = basis.to(self.device)
+            return self.high
         a = np.asarray(garment.rest, np.float64)[garment.faces]
         edge = float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean())
         self.high = HighFrequency(
@@ -204,6 +212,24 @@ class MotionNetwork(nn.Module):
         low = low.index_copy(1, self.bound, smooth)
         return low, None if high is None else high.index_copy(1, self.bound, true - smooth)
 
+    def turned(self, numbers: Tensor, transforms: Tensor) -> Tensor:
+        """Detail ``(F, V, 3)`` of the basis in the moving frame; 0 where the body carries.
+
+        Parameters
+        ----------
+        numbers : (F, rank)
+        transforms : (F, B, 3, 4)
+            Of the virtual bones.
+        """
+        assert isinstance(self.high, DetailBasis)
+        local = self.high.local(numbers)
+        detail = (self.turns(transforms) @ local[..., None])[..., 0]
+        if len(self.free) == self.subject.garment.n_vertices:
+            return detail
+        out = detail.new_zeros(len(detail), self.subject.garment.n_vertices, 3)
+        out[:, self.free] = detail
+        return out
+
     def high_inputs(self, x: Tensor, z: Tensor) -> Tensor:
         """Input ``(N, T, D)`` of the high-frequency module's GRU."""
         if self.config.high.source == "body":
@@ -257,9 +283,15 @@ class MotionNetwork(nn.Module):
         low, _ = self.carry(self.lbs(transforms), None, moved.to(self.device))
         high, high_state = None, state.high
         if detail and self.high is not None:
-            chosen = None if index is None else index[None]
-            out, high_state = self.high(self.high_inputs(x, z), low[None], state.high, chosen)
-            low, high = self.carry(low, out[0], moved.to(self.device))
+            inputs = self.high_inputs(x, z)
+            if isinstance(self.high, DetailBasis):
+                numbers, high_state = self.high(inputs, state.high)
+                out = self.turned(numbers[0] if index is None else numbers[0, index], transforms)
+            else:
+                chosen = None if index is None else index[None]
+                several, high_state = self.high(inputs, low[None], state.high, chosen)
+                out = several[0]
+            low, high = self.carry(low, out, moved.to(self.device))
         return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)
 
     def predict(

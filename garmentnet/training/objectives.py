@@ -10,11 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..networks.high_frequency import HighFrequency
 from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm, mesh_laplacian
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 
-__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective"]
+__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective", "dropout_mask"]
 
 # Metres; the smallest deviation by which the output of a module is scaled.
 LEAST_DEVIATION = 1e-4
@@ -106,12 +107,9 @@ class LowFrequencyObjective:
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        x, drop = batch.inputs(), self.network.config.low.dropout
-        mask = None
-        if drop:
-            # Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
-            stays = rng.random((*x.shape[:2], self.module.gru.hidden_size), np.float32) >= drop
-            mask = torch.from_numpy(stays).to(self.network.device) / (1 - drop)
+        x, hidden = batch.inputs(), self.module.gru.hidden_size
+        mask = dropout_mask(rng, (*x.shape[:2], hidden), self.network.config.low.dropout)
+        mask = None if mask is None else mask.to(self.network.device)
         z, state = self.module(x.to(self.network.device), state, mask)
         code = torch.cat([_extra(w.track)[w.frames] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
@@ -155,7 +153,7 @@ class HighFrequencyObjective:
     def __init__(
         self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
     ) -> None:
-        assert network.high is not None
+        assert isinstance(network.high, HighFrequency)
         self.network, self.module = network, network.high
         self.tracks = [self._with_motion(t) for t in tracks]
         self.validation = [self._with_motion(t) for t in validation]
@@ -238,6 +236,16 @@ class HighFrequencyObjective:
         self.module.mean.copy_(mean)
         self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
         self.module.centre.copy_(low[0].mean(0))
+
+
+def dropout_mask(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Tensor | None:
+    """Factors 0 and 1 / (1 − share); None where nothing is left out.
+
+    Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
+    """
+    if not share:
+        return None
+    return torch.from_numpy(rng.random(shape, np.float32) >= share) / (1 - share)
 
 
 def _some_frames(

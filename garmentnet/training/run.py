@@ -24,9 +24,11 @@ from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
+from ..networks.detail_basis import DetailBasis
 from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
 from ..networks.network import MotionNetwork
-from .batches import load_tracks
+from .batches import Track, load_tracks
+from .detail import DetailObjective
 from .loop import Progress, fit
 from .objectives import HighFrequencyObjective, LowFrequencyObjective
 
@@ -180,10 +182,8 @@ def train(
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
-        objective = HighFrequencyObjective(network, tracks, validation)
-        objective.fit_statistics()
-        if start is not None and start.networks[0].high is not None:
-            load_weights(network, start, "high")
+        begun = start is not None and start.networks[0].high is not None
+        objective = _high_objective(network, tracks, validation, start if begun else None)
         history["high"] = fit(
             objective,
             o,
@@ -198,6 +198,24 @@ def train(
     return save_checkpoint(
         Checkpoint((network,), (parameters,), None), folder / "checkpoint.safetensors"
     )
+
+
+def _high_objective(
+    network: MotionNetwork,
+    tracks: list[Track],
+    validation: list[Track],
+    start: Checkpoint | None,
+) -> HighFrequencyObjective | DetailObjective:
+    """The loss of the high-frequency module, whose statistics are set, or weights loaded."""
+    if isinstance(network.high, DetailBasis):
+        if start is not None:
+            load_weights(network, start, "high")
+        return DetailObjective(network, tracks, validation, start=start is not None)
+    objective = HighFrequencyObjective(network, tracks, validation)
+    objective.fit_statistics()
+    if start is not None:
+        load_weights(network, start, "high")
+    return objective
 
 
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
