@@ -92,12 +92,12 @@ class HighOptions:
     rank: int = 64
     local: bool = True
     global_features: int = 10
-    edge_features: tuple[int, ...] = (8, 8, 16)
-    mlp: tuple[int, ...] = (32,)
-    activation: Literal["relu", "prelu"] = "relu"
-    batch_norm: bool = False
-    dropout: float = 0.0
-    edge_dropout: float = 0.0
+    edge_features: tuple[int, ...] = (8, 16)
+    mlp: tuple[int, ...] = ()
+    activation: Literal["relu", "prelu"] = "prelu"
+    batch_norm: bool = True
+    dropout: float = 0.5
+    edge_dropout: float = 0.8
     collision: float = 0.1
     frames: int = 4
 
@@ -133,7 +133,8 @@ class EnsembleOptions:
     high_epochs: int = 15
     learning_rate: float = 3e-4
     frames: int = 60
-    sigmas: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
+    kernel: Literal["gaussian", "exponential"] = "exponential"
+    sigmas: tuple[float, ...] = (1.0,)
     steps: int = 600
 
 

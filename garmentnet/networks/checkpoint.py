@@ -44,8 +44,12 @@ __all__ = [
     "save_tensors",
 ]
 
-# Version 1 knew no vertices that the body carries; everything else is the same.
 _FORMAT, _VERSION, _READ = "garmentnet checkpoint", 2, (1, 2)
+# Version 1 knew no vertices that the body carries, and had these in place of later settings.
+_BEFORE = {
+    "high": {"activation": "relu", "batch_norm": False, "dropout": 0.0, "edge_dropout": 0.0},
+    "ensemble": {"kernel": "gaussian"},
+}
 # Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
 # 80 bones in float32.
 _MAX_SKINNING = 4 << 30
@@ -63,11 +67,17 @@ class Checkpoint:
         network that reads them.
     kernel : Kernel or None
         Of an ensemble.
+    common : MotionNetwork or None
+        Of an ensemble: a network that reads the parameters, mixed with the pivots.
+    share : float
+        Its weight.
     """
 
     networks: tuple[MotionNetwork, ...]
     parameters: tuple[SimulationParameters | None, ...]
     kernel: Kernel | None
+    common: MotionNetwork | None = None
+    share: float = 0.0
 
     @property
     def subject(self) -> Subject:
@@ -85,7 +95,7 @@ class Checkpoint:
         if self.kernel is None:
             raise InputError("checkpoint", "an ensemble", "a single network")
         rows = np.stack([p.normalised() for p in self.parameters if p is not None])
-        return Ensemble(self.networks, rows, self.kernel)
+        return Ensemble(self.networks, rows, self.kernel, self.common, self.share)
 
     def motions(
         self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
@@ -110,8 +120,7 @@ class Checkpoint:
             theta = parameters.normalised()
             if self.kernel is None:
                 return self.networks[0].motions(joints, parameters=theta, detail=detail)
-            ensemble = self.ensemble
-            return ensemble.motions(joints, weights=ensemble.weights(theta), detail=detail)
+            return self.ensemble.motions(joints, theta=theta, detail=detail)
         return self.networks[0].motions(joints, detail=detail)
 
     def predict(
@@ -155,9 +164,10 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
         for key in (f.name for f in dataclasses.fields(BodyBound)):
             tensors[f"bound.{key}"] = torch.from_numpy(np.array(getattr(subject.bound, key)))
     record: list[dict[str, Any]] = []
-    for k, (network, trained_on) in enumerate(
-        zip(checkpoint.networks, checkpoint.parameters, strict=True)
-    ):
+    networks, parameters = list(checkpoint.networks), list(checkpoint.parameters)
+    if checkpoint.common is not None:
+        networks, parameters = [*networks, checkpoint.common], [*parameters, None]
+    for k, (network, trained_on) in enumerate(zip(networks, parameters, strict=True)):
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
@@ -185,7 +195,10 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
         "body_id": subject.body_id,
         "joint_names": list(skeleton.names),
         "networks": record,
-        "kernel": None if kernel is None else {"sizes": kernel.sizes, "sigma": kernel.sigma},
+        "kernel": None
+        if kernel is None
+        else {"sizes": kernel.sizes, "sigma": kernel.sigma, "shape": kernel.shape},
+        "common": None if checkpoint.common is None else checkpoint.share,
     }
     return save_tensors(Path(path), tensors, {"checkpoint": document})
 
@@ -222,23 +235,35 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             raise FormatError("the body is not the one that the file names")
         networks, parameters = [], []
         for k, record in enumerate(d["networks"]):
-            config = Config.of(record["config"], "configuration")
+            table = record["config"]
+            if d["version"] == 1:
+                table |= {k: v | table[k] for k, v in _BEFORE.items()}
+            config = Config.of(table, "configuration")
             part = _part(tensors, f"network.{k}.")
             networks.append(_network(config, subject, record, part))
             trained_on = record["parameters"]
             parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
-        kernel = None
+        kernel, common, share = None, None, 0.0
+        if d.get("common") is not None:
+            if d["kernel"] is None or parameters.pop() is not None:
+                raise FormatError("a common network without a kernel, or with parameters")
+            common, share = networks.pop(), float(d["common"])
         if d["kernel"] is not None:
             if any(p is None for p in parameters):
                 raise FormatError("pivots without parameters")
             inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
             own_part = _part(tensors, "kernel.")
             _expect(own_part, {"g.0.weight": (hidden, inputs), "g.2.weight": (latent, hidden)})
-            kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=d["kernel"]["sigma"])
+            shape = str(d["kernel"].get("shape", "gaussian"))
+            if shape not in ("gaussian", "exponential"):
+                raise FormatError(f"a kernel of shape {shape!r}")
+            kernel = Kernel(
+                inputs, hidden=hidden, latent=latent, sigma=d["kernel"]["sigma"], shape=shape
+            )
             kernel.load_state_dict(own_part)
         elif len(networks) != 1:
             raise FormatError(f"{len(networks)} networks without a kernel")
-        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel)
+        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, common, share)
         if kernel is not None:
             _ = checkpoint.ensemble
         return checkpoint

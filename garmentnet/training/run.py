@@ -52,7 +52,7 @@ def choose_clips(
     -------
     names : list of str
     parameters : SimulationParameters or None
-        Those of all the clips; None: those of all training sets.
+        Those of all the clips; None: those of all training sets, for a network that reads them.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def choose_clips(
     """
     roles = parameter_roles(store)
     text, chosen = config.data.parameters, None
-    if text and not config.data.condition:
+    if text:
         try:
             bending, density, time_scale = (float(x) for x in text.split(","))
             chosen = SimulationParameters(bending, density, time_scale)
