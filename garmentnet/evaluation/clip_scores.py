@@ -311,7 +311,9 @@ class Scorer:
             raise InputError("store", "a garment with free triangles", "one that is pinned")
         corners, numbered = np.unique(inner, return_inverse=True)
         return _Surface(
-            np.flatnonzero(self.free), corners, numbered.reshape(-1, 3).astype(np.int32)
+            np.flatnonzero(self.free),
+            corners.astype(np.intp),
+            numbered.reshape(-1, 3).astype(np.int32),
         )
 
     def _penetration(self, clip: Clip, vertices: Array) -> tuple[Inside, Inside]:

@@ -264,9 +264,12 @@ def chaos_floor(
     Returns
     -------
     dict
-        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, and the number of
-        ``frames``; empty without pairs.
+        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, over free
+        vertices ``low_free`` and ``overall_free``, and the number of ``frames``; empty without
+        pairs.
     """
+    keys = ("low", "overall", "low_free", "overall_free")
+    free = ~np.asarray(bones.store.pinned, bool)
     sums: dict[str, NDArray[np.float64]] = {}
     smoother = bones.smoother()
     for first, second in bones.store.pairs() if pairs is None else pairs:
@@ -275,20 +278,17 @@ def chaos_floor(
         gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
         # Smoothing is linear: the difference of the low parts is the smoothed difference.
         low = np.asarray(smoother.smooth(gap))
-        squares = [(x.astype(np.float64) ** 2).sum(-1).mean(-1) for x in (low, gap)]
+        of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap)]
+        means = [x[:, part].mean(-1) for part in (slice(None), free) for x in of_vertices]
+        squares = np.stack([*means, np.ones(frames)])
         for label in [-1, *np.unique(a.classes[:frames])]:
             chosen = a.classes[:frames] == label if label >= 0 else slice(None)
             key = CLASSES[int(label)] if label >= 0 else "all"
-            part = np.array([squares[0][chosen].sum(), squares[1][chosen].sum(), 0.0])
-            part[2] = len(squares[0][chosen])
-            sums[key] = sums.get(key, np.zeros(3)) + part
+            sums[key] = sums.get(key, np.zeros(5)) + squares[:, chosen].sum(axis=1)
     return {
-        key: {
-            "low": _MM * math.sqrt(s[0] / s[2] / 2),
-            "overall": _MM * math.sqrt(s[1] / s[2] / 2),
-            "frames": float(s[2]),
-        }
-        for key, s in sums.items()
+        name: {k: _MM * math.sqrt(x / s[4] / 2) for k, x in zip(keys, s[:4], strict=True)}
+        | {"frames": float(s[4])}
+        for name, s in sums.items()
     }
 
 

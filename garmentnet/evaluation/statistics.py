@@ -287,7 +287,7 @@ def _with_fitted_floor(log_frames: Floats, errors: Floats, level: float) -> Powe
         xtol=1e-12,
         ftol=1e-12,
     )
-    half = _half_width(found.jac, found.fun, level)
+    half = _half_width(np.asarray(found.jac), found.fun, level)
     exponent = float(found.x[1])
     return PowerLaw(
         exponent,
