@@ -9,6 +9,7 @@ whose corners are all free.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -35,6 +36,7 @@ __all__ = [
     "ClassScore",
     "ClipScore",
     "Inside",
+    "Later",
     "Method",
     "Parts",
     "Score",
@@ -59,6 +61,26 @@ class Answer:
 
 
 Method = Callable[[Clip], Answer]
+
+
+class Later:
+    """A method that is fitted when it is first needed, which may never be.
+
+    Parameters
+    ----------
+    fit : callable
+        Returns the method.
+    """
+
+    def __init__(self, fit: Callable[[], Method]) -> None:
+        self.fit = fit
+
+    @functools.cached_property
+    def method(self) -> Method:
+        return self.fit()
+
+    def __call__(self, clip: Clip) -> Answer:
+        return self.method(clip)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,6 +280,8 @@ class Scorer:
 
     def score(self, clip: Clip, method: Method) -> ClipScore:
         """Predict a clip and compare the prediction with it."""
+        if isinstance(method, Later):
+            method = method.method  # fitting is no part of the prediction's time
         began = time.perf_counter()
         answer = method(clip)
         answered = time.perf_counter()

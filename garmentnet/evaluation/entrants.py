@@ -10,12 +10,12 @@ from typing import Any
 from ssdr.errors import InputError
 
 from ..configs.config import Config
-from ..data.clip import MIRRORED, Clip
+from ..data.clip import MIRRORED
 from ..data.parameters import SimulationParameters
 from ..data.virtual_bones import VirtualBones
 from . import baselines, santesteban
 from .baselines import BodySkinned, MeanShape, Ridge
-from .clip_scores import Answer, Method
+from .clip_scores import Later, Method
 from .santesteban import Santesteban, train_santesteban
 from .score_cache import digest_of_clips, digest_of_file
 from .scores import plain_method
@@ -71,11 +71,11 @@ def baseline_methods(
         bones.prepare([*names, *held])
         return train_santesteban(bones, config, learned, held, folder, callback=after_epoch)
 
-    methods = {
-        "mean shape": _when_asked(bones, lambda: MeanShape(bones, names)),
-        "body-skinned": _when_asked(bones, lambda: BodySkinned(store)),
-        "ridge": _when_asked(bones, lambda: Ridge(bones, names, held)),
-        SANTESTEBAN: _when_asked(bones, train),
+    methods: dict[str, Method] = {
+        "mean shape": _later(bones, lambda: MeanShape(bones, names)),
+        "body-skinned": _later(bones, lambda: BodySkinned(store)),
+        "ridge": _later(bones, lambda: Ridge(bones, names, held)),
+        SANTESTEBAN: _later(bones, train),
     }
     inputs = [
         json.dumps(config.as_dict(), sort_keys=True),
@@ -86,13 +86,6 @@ def baseline_methods(
     return methods, json.dumps(inputs)
 
 
-def _when_asked(bones: VirtualBones, fit: Callable[[], Any]) -> Method:
+def _later(bones: VirtualBones, fit: Callable[[], Any]) -> Later:
     # Fitting reads all training frames; where all scores are known it is not needed.
-    fitted: list[Method] = []
-
-    def answer(clip: Clip) -> Answer:
-        if not fitted:
-            fitted.append(plain_method(bones, fit().predict))
-        return fitted[0](clip)
-
-    return answer
+    return Later(lambda: plain_method(bones, fit().predict))

@@ -16,6 +16,7 @@ from .statistics import FEW_CLIPS, paired_ratio, pooled_error
 __all__ = [
     "class_table",
     "clip_tables",
+    "name_width",
     "ratio_table",
     "ratios",
     "score_tables",
@@ -52,7 +53,7 @@ def class_table(rows: Sequence[Row], vertices: str) -> list[str]:
     """Overall RMSE by class of motion."""
     tables = [r.per_class_free if vertices == "free" else r.per_class for r in rows]
     kinds = sorted({k for t in tables for k in t})
-    width = _width(rows)
+    width = name_width(rows)
     lines = [
         f"overall RMSE (mm) by class of motion, {vertices} vertices",
         " " * width + "".join(f"{k:>10}" for k in kinds),
@@ -61,6 +62,11 @@ def class_table(rows: Sequence[Row], vertices: str) -> list[str]:
         cells = "".join(f"{found.get(k, math.nan):10.1f}" for k in kinds)
         lines.append(f"{row.name:<{width}}{cells}")
     return [*lines, ""]
+
+
+def name_width(rows: Sequence[Row]) -> int:
+    """Of the column with the names of the methods."""
+    return max([20, *(len(r.name) + 1 for r in rows)])
 
 
 def clip_tables(rows: Sequence[Row], n_free: int) -> list[str]:
@@ -216,7 +222,3 @@ def _cell(found: Mapping[str, Any] | None, digits: int, width: int) -> str:
     if found["low"] is not None:
         text += f" [{found['low']:.{digits}f}, {found['high']:.{digits}f}]"
     return f"{text:<{width}}"
-
-
-def _width(rows: Sequence[Row]) -> int:
-    return max([20, *(len(r.name) + 1 for r in rows)])

@@ -21,6 +21,7 @@ from .entrants import SANTESTEBAN, baseline_methods
 from .pictures import draw_clip, draw_moments
 from .report_text import (
     clip_tables,
+    name_width,
     ratio_table,
     ratios,
     score_tables,
@@ -250,7 +251,7 @@ def _by_distance(
     lines = ["", "mean error (mm) by distance to the body, quarters of the vertices"]
     for row in rows:
         cells = "  ".join(f"{d:6.0f}: {e:6.1f}" for d, e in by_looseness(row, mean))
-        lines.append(f"{row.name:<20} {cells}")
+        lines.append(f"{row.name:<{name_width(rows)}}{cells}")
     return lines
 
 
@@ -282,8 +283,9 @@ def _timing(rows: Sequence[Row], cache: ScoreCache, document: dict[str, Any]) ->
             k: 1e3 * seconds / row.frames for k, seconds in times.items()
         }
     found = document["milliseconds_a_frame"]
+    width = name_width(rows)
     lines = [
-        f"{name:<20} predicting {t['predicting']:6.1f}, scoring {t['scoring']:6.1f} ms a frame"
+        f"{name:<{width}}predicting {t['predicting']:.1f}, scoring {t['scoring']:.1f} ms a frame"
         for name, t in found.items()
     ]
     return [*lines, f"scored now: {cache.written}, scored before: {cache.read}"]

@@ -12,10 +12,10 @@ from typing import Any
 import ssdr.metrics
 from ssdr.errors import FormatError
 
-from .. import networks
 from ..data.clip import Clip
 from ..data.store import ClipStore
 from ..io.files import write_file, writing
+from ..networks import checkpoint
 from . import clip_scores
 from .clip_scores import ClipScore
 
@@ -138,7 +138,7 @@ def _digest_of_clip(clip: Clip) -> str:
 
 def _digest_of_code() -> str:
     # A checkpoint's prediction changes with the code that runs it.
-    folders = [Path(m.__path__[0]) for m in (networks, ssdr.metrics)]
+    folders = [Path(str(m.__file__)).parent for m in (checkpoint, ssdr.metrics)]
     files = [f for folder in folders for f in sorted(folder.glob("*.py"))]
     return _digest([digest_of_file(f) for f in (*files, Path(clip_scores.__file__))])
 
