@@ -36,14 +36,18 @@ def score_tables(rows: Sequence[Row], n_free: int) -> list[str]:
     n_vertices = len(rows[0].per_vertex)
     if n_free == n_vertices:
         return [
-            f"{n_vertices} vertices, none of them pinned: free are all (RMSE, Hausdorff: mm)",
+            f"all vertices ({n_vertices}, none pinned); RMSE and Hausdorff distance in mm",
             table(rows),
             "",
             *class_table(rows, "all"),
         ]
     lines = []
     for vertices, count in zip(VERTICES, (n_vertices, n_free), strict=True):
-        lines += [f"{count} {vertices} vertices (RMSE, Hausdorff: mm)", table(rows, vertices), ""]
+        lines += [
+            f"{vertices} vertices ({count}); RMSE and Hausdorff distance in mm",
+            table(rows, vertices),
+            "",
+        ]
     for vertices in VERTICES:
         lines += class_table(rows, vertices)
     return lines
@@ -139,12 +143,12 @@ def ratio_table(document: Mapping[str, Any], vertices: str) -> list[str]:
         f"overall error divided by that of {document['reference']}, {vertices} vertices, {n} "
         f"{'clip' if n == 1 else 'clips'}, in brackets the {100 * document['level']:.0f}% interval "
         "(paired bootstrap over clips)",
-        f"{'':<{width}} | {'RMSE, mm':<22} | {'RMSE ratio':<20} | {'Hausdorff ratio':<20} | "
+        f"{'':<{width}} | {'RMSE, mm':<23} | {'RMSE ratio':<20} | {'Hausdorff ratio':<20} | "
         "STED ratio",
     ]
     for name, places in methods.items():
         found = places[vertices]["overall"]
-        cells = [_cell(found["pooled_rmse"], 2, 22)]
+        cells = [_cell(found["pooled_rmse"], 2, 23)]
         cells += [_cell(found[figure], 3, 20) for figure in _POWERS]
         lines.append(f"{name:<{width}} | " + " | ".join(cells).rstrip())
     if n == 1:
