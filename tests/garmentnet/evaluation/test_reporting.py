@@ -120,3 +120,26 @@ def test_baselines_that_are_scored_are_not_fitted_again(toy_run, toy_store, tmp_
     assert fitted == []
     assert "scored now: 0, scored before: 12" in again
     assert again.partition("scored now")[0] == text.partition("scored now")[0]
+
+
+def test_unseen_parameters(toy_run, toy_store, tmp_path):
+    from garmentnet.data.parameters import SimulationParameters
+    from garmentnet.networks.ensemble import Kernel
+    from helpers import toy_store as toy
+
+    (network,) = load_checkpoint(toy_run / "checkpoint.safetensors").networks
+    pivots = (toy.BASE, SimulationParameters(bending=2.0))
+    path = save_checkpoint(
+        Checkpoint((network, network), pivots, Kernel()), tmp_path / "pair.safetensors"
+    )
+    options = {"baselines": False, "pictures": 0}
+    text = report([path], toy_store, tmp_path / "e", **options)
+    assert "unseen parameters, train motions, clips: 1" in text
+    document = json.loads((tmp_path / "e" / "report.json").read_text())
+    assert document["unseen_parameters_test"][0]["name"] == "bones themselves"
+    assert document["unseen_parameters_test_ratios"]["n_clips"] == 1
+    # None of the base's clips: only that part is in the report.
+    text = report([path], toy_store, tmp_path / "e", clips=["set5-test-*"], **options)
+    assert text.startswith("unseen parameters, test motions")
+    assert "unseen motions" not in text
+    assert "scored now: 0, scored before: 2" in text
