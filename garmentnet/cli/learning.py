@@ -96,8 +96,22 @@ def evaluate(
         bool, typer.Option(help="Train and score what the networks must beat.")
     ] = True,
     pictures: Annotated[int, typer.Option(help="Test clips to draw, per checkpoint.")] = 1,
+    clips: Annotated[
+        list[str] | None,
+        typer.Option("--clips", metavar="PATTERN", help="As 'base-small-*'; repeatable."),
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
+    ] = None,
+    per_clip: Annotated[bool, typer.Option("--per-clip", help="Tables of each clip too.")] = False,
+    rescore: Annotated[
+        bool, typer.Option("--rescore", help="Ignore the scores of an earlier run.")
+    ] = False,
 ) -> None:
-    """The paper's table on unseen motions and unseen parameters, beside baselines and floors."""
+    """The paper's table on unseen motions and unseen parameters, beside baselines and floors.
+
+    Scores of a checkpoint on a clip are kept in the output folder and not computed again.
+    """
     from ..data.store import ClipStore
     from ..evaluation.reporting import report
 
@@ -109,6 +123,10 @@ def evaluate(
             folder,
             baselines=baselines,
             pictures=pictures,
+            clips=clips or (),
+            against=against,
+            per_clip=per_clip,
+            rescore=rescore,
             progress=lambda name, done: show(name, done, None),
         )
     typer.echo(text)
