@@ -38,6 +38,8 @@ class DataOptions:
 
     store: str = ""
     parameters: str = ""
+    motions: str = ""
+    leave_out: str = ""
     mirror: bool = True
     condition: bool = False
 
@@ -51,6 +53,7 @@ class BoneOptions:
     influences: int = 8
     effort: Literal["fast", "balanced", "best"] = "balanced"
     frames: int = 1000
+    motions: str = ""
     seed: int = 0
 
 

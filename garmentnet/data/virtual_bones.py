@@ -15,6 +15,7 @@ import logging
 import time
 import zlib
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -249,9 +250,15 @@ def virtual_bones(
         If the store has no training clips.
     """
     roles = parameter_roles(store)
-    names = [c.name for c in store.clips("train") if roles[c.parameters] == "train"]
+    names = [
+        c.name
+        for c in store.clips("train")
+        if roles[c.parameters] == "train"
+        and (not options.motions or fnmatchcase(c.motion, options.motions))
+    ]
     if not names:
-        raise InputError("store", "training clips of a training set", str(store.path))
+        of = f" of motions {options.motions}" if options.motions else ""
+        raise InputError("store", f"training clips{of} of a training set", str(store.path))
     record = dataclasses.asdict(options) | {
         "garment": mesh_identity(store.rest, store.faces),
         "clips": names,

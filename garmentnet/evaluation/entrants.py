@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ssdr.errors import InputError
-
 from ..configs.config import Config
 from ..data.clip import MIRRORED
 from ..data.parameters import SimulationParameters
 from ..data.virtual_bones import VirtualBones
+from ..training.run import choose_clips
 from . import baselines, santesteban
 from .baselines import BodySkinned, MeanShape, Ridge
 from .clip_scores import Later, Method
@@ -55,10 +55,11 @@ def baseline_methods(
         If the store lacks training or validation clips of these parameters.
     """
     store = bones.store
-    names = [c.name for c in store.clips("train") if c.parameters == base]
-    held = [c.name for c in store.clips("validation") if c.parameters == base]
-    if not names or not held:
-        raise InputError("store", f"training and validation clips of {base}", str(store.path))
+    text = ",".join(repr(v) for v in dataclasses.astuple(base))
+    data = dataclasses.replace(config.data, parameters=text, condition=False)
+    plain = dataclasses.replace(config, data=data)
+    names, _ = choose_clips(store, plain)
+    held, _ = choose_clips(store, plain, "validation")
     mirror = config.data.mirror and store.mirror_vertices is not None
     learned = names + [n + MIRRORED for n in names] if mirror else names
 
@@ -87,5 +88,15 @@ def baseline_methods(
 
 
 def _later(bones: VirtualBones, fit: Callable[[], Any]) -> Later:
+    def method() -> Method:
+        baseline, bound = fit(), bones.bound
+
+        def predict(joints: Any) -> Any:
+            vertices = baseline.predict(joints)
+            # What the body carries is known to every method.
+            return vertices if bound is None else bound.place(vertices, joints)
+
+        return plain_method(bones, predict)
+
     # Fitting reads all training frames; where all scores are known it is not needed.
-    return Later(lambda: plain_method(bones, fit().predict))
+    return Later(method)

@@ -126,13 +126,19 @@ def plain_method(bones: VirtualBones, predict: Callable[[Any], Array]) -> Method
 
 
 def bones_themselves(bones: VirtualBones) -> Method:
-    """LBS with the fitted transforms, and the simulated detail: the bound for every network."""
-    s = bones.skinning
+    """LBS with the fitted transforms, and the simulated detail: the bound for every network.
+
+    Vertices that the body carries are where they belong, as in a network.
+    """
+    s, bound = bones.skinning, bones.bound
 
     def answer(clip: Clip) -> Answer:
         fitted = bones.clip(clip.name)
         low = ssdr.skin(s.rest, s.joints, s.weights, fitted.transforms)
-        return Answer(np.asarray(low, np.float32), fitted.read("high"))
+        low = np.asarray(low, np.float32)
+        if bound is not None:
+            low[:, bound.index] = fitted.read("low")[:, bound.index]
+        return Answer(low, fitted.read("high"))
 
     return answer
 

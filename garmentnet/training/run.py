@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from ssdr.errors import InputError
 from ssdr.io.atomic import write_bytes
 
 from ..configs.config import Config
-from ..data.clip import MIRRORED
+from ..data.clip import MIRRORED, Clip
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
@@ -70,14 +71,29 @@ def choose_clips(
             raise InputError("data.parameters", expected, repr(text)) from error
     elif not config.data.condition:
         chosen = store.parameters()[0] if store.parameters() else None
-    names = [
-        c.name
-        for c in store.clips(split)
-        if (c.parameters == chosen if chosen else roles[c.parameters] == "train")
-    ]
+    o = config.data
+
+    def used(clip: Clip) -> bool:
+        if not (clip.parameters == chosen if chosen else roles[clip.parameters] == "train"):
+            return False
+        if not o.leave_out:
+            return clip.split == split and _matches(clip, o.motions)
+        # One motion after the other is left out and tested on, whatever the splits say.
+        left = fnmatchcase(clip.motion, o.leave_out)
+        if split == "train":
+            return not left and _matches(clip, o.motions)
+        return left and split == "test"
+
+    names = [c.name for c in store.clips() if used(c)]
     if needed and not names:
-        raise InputError("store", f"{split} clips of {chosen or 'training sets'}", str(store.path))
+        wanted = f" of motions {o.motions}" if o.motions else ""
+        expected = f"{split} clips{wanted} of {chosen or 'training sets'}"
+        raise InputError("store", expected, str(store.path))
     return names, chosen
+
+
+def _matches(clip: Clip, pattern: str) -> bool:
+    return not pattern or fnmatchcase(clip.motion, pattern)
 
 
 def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> MotionNetwork:
