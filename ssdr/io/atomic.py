@@ -13,7 +13,15 @@ from pathlib import Path
 
 from ..errors import InputError
 
-__all__ = ["atomic_path", "check_writable", "free_name", "remove", "write_bytes", "written_file"]
+__all__ = [
+    "atomic_path",
+    "check_writable",
+    "free_name",
+    "naming",
+    "remove",
+    "write_bytes",
+    "written_file",
+]
 
 _LONGEST_NAME = 255  # bytes; of every file system in common use
 # What writing to an open file fails with: the system names no file then.
@@ -47,19 +55,27 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     target = written_file(path)
     temporary = free_name(target)
     try:
-        yield temporary
-        if flush:
-            _flush(temporary)
-        os.replace(temporary, target)
-        if flush:
-            _flush(target.parent)
-    except OSError as error:
-        remove(temporary)
-        if error.filename is None and error.errno in _FULL or error.filename == str(temporary):
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise
+        with naming(path, temporary):
+            yield temporary
+            if flush:
+                _flush(temporary)
+            os.replace(temporary, target)
+            if flush:
+                _flush(target.parent)
     except BaseException:
         remove(temporary)
+        raise
+
+
+@contextlib.contextmanager
+def naming(path: Path | str, temporary: Path) -> Iterator[None]:
+    """Have the system's errors inside the block name `path`: on a full disk they name nothing."""
+    try:
+        yield
+    except OSError as error:
+        nameless = error.filename is None and error.errno in _FULL
+        if nameless or str(error.filename).startswith(str(temporary)):
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 
 
