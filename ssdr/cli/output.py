@@ -234,7 +234,7 @@ def check_file(
     seen: set[Path] | None = None,
 ) -> None:
     """Refuse a file that exists, is an input, is named twice or cannot be written."""
-    if not (path.is_dir() and path.suffix.lower() == ".zarr"):
+    if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
             check_writable(path)
         except InputError as error:
