@@ -118,10 +118,11 @@ class _Hunt:
         self.true_error = TrueError(problem.sequences, problem.tolerance_of, self.executor)
         self.solved_error = TrueError(sequences, problem.tolerance_of)
         data = problem.gather(sequences, importance, compress=True)
+        digests = None if self.scan is None else self.scan.digests
         self.settings = problem.settings(
             tolerance=self.asked,
             tolerance_of=problem.tolerance_of,
-            input=f"tolerance {problem.fingerprint(data)}",
+            input=f"tolerance {problem.fingerprint(data, digests)}",
         )
         largest = max(float(np.abs(data.centre).max()), data.scale)
         self.tolerance = max(self.asked, _ROUNDING * largest)
