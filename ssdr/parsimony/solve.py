@@ -30,6 +30,7 @@ from .report import Parsimony, Pruning, bytes_of, size
 __all__ = ["SmallestModel", "solve"]
 
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
+_LOOSE = 10.0  # times the largest distance between vertices that there can be
 # Polish steps of the model that holds: what they gain is error budget for pruning.
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
 _RETRIES = 4  # where the search sees a part of the frames, until all of them hold
@@ -127,8 +128,10 @@ class _Hunt:
             input=f"tolerance {problem.fingerprint(data, digests)}",
         )
         largest = max(float(np.abs(data.centre).max()), data.scale)
-        self.tolerance = max(self.asked, _ROUNDING * largest)
         count = data.n_frames * data.n_vertices
+        # what no model misses bounds nothing, and its square need not be a number
+        most = _LOOSE * data.scale * math.sqrt(count)
+        self.tolerance = max(min(self.asked, most), _ROUNDING * largest)
         allowed = (self.tolerance / data.scale) ** 2 * count
         self.least, exact = self._least_bones(data, allowed)
         self.data: Trajectories = reduced(data, allowed)

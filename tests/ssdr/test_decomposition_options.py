@@ -277,3 +277,12 @@ def test_a_callback_that_writes_to_the_arrays_changes_nothing() -> None:
         np.testing.assert_array_equal(
             getattr(spoiled.skinning, name), getattr(quiet.skinning, name), err_msg=name
         )
+
+
+@pytest.mark.parametrize("smoothness", [1e100, 1e160, 1e200, 1e308])
+def test_a_smoothness_whose_square_is_no_number(smoothness: float) -> None:
+    """It ended in an OverflowError."""
+    options: dict[str, Any] = {"bones": 3, "effort": "fast", "max_iterations": 5}
+    result = ssdr.decompose(frames(), rig().faces, smoothness=smoothness, **options)
+    strong = ssdr.decompose(frames(), rig().faces, smoothness=1e6, **options)
+    assert result.rmse == pytest.approx(strong.rmse, rel=1e-6)

@@ -259,3 +259,15 @@ def test_history_under_a_tolerance_is_of_models_that_hold_it() -> None:
     assert errors[-1] == result.rmse
     assert max(errors) <= result.parsimony.tolerance * (1 + 1e-9)
     assert "`rmse` may rise up to" in " ".join(ssdr.Decomposition.__doc__.split())
+
+
+@pytest.mark.parametrize("tolerance", [1e4, 1e100, 1e160, 1e308, "1e300%"])
+@pytest.mark.parametrize("tolerance_of", ["rmse", "max"])
+def test_a_tolerance_whose_square_is_no_number(tolerance: Any, tolerance_of: Any) -> None:
+    """It ended in an OverflowError, or never."""
+    result = ssdr.decompose(
+        wavy(), tolerance=tolerance, tolerance_of=tolerance_of, effort="fast", rng=3
+    )
+    assert result.skinning.n_bones == 1
+    assert result.stop_reason == "tolerance held"
+    assert result.parsimony.tolerance > 1e3
