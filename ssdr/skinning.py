@@ -174,7 +174,7 @@ class Skinning:
             chosen = chosen[_frame_index(frames, self.n_frames)]
         return skin(self.rest, self.joints, self.weights, chosen, dtype=dtype)
 
-    def clip(self, *names: str | int) -> Skinning:
+    def select(self, *clips: str | int) -> Skinning:
         """The model with the named clips alone, in that order.
 
         Raises
@@ -188,14 +188,14 @@ class Skinning:
         >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 1, 3, 4))
         >>> clips = ssdr.Clip("walk", 0, 3, 24), ssdr.Clip("jump", 3, 5, 60)
         >>> skinning = ssdr.Skinning(rest, joints, weights, transforms, clips=clips)
-        >>> jump = skinning.clip("jump")
+        >>> jump = skinning.select("jump")
         >>> jump.n_frames, jump.fps, jump.clips
         (2, 60.0, (Clip(name='jump', start=0, stop=2, fps=60.0),))
         """
         known = [clip.name for clip in self.clips]
-        chosen = [self.clips[pick(known, name, "clip")] for name in names]
+        chosen = [self.clips[pick(known, clip)] for clip in clips]
         if not chosen or len(set(chosen)) < len(chosen):
-            raise InputError("clip", f"some of {known}, each once", list(names))
+            raise InputError("clip", f"some of {known}, each once", list(clips))
         index = np.concatenate([np.arange(clip.start, clip.stop) for clip in chosen])
         keyframes = self.keyframes
         if keyframes is not None:

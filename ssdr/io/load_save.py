@@ -188,7 +188,7 @@ def load_skinning(
     skinning: Skinning = call(format_, format_.read_skinning, source, **options)
     if clip is None:
         return skinning
-    return skinning.clip(*([clip] if isinstance(clip, (str, int)) else clip))
+    return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
 
 
 def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:

@@ -185,8 +185,8 @@ def bake(skinning: Skinning) -> MeshSequence:
     if not one_rate(skinning.clips):
         raise InputError(
             "thing",
-            "clips of one frame rate where vertices are stored, which have one; skinning.clip "
-            "takes one out",
+            "clips of one frame rate where vertices are stored, which have one; "
+            "skinning.select(name) takes one out",
             ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
         )
     return MeshSequence(

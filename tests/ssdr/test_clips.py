@@ -91,15 +91,15 @@ def test_clips_must_cover_the_frames(clips, message):
 
 def test_a_clip_can_be_taken_out():
     model = with_clips()
-    jump = model.clip("jump")
+    jump = model.select("jump")
     np.testing.assert_array_equal(jump.transforms, model.transforms[9:19])
     assert (jump.fps, jump.clips, jump.name) == (60.0, (Clip("jump", 0, 10, 60.0),), "tube")
-    two = model.clip("death", 0)
+    two = model.select("death", 0)
     assert two.clips == (Clip("death", 0, 1, 24.0), Clip("walk", 1, 10, 24.0))
     np.testing.assert_array_equal(two.skin(two.clips[1].frames), model.skin(CLIPS[0].frames))
     for wrong in ((), ("run",), (3,), (-1,), ("walk", 0), (True,)):
         with pytest.raises(InputError, match="clip"):
-            model.clip(*wrong)
+            model.select(*wrong)
 
 
 def test_clips_stay_when_weights_are_pruned_and_keys_are_cut():
@@ -108,7 +108,7 @@ def test_clips_stay_when_weights_are_pruned_and_keys_are_cut():
     keys = np.zeros(model.transforms.shape[:2], dtype=bool)
     keys[[0, 19]] = True
     keyed = dataclasses.replace(model, keyframes=keys)
-    jump = keyed.clip("jump").keyframes
+    jump = keyed.select("jump").keyframes
     np.testing.assert_array_equal(np.flatnonzero(jump[:, 0]), [0, 9])
     assert not keyed.keyframes[9].any()
 

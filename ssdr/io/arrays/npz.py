@@ -77,7 +77,7 @@ def read(
         index = pick(names, clip)
         if len(names) > 1:
             _log.info("%s: clip %r of %s", path, names[index], names)
-        skinning = skinning.clip(index)
+        skinning = skinning.select(index)
         return bake(skinning if fps is None else dataclasses.replace(skinning, fps=fps))
     arrays = read_arrays(
         path,

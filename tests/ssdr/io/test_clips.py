@@ -132,7 +132,7 @@ def test_a_model_of_one_clip_is_what_it_was(tmp_path, suffix):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_mesh_and_root_are_not_named_after_a_clip(tmp_path, suffix):
-    walk, jump = (model_of().clip(k) for k in (0, 1))
+    walk, jump = (model_of().select(k) for k in (0, 1))
     shots = [
         ssdr.MeshSequence(m.skin(), m.faces, m.fps, name=m.clips[0].name) for m in (walk, jump)
     ]
@@ -284,7 +284,7 @@ def test_vertices_of_several_clips(tmp_path):
     report = ssdr.save(slow, tmp_path / "a_%02d.obj")
     assert "walk from frame 0, jump/high from frame 9, death from frame 19" in report.note
     assert len(ssdr.load(tmp_path / "a_*.obj")) == 20
-    assert "clips" not in ssdr.save(model.clip("walk"), tmp_path / "b.npy").note
+    assert "clips" not in ssdr.save(model.select("walk"), tmp_path / "b.npy").note
 
 
 def test_a_format_without_clips_holds_one(tmp_path, wave):
