@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,11 +12,11 @@ import numpy as np
 import typer
 
 from ..clips import Clip, unique_names
-from ..errors import FormatError, InputError, SsdrWarning
+from ..errors import FormatError, InputError
 from ..io.registry import FORMATS, Format, format_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from .output import _keywords, _pair, read_any, read_options
+from .output import Output, _keywords, _pair, read_any, read_options
 
 ClipNames = Annotated[
     list[str] | None,
@@ -237,11 +236,9 @@ def join(shots: Sequence[MeshSequence]) -> MeshSequence:
 
 
 def _warn_of_others(path: Path, names: list[str]) -> None:
-    warnings.warn(
+    Output.current.warn(
         f"{path} has {len(names)} clips ({', '.join(names)}): {names[0]} is taken; --clip NAME "
-        "takes another, --clip all all of them",
-        SsdrWarning,
-        stacklevel=3,
+        "takes another, --clip all all of them"
     )
 
 
