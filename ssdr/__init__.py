@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "Cancelled": "errors",
+    "Clip": "clips",
     "Decomposition": "result",
     "FormatError": "errors",
     "InputError": "errors",
@@ -31,6 +32,7 @@ _HOME = {
     "get_threads": "parallel",
     "initialize": "fit.initialization",
     "kabsch": "rigid",
+    "list_clips": "io",
     "load": "io",
     "load_skinning": "io",
     "save": "io",
@@ -52,6 +54,7 @@ _MODULES = (
 
 __all__ = [
     "Cancelled",
+    "Clip",
     "Decomposition",
     "FormatError",
     "InputError",
@@ -75,6 +78,7 @@ __all__ = [
     "io",
     "kabsch",
     "laplacian",
+    "list_clips",
     "load",
     "load_skinning",
     "metrics",
@@ -91,6 +95,7 @@ __all__ = [
 
 if TYPE_CHECKING:
     from . import errors, io, metrics, parallel, rigid, samples, sequence, skinning
+    from .clips import Clip
     from .decomposition import decompose
     from .errors import (
         Cancelled,
@@ -104,7 +109,7 @@ if TYPE_CHECKING:
     from .fit.initialization import initialize
     from .fit.rest_pose import fit_rest_pose
     from .fit.weights import fit_weights
-    from .io import load, load_skinning, save
+    from .io import list_clips, load, load_skinning, save
     from .parallel import get_threads, set_threads
     from .result import Decomposition
     from .rigid import kabsch

@@ -128,6 +128,9 @@ class MeshSequence:
     fps : float
         Frames per second.
     name : str
+        Of the mesh.
+    clip : str
+        Of the animation, where that has a name of its own.
     surface : Surface, optional
         Texture coordinates, normals and materials of the triangles.
     vertex_map : (V0,) int array, optional
@@ -156,6 +159,7 @@ class MeshSequence:
     fps: float = 24.0
     _: dataclasses.KW_ONLY
     name: str = ""
+    clip: str = ""
     surface: Surface | None = None
     vertex_map: Any = None
     validate: dataclasses.InitVar[bool] = True

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from .errors import InputError, check_choice, is_real, is_whole
+from .clips import Clip, check_clips, in_order, pick
+from .errors import InputError, check_choice, is_whole
 from .kernels.lbs import skin_range
 from .parallel import chunk_bounds, run_chunks
 from .sequence import Surface
@@ -36,7 +37,9 @@ class Skinning:
         ``[R | T]`` from the rest pose to the pose of each frame, for column
         vectors.
     faces : (T, 3) int array, optional
-    fps : float
+    fps : float, optional
+        Frames per second of the first clip, 24 by default; of the whole where
+        there is one clip or all have one rate.
     bone_model : {"rigid", "similarity", "affine"}
         What the 3×3 blocks may be: rotations, uniformly scaled rotations,
         anything.
@@ -48,13 +51,17 @@ class Skinning:
     bone_names : tuple of str, optional
         ``bone_0``, ``bone_1``, ... by default.
     name : str
+        Of the mesh.
+    clips : tuple of Clip, optional
+        Ranges of frames that play apart, each at its own rate; one behind the
+        other they cover all frames.  One clip over all frames by default.
 
     Raises
     ------
     InputError
         If shapes do not match, an index is out of range, a number is not
-        finite, a weight is negative or a row of weights does not sum to 1
-        within 1e-4.
+        finite, a weight is negative, a row of weights does not sum to 1
+        within 1e-4, or clips do not cover the frames.
 
     Examples
     --------
@@ -71,13 +78,14 @@ class Skinning:
     transforms: Any
     _: dataclasses.KW_ONLY
     faces: Any = None
-    fps: float = 24.0
+    fps: float = None  # type: ignore[assignment]  # that of the clips, else 24
     bone_model: BoneModel = "rigid"
     keyframes: Any = None
     surface: Surface | None = None
     vertex_map: Any = None
     bone_names: tuple[str, ...] | None = None
     name: str = ""
+    clips: tuple[Clip, ...] = None  # type: ignore[assignment]  # one over all frames
 
     def __post_init__(self) -> None:
         from .sequence import _check_faces, _check_surface, _check_vertex_map
@@ -106,8 +114,7 @@ class Skinning:
                 "weights", "rows that sum to 1", f"{weights[worst].sum()} at vertex {worst}"
             )
         check_choice(self.bone_model, "bone_model", BoneModel)
-        if not (is_real(self.fps) and self.fps > 0):
-            raise InputError("fps", "a positive number", repr(self.fps))
+        clips, fps = check_clips(self.clips, fps=self.fps, name=self.name, n_frames=len(transforms))
         faces = _check_faces(self.faces, n_vertices, "faces")
         if self.keyframes is not None:
             keyframes = np.asarray(self.keyframes)
@@ -131,7 +138,8 @@ class Skinning:
         put(self, "weights", weights)
         put(self, "transforms", transforms)
         put(self, "faces", faces)
-        put(self, "fps", float(self.fps))
+        put(self, "fps", fps)
+        put(self, "clips", clips)
 
     @property
     def n_vertices(self) -> int:
@@ -165,6 +173,43 @@ class Skinning:
         if frames is not None:
             chosen = chosen[_frame_index(frames, self.n_frames)]
         return skin(self.rest, self.joints, self.weights, chosen, dtype=dtype)
+
+    def select(self, *clips: str | int) -> Skinning:
+        """The model with the named clips alone, in that order.
+
+        Raises
+        ------
+        InputError
+            If there is no such clip, or one is named twice.
+
+        Examples
+        --------
+        >>> rest, joints, weights = np.eye(3), np.zeros((3, 1), int), np.ones((3, 1))
+        >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 1, 3, 4))
+        >>> clips = ssdr.Clip("walk", 0, 3, 24), ssdr.Clip("jump", 3, 5, 60)
+        >>> skinning = ssdr.Skinning(rest, joints, weights, transforms, clips=clips)
+        >>> jump = skinning.select("jump")
+        >>> jump.n_frames, jump.fps, jump.clips
+        (2, 60.0, (Clip(name='jump', start=0, stop=2, fps=60.0),))
+        """
+        known = [clip.name for clip in self.clips]
+        chosen = [self.clips[pick(known, clip)] for clip in clips]
+        if not chosen or len(set(chosen)) < len(chosen):
+            raise InputError("clip", f"some of {known}, each once", list(clips))
+        index = np.concatenate([np.arange(clip.start, clip.stop) for clip in chosen])
+        keyframes = self.keyframes
+        if keyframes is not None:
+            keyframes = keyframes.copy()
+            for clip in self.clips:  # what stood between keys must not lose one of them
+                keyframes[[clip.start, clip.stop - 1]] = True
+            keyframes = keyframes[index]
+        return dataclasses.replace(
+            self,
+            transforms=self.transforms[index],
+            keyframes=keyframes,
+            fps=chosen[0].fps,
+            clips=in_order(chosen),
+        )
 
     def dense_weights(self) -> NDArray[np.floating]:
         """Weights as a ``(V, B)`` matrix."""

@@ -11,7 +11,8 @@ import typer
 
 from ..errors import InputError
 from ..sequence import MeshSequence
-from .output import Fps, JsonFlag, Output, ReadOptions, Threads, Verbose, read_options
+from .output import Fps, JsonFlag, Output, ReadOptions, Threads, Verbose
+from .reading import ClipNames, join, options_for, read_pairs
 
 
 def compare(
@@ -21,6 +22,7 @@ def compare(
         bool, typer.Option(help="Hausdorff distances, the slowest of the measures.")
     ] = True,
     sted: Annotated[bool, typer.Option(help="Spatio-temporal edge difference.")] = True,
+    clip: ClipNames = None,
     fps: Fps = None,
     read: ReadOptions = None,
     threads: Threads = None,
@@ -30,12 +32,35 @@ def compare(
     """Measure how far two animations of one mesh are apart.
 
     Files that hold a skinning are posed first.  Where one of them was welded, the
-    other's vertices are compared with the welded ones spread back.
+    other's vertices are compared with the welded ones spread back.  Files of several
+    clips are compared clip by clip, all of them unless --clip names some.
     """
     output = Output.start(json=json, verbose=verbose, threads=threads)
     import ssdr
 
-    a, b = (ssdr.load(p, **read_options(read, fps=fps)) for p in (reference, other))
+    options = options_for((reference, other), read, fps=fps, roles=("A", "B"))
+    pairs = [(name, *_alike(a, b)) for name, a, b in read_pairs((reference, other), clip, options)]
+    results = [
+        (name, ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)) for name, a, b in pairs
+    ]
+    document = {"command": "compare", "reference": reference, "other": other}
+    if len(pairs) == 1:
+        document |= results[0][1].as_dict()
+        text = str(results[0][1])
+    else:
+        joined = (join([a for _, a, _ in pairs]), join([b for _, _, b in pairs]))
+        whole = ssdr.metrics.compare(*joined, hausdorff=False, sted=False)
+        document |= whole.as_dict()
+        document["clips"] = [{"name": name, **result.as_dict()} for name, result in results]
+        text = "\n\n".join([*(f"{n}: {r}" for n, r in results), f"all clips: {whole}"])
+    if json:
+        output.result(document, [])
+    else:
+        typer.echo(text)
+
+
+def _alike(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequence, MeshSequence]:
+    """Both on the same vertices."""
     if a.n_vertices != b.n_vertices:
         a, b = _spread(a, b), _spread(b, a)
     if a.n_vertices != b.n_vertices:
@@ -45,12 +70,7 @@ def compare(
             "too: ssdr convert IN OUT.npz --weld)",
             f"{b.n_vertices:,}",
         )
-    result = ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)
-    document = {"command": "compare", "reference": reference, "other": other, **result.as_dict()}
-    if json:
-        output.result(document, [])
-    else:
-        typer.echo(str(result))
+    return a, b
 
 
 def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:

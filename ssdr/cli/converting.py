@@ -20,12 +20,11 @@ from .output import (
     Weld,
     WriteOptions,
     check_outputs,
-    read_any,
-    read_options,
     saved_document,
     saved_line,
     write_options,
 )
+from .reading import ClipNames, clips_document, one_clip, options_for, read_model
 
 
 def convert(
@@ -34,6 +33,7 @@ def convert(
     bake: Annotated[
         bool, typer.Option("--bake", help="Write the vertices of a skinning, not its bones.")
     ] = False,
+    clip: ClipNames = None,
     weld: Weld = False,
     fps: Fps = None,
     read: ReadOptions = None,
@@ -43,15 +43,19 @@ def convert(
     quiet: Quiet = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Turn one format into another; a skinning stays one where the format has room for it."""
+    """Turn one format into another; a skinning stays one where the format has room for it.
+
+    It keeps all clips unless --clip names some; vertices are those of one clip.
+    """
     output = Output.start(json=json, quiet=quiet, verbose=verbose)
     import ssdr
 
+    (options,) = options_for([source], read, fps=fps, weld=weld)
     # A sequence can never be written where not even a skinning can.
     check_outputs([target], kind=Skinning, pairs=None, force=force, sources=[source])
-    options = read_options(read, fps=fps, weld=weld)
     thing: MeshSequence | Skinning
-    thing = ssdr.load(source, **options) if bake or weld else read_any(source, **options)
+    take = one_clip if bake or weld else read_model
+    thing = take(source, clip, options)
     check_outputs([target], kind=type(thing), pairs=write, force=force, sources=[source])
     report = ssdr.save(thing, target, **write_options(write, target))
     kind = "skinning" if isinstance(thing, Skinning) else "sequence"
@@ -61,6 +65,7 @@ def convert(
         "kind": kind,
         "frames": thing.n_frames,
         "vertices": thing.n_vertices,
+        **({"clips": clips_document(thing.clips)} if isinstance(thing, Skinning) else {}),
         "output": saved_document(report),
     }
     output.result(document, [("read", f"{source}: {thing!r}"), ("wrote", saved_line(report))])

@@ -13,7 +13,9 @@ from typing import Annotated, Any
 
 import typer
 
+from ..clips import names_of
 from ..errors import Cancelled, InputError
+from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .interruption import interrupted, rescue, state_beside, stopping
 from .output import (
@@ -31,13 +33,13 @@ from .output import (
     check_file,
     check_outputs,
     length_text,
-    read_options,
     rehearse,
     saved_document,
     saved_line,
     write_options,
 )
 from .progress import Reporter
+from .reading import ClipNames, clips_document, clips_text, join, options_for, read_clips
 
 
 class Effort(StrEnum):
@@ -67,7 +69,10 @@ class ToleranceOf(StrEnum):
 
 
 def decompose(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Animated mesh.")],
+    inputs: Annotated[
+        list[Path],
+        typer.Argument(metavar="IN...", help="Animated mesh; several files of it are its clips."),
+    ],
     outputs: Annotated[
         list[Path],
         typer.Option("--output", "-o", metavar="OUT", help="Result; repeat for several formats."),
@@ -109,6 +114,7 @@ def decompose(
     smoothness: Annotated[
         float, typer.Option("--smoothness", min=0.0, help="Smoothness of the weights on the mesh.")
     ] = 0.0,
+    clip: ClipNames = None,
     weld: Weld = False,
     fps: Fps = None,
     resume: Annotated[
@@ -137,6 +143,9 @@ def decompose(
 ) -> None:
     """Fit a rest pose, sparse skin weights and bones to an animated mesh.
 
+    Several files of one mesh, or several clips of a file (--clip all), share rest pose
+    and weights; each clip becomes an animation of its own.
+
     Ctrl-C stops at the next safe point and saves a state that --resume takes up;
     a second Ctrl-C quits at once.
     """
@@ -146,7 +155,8 @@ def decompose(
     if bones is None and tolerance is None:
         raise InputError("--bones", "a number of bones, or --tolerance", "neither")
     wanted = _tolerance(tolerance, tolerance_of)
-    sources = [source] if resume is None else [source, resume]
+    options = options_for(inputs, read, fps=fps, weld=weld)
+    sources = inputs if resume is None else [*inputs, resume]
     check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
     for path in outputs:
         if bone_model is BoneModel.affine and path.suffix.lower() in _NO_SHEAR:
@@ -174,7 +184,7 @@ def decompose(
     if not mine:
         anyway = force or checkpoint is None
         others = {path.resolve() for path in outputs}
-        check_file(state_path, "--checkpoint", force=anyway, sources=[source], seen=others)
+        check_file(state_path, "--checkpoint", force=anyway, sources=inputs, seen=others)
     if picture is not None:
         from ..render.figures import picture_format
         from ..render.raster import up_axes
@@ -190,10 +200,16 @@ def decompose(
             raise FileNotFoundError(f"{resume}: no such file")
         start = ssdr.SolverState.load(resume)
     began = time.perf_counter()
-    sequence = ssdr.load(source, **read_options(read, fps=fps, weld=weld))
+    shots = read_clips(inputs, clip, options)
+    if sum(len(shot) for shot in shots) == 1:
+        files = ", ".join(map(str, inputs))
+        raise InputError(
+            "IN", "an animation", f"one frame, {files} (no motion: did you mean a pattern?)"
+        )
     loading = time.perf_counter() - began
     for path in outputs:
-        rehearse(sequence, path, write_options(write, path))
+        frames = sum(len(shot) for shot in shots)
+        rehearse(shots[0], path, write_options(write, path), frames=frames)
 
     with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, stopping() as stop:
 
@@ -203,7 +219,7 @@ def decompose(
 
         try:
             result = ssdr.decompose(
-                sequence,
+                shots[0] if len(shots) == 1 else shots,
                 bones=bones,
                 influences=influences,
                 effort=effort.value,
@@ -230,7 +246,9 @@ def decompose(
         if picture is not None:
             from ..render.figures import contact_sheet, write_picture
 
-            sheet = contact_sheet(result.skinning, reference=sequence, title=source.stem, up=up)
+            sheet = contact_sheet(
+                result.skinning, reference=join(shots), title=inputs[0].stem, up=up
+            )
             write_picture(sheet, picture)
     except KeyboardInterrupt:
         raise interrupted(result, state_path, output) from None
@@ -239,16 +257,18 @@ def decompose(
         rescue(error, result.state, state_path, output)
         raise
 
-    diagonal = sequence.diagonal()
+    diagonal = max(shot.diagonal() for shot in shots)
     e = 1000 * result.rmse / math.sqrt(3)
     share = result.rmse / diagonal if diagonal > 0 else math.nan
+    clips = names_of(shots)["clips"]
     document = {
         "command": "decompose",
         "version": ssdr.__version__,
-        "input": source,
-        "frames": sequence.n_frames,
-        "vertices": sequence.n_vertices,
-        "triangles": len(sequence.faces),
+        "input": inputs[0] if len(inputs) == 1 else inputs,
+        "frames": sum(len(shot) for shot in shots),
+        "vertices": shots[0].n_vertices,
+        "triangles": len(shots[0].faces),
+        "clips": clips_document(clips),
         "bones": result.skinning.n_bones,
         "influences": result.skinning.n_influences,
         "effort": effort.value,
@@ -271,7 +291,8 @@ def decompose(
     compiled = result.compile_seconds
     waited = f", of which {compiled:.1f} s compiling" if compiled > 0.05 else ""
     rows = [
-        ("input", f"{source}: {_counts(sequence)}"),
+        ("input", f"{', '.join(map(str, inputs))}: {_counts(shots, diagonal)}"),
+        ("clips", clips_text(clips) if len(clips) > 1 else ""),
         ("model", f"{result.skinning.n_bones} bones, {result.skinning.n_influences} influences"),
         ("RMSE", f"{result.rmse:.4g} in the mesh's units, {100 * share:.3g} % of the diagonal"),
         ("E", f"{e:.4g} = 1000 · RMSE / √3"),
@@ -285,10 +306,10 @@ def decompose(
     output.result(document, rows)
 
 
-def _counts(sequence: Any) -> str:
+def _counts(shots: list[MeshSequence], diagonal: float) -> str:
     return (
-        f"{sequence.n_frames:,} frames, {sequence.n_vertices:,} vertices, "
-        f"{len(sequence.faces):,} triangles, diagonal {length_text(sequence.diagonal(), None)}"
+        f"{sum(len(shot) for shot in shots):,} frames, {shots[0].n_vertices:,} vertices, "
+        f"{len(shots[0].faces):,} triangles, diagonal {length_text(diagonal, None)}"
     )
 
 

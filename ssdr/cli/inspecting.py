@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ..clips import Clip
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .output import (
@@ -21,21 +22,33 @@ from .output import (
     Verbose,
     length_text,
     read_any,
-    read_options,
     size_text,
 )
+from .reading import ClipNames, clips_document, clips_in, clips_text, options_for, read_model
 
 
 def info(
     source: Annotated[Path, typer.Argument(metavar="FILE", help="A sequence or a skinning.")],
+    clip: ClipNames = None,
     fps: Fps = None,
     read: ReadOptions = None,
     json: JsonFlag = False,
     verbose: Verbose = 0,
 ) -> None:
-    """Say what a file holds and what in it may give trouble."""
+    """Say what a file holds and what in it may give trouble.
+
+    Of a file of several clips without a skin, all but the list of clips is about the first.
+    """
     output = Output.start(json=json, verbose=verbose)
-    thing = read_any(source, **read_options(read, fps=fps))
+    (options,) = options_for([source], read, fps=fps)
+    thing = read_any(source, **options) if clip is None else read_model(source, clip, options)
+    if isinstance(thing, Skinning):
+        listed = thing.clips
+    else:
+        name = thing.clip or thing.name or source.stem
+        listed = (Clip(name, 0, thing.n_frames, thing.fps),)
+        if clip is None:
+            listed = clips_in(source, options) or listed
     document: dict[str, Any] = {"command": "info", "input": source}
     if isinstance(thing, Skinning):
         document |= {"kind": "skinning", **_about_skinning(thing)}
@@ -43,6 +56,8 @@ def info(
     else:
         document |= {"kind": "sequence", **_about_sequence(thing)}
         rows = _sequence_rows(document)
+    document["clips"] = clips_document(listed)
+    rows.insert(1, ("clips", clips_text(listed) if len(listed) > 1 else listed[0].name))
     output.result(document, [("file", f"{source}: a {document['kind']}"), *rows])
 
 
@@ -86,7 +101,7 @@ def _about_skinning(skinning: Skinning) -> dict[str, Any]:
         "influences": skinning.n_influences,
         "bone_model": skinning.bone_model,
         "fps": skinning.fps,
-        "duration": skinning.n_frames / skinning.fps,
+        "duration": sum(clip.n_frames / clip.fps for clip in skinning.clips),
         "dtype": str(skinning.transforms.dtype),
         "memory": sum(a.nbytes for a in arrays),
         "rest_diagonal": float(np.linalg.norm(high - low)),

@@ -263,8 +263,10 @@ def _beside(path: Path) -> list[Path]:
     return [path.with_suffix(endings[suffix])] if suffix in endings else []
 
 
-def rehearse(sequence: MeshSequence, path: Path, options: Mapping[str, Any]) -> None:
-    """Write a model of one bone and one frame to a folder that goes away.
+def rehearse(
+    sequence: MeshSequence, path: Path, options: Mapping[str, Any], *, frames: int
+) -> None:
+    """Write a model of one bone and one frame to a folder that goes away; `frames` will come.
 
     What a format refuses (an option's value, one file for many frames) is refused before the
     work, not after it.
@@ -280,7 +282,7 @@ def rehearse(sequence: MeshSequence, path: Path, options: Mapping[str, Any]) -> 
     if format_.module == "meshes":
         from ..io.meshes.numbered import check_pattern
 
-        check_pattern(path, sequence.n_frames)
+        check_pattern(path, frames)
     if format_.module == "blender":  # starts another program, for seconds
         return
     n = sequence.n_vertices

@@ -9,7 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from ..clips import Clip, one_rate
 from ..errors import InputError
+from ..sequence import MeshSequence
+from ..skinning import Skinning
 from .output import (
     Force,
     Fps,
@@ -20,9 +23,8 @@ from .output import (
     Threads,
     Verbose,
     check_file,
-    read_any,
-    read_options,
 )
+from .reading import ClipNames, clips_in, join, options_for, read_clips, read_model
 
 _FILMS = (".gif", ".webp")
 
@@ -67,6 +69,7 @@ def render(
     ] = None,
     elevation: Annotated[float, typer.Option("--elevation", help="Degrees above.")] = 12.0,
     parallel: Annotated[bool, typer.Option("--parallel", help="Parallel projection.")] = False,
+    clip: ClipNames = None,
     fps: Fps = None,
     read: ReadOptions = None,
     threads: Threads = None,
@@ -88,11 +91,13 @@ def render(
     sources = [p for p in (source, reference) if p is not None]
     check_file(target, "--output", force=force, sources=sources)
     columns = _frames(frames)
-    options = read_options(read, fps=fps)
-    import ssdr
-
-    subject = read_any(source, **options)
-    truth = None if reference is None else ssdr.load(reference, **options)
+    options = options_for(sources, read, fps=fps)
+    subject = read_model(source, clip, options[0])
+    clips = subject.clips if isinstance(subject, Skinning) else ()
+    if film and clips and not one_rate(clips):
+        rates = ", ".join(f"{c.name} at {c.fps:g}" for c in clips)
+        raise InputError("--clip", "a clip, or some of one frame rate, for a film", rates)
+    truth = None if reference is None else _truth(reference, clips, options[1])
     look: dict[str, Any] = {
         "reference": truth,
         "up": up,
@@ -130,6 +135,13 @@ def render(
         write_picture(sheet, target)
     document = {"command": "render", "input": source, "output": target}
     output.result(document, [("wrote", str(target))])
+
+
+def _truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> MeshSequence:
+    """What the subject should be: the same clips, where the file has several."""
+    several = len(clips_in(path, options) or ()) > 1
+    names = [clip.name for clip in clips] if several and clips else None
+    return join(read_clips([path], names, [options]))
 
 
 def _frames(text: str) -> int | list[int]:

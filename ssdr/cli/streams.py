@@ -45,7 +45,7 @@ def _fill_descriptors() -> None:
 
 def _spelling(stream: Any) -> Any:
     if stream is None:  # closed when Python started
-        return open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115: as long as the process
+        return open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (open as long as the process runs)
     with contextlib.suppress(AttributeError, ValueError, OSError):
         stream.reconfigure(errors=_HANDLER)
     return stream

@@ -14,6 +14,7 @@ from ..checks import (
     check_rest,
     check_rng,
 )
+from ..clips import names_of
 from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
 from ..solver.alternation import vertex_step
@@ -96,6 +97,6 @@ def initialize(
         model.weights,
         transforms,
         faces=sequences[0].faces,
-        fps=sequences[0].fps,
         bone_model=bone_model,
+        **names_of(sequences),
     )

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..clips import Clip, pick
 from ..errors import FormatError, InputError, is_real
 from ..sequence import MeshSequence
-from .registry import FORMATS, SaveReport, bake, call, format_of
+from .registry import FORMATS, Format, SaveReport, bake, call, format_of
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["load", "load_skinning", "save"]
+__all__ = ["list_clips", "load", "load_skinning", "save"]
 
 _log = logging.getLogger(__name__)
 
@@ -22,17 +25,23 @@ _log = logging.getLogger(__name__)
 def load(
     path: str | os.PathLike[str],
     *,
+    clip: str | int | None = None,
     weld: bool = False,
     fps: float | None = None,
     **options: Any,
 ) -> MeshSequence:
     """Read an animated mesh; a file that holds a skinning is baked to vertices.
 
+    A sequence is one clip: :func:`list_clips` says which a file has.
+
     Parameters
     ----------
     path : path
         A file, a folder of numbered meshes or a pattern of them
         (``frame_%04d.obj``, ``frame_*.ply``).
+    clip : str or int, optional
+        Name or number of the clip, the first by default; the log lists them
+        where there are several.
     weld : bool
         Merge vertices that coincide in every frame, as seams of UVs or normals
         do; the map back is kept in `vertex_map` and the number merged is
@@ -53,7 +62,8 @@ def load(
         If the suffix is unknown or the file is truncated, hostile, mislabelled
         or holds what a sequence must not.
     InputError
-        If an option is not usable or unknown to the format.
+        If an option is not usable or unknown to the format, or the file has no
+        such clip.
     MissingDependencyError
         If the format needs an optional package that is not installed.
     FileNotFoundError
@@ -68,18 +78,13 @@ def load(
     if fps is not None and not (is_real(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
     source = _as_path(path)
-    if source.suffix.lower() not in FORMATS and _is_many(source):
-        format_ = FORMATS[".obj"]  # the module of numbered meshes, whatever their suffix
-    else:
-        suffix, format_ = format_of(source)
-        if not _is_many(source) and not source.exists():
-            raise FileNotFoundError(f"{source}: no such file")
-        if format_.read is None:
-            raise FormatError(
-                f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights"
-            )
+    format_ = _readable(source)
     assert format_.read is not None
+    if format_.list_clips is not None and clip is not None:
+        options["clip"] = clip
     sequence: MeshSequence = call(format_, format_.read, source, fps=fps, **options)
+    if format_.list_clips is None:
+        pick([_only_clip(sequence, source).name], clip)
     if weld:
         sequence, report = sequence.weld()
         _log.info(
@@ -92,13 +97,69 @@ def load(
     return sequence
 
 
-def load_skinning(path: str | os.PathLike[str], **options: Any) -> Skinning:
+def list_clips(
+    path: str | os.PathLike[str], *, fps: float | None = None, **options: Any
+) -> tuple[Clip, ...]:
+    """The clips of a file: those that :func:`load` takes, with frames as in :func:`load_skinning`.
+
+    A file whose format has no clips is one, called as its animation, mesh or file.
+
+    Parameters
+    ----------
+    path, fps, **options
+        As in :func:`load`.
+
+    Raises
+    ------
+    FormatError, InputError, MissingDependencyError, FileNotFoundError
+        As in :func:`load`.
+
+    Examples
+    --------
+    >>> ssdr.list_clips(ssdr.samples.path("dancer_small"))
+    (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
+    """
+    if fps is not None and not (is_real(fps) and fps > 0):
+        raise InputError("fps", "a positive number", repr(fps))
+    source = _as_path(path)
+    format_ = _readable(source)
+    if format_.list_clips is None:
+        return (_only_clip(load(source, fps=fps, **options), source),)
+    clips: tuple[Clip, ...] = call(format_, format_.list_clips, source, fps=fps, **options)
+    return clips
+
+
+def _readable(source: Path) -> Format:
+    """The format of what can be loaded and is there."""
+    if source.suffix.lower() not in FORMATS and _is_many(source):
+        return FORMATS[".obj"]  # the module of numbered meshes, whatever their suffix
+    suffix, format_ = format_of(source)
+    if not _is_many(source) and not source.exists():
+        raise FileNotFoundError(f"{source}: no such file")
+    if format_.read is None:
+        raise FormatError(f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights")
+    return format_
+
+
+def _only_clip(sequence: MeshSequence, source: Path) -> Clip:
+    name = sequence.clip or sequence.name or source.stem
+    return Clip(name, 0, len(sequence), sequence.fps)
+
+
+def load_skinning(
+    path: str | os.PathLike[str],
+    *,
+    clip: str | int | Sequence[str | int] | None = None,
+    **options: Any,
+) -> Skinning:
     """Read rest pose, skin weights and bone transforms.
 
     Parameters
     ----------
     path : path
         ``.npz``, ``.glb``, ``.gltf`` or USD.
+    clip : str, int or several of them, optional
+        Names or numbers of the clips; all by default.
 
     Raises
     ------
@@ -125,14 +186,16 @@ def load_skinning(path: str | os.PathLike[str], **options: Any) -> Skinning:
     if not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
     skinning: Skinning = call(format_, format_.read_skinning, source, **options)
-    return skinning
+    if clip is None:
+        return skinning
+    return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
 
 
 def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
     """Write a sequence or a skinning.
 
     The file appears whole or not at all.  A format that holds no skinning gets
-    its vertices.
+    its vertices, the frames of all clips one behind the other.
 
     Parameters
     ----------
@@ -175,11 +238,14 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
         thing = getattr(thing, "skinning", thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
-    writer = format_.write_sequence
+    writer, joined = format_.write_sequence, ""
     if isinstance(thing, Skinning):
         if format_.write_skinning is not None:
             writer = format_.write_skinning
         elif writer is not None:
+            if len(thing.clips) > 1:
+                names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
+                joined = f"clips are not kept apart: {names}"
             thing = bake(thing)
     if writer is None:
         able = _writable(type(thing))
@@ -187,7 +253,8 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
         )
     report: SaveReport = call(format_, writer, thing, target, **options)
-    return report
+    notes = [note for note in (report.note, joined) if note]
+    return dataclasses.replace(report, note="; ".join(notes))
 
 
 def _writable(kind: type | None = None) -> list[str]:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..clips import one_rate
 from ..errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ..sequence import MeshSequence
 
@@ -74,7 +75,10 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """The functions of one suffix: names in ``ssdr.io.<module>``, None where it has none."""
+    """The functions of one suffix: names in ``ssdr.io.<module>``, None where it has none.
+
+    Where there is a `list_clips`, a file may have several, and `read` takes the option `clip`.
+    """
 
     module: str
     title: str
@@ -82,16 +86,24 @@ class Format:
     write_sequence: str | None = None
     read_skinning: str | None = None
     write_skinning: str | None = None
+    list_clips: str | None = None
     extra: str | None = None
 
 
-_GLTF = Format("gltf", "glTF 2.0", read_skinning="read_skinning", write_skinning="write_skinning")
+_GLTF = Format(
+    "gltf",
+    "glTF 2.0",
+    read_skinning="read_skinning",
+    write_skinning="write_skinning",
+    list_clips="list_clips",
+)
 _USD = Format(
     "usd",
     "Universal Scene Description",
     write_sequence="write_sequence",
     read_skinning="read_skinning",
     write_skinning="write_skinning",
+    list_clips="list_clips",
     extra="usd",
 )
 
@@ -102,6 +114,7 @@ FORMATS: dict[str, Format] = {
         write_sequence="write_sequence",
         read_skinning="read_skinning",
         write_skinning="write_skinning",
+        list_clips="list_clips",
     ),
     ".npy": Format("arrays.npy", "NumPy array", write_sequence="write_sequence"),
     ".zarr": Format(
@@ -121,7 +134,13 @@ FORMATS: dict[str, Format] = {
     ".usda": _USD,
     ".usdc": _USD,
     ".abc": Format("blender", "Alembic", extra="blender"),
-    ".fbx": Format("blender", "FBX", write_skinning="write_skinning", extra="blender"),
+    ".fbx": Format(
+        "blender",
+        "FBX",
+        write_skinning="write_skinning",
+        list_clips="list_clips",
+        extra="blender",
+    ),
 }
 
 
@@ -156,12 +175,26 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
 
 
 def bake(skinning: Skinning) -> MeshSequence:
-    """The vertices of a skinning over its frames."""
+    """The vertices of a skinning over its frames.
+
+    Raises
+    ------
+    InputError
+        If clips have different frame rates.
+    """
+    if not one_rate(skinning.clips):
+        raise InputError(
+            "thing",
+            "clips of one frame rate where vertices are stored, which have one; "
+            "skinning.select(name) takes one out",
+            ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
+        )
     return MeshSequence(
         skinning.skin(),
         skinning.faces,
         skinning.fps,
         name=skinning.name,
+        clip=skinning.clips[0].name if len(skinning.clips) == 1 else "",
         surface=skinning.surface,
         vertex_map=skinning.vertex_map,
         validate=False,

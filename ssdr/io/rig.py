@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError, check_choice
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import BoneModel, Skinning, skin
@@ -78,7 +79,7 @@ class Rig:
     keys : (F, B) bool
         Frames that are stored.
     names : tuple of str
-    fps : float
+    clips : tuple of Clip
     """
 
     rest: NDArray[np.float32]
@@ -90,7 +91,7 @@ class Rig:
     scales: NDArray[np.float32] | None
     keys: NDArray[np.bool_]
     names: tuple[str, ...]
-    fps: float
+    clips: tuple[Clip, ...]
 
     @property
     def n_frames(self) -> int:
@@ -145,21 +146,23 @@ class Rig:
         """
         shown = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
         rest = self.rest.astype(np.float64)
-        count = self.n_frames - 1 if between else self.n_frames
+        count = self.n_frames - len(self.clips) if between else self.n_frames
         if count < 1:
             return Error(None, None)
         step = max(1, _CHUNK_BYTES // (len(rest) * 24))
         total, largest = 0.0, 0.0
-        for first in range(0, count, step):
-            last = min(first + step, count)
-            times = np.arange(first, last, dtype=np.float64) + 0.5 * between
-            stored = skin(rest, self.joints, shown, self.matrices(times))
-            truth = model.skin(slice(first, last + between), dtype=np.float64)
-            if between:
-                truth = (truth[1:] + truth[:-1]) / 2
-            squares = ((stored - truth) ** 2).sum(axis=2)
-            total += float(squares.sum())
-            largest = max(largest, float(squares.max()))
+        for clip in self.clips:
+            stop = clip.stop - between  # nothing is between two clips
+            for first in range(clip.start, stop, step):
+                last = min(first + step, stop)
+                times = np.arange(first, last, dtype=np.float64) + 0.5 * between
+                stored = skin(rest, self.joints, shown, self.matrices(times))
+                truth = model.skin(slice(first, last + between), dtype=np.float64)
+                if between:
+                    truth = (truth[1:] + truth[:-1]) / 2
+                squares = ((stored - truth) ** 2).sum(axis=2)
+                total += float(squares.sum())
+                largest = max(largest, float(squares.max()))
         return Error(math.sqrt(total / (count * len(rest))), math.sqrt(largest))
 
 
@@ -205,6 +208,10 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
     bare = ~keys.any(axis=0)
     if bare.any():
         raise InputError("keyframes", "a key for every bone", f"none for bone {int(bare.argmax())}")
+    if len(skinning.clips) > 1:
+        keys = keys.copy()
+        for clip in skinning.clips:  # each is played without the others
+            keys[[clip.start, clip.stop - 1]] = True
     return Rig(
         rest=skinning.rest.astype(np.float32),
         joints=joints,
@@ -215,7 +222,7 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
         scales=None if scale is None else scale.astype(np.float32),
         keys=keys,
         names=unique_names(skinning.names()),
-        fps=skinning.fps,
+        clips=skinning.clips,
     )
 
 
@@ -388,17 +395,3 @@ def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:
         if 10 <= rate <= 1000 and np.abs(ticks - np.rint(ticks)).max() < 0.01:
             return rate
     return None
-
-
-def unique_names(names: Sequence[str]) -> tuple[str, ...]:
-    """Names that differ, a number behind those that would not."""
-    seen: set[str] = set()
-    result = []
-    for name in names:
-        base, k = name or "bone", 1
-        name = base
-        while name in seen:
-            name, k = f"{base}_{k}", k + 1
-        seen.add(name)
-        result.append(name)
-    return tuple(result)

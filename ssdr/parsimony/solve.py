@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import parse_tolerance
+from ..clips import names_of
 from ..errors import Cancelled
 from ..frames.executor import Executor, executor_for
 from ..parallel import serial_blas
@@ -298,10 +299,9 @@ class _Hunt:
             weights[:, :most],
             transforms,
             faces=first.faces,
-            fps=first.fps,
             surface=first.surface,
             vertex_map=first.vertex_map,
-            name=first.name,
+            **names_of(self.problem.sequences),
             bone_model=self.problem.fixed.bone_model,
         )
 

@@ -156,6 +156,7 @@ class Problem:
             "effort": self.effort,
             "bone_model": self.fixed.bone_model,
             "rest_frame": self.prescribed.rest_frame,
+            "clips": [len(s) for s in self.sequences],
         } | more
 
 

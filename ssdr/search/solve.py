@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..clips import names_of
 from ..errors import Cancelled
 from ..frames.digest import Digests
 from ..frames.error import squared_error
@@ -233,11 +234,10 @@ def outcome_of(
         weights,
         transforms,
         faces=first.faces,
-        fps=first.fps,
         bone_model=problem.fixed.bone_model,
         surface=first.surface,
         vertex_map=first.vertex_map,
-        name=first.name,
+        **names_of(problem.sequences),
     )
     values = np.array([value for _, _, value, _ in records])
     hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"

@@ -157,14 +157,16 @@ def check_settings(state: SolverState, settings: dict[str, Any]) -> None:
     """Whether a run asked for by these settings may go on from the state."""
     for key, value in settings.items():
         there = state.settings.get(key)
-        if there == value:
-            continue
+        if there == value or (key == "clips" and key not in state.settings):
+            continue  # states saved before this setting was know nothing of clips
         expected, got = f"a state of a run with {key} = {value!r}", repr(there)
         if key == "input":
             expected = "a state of a run on these very frames, faces, importances and fixed parts"
             got = "one on others"
         elif key == "schedule":
             expected, got = "a state of this version of ssdr", "one of other steps"
+        elif key == "clips":
+            expected, got = f"a state of a run on clips of {value} frames", f"one on {there}"
         raise InputError("resume", expected, got)
 
 

@@ -22,7 +22,7 @@ from ...errors import FormatError, InputError
 from ..atomic import atomic_path
 from ..registry import describe, reading
 
-__all__ = ["has", "read_array", "read_arrays", "write_array", "write_arrays"]
+__all__ = ["has", "read_array", "read_arrays", "shape_of", "write_array", "write_arrays"]
 
 _npy: Any = np.lib.format  # NumPy types it only in part
 _MAX_BYTES = 16 << 30  # 16 GiB in one archive unless the caller allows more: stops a false size
@@ -200,6 +200,12 @@ def has(path: Path, key: str) -> bool:
     """Whether an archive has an array of that name."""
     with reading(path), path.open("rb") as stream, _archive(path, stream) as archive:
         return f"{key}.npy" in archive.namelist()
+
+
+def shape_of(path: Path, key: str) -> tuple[int, ...]:
+    """Shape of an array of an archive, which is not read."""
+    with reading(path), path.open("rb") as stream, _archive(path, stream) as archive:
+        return _member_header(path, archive, _members(path, archive)[key])[1]
 
 
 _Header = tuple[np.dtype[Any], tuple[int, ...], bool, int]

@@ -16,15 +16,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import Clip, pick
 from ...errors import FormatError, InputError
 from ...sequence import Material, MeshSequence, Surface
 from ..registry import SaveReport, bake, reading
-from .archive import has, read_arrays, write_arrays
+from .archive import has, read_arrays, shape_of, write_arrays
 
 if TYPE_CHECKING:
     from ...skinning import Skinning
 
-__all__ = ["FORMAT_VERSION", "read", "read_skinning", "write_sequence", "write_skinning"]
+__all__ = [
+    "FORMAT_VERSION",
+    "list_clips",
+    "read",
+    "read_skinning",
+    "write_sequence",
+    "write_skinning",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -34,13 +42,20 @@ _SKINNING = ("rest", "joints", "weights", "transforms", "faces", "fps", "format_
 
 
 def read(
-    path: Path, *, fps: float | None = None, mmap: bool = False, max_bytes: int | None = None
+    path: Path,
+    *,
+    clip: str | int | None = None,
+    fps: float | None = None,
+    mmap: bool = False,
+    max_bytes: int | None = None,
 ) -> MeshSequence:
     """Read ``vertices, faces, fps``, or bake a skinning.
 
     Parameters
     ----------
     path : Path
+    clip : str or int, optional
+        Of a skinning of several clips; the first by default.
     fps : float, optional
         Instead of the file's own.
     mmap : bool
@@ -58,11 +73,16 @@ def read(
     """
     if not has(path, "vertices") and has(path, "rest"):
         skinning = read_skinning(path, max_bytes=max_bytes)
+        names = [one.name for one in _named(skinning.clips, skinning.name, path)]
+        index = pick(names, clip)
+        if len(names) > 1:
+            _log.info("%s: clip %r of %s", path, names[index], names)
+        skinning = skinning.select(index)
         return bake(skinning if fps is None else dataclasses.replace(skinning, fps=fps))
     arrays = read_arrays(
         path,
         required=("vertices", "faces"),
-        optional=("fps", "name", "vertex_map", *_SURFACE),
+        optional=("fps", "name", "clip", "vertex_map", *_SURFACE),
         mapped=("vertices",) if mmap else (),
         max_bytes=max_bytes,
     )
@@ -70,14 +90,38 @@ def read(
         if fps is None and "fps" not in arrays:
             _log.info("%s: no fps stated, 24 assumed", path)
             fps = 24.0
-        return MeshSequence(
+        sequence = MeshSequence(
             arrays["vertices"],
             arrays["faces"],
             float(_scalar(arrays["fps"], "fps")) if fps is None else fps,
             name=_text(arrays, "name") or path.stem,
+            clip=_text(arrays, "clip"),
             surface=_surface_from(arrays),
             vertex_map=arrays.get("vertex_map"),
         )
+    pick([sequence.clip or sequence.name], clip)
+    return sequence
+
+
+def list_clips(
+    path: Path, *, fps: float | None = None, max_bytes: int | None = None
+) -> tuple[Clip, ...]:
+    """The clips of a skinning; a sequence is one."""
+    if not has(path, "vertices") and has(path, "rest"):
+        skinning = read_skinning(path, max_bytes=max_bytes)
+        clips = _named(skinning.clips, skinning.name, path)
+        return clips if fps is None else tuple(dataclasses.replace(c, fps=fps) for c in clips)
+    names = ("fps", "name", "clip")
+    arrays = read_arrays(path, required=(), optional=names, max_bytes=max_bytes)
+    with reading(path):
+        name = _text(arrays, "clip") or _text(arrays, "name") or path.stem
+        if fps is None:
+            fps = float(_scalar(arrays["fps"], "fps")) if "fps" in arrays else 24.0
+        return (Clip(name, 0, shape_of(path, "vertices")[0], fps),)
+
+
+def _named(clips: tuple[Clip, ...], name: str, path: Path) -> tuple[Clip, ...]:
+    return tuple(dataclasses.replace(c, name=c.name or name or path.stem) for c in clips)
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True) -> SaveReport:
@@ -95,8 +139,9 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
         "faces": sequence.faces,
         "fps": np.float64(sequence.fps),
     }
-    if sequence.name:
-        arrays["name"] = np.array(sequence.name)
+    for key in ("name", "clip"):
+        if getattr(sequence, key):
+            arrays[key] = np.array(getattr(sequence, key))
     if sequence.vertex_map is not None:
         arrays["vertex_map"] = sequence.vertex_map
     arrays.update(_surface_arrays(sequence.surface))
@@ -110,7 +155,11 @@ def read_skinning(path: Path, *, max_bytes: int | None = None) -> Skinning:
     arrays = read_arrays(
         path,
         required=_SKINNING,
-        optional=("bone_model", "keyframes", "bone_names", "name", "vertex_map", *_SURFACE),
+        optional=(
+            *("bone_model", "keyframes", "bone_names", "name", "vertex_map"),
+            *("clip_names", "clip_offsets", "clip_fps"),
+            *_SURFACE,
+        ),
         max_bytes=max_bytes,
     )
     with reading(path):
@@ -127,6 +176,7 @@ def read_skinning(path: Path, *, max_bytes: int | None = None) -> Skinning:
             arrays["transforms"],
             faces=arrays["faces"],
             fps=float(_scalar(arrays["fps"], "fps")),
+            clips=_clips_from(arrays),
             bone_model=_text(arrays, "bone_model") or "rigid",  # type: ignore[arg-type]
             keyframes=arrays.get("keyframes"),
             surface=_surface_from(arrays),
@@ -155,9 +205,32 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
         arrays["bone_names"] = np.array(json.dumps(skinning.bone_names))
     if skinning.name:
         arrays["name"] = np.array(skinning.name)
+    clips = skinning.clips
+    if len(clips) > 1 or clips[0].name != skinning.name:
+        arrays["clip_names"] = np.array(json.dumps([clip.name for clip in clips]))
+        arrays["clip_offsets"] = np.array([0, *(clip.stop for clip in clips)], dtype=np.int64)
+        arrays["clip_fps"] = np.array([clip.fps for clip in clips])
     arrays.update(_surface_arrays(skinning.surface))
     size = write_arrays(path, arrays, compress=compress)
     return SaveReport(path=path, bytes=size, influences=skinning.n_influences)
+
+
+def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """Clips of an archive; None where it was written before there were any."""
+    text = _text(arrays, "clip_names")
+    if not text:
+        return None
+    names, offsets, rates = json.loads(text), arrays["clip_offsets"], arrays["clip_fps"]
+    if not (isinstance(names, list) and offsets.dtype.kind in "iu" and rates.dtype.kind == "f"):
+        raise InputError("clip_names", "a list of names with their frames and rates", text[:100])
+    if offsets.shape != (len(names) + 1,) or rates.shape != (len(names),):
+        raise InputError(
+            "clip_offsets", f"shape ({len(names) + 1},)", f"{offsets.shape}, rates {rates.shape}"
+        )
+    return [
+        Clip(name, start, stop, rate)
+        for name, start, stop, rate in zip(names, offsets[:-1], offsets[1:], rates, strict=True)
+    ]
 
 
 def _scalar(array: NDArray[Any], key: str) -> Any:

@@ -7,6 +7,7 @@ environment variable ``SSDR_BLENDER_PYTHON`` names that Python.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import json
 import logging
@@ -21,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import Clip, in_order, one_rate, pick
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import Material, MeshSequence, Surface
 from ...skinning import Skinning
@@ -29,9 +31,10 @@ from ..gltf import reader as gltf
 from ..registry import SaveReport, describe, reading
 from ..rig import MAX_BYTES, Up, check_up, turn_up
 
-__all__ = ["interpreter", "read", "run", "write_skinning"]
+__all__ = ["interpreter", "list_clips", "read", "run", "write_skinning"]
 
 _log = logging.getLogger(__name__)
+_LONGEST_NAME = 63  # bytes, of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
 
@@ -39,6 +42,7 @@ _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
 def read(
     path: Path,
     *,
+    clip: str | int | None = None,
     fps: float | None = None,
     up: Up = "y",
     time_limit: float = 600.0,
@@ -49,6 +53,8 @@ def read(
     Parameters
     ----------
     path : Path
+    clip : str or int, optional
+        Which take of an FBX file, by number or name; the first by default.
     fps : float, optional
         Where to sample; FBX says itself, Alembic holds seconds alone and gets
         24 by default.
@@ -73,23 +79,15 @@ def read(
     """
     check_up(up)
     _check_limit(time_limit)
-    python = interpreter()
-    suffix = path.suffix.lower()
-    with path.open("rb") as stream:
-        head = stream.read(64)
-    if suffix in _MAGIC and not head.startswith(_MAGIC[suffix]):
-        raise FormatError(f"{path}: not an {suffix} file: {describe(head)}")
-    job = {
-        "action": "read",
-        "path": str(path.resolve()),
-        "fps": 24.0 if fps is None else fps,
-        "resample": fps is not None,
-        "max_bytes": MAX_BYTES if max_bytes is None else max_bytes,
-    }
-    try:
-        arrays = run(job, python=python, time_limit=time_limit)
-    except SsdrError as error:
-        raise FormatError(f"{path}: {error}") from error
+    suffix, limit = path.suffix.lower(), MAX_BYTES if max_bytes is None else max_bytes
+    wanted = clip if isinstance(clip, (str, int)) and not isinstance(clip, bool) else None
+    job = {"action": "read", "take": wanted, "max_bytes": limit}
+    arrays = _read_by_blender(job, path, fps, time_limit)
+    with reading(path):
+        names = _names(arrays, path)
+    name = names[pick(names, clip)]
+    if len(names) > 1:
+        _log.info("%s: clip %r of %s", path, name, names)
     if fps is None and suffix == ".abc":
         _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
     with reading(path):
@@ -106,8 +104,48 @@ def read(
             arrays["faces"],
             float(arrays["fps"]),
             name=path.stem,
+            clip=name,
             surface=surface,
         )
+
+
+def list_clips(
+    path: Path, *, fps: float | None = None, time_limit: float = 600.0
+) -> tuple[Clip, ...]:
+    """The takes of an FBX file."""
+    _check_limit(time_limit)
+    arrays = _read_by_blender({"action": "list"}, path, fps, time_limit)
+    with reading(path):
+        rate = float(arrays["fps"])
+        names = _names(arrays, path)
+        return in_order(
+            Clip(name, 0, int(count), rate)
+            for name, count in zip(names, arrays["frames"], strict=True)
+        )
+
+
+def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
+    return [str(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
+
+
+def _read_by_blender(
+    job: dict[str, Any], path: Path, fps: float | None, time_limit: float
+) -> dict[str, NDArray[Any]]:
+    python = interpreter()
+    suffix = path.suffix.lower()
+    with path.open("rb") as stream:
+        head = stream.read(64)
+    if suffix in _MAGIC and not head.startswith(_MAGIC[suffix]):
+        raise FormatError(f"{path}: not an {suffix} file: {describe(head)}")
+    job |= {
+        "path": str(path.resolve()),
+        "fps": 24.0 if fps is None else fps,
+        "resample": fps is not None,
+    }
+    try:
+        return run(job, python=python, time_limit=time_limit)
+    except SsdrError as error:
+        raise FormatError(f"{path}: {error}") from error
 
 
 def write_skinning(
@@ -141,11 +179,28 @@ def write_skinning(
         If Blender fails.
     """
     _check_limit(time_limit)
+    title = name or skinning.name or path.stem
+    names = [clip.name or title for clip in skinning.clips]
+    long = [one for one in names if len(one.encode()) > _LONGEST_NAME]
+    if long:
+        raise InputError("thing", f"clip names of at most {_LONGEST_NAME} bytes", long[0])
+    if not one_rate(skinning.clips):
+        raise InputError(
+            "thing",
+            "clips of one frame rate, as all takes of an FBX file have",
+            ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
+        )
     python = interpreter()
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         source = Path(folder) / "model.glb"
+        # Blender knows the takes by these names, whatever the clips' own.
+        numbered = [dataclasses.replace(c, name=f"c{k}") for k, c in enumerate(skinning.clips)]
         stored = gltf.write_skinning(
-            skinning, source, influences=influences, up=up, name=name or skinning.name or path.stem
+            dataclasses.replace(skinning, clips=tuple(numbered)),
+            source,
+            influences=influences,
+            up=up,
+            name=title,
         )
         with atomic_path(path) as temporary:
             job = {
@@ -153,17 +208,25 @@ def write_skinning(
                 "source": str(source),
                 "path": str(temporary.resolve()),
                 "fps": skinning.fps,
+                "clips": [
+                    {"name": one, "action": f"c{k}", "frames": clip.n_frames}
+                    for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
+                ],
             }
             numbers = run(job, python=python, time_limit=time_limit)["vertex"]
             if not temporary.is_file():
                 raise SsdrError("Blender wrote no FBX file")
-    back = read(path, up=up, time_limit=time_limit)
-    error, largest = _compare(skinning, back, numbers)
+    total, count, largest = 0.0, 0, 0.0
+    for k, clip in enumerate(skinning.clips):
+        back = read(path, clip=k, up=up, time_limit=time_limit)
+        squares, most = _compare(skinning, clip, back, numbers)
+        total, largest = total + squares, max(largest, most)
+        count += back.n_frames * back.n_vertices
     return SaveReport(
         path=path,
         bytes=path.stat().st_size,
         influences=stored.influences,
-        error=error,
+        error=math.sqrt(total / count),
         max_error=largest,
         between_frames=stored.between_frames,
         note=stored.note.replace("glTF takes the unit for metres", "the unit is taken for metres"),
@@ -171,19 +234,21 @@ def write_skinning(
 
 
 def _compare(
-    skinning: Skinning, back: MeshSequence, numbers: NDArray[np.int64]
+    skinning: Skinning, clip: Clip, back: MeshSequence, numbers: NDArray[np.int64]
 ) -> tuple[float, float]:
-    if back.n_frames != skinning.n_frames or back.n_vertices != len(numbers):
+    """Sum of squared distances, and the largest distance."""
+    if back.n_frames != clip.n_frames or back.n_vertices != len(numbers):
         raise SsdrError(
-            f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices, "
-            f"not {skinning.n_frames} of {len(numbers)}"
+            f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices "
+            f"in {clip.name!r}, not {clip.n_frames} of {len(numbers)}"
         )
     total, largest = 0.0, 0.0
     for first, block in back.chunks():
-        truth = skinning.skin(slice(first, first + len(block)), dtype=np.float64)
+        start = clip.start + first
+        truth = skinning.skin(slice(start, start + len(block)), dtype=np.float64)
         squares = ((block - truth[:, numbers]) ** 2).sum(axis=2)
         total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
-    return math.sqrt(total / (back.n_frames * back.n_vertices)), math.sqrt(largest)
+    return total, math.sqrt(largest)
 
 
 def _check_limit(time_limit: float) -> None:

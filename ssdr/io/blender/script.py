@@ -6,6 +6,7 @@ there.  What it finds goes into an archive of arrays, what goes wrong to stderr.
 
 import json
 import math
+import os
 import sys
 from typing import Any
 
@@ -54,6 +55,75 @@ def frames_of(path: str) -> tuple[int, int]:
         return (scene.frame_start, scene.frame_end) if moving else (scene.frame_start,) * 2
     first, last = actions_range() or (1, 1)
     return math.floor(first + 1e-3), math.ceil(last - 1e-3)
+
+
+def stacks(path: str) -> list[tuple[str, str]]:
+    """Names of the animation stacks and their layers in an FBX file, in its order."""
+    from io_scene_fbx import parse_fbx
+
+    def names(kind: bytes) -> list[tuple[int, str]]:
+        return [
+            (e.props[0], e.props[1].split(b"\0")[0].decode("utf-8", "replace"))
+            for e in objects.elems
+            if e.id == kind
+        ]
+
+    root = parse_fbx.parse(path)[0]
+    parts = {e.id: e for e in root.elems}
+    if b"Objects" not in parts:
+        return []
+    objects = parts[b"Objects"]
+    layers = dict(names(b"AnimationLayer"))
+    links = [e.props[1:3] for e in getattr(parts.get(b"Connections"), "elems", ())]
+    return [
+        (name, next((layers[a] for a, b in links if b == number and a in layers), name))
+        for number, name in names(b"AnimationStack")
+    ]
+
+
+def cut(name: str) -> str:
+    return name.encode()[:63].decode("utf-8", "ignore")
+
+
+def takes(path: str) -> list[tuple[str, list[tuple[Any, Any]]]]:
+    """The animation stacks of an FBX file that was loaded: what acts on what."""
+    if not path.lower().endswith(".fbx"):
+        return []
+    moved = [o for o in (*bpy.data.objects, *bpy.data.shape_keys) if o.animation_data]
+    found: list[tuple[str, list[tuple[Any, Any]]]] = []
+    for name, layer in stacks(path):
+        tail = name if layer == name else f"{name}|{layer}"
+        # as Blender's importer calls them, cut to what its names may have
+        pairs = [(o, bpy.data.actions.get(cut(f"{o.name}|{tail}"))) for o in moved]
+        if any(action for _, action in pairs):
+            names = [other for other, _ in found]
+            known = [name, *(f"{name}_{k}" for k in range(1, len(names) + 1))]
+            found.append((next(n for n in known if n not in names), pairs))
+    return found
+
+
+def span(pairs: list[tuple[Any, Any]]) -> tuple[int, int]:
+    ranges = [action.frame_range for _, action in pairs if action]
+    first, last = min(r[0] for r in ranges), max(r[1] for r in ranges)
+    return math.floor(first + 1e-3), math.ceil(last - 1e-3)
+
+
+def count_frames(first: int, last: int, step: float) -> int:
+    return math.floor((last - first) / step + 1e-3) + 1
+
+
+def list_takes(job: dict[str, Any]) -> None:
+    reset(job["fps"])
+    load(job["path"])
+    step = rate() / job["fps"] if job["resample"] else 1.0
+    found = takes(job["path"])
+    spans = [span(pairs) for _, pairs in found] or [frames_of(job["path"])]
+    np.savez(
+        job["out"],
+        names=np.array(json.dumps([name for name, _ in found])),
+        frames=np.array([count_frames(*one, step) for one in spans]),
+        fps=np.float64(rate() / step),
+    )
 
 
 def meshes() -> list[Any]:
@@ -168,14 +238,27 @@ def read(job: dict[str, Any]) -> None:
         raise ValueError("the scene holds no mesh")
     scene, graph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     first, last = frames_of(job["path"])
+    found = takes(job["path"])
+    names = [name for name, _ in found]
+    arrays: dict[str, Any] = {"names": np.array(json.dumps(names))}
+    take = 0 if job.get("take") is None else job["take"]
+    if take in names:
+        take = names.index(take)
+    elif found and take not in range(len(found)):
+        np.savez(job["out"], **arrays)  # the caller says what is wrong
+        return
+    if len(found) > 1:
+        pairs = found[take][1]
+        for item, action in pairs:
+            item.animation_data.action = action
+        first, last = span(pairs)
     counts = [len(item.data.vertices) for item in items]
     step = rate() / job["fps"] if job["resample"] else 1.0
-    count = math.floor((last - first) / step + 1e-3) + 1
+    count = count_frames(first, last, step)
     need = count * sum(counts) * 12
     if need > job["max_bytes"]:
         raise ValueError(f"its vertices need {need} bytes, max_bytes is {job['max_bytes']}")
     frames = np.empty((count, sum(counts), 3), dtype=np.float32)
-    arrays: dict[str, Any] = {}
     for k in range(len(frames)):
         whole = math.floor(first + k * step + 1e-6)
         scene.frame_set(whole, subframe=min(max(first + k * step - whole, 0.0), 0.999999))
@@ -205,14 +288,30 @@ def vertex_numbers(items: list[Any]) -> Any:
     return np.concatenate(found)
 
 
+def lay_out(clips: list[dict[str, Any]]) -> None:
+    """A strip a clip: the exporter makes a take of each, called as it is."""
+    for item in bpy.context.scene.objects:
+        if item.type != "ARMATURE" or not item.animation_data:
+            continue
+        motion = item.animation_data
+        motion.action = None
+        for track in list(motion.nla_tracks):
+            motion.nla_tracks.remove(track)
+        for clip in clips:
+            name = cut(f"{clip['action']}_{item.name}")
+            track = motion.nla_tracks.new()
+            strip = track.strips.new(clip["name"], 0, bpy.data.actions[name])
+            strip.name = clip["name"]
+            strip.action_frame_start, strip.action_frame_end = 0, clip["frames"] - 1
+            strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
+
+
 def write(job: dict[str, Any]) -> None:
     reset(job["fps"])
     load(job["source"])
     items = meshes()
     np.savez(job["out"], vertex=vertex_numbers(items))
-    first, last = actions_range() or (0, 0)
-    bpy.context.scene.frame_start = round(first)
-    bpy.context.scene.frame_end = max(round(last), round(first))
+    lay_out(job["clips"])
     for item in bpy.context.scene.objects:
         item.select_set(item in items or item.type == "ARMATURE")
     bpy.ops.export_scene.fbx(
@@ -222,7 +321,7 @@ def write(job: dict[str, Any]) -> None:
         add_leaf_bones=False,
         bake_anim=True,
         bake_anim_use_all_bones=True,
-        bake_anim_use_nla_strips=False,
+        bake_anim_use_nla_strips=True,
         bake_anim_use_all_actions=False,
         bake_anim_simplify_factor=0.0,
         bake_anim_step=1.0,
@@ -237,9 +336,14 @@ def main() -> None:
         job = json.load(stream)
     if job["action"] == "write":
         write(job)
+    elif job["action"] == "list":
+        list_takes(job)
     else:
         read(job)
 
 
 if __name__ == "__main__":
     main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # some releases of bpy crash when they are torn down, the work being done

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...clips import pick, unique_names
 from ...rigid import matrix_from_quaternion
 from ..registry import reading
 from ..rig import MAX_BYTES, check_size, frame_rate, interpolate_quaternions
 from .document import Document
 
-__all__ = ["Animation", "World", "choose"]
+__all__ = ["Animation", "World", "choose", "every", "title"]
 
 _log = logging.getLogger(__name__)
 _WIDTH = {"translation": 3, "rotation": 4, "scale": 3}
@@ -43,8 +43,36 @@ class Animation:
         return _interpolate(keys, values, how, self.times, path == "rotation")
 
 
-def choose(document: Document, animation: int | str | None, fps: float | None) -> Animation:
-    """The clip of that number or name; without any, one still frame.
+def title(document: Document) -> str:
+    """What the mesh is called: as the file's one mesh, else as the file."""
+    names = {str(mesh.get("name", "")) for mesh in document.items("meshes")}
+    return (names.pop() if len(names) == 1 else "") or document.path.stem
+
+
+def names_of_clips(document: Document) -> tuple[str, ...]:
+    """Names that differ; that of the mesh where nothing is animated."""
+    clips = [document.item("animations", k) for k in range(len(document.items("animations")))]
+    names = [str(clip.get("name") or f"animation_{k}") for k, clip in enumerate(clips)]
+    return unique_names(names or [title(document)])
+
+
+def every(document: Document, fps: float | None = None) -> list[Animation]:
+    """All clips in the order of the file; without any, one still frame."""
+    names = names_of_clips(document)
+    return [_clip(document, k, name, fps) for k, name in enumerate(names)]
+
+
+def _clip(document: Document, index: int, name: str, fps: float | None) -> Animation:
+    if not document.items("animations"):
+        return Animation(name, 24.0 if fps is None else fps, np.zeros(1), {})
+    clip = document.item("animations", index)
+    return _framed(document, name, clip, _channels(document, clip), fps)
+
+
+def choose(
+    document: Document, clip: int | str | None, fps: float | None, argument: str = "clip"
+) -> Animation:
+    """The clip of that number or name, the first by default.
 
     Raises
     ------
@@ -52,25 +80,12 @@ def choose(document: Document, animation: int | str | None, fps: float | None) -
         If there is no such clip.
     """
     with reading(document.path):
-        clips = [document.item("animations", k) for k in range(len(document.items("animations")))]
-        names = [str(clip.get("name", f"animation_{k}")) for k, clip in enumerate(clips)]
-    if animation is not None and (isinstance(animation, bool) or not clips):
-        raise InputError("animation", f"one of {names}" if names else "no animation", animation)
-    if isinstance(animation, str):
-        if animation not in names:
-            raise InputError("animation", f"one of {names}", repr(animation))
-        index = names.index(animation)
-    else:
-        index = int(animation or 0)
-        if clips and not 0 <= index < len(clips):
-            raise InputError("animation", f"a number from 0 to {len(clips) - 1}", animation)
-    if not clips:
-        return Animation("", 24.0 if fps is None else fps, np.zeros(1), {})
-    if len(clips) > 1:
+        names = names_of_clips(document)
+    index = pick(names, clip, argument)
+    if len(names) > 1:
         _log.info("%s: clip %r of %s", document.path, names[index], names)
     with reading(document.path):
-        channels = _channels(document, clips[index])
-        return _framed(document, names[index], clips[index], channels, fps)
+        return _clip(document, index, names[index], fps)
 
 
 def _framed(

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import Clip, in_order
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
 from ...skinning import Skinning, skin
 from ..registry import reading
 from ..rig import MAX_BYTES, check_size, model_of, unique_names
-from .animation import Animation, World, choose
+from .animation import Animation, World, choose, every, title
 from .document import Document
 from .mesh import Part, join_surface, read_parts
 from .writer import write_skinning
 
-__all__ = ["read", "read_skinning", "write_skinning"]
+__all__ = ["list_clips", "read", "read_skinning", "write_skinning"]
 
 _log = logging.getLogger(__name__)
 _CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
@@ -29,6 +30,7 @@ def read(
     path: Path,
     *,
     fps: float | None = None,
+    clip: int | str | None = None,
     animation: int | str | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
@@ -40,9 +42,11 @@ def read(
     fps : float, optional
         Where to sample; that of the keys by default, 24 where they say
         nothing.
+    clip : int or str, optional
+        Which animation, by number or name; the first by default.  The log
+        lists them all.
     animation : int or str, optional
-        Which clip, by number or name; the first by default.  The log lists
-        them all.
+        The same by glTF's word.
     max_bytes : int, optional
         Largest size of the vertices; 16 GiB by default.
 
@@ -62,26 +66,48 @@ def read(
     """
     with reading(path):
         document = Document(path)
-    clip = choose(document, animation, fps)
+    chosen = _chosen(document, clip, animation, fps)
     with reading(path):
-        world = World(document, clip)
+        world = World(document, chosen)
         parts = read_parts(document, world)
         count = sum(len(part.vertex) for part in parts)
-        check_size(clip.n_frames, count, MAX_BYTES if max_bytes is None else max_bytes)
-        frames = np.empty((clip.n_frames, count, 3), dtype=np.float32)
+        check_size(chosen.n_frames, count, MAX_BYTES if max_bytes is None else max_bytes)
+        frames = np.empty((chosen.n_frames, count, 3), dtype=np.float32)
         first = 0
         for part in parts:
             last = first + len(part.vertex)
-            _bake(part, clip, world, frames[:, first:last])
+            _bake(part, chosen, world, frames[:, first:last])
             first = last
         faces = _join_faces(parts)
         return MeshSequence(
             frames,
             faces,
-            clip.fps,
-            name=clip.name or path.stem,
+            chosen.fps,
+            name=title(document),
+            clip=chosen.name,
             surface=join_surface(document, parts, len(faces)),
         )
+
+
+def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
+    """The animations of a file, in the frames of :func:`read_skinning`."""
+    with reading(path):
+        document = Document(path)
+        return _clips(every(document, fps))
+
+
+def _clips(animations: list[Animation]) -> tuple[Clip, ...]:
+    return in_order(Clip(a.name, 0, a.n_frames, a.fps) for a in animations)
+
+
+def _chosen(
+    document: Document, clip: int | str | None, animation: int | str | None, fps: float | None
+) -> Animation:
+    if animation is None:
+        return choose(document, clip, fps)
+    if clip is not None:
+        raise InputError("animation", "nothing beside a clip", repr(animation))
+    return choose(document, animation, fps, "animation")
 
 
 def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning:
@@ -91,7 +117,7 @@ def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning
     ----------
     path : Path
     animation : int or str, optional
-        As in :func:`read`.
+        One animation alone, by number or name; all of them by default.
 
     Raises
     ------
@@ -102,11 +128,13 @@ def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning
     """
     with reading(path):
         document = Document(path)
-    clip = choose(document, animation, None)
+    alone = None if animation is None else choose(document, animation, None, "animation")
     with reading(path):
-        world = World(document, clip)
+        chosen = every(document) if alone is None else [alone]
+        worlds = [World(document, one) for one in chosen]
+        world = worlds[0]
         parts = read_parts(document, world)
-        if any(part.morphs(world) for part in parts):
+        if any(part.morphs(w) for part in parts for w in worlds):
             raise FormatError(
                 f"{path}: morph targets move the mesh, which no skinning holds; "
                 "ssdr.load bakes them"
@@ -119,9 +147,9 @@ def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning
         for part, key in zip(parts, bones, strict=True):
             if key not in matrices:
                 starts[key] = len(names)
-                matrices[key] = part.matrices(world)
+                matrices[key] = np.concatenate([part.matrices(w) for w in worlds])
                 names += part.bone_names(document)
-        check_size(clip.n_frames, 4 * len(names), MAX_BYTES)
+        check_size(sum(one.n_frames for one in chosen), 4 * len(names), MAX_BYTES)
         transforms = np.concatenate([matrices[key] for key in order], axis=1)
         width = max(part.joints.shape[1] for part in parts)
         joints = [
@@ -135,11 +163,11 @@ def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning
             weights,
             transforms,
             faces=faces,
-            fps=clip.fps,
             bone_model=model_of(transforms),
             surface=join_surface(document, parts, len(faces)),
             bone_names=unique_names(names),
-            name=clip.name or path.stem,
+            name=title(document),
+            clips=_clips(chosen),
         )
 
 

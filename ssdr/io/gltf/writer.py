@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import Clip
 from ...errors import InputError
 from ...sequence import Material
 from ...skinning import Skinning
@@ -49,8 +50,9 @@ def write_skinning(
     up : {"y", "z"}
         The model's up axis; glTF's is y, so "z" turns it.
     name : str, optional
-        Of scene, mesh and animation; that of the skinning, else of the file,
-        by default.
+        Of scene and mesh; that of the skinning, else of the file, by default.
+        Animations are called as the clips, one without a name of its own as
+        the mesh.
 
     Returns
     -------
@@ -87,6 +89,11 @@ def write_skinning(
     )
     _mesh(document, model, rig, corners, joints, stored, title, notes)
     _skeleton(document, rig, title)
+    unnamed = ("", skinning.name) if len(rig.clips) == 1 else ()
+    document.json["animations"] = [
+        _animation(document, rig, clip, title if clip.name in unnamed else clip.name)
+        for clip in rig.clips
+    ]
     size = document.save(path)
     if stored.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
@@ -297,13 +304,17 @@ def _skeleton(document: _Writer, rig: Rig, title: str) -> None:
             "joints": list(range(2, 2 + count)),
         }
     ]
+
+
+def _animation(document: _Writer, rig: Rig, clip: Clip, title: str) -> dict[str, Any]:
+    """The keys of a clip, its first frame at 0 s."""
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     stamps: dict[bytes, int] = {}
-    for bone in range(count):
-        keys = np.flatnonzero(rig.keys[:, bone])
+    for bone in range(rig.n_bones):
+        keys = clip.start + np.flatnonzero(rig.keys[clip.frames, bone])
         if keys.tobytes() not in stamps:
-            times = (keys / rig.fps).astype(np.float32)
+            times = ((keys - clip.start) / clip.fps).astype(np.float32)
             stamps[keys.tobytes()] = document.accessor(times, "SCALAR", bounds=True)
         tracks = [
             ("translation", rig.translations[keys, bone], "VEC3"),
@@ -320,11 +331,9 @@ def _skeleton(document: _Writer, rig: Rig, title: str) -> None:
                     "interpolation": "LINEAR",
                 }
             )
-    document.json["animations"] = [
-        {
-            "name": title,
-            "samplers": samplers,
-            "channels": channels,
-            "extras": {"ssdr": {"fps": rig.fps, "frames": rig.n_frames}},
-        }
-    ]
+    return {
+        "name": title,
+        "samplers": samplers,
+        "channels": channels,
+        "extras": {"ssdr": {"fps": clip.fps, "frames": clip.n_frames}},
+    }

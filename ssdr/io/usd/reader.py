@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import Clip, in_order, pick, unique_names
 from ...errors import FormatError
 from ...sequence import MeshSequence
 from ...skinning import Skinning, skin
@@ -24,24 +25,32 @@ from ..rig import (
     model_of,
     turn_skinning_up,
     turn_up,
-    unique_names,
 )
+from .stage import Take, name_of, open_stage, takes_of
 from .surface import Polygons, join_surface
 
-__all__ = ["read", "read_skinning"]
+__all__ = ["list_clips", "read", "read_skinning"]
 
 _log = logging.getLogger(__name__)
 _Clock = tuple[float, NDArray[np.float64]]  # frames per second, time codes
 
 
 def read(
-    path: Path, *, fps: float | None = None, up: Up | None = None, max_bytes: int | None = None
+    path: Path,
+    *,
+    clip: str | int | None = None,
+    fps: float | None = None,
+    up: Up | None = None,
+    max_bytes: int | None = None,
 ) -> MeshSequence:
     """Read all visible meshes in world space, UsdSkel and blend shapes baked.
 
     Parameters
     ----------
     path : Path
+    clip : str or int, optional
+        Which SkelAnimation, by number or name, where one skeleton has several;
+        the one that is bound by default.
     fps : float, optional
         Where to sample; one frame a time code by default, or a frame a sample
         where samples lie between time codes.
@@ -66,8 +75,14 @@ def read(
     check_up(up, optional=True)
     require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        stage, meshes = _open(path)
-        rate, codes = _clock(stage, meshes, fps)
+        takes = takes_of(path)
+    index = pick([take.name for take in takes], clip)
+    if len(takes) > 1:
+        _log.info("%s: clip %r of %s", path, takes[index].name, [take.name for take in takes])
+    with reading(path):
+        take = takes[index]
+        stage, meshes = _open(path, take)
+        rate, codes = _clock(stage, meshes, fps, take)
         count = sum(mesh.n_points for mesh in meshes)
         check_size(len(codes), count, MAX_BYTES if max_bytes is None else max_bytes)
         frames = np.empty((len(codes), count, 3), dtype=np.float32)
@@ -83,9 +98,21 @@ def read(
             frames if up is None else turn_up(frames, found, up),
             faces,
             rate,
-            name=_name(stage, path),
+            name=name_of(stage, path),
+            clip=take.name,
             surface=surface,
         )
+
+
+def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
+    """The animations of a file, in the frames of :func:`read_skinning`."""
+    require("pxr.UsdSkel", "usd", "USD")
+    with reading(path):
+        clips = []
+        for take in takes_of(path):
+            rate, codes = _clock(*_open(path, take), fps, take)
+            clips.append(Clip(take.name, 0, len(codes), rate))
+        return in_order(clips)
 
 
 def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
@@ -106,44 +133,61 @@ def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
     check_up(up, optional=True)
     require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        stage, meshes = _open(path)
-        rate, codes = _clock(stage, meshes, None)
-        if any(mesh.deforms for mesh in meshes):
-            raise FormatError(
-                f"{path}: points or blend shapes move a mesh, which no skinning holds; "
-                "ssdr.load bakes them"
-            )
-        blocks: dict[Any, NDArray[np.float64]] = {}
-        starts: dict[Any, int] = {}
-        names: list[str] = []
-        for mesh in meshes:
-            if mesh.bones_key not in blocks:
-                check_size(len(codes), 4 * (len(names) + len(mesh.bone_names)), MAX_BYTES)
-                blocks[mesh.bones_key] = mesh.transforms(codes)
-                starts[mesh.bones_key] = len(names)
-                names += mesh.bone_names
+        clips, moved = [], []
+        for take in takes_of(path):
+            stage, meshes = _open(path, take)
+            rate, codes = _clock(stage, meshes, None, take)
+            clips.append(Clip(take.name, 0, len(codes), rate))
+            moved.append(_transforms(path, meshes, codes))
+            if len(clips) == 1:
+                points = [mesh.points(codes[0]) for mesh in meshes]
+                polygons = [mesh.polygons for mesh in meshes]
+                faces, surface = join_surface(path, stage, polygons, codes[0])
         width = max(mesh.joints.shape[1] for mesh in meshes)
 
         def wide(values: NDArray[Any]) -> NDArray[Any]:
             return np.pad(values, ((0, 0), (0, width - values.shape[1])))
 
+        starts, names = _bones(meshes)
         joints = np.concatenate([wide(m.joints + starts[m.bones_key]) for m in meshes])
         weights = np.concatenate([wide(m.weights) for m in meshes])
-        transforms = np.concatenate(list(blocks.values()), axis=1)
-        faces, surface = join_surface(path, stage, [m.polygons for m in meshes], codes[0])
+        transforms = np.concatenate(moved)
         model = Skinning(
-            np.concatenate([mesh.points(codes[0]) for mesh in meshes]),
+            np.concatenate(points),
             np.where(weights > 0, joints, 0),
             weights,
             transforms,
             faces=faces,
-            fps=rate,
+            clips=in_order(clips),
             bone_model=model_of(transforms),
             surface=surface,
             bone_names=unique_names(names),
-            name=_name(stage, path),
+            name=name_of(stage, path),
         )
         return model if up is None else turn_skinning_up(model, _up(stage), up)
+
+
+def _bones(meshes: list[_Mesh]) -> tuple[dict[Any, int], list[str]]:
+    """First bone of each skeleton, and the names of all bones."""
+    starts: dict[Any, int] = {}
+    names: list[str] = []
+    for mesh in meshes:
+        if mesh.bones_key not in starts:
+            starts[mesh.bones_key] = len(names)
+            names += mesh.bone_names
+    return starts, names
+
+
+def _transforms(path: Path, meshes: list[_Mesh], codes: NDArray[np.float64]) -> NDArray[np.float64]:
+    if any(mesh.deforms for mesh in meshes):
+        raise FormatError(
+            f"{path}: points or blend shapes move a mesh, which no skinning holds; "
+            "ssdr.load bakes them"
+        )
+    starts, names = _bones(meshes)
+    check_size(len(codes), 4 * len(names), MAX_BYTES)
+    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
+    return np.concatenate([first[key].transforms(codes) for key in starts], axis=1)
 
 
 def _up(stage: Any) -> Up:
@@ -152,22 +196,15 @@ def _up(stage: Any) -> Up:
     return "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
 
 
-def _name(stage: Any, path: Path) -> str:
-    root = stage.GetDefaultPrim()
-    return str(root.GetName()) if root else path.stem
+def _open(path: Path, take: Take) -> tuple[Any, list[_Mesh]]:
+    from pxr import Usd, UsdGeom, UsdSkel
 
-
-def _open(path: Path) -> tuple[Any, list[_Mesh]]:
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
-
-    try:
-        stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise FormatError(f"{path}: not a usable USD file ({_first_line(error)})") from error
-    if not stage:
-        raise FormatError(f"{path}: not a usable USD file")
-    stage.Reload()  # layers are kept by name; the file may have been written anew
+    stage = open_stage(path)
     every = Usd.TraverseInstanceProxies()
+    if take.animation is not None:
+        with Usd.EditContext(stage, stage.GetSessionLayer()):
+            binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(take.skeleton))
+            binding.CreateAnimationSourceRel().SetTargets([take.animation])
     cache = UsdSkel.Cache()
     bound: dict[str, tuple[Any, Any]] = {}
     for prim in Usd.PrimRange(stage.GetPseudoRoot(), every):
@@ -200,17 +237,15 @@ def _open(path: Path) -> tuple[Any, list[_Mesh]]:
     return stage, meshes
 
 
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return next((line for line in lines if "Error" in line), lines[-1] if lines else "")[-300:]
-
-
-def _clock(stage: Any, meshes: list[_Mesh], fps: float | None) -> _Clock:
+def _clock(stage: Any, meshes: list[_Mesh], fps: float | None, take: Take) -> _Clock:
     tempo = float(stage.GetTimeCodesPerSecond())
     if not (math.isfinite(tempo) and tempo > 0):
         raise FormatError(f"timeCodesPerSecond is {tempo}")
     stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
-    if stage.HasAuthoredTimeCodeRange():
+    if take.fps is not None and take.frames is not None and fps in (None, take.fps):
+        check_size(take.frames, 1, MAX_BYTES)
+        return take.fps, np.arange(take.frames, dtype=np.float64) * (tempo / take.fps)
+    if take.bound and stage.HasAuthoredTimeCodeRange():
         first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
     elif len(stamps):
         first, last = float(stamps[0]), float(stamps[-1])

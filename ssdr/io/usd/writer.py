@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...clips import Clip
 from ...errors import InputError
 from ...sequence import MeshSequence, Surface
 from ...skinning import Skinning
@@ -34,7 +35,10 @@ def write_skinning(
     meters_per_unit: float = 1.0,
     name: str | None = None,
 ) -> SaveReport:
-    """Write a UsdSkel character: skeleton, animation, skin weights, surface.
+    """Write a UsdSkel character: skeleton, an animation a clip, skin weights, surface.
+
+    The first clip is bound; its rate is the stage's, on whose time codes the
+    others have their own.
 
     Parameters
     ----------
@@ -80,13 +84,14 @@ def write_skinning(
     notes = [f"{up} up, {meters_per_unit:g} m a unit"]
     if halves is not None:
         notes.append("UsdSkel holds scales in half precision")
-    with _stage(path, rig.fps, rig.n_frames, up, meters_per_unit) as stage:
+    first = rig.clips[0]
+    with _stage(path, first.fps, first.n_frames, up, meters_per_unit) as stage:
         from pxr import Gf, Sdf, UsdSkel, Vt
 
         root = UsdSkel.Root.Define(stage, _root(name or skinning.name or path.stem))
         stage.SetDefaultPrim(root.GetPrim())
         top = root.GetPath()
-        _skeleton(stage, top, rig)
+        _skeleton(stage, top, rig, skinning.name)
         mesh = _mesh(stage, top, skinning.faces, skinning.surface, path, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         extent = np.stack([rig.rest.min(axis=0), rig.rest.max(axis=0)])
@@ -203,7 +208,7 @@ def _root(name: str) -> str:
     return "/" + str(Tf.MakeValidIdentifier(name))
 
 
-def _skeleton(stage: Any, top: Any, rig: Rig) -> None:
+def _skeleton(stage: Any, top: Any, rig: Rig, title: str) -> None:
     from pxr import Gf, Tf, UsdSkel, Vt
 
     tokens = unique_names([str(Tf.MakeValidIdentifier(bone)) for bone in rig.names])
@@ -214,22 +219,37 @@ def _skeleton(stage: Any, top: Any, rig: Rig) -> None:
     rest = [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, c))) for c in rig.centers]
     skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(rest))
     skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
-    animation = UsdSkel.Animation.Define(stage, skeleton.GetPath().AppendChild("Animation"))
-    animation.CreateJointsAttr(tokens)
+    alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
+    names = ["Animation" if alone else str(Tf.MakeValidIdentifier(c.name)) for c in rig.clips]
+    places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
+    for place, clip in zip(places, rig.clips, strict=True):
+        animation = UsdSkel.Animation.Define(stage, place)
+        animation.CreateJointsAttr(tokens)
+        _keys(animation, rig, clip, rig.clips[0].fps)
+        stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
+        if not alone:
+            stated["name"] = clip.name
+        animation.GetPrim().SetCustomDataByKey("ssdr", stated)
+    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    binding.CreateAnimationSourceRel().SetTargets([places[0]])
+
+
+def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float) -> None:
+    """The keys of a clip, its first frame at time code 0."""
+    from pxr import Vt
+
     moved, turned = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scaled = animation.CreateScalesAttr()
     ones = np.ones((rig.n_bones, 3), dtype=np.float16)
     if rig.scales is None:
         scaled.Set(Vt.Vec3hArray.FromNumpy(ones))
-    for frame in np.flatnonzero(rig.keys[:, 0]):
-        code = float(frame)
+    for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
+        code = float(frame - clip.start) * (tempo / clip.fps)
         moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame]), code)
         turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame]), code)
         if rig.scales is not None:
             sizes = rig.scales[frame][:, None].astype(np.float16)
             scaled.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
-    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
-    binding.CreateAnimationSourceRel().SetTargets([animation.GetPath()])
 
 
 def _mesh(

@@ -20,7 +20,9 @@ def test_missing_files_are_missing(tmp_path, name):
 
 def test_options_are_checked(tmp_path, wave):
     ssdr.save(wave, tmp_path / "a.npz")
-    with pytest.raises(InputError, match=r"options: expected fps, mmap, max_bytes .*got mesh"):
+    with pytest.raises(
+        InputError, match=r"options: expected clip, fps, mmap, max_bytes .*got mesh"
+    ):
         ssdr.load(tmp_path / "a.npz", mesh="b.obj")
     with pytest.raises(InputError, match=r"options: expected compress .*got level"):
         ssdr.save(wave, tmp_path / "a.npz", level=3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import os
 import subprocess
@@ -140,3 +141,38 @@ def test_without_bpy_the_error_says_what_to_install(tmp_path, monkeypatch):
 
 def test_bpy_never_enters_this_process():
     assert "bpy" not in sys.modules
+
+
+@needs_blender
+@pytest.mark.slow
+def test_each_clip_is_a_take_of_fbx(tmp_path):
+    clips = (
+        ssdr.Clip("walk", 0, 9, 24.0),
+        ssdr.Clip("jump/high", 9, 19, 24.0),
+        ssdr.Clip("death", 19, 20, 24.0),
+    )
+    model, path = dataclasses.replace(tube(), clips=clips), tmp_path / "a.fbx"
+    report = ssdr.save(model, path)
+    assert report.max_error < 1e-6 * 6
+    assert ssdr.list_clips(path) == clips
+    numbers = np.unique(np.round(model.rest, 4), axis=0, return_index=True)[1]
+    for k, clip in enumerate(clips):
+        one = ssdr.load(path, clip=clip.name)
+        assert (one.clip, one.fps, len(one)) == (clip.name, 24.0, clip.n_frames)
+        truth = model.skin(clip.frames)[:, numbers]
+        gap = np.linalg.norm(one.vertices[0][None] - truth[0][:, None], axis=2)
+        assert largest_distance(one.vertices[:, gap.argmin(axis=1)], truth) < 1e-6 * 6
+        assert ssdr.load(path, clip=k).clip == clip.name
+    for wrong in ("run", 3, -1, True):
+        with pytest.raises(ssdr.InputError, match=r"clip: expected"):
+            ssdr.load(path, clip=wrong)
+
+
+def test_fbx_refuses_mixed_rates_by_name(tmp_path):
+    clips = [ssdr.Clip("walk", 0, 9, 24.0), ssdr.Clip("jump", 9, 20, 60.0)]
+    model = dataclasses.replace(tube(), clips=clips)
+    with pytest.raises(ssdr.InputError, match=r"one frame rate.*walk at 24, jump at 60"):
+        ssdr.save(model, tmp_path / "a.fbx")
+    named = [dataclasses.replace(c, name=c.name * 20, fps=24.0) for c in clips]
+    with pytest.raises(ssdr.InputError, match=r"at most 63 bytes.*walkwalk"):
+        ssdr.save(dataclasses.replace(model, clips=named), tmp_path / "a.fbx")

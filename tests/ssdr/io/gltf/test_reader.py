@@ -183,7 +183,7 @@ def test_clips_are_chosen_by_name_or_number(tmp_path):
         document["animations"].append(second)
 
     path = rebuild(tmp_path / "a.glb", tmp_path / "b.glb", two)
-    assert ssdr.load(path, animation=1).name == "still"
+    assert ssdr.load(path, animation=1).clip == "still"
     still, moving = ssdr.load(path, animation="still"), ssdr.load(path, animation="tube")
     assert (
         np.ptp(still.vertices[:, -1], axis=0).max() < np.ptp(moving.vertices[:, -1], axis=0).max()

@@ -1,0 +1,180 @@
+"""The clips of an animation: which frames belong together, and how fast they play."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from .errors import InputError, is_real, is_whole
+
+if TYPE_CHECKING:
+    from .sequence import MeshSequence
+
+__all__ = ["Clip"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Clip:
+    """A range of frames that plays as one animation.
+
+    Parameters
+    ----------
+    name : str
+    start, stop : int
+        First frame, and the one after the last.
+    fps : float
+        Frames per second.
+
+    Raises
+    ------
+    InputError
+        If the range is empty or the frame rate is not positive.
+
+    Examples
+    --------
+    >>> walk = ssdr.Clip("walk", 0, 25, 24.0)
+    >>> walk.n_frames, walk.frames
+    (25, slice(0, 25, None))
+    """
+
+    name: str
+    start: int
+    stop: int
+    fps: float = 24.0
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        if not isinstance(self.name, str):
+            raise InputError("clip.name", "a text", repr(self.name))
+        if not (is_whole(self.start) and is_whole(self.stop) and 0 <= self.start < self.stop):
+            raise InputError(
+                "clip", "frames from start >= 0 up to a later stop", f"{self.start} to {self.stop}"
+            )
+        if not (is_real(self.fps) and self.fps > 0):
+            raise InputError("clip.fps", "a positive number", repr(self.fps))
+        put(self, "start", int(self.start))
+        put(self, "stop", int(self.stop))
+        put(self, "fps", float(self.fps))
+
+    @property
+    def n_frames(self) -> int:
+        return self.stop - self.start
+
+    @property
+    def frames(self) -> slice:
+        """The frames as an index: ``model.skin(clip.frames)``."""
+        return slice(self.start, self.stop)
+
+
+class OneClip(tuple[Clip, ...]):
+    """The clips of a model that has one, which spans all frames at the model's rate.
+
+    ``dataclasses.replace(model, fps=30)`` hands the old clip on beside the new rate; this type
+    tells it from a clip that a caller has stated, which must agree with the rate.
+    """
+
+    __slots__ = ()
+
+
+def check_clips(
+    clips: Any, *, fps: Any, name: str, n_frames: int
+) -> tuple[tuple[Clip, ...], float]:
+    """Clips of a model and its frame rate, that of the first clip.
+
+    Raises
+    ------
+    InputError
+        If the clips are not ranges one behind the other that cover all frames, two have one
+        name, or `fps` is not the rate of the first.
+    """
+    if fps is not None and not (is_real(fps) and fps > 0):
+        raise InputError("fps", "a positive number", repr(fps))
+    if clips is None or isinstance(clips, OneClip):
+        old = clips[0] if clips else Clip(name, 0, n_frames)
+        rate = old.fps if fps is None else float(fps)
+        return OneClip((Clip(old.name, 0, n_frames, rate),)), rate
+    listed = tuple(clips) if isinstance(clips, Iterable) else (clips,)
+    for k, clip in enumerate(listed):
+        if not isinstance(clip, Clip):
+            raise InputError(f"clips[{k}]", "a Clip", type(clip).__name__)
+        first = listed[k - 1].stop if k else 0
+        if clip.start != first:
+            raise InputError(
+                f"clips[{k}]", f"the frames from {first} on", f"{clip.start} to {clip.stop}"
+            )
+        if len(listed) > 1 and (not clip.name or clip.name in (c.name for c in listed[:k])):
+            raise InputError(f"clips[{k}]", "a name that no other clip has", repr(clip.name))
+    stop = listed[-1].stop if listed else 0
+    if stop != n_frames:
+        raise InputError("clips", f"ranges that cover the {n_frames} frames", f"{stop} frames")
+    if fps is not None and fps != listed[0].fps:
+        raise InputError(
+            "fps", f"{listed[0].fps:g}, as of the first clip (clips say their own rates)", fps
+        )
+    return (OneClip(listed) if len(listed) == 1 else listed), listed[0].fps
+
+
+def in_order(clips: Iterable[Clip]) -> tuple[Clip, ...]:
+    """The clips one behind the other, from frame 0 on."""
+    result: list[Clip] = []
+    for clip in clips:
+        first = result[-1].stop if result else 0
+        result.append(dataclasses.replace(clip, start=first, stop=first + clip.n_frames))
+    return tuple(result)
+
+
+def one_rate(clips: Sequence[Clip]) -> bool:
+    """Whether all clips have the same frame rate."""
+    return len({clip.fps for clip in clips}) == 1
+
+
+def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
+    """Name, frame rate and clips of the model of several sequences of one mesh.
+
+    A clip is named after its sequence's clip, else after the sequence; the model after the
+    sequences where these have one name, and not at all where they differ.
+    """
+    several = len(sequences) > 1
+    names = [s.clip or s.name or (f"clip_{k}" if several else "") for k, s in enumerate(sequences)]
+    clips = in_order(
+        Clip(name, 0, len(s), s.fps)
+        for name, s in zip(unique_names(names) if several else names, sequences, strict=True)
+    )
+    same = len({s.name for s in sequences}) == 1
+    return {"name": sequences[0].name if same else "", "fps": clips[0].fps, "clips": clips}
+
+
+def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
+    """Number of the clip of that name or number; the first where `clip` is None.
+
+    Raises
+    ------
+    InputError
+        If there is no such clip.
+    """
+    if clip is None:
+        return 0
+    if isinstance(clip, str):
+        if clip in names:
+            return list(names).index(clip)
+        raise InputError(argument, f"one of {list(names)}", repr(clip))
+    if not is_whole(clip):
+        raise InputError(argument, f"one of {list(names)}", repr(clip))
+    if not 0 <= clip < len(names):
+        raise InputError(argument, f"a number from 0 to {len(names) - 1}", clip)
+    return int(clip)
+
+
+def unique_names(names: Sequence[str], default: str = "bone") -> tuple[str, ...]:
+    """Names that differ, a number behind those that would not."""
+    seen: set[str] = set()
+    result = []
+    for name in names:
+        base, k = name or default, 1
+        name = base
+        while name in seen:
+            name, k = f"{base}_{k}", k + 1
+        seen.add(name)
+        result.append(name)
+    return tuple(result)

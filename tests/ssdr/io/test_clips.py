@@ -1,0 +1,345 @@
+"""Clips through files: the same names, ranges, rates and vertices; each plays alone from 0 s."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+import ssdr
+from helpers.rig_model import largest_distance, tube
+from ssdr import Clip
+
+SUFFIXES = [".npz", ".glb", ".gltf", ".usda", ".usdc"]
+CLIPS = (Clip("walk", 0, 9, 24.0), Clip("jump/high", 9, 19, 60.0), Clip("death", 19, 20, 25.0))
+
+
+@pytest.fixture(autouse=True)
+def _usd_core(request):
+    if "suffix" in request.fixturenames and "usd" in request.getfixturevalue("suffix"):
+        pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+
+
+def model_of(clips=CLIPS, **options):
+    return dataclasses.replace(tube(**options), clips=clips)
+
+
+def read_glb(path):
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + size]), data[28 + size :]
+
+
+def accessor(document, binary, index):
+    item = document["accessors"][index]
+    view = document["bufferViews"][item["bufferView"]]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[item["type"]]
+    kind = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[item["componentType"]]
+    found = np.frombuffer(binary, kind, item["count"] * width, view["byteOffset"])
+    return found.reshape(-1, width).astype(np.float64)
+
+
+def play(path, name, seconds):
+    """World vertices of a .glb at times of one animation, by plain loops; and their numbers."""
+    document, binary = read_glb(path)
+    (clip,) = [a for a in document["animations"] if a.get("name") == name]
+    (node,) = [n for n in document["nodes"] if "skin" in n]
+    skin = document["skins"][node["skin"]]
+    inverse = accessor(document, binary, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
+    where = document["meshes"][node["mesh"]]["primitives"][0]["attributes"]
+    points = accessor(document, binary, where["POSITION"])
+    joints = accessor(document, binary, where["JOINTS_0"]).astype(int)
+    weights = accessor(document, binary, where["WEIGHTS_0"])
+    frames = []
+    for second in seconds:
+        pose = {
+            k: {
+                "translation": np.array(n.get("translation", [0, 0, 0]), float),
+                "rotation": np.array(n.get("rotation", [0, 0, 0, 1]), float),
+                "scale": np.array(n.get("scale", [1, 1, 1]), float),
+            }
+            for k, n in enumerate(document["nodes"])
+        }
+        for channel in clip["channels"]:
+            sampler = clip["samplers"][channel["sampler"]]
+            times = accessor(document, binary, sampler["input"])[:, 0]
+            values = accessor(document, binary, sampler["output"])
+            at = np.clip(second, times[0], times[-1])
+            target = channel["target"]
+            if len(times) == 1:
+                value = values[0]
+            elif target["path"] == "rotation":
+                value = Slerp(times, Rotation.from_quat(values))(at).as_quat()
+            else:
+                value = np.array([np.interp(at, times, column) for column in values.T])
+            pose[target["node"]][target["path"]] = value
+        posed = np.zeros_like(points)
+        for k, joint in enumerate(skin["joints"]):  # all of them children of a node at rest
+            local = np.eye(4)
+            local[:3, :3] = Rotation.from_quat(pose[joint]["rotation"]).as_matrix()
+            local[:3, :3] *= pose[joint]["scale"]
+            local[:3, 3] = pose[joint]["translation"]
+            full = local @ inverse[k].T
+            share = np.where(joints == k, weights, 0).sum(axis=1)
+            posed += share[:, None] * (points @ full[:3, :3].T + full[:3, 3])
+        frames.append(posed)
+    return np.array(frames), accessor(document, binary, where["_VERTEX"])[:, 0].astype(int)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("scaled", [False, True])
+def test_clips_come_back(tmp_path, suffix, scaled):
+    model = model_of(scaled=scaled)
+    path = tmp_path / f"file{suffix}"
+    ssdr.save(model, path)
+    bound = (1e-3 if scaled and suffix.startswith(".usd") else 1e-6) * 4  # halves in USD
+    assert ssdr.list_clips(path) == CLIPS
+    back = ssdr.load_skinning(path)
+    assert (back.clips, back.fps, back.name) == (CLIPS, 24.0, "tube")
+    assert largest_distance(back.skin(dtype=np.float64), model.skin()) < bound
+    for k, clip in enumerate(CLIPS):
+        alone = ssdr.load(path, clip=clip.name)
+        assert (alone.clip, alone.fps, alone.name) == (clip.name, clip.fps, "tube")
+        assert largest_distance(alone.vertices, model.skin(clip.frames)) < bound
+        assert ssdr.load(path, clip=k).clip == clip.name
+        one = ssdr.load_skinning(path, clip=clip.name)
+        assert one.clips == (dataclasses.replace(clip, start=0, stop=clip.n_frames),)
+    assert ssdr.load(path).clip == "walk"
+    two = ssdr.load_skinning(path, clip=("death", "walk"))
+    assert [(c.name, c.start) for c in two.clips] == [("death", 0), ("walk", 1)]
+    for wrong in ("run", 3, -1, True):
+        with pytest.raises(ssdr.InputError, match=r"clip: expected"):
+            ssdr.load(path, clip=wrong)
+        with pytest.raises(ssdr.InputError, match=r"clip: expected"):
+            ssdr.load_skinning(path, clip=wrong)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_model_of_one_clip_is_what_it_was(tmp_path, suffix):
+    model = tube()
+    ssdr.save(model, tmp_path / f"a{suffix}")
+    back = ssdr.load_skinning(tmp_path / f"a{suffix}")
+    assert (back.clips, back.name) == ((Clip("tube", 0, 20, 24.0),), "tube")
+    bend = dataclasses.replace(model, clips=[Clip("bend", 0, 20, 24.0)])
+    ssdr.save(bend, tmp_path / f"b{suffix}")
+    back = ssdr.load_skinning(tmp_path / f"b{suffix}")
+    assert (back.clips, back.name) == ((Clip("bend", 0, 20, 24.0),), "tube")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_mesh_and_root_are_not_named_after_a_clip(tmp_path, suffix):
+    walk, jump = (model_of().select(k) for k in (0, 1))
+    shots = [
+        ssdr.MeshSequence(m.skin(), m.faces, m.fps, name=m.clips[0].name) for m in (walk, jump)
+    ]
+    model = ssdr.initialize(shots, bones=2)
+    ssdr.save(model, tmp_path / f"horse{suffix}")
+    back = ssdr.load_skinning(tmp_path / f"horse{suffix}")
+    assert back.name == ("" if suffix == ".npz" else "horse")
+    assert [c.name for c in back.clips] == ["walk", "jump/high"]
+
+
+def test_each_clip_is_an_animation_of_gltf_that_starts_at_0_s(tmp_path):
+    keys = np.zeros((20, 5), dtype=bool)
+    keys[[0, 4, 12, 19]] = True
+    for model in (model_of(), dataclasses.replace(model_of(), keyframes=keys)):
+        ssdr.save(model, tmp_path / "a.glb")
+        document, binary = read_glb(tmp_path / "a.glb")
+        names = [a["name"] for a in document["animations"]]
+        assert names == ["walk", "jump/high", "death"]
+        assert document["meshes"][0]["name"] == document["scenes"][0]["name"] == "tube"
+        for clip, animation in zip(CLIPS, document["animations"], strict=True):
+            stated = {"fps": clip.fps, "frames": clip.n_frames}
+            assert animation["extras"]["ssdr"] == stated
+            for sampler in animation["samplers"]:
+                times = accessor(document, binary, sampler["input"])[:, 0]
+                assert times[0] == 0
+                assert times[-1] == np.float32((clip.n_frames - 1) / clip.fps)
+                if model.keyframes is None:
+                    exact = np.arange(clip.n_frames) / clip.fps
+                    np.testing.assert_array_equal(times, exact.astype(np.float32))
+
+
+def test_a_player_of_gltf_sees_each_clip_alone(tmp_path):
+    model = model_of()
+    ssdr.save(model, tmp_path / "a.glb")
+    for clip in CLIPS:
+        seconds = np.arange(clip.n_frames) / clip.fps
+        seen, vertex = play(tmp_path / "a.glb", clip.name, seconds)
+        assert largest_distance(seen, model.skin(clip.frames)[:, vertex]) < 1e-6 * 4
+
+
+def test_usd_plays_each_clip_once_it_is_bound(tmp_path):
+    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+    from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+    model, path = model_of(), tmp_path / "a.usda"
+    ssdr.save(model, path)
+    for k, clip in enumerate(CLIPS):
+        stage = Usd.Stage.Open(Sdf.Layer.OpenAsAnonymous(str(path)))  # baking writes into it
+        found = [p for p in stage.Traverse() if p.IsA(UsdSkel.Animation)]
+        assert [p.GetName() for p in found] == ["walk", "jump_high", "death"]
+        assert stage.GetDefaultPrim().GetName() == "tube"
+        assert dict(found[k].GetCustomDataByKey("ssdr")) == {
+            "name": clip.name,
+            "fps": clip.fps,
+            "frames": clip.n_frames,
+        }
+        skeleton = next(p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton))
+        source = UsdSkel.BindingAPI(skeleton).GetAnimationSourceRel()
+        if k == 0:  # bound as it is written, over the range of the stage
+            assert source.GetTargets() == [found[0].GetPath()]
+            assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, 8)
+            assert stage.GetTimeCodesPerSecond() == 24
+        source.SetTargets([found[k].GetPath()])
+        codes = np.arange(clip.n_frames) / clip.fps * stage.GetTimeCodesPerSecond()
+        samples = UsdSkel.Animation(found[k]).GetTranslationsAttr().GetTimeSamples()
+        np.testing.assert_allclose(samples, codes, rtol=1e-12)
+        assert UsdSkel.BakeSkinning(stage.Traverse(), _interval(codes))
+        mesh = next(UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
+        seen = [np.array(mesh.GetPointsAttr().Get(code)) for code in samples]
+        assert largest_distance(seen, model.skin(clip.frames)) < 3e-6
+
+
+def _interval(codes):
+    from pxr import Gf
+
+    return Gf.Interval(float(codes[0]) - 1e-6, float(codes[-1]) + 1e-6)
+
+
+def test_a_usd_file_whose_binding_was_changed(tmp_path):
+    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+    from pxr import Usd, UsdSkel
+
+    model, path = model_of(), tmp_path / "a.usda"
+    ssdr.save(model, path)
+    stage = Usd.Stage.Open(str(path))
+    (skeleton,) = [p for p in stage.Traverse() if p.IsA(UsdSkel.Skeleton)]
+    other = skeleton.GetChild("jump_high").GetPath()
+    UsdSkel.BindingAPI(skeleton).GetAnimationSourceRel().SetTargets([other])
+    for prim in skeleton.GetChildren():
+        prim.ClearCustomData()
+    stage.GetRootLayer().Save()
+    assert [c.name for c in ssdr.list_clips(path)] == ["jump_high", "walk", "death"]
+    walk = ssdr.load(path, clip="walk")
+    assert largest_distance(walk.vertices, model.skin(CLIPS[0].frames)) < 1e-6 * 4
+
+
+def test_between_frames_leaves_out_what_is_between_clips(tmp_path):
+    model = tube(frames=40)
+    whole = ssdr.save(model, tmp_path / "a.glb").between_frames
+    order = np.concatenate([np.arange(20, 40), np.arange(20)])  # a jump from 39 to 0
+    cut = dataclasses.replace(
+        model, transforms=model.transforms[order], clips=[Clip("b", 0, 20), Clip("a", 20, 40)]
+    )
+    assert ssdr.save(cut, tmp_path / "b.glb").between_frames == pytest.approx(whole, rel=0.1)
+
+
+def test_archives_from_before_clips_are_one(tmp_path):
+    model = tube()
+    ssdr.save(model_of(), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as archive:
+        old = {k: archive[k] for k in archive.files if not k.startswith("clip_")}
+    np.savez(tmp_path / "old.npz", **old)
+    back = ssdr.load_skinning(tmp_path / "old.npz")
+    assert back.clips == (Clip("tube", 0, 20, 24.0),)
+    assert len(ssdr.load(tmp_path / "old.npz")) == 20
+    np.testing.assert_array_equal(back.transforms, model.transforms)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"clip_offsets": np.array([0, 9, 19])},
+        {"clip_offsets": np.array([0, 9, 19, 21])},
+        {"clip_offsets": np.array([0, 19, 9, 20])},
+        {"clip_offsets": np.array([0.0, 9, 19, 20])},
+        {"clip_fps": np.array([24.0, np.nan, 25])},
+        {"clip_fps": np.array([24.0, 60])},
+        {"clip_fps": np.array([30.0, 60, 25])},
+        {"clip_names": np.array("{}")},
+        {"clip_names": np.array("[1, 2, 3]")},
+        {"clip_names": np.array('["a", "a", "b"]')},
+        {"clip_names": np.array("no JSON")},
+    ],
+)
+def test_damaged_clips_of_an_archive(tmp_path, change):
+    ssdr.save(model_of(), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as archive:
+        arrays = {k: archive[k] for k in archive.files}
+    np.savez(tmp_path / "b.npz", **(arrays | change))
+    with pytest.raises(ssdr.FormatError, match=r"b\.npz"):
+        ssdr.load_skinning(tmp_path / "b.npz")
+
+
+def test_vertices_of_several_clips(tmp_path):
+    model = model_of()
+    with pytest.raises(ssdr.InputError, match=r"one frame rate.*walk at 24, jump/high at 60"):
+        ssdr.save(model, tmp_path / "a_%02d.obj")
+    slow = model_of([dataclasses.replace(c, fps=24.0) for c in CLIPS])
+    report = ssdr.save(slow, tmp_path / "a_%02d.obj")
+    assert "walk from frame 0, jump/high from frame 9, death from frame 19" in report.note
+    assert len(ssdr.load(tmp_path / "a_*.obj")) == 20
+    assert "clips" not in ssdr.save(model.select("walk"), tmp_path / "b.npy").note
+
+
+def test_a_format_without_clips_holds_one(tmp_path, wave):
+    ssdr.save(wave, tmp_path / "w.npz")
+    ssdr.save(dataclasses.replace(wave, clip="swell"), tmp_path / "c.npz")
+    ssdr.save(wave, tmp_path / "w.npy")
+    assert ssdr.list_clips(tmp_path / "w.npz") == (Clip("sheet", 0, 4, 25.0),)
+    assert ssdr.list_clips(tmp_path / "c.npz") == (Clip("swell", 0, 4, 25.0),)
+    assert ssdr.load(tmp_path / "c.npz").clip == "swell"
+    assert ssdr.list_clips(tmp_path / "w.npy", fps=12) == (Clip("w", 0, 4, 12.0),)
+    assert len(ssdr.load(tmp_path / "w.npy", clip="w")) == 4
+    for path in (tmp_path / "w.npy", tmp_path / "w.npz"):
+        with pytest.raises(ssdr.InputError, match=r"clip: expected one of"):
+            ssdr.load(path, clip="walk")
+    with pytest.raises(FileNotFoundError):
+        ssdr.list_clips(tmp_path / "nothing.glb")
+    with pytest.raises(ssdr.InputError, match="fps"):
+        ssdr.list_clips(tmp_path / "w.npy", fps=0)
+
+
+def test_names_of_animations_that_are_missing_or_twice_the_same(tmp_path):
+    ssdr.save(model_of(), tmp_path / "a.gltf")
+    document = json.loads((tmp_path / "a.gltf").read_text())
+    for animation, name in zip(document["animations"], ("x", None, "x"), strict=True):
+        animation["name"] = name
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    names = [c.name for c in ssdr.list_clips(tmp_path / "a.gltf")]
+    assert names == ["x", "animation_1", "x_1"]
+    assert ssdr.load(tmp_path / "a.gltf", clip="x_1").n_frames == 1
+    # one clip can be read though another is damaged
+    document["animations"][1]["samplers"][0]["interpolation"] = "WAVY"
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    assert ssdr.load(tmp_path / "a.gltf", clip="x").n_frames == 9
+    with pytest.raises(ssdr.FormatError, match="WAVY"):
+        ssdr.load_skinning(tmp_path / "a.gltf")
+    with pytest.raises(ssdr.InputError, match="nothing beside a clip"):
+        ssdr.load(tmp_path / "a.gltf", clip="x", animation=0)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdc"])
+def test_the_clips_of_the_llama(tmp_path, data_dir, suffix):
+    source = data_dir / "gltf" / "Llama.gltf"
+    clips = ssdr.list_clips(source)
+    assert [c.name for c in clips] == ["Jump", "Idle", "Walk", "Death", "WalkSlow"]
+    shots = [ssdr.load(source, clip=c.name, weld=True) for c in clips]
+    model = ssdr.decompose(shots, bones=8, effort="fast", max_iterations=2).skinning
+    assert model.clips == clips
+    path = tmp_path / f"llama{suffix}"
+    ssdr.save(model, path)
+    assert ssdr.list_clips(path) == clips
+    diagonal = max(s.diagonal() for s in shots)
+    for clip in clips:
+        truth = model.skin(clip.frames)
+        seen = ssdr.load(path, clip=clip.name).vertices
+        assert largest_distance(seen, truth) < 1e-6 * diagonal
+        if suffix == ".glb":
+            seen, vertex = play(path, clip.name, np.arange(clip.n_frames) / clip.fps)
+            assert largest_distance(seen, truth[:, vertex]) < 1e-6 * diagonal
