@@ -65,7 +65,7 @@ class Material:
 
 SKIN = Material((0.87, 0.68, 0.58), gloss=0.10, soft=0.35)
 """Matte skin."""
-FABRIC = Material((0.27, 0.50, 0.66), back=(0.20, 0.33, 0.43), sheen=0.45)
+FABRIC = Material((0.27, 0.50, 0.66), back=(0.24, 0.41, 0.53), sheen=0.45)
 """Blue cloth, darker on its inside."""
 NEUTRAL = Material((0.62, 0.62, 0.63), soft=0.2)
 """Grey: what is shown beside an error and not measured."""

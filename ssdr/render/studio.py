@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import zoom
 
 from .curved import Curved
 from .light import Lights, on_both_sides, sphere_directions
@@ -30,7 +31,7 @@ _RIM_COLOR = np.array([0.80, 0.90, 1.00]) * 0.30
 _SKY = np.array([0.88, 0.94, 1.02]) * 0.52
 _FLOOR = np.array([1.00, 0.94, 0.88]) * 0.28
 _LAMP_SIZE = 0.10  # radius over distance: how soft its shadows are
-_BOUNCE = 0.35  # share of the light from around that is kept out and comes back from the cloth
+_BOUNCE = 0.5  # share of the light from around that is kept out and comes back from the cloth
 _PASSING = np.array([1.0, 0.45, 0.30])  # red light goes furthest in skin
 _DOME, _LAMPS = 40, 10  # directions; fewer show as bands
 _DOME_PIXELS, _LAMP_PIXELS = 144, 512  # side of a picture of depth
@@ -139,8 +140,11 @@ class Stage:
         lamps = Lights.around(_lamp_directions(camera), places, fine, _LAMP_PIXELS)
         picture = backdrop(large, "#f4f4f6", "#dcdee4")
         if ground is not None:
-            shade = _floor(camera, size, ground, points, colors, sky, lamps, bias)
-            picture *= np.kron(shade, np.ones((supersample, supersample)))[..., None]
+            # Shadows on the floor are soft: half the resolution is enough.
+            half = (max(1, size[0] // 2), max(1, size[1] // 2))
+            shade = _floor(camera, half, ground, points, colors, sky, lamps, bias)
+            factors = (large[1] / half[1], large[0] / half[0])
+            picture *= zoom(shade, factors, order=1, mode="nearest", grid_mode=True)[..., None]
         # Light from around changes slowly: at the points of the fine mesh, not at every pixel.
         light = on_both_sides(sky, colors, places, normals, bias)
         _, pixels, hit, share = hits(camera, large, places, fine)
@@ -274,6 +278,6 @@ def _floor(
     # Gently: a white floor is lit by more than the lamp and the sky.
     soft = np.zeros_like(out)
     soft[rows[near], columns[near]] = 0.55 * (1 - arrived)
-    out -= blur(soft, size[1] / 60)
+    out -= blur(soft, size[1] / 22)
     out[rows[near], columns[near]] -= 0.22 * (1 - beam) * out[rows[near], columns[near]]
     return out
