@@ -26,6 +26,7 @@ __all__ = [
     "free_vertices",
     "outfit_parts",
     "outfit_regions",
+    "spread_frames",
 ]
 
 MILLIMETRES = ("mm", 1000.0)
@@ -45,7 +46,10 @@ def dressed(
 
 
 def outfit_parts(body: int, cloth: int) -> tuple[Part, Part]:
-    """Body and cloth of a :func:`dressed` mesh, by their numbers of vertices; errors of the cloth."""
+    """Body and cloth of a :func:`dressed` mesh, by their numbers of vertices.
+
+    Errors are measured on the cloth alone.
+    """
     return (
         Part("body", slice(0, body), SKIN, measured=False),
         Part("cloth", slice(body, body + cloth), FABRIC),
@@ -117,6 +121,18 @@ def facing_the_camera(vertices: Any, skeleton: Skeleton, joints: Any) -> NDArray
     x, y, z = np.moveaxis(local, -1, 0)
     turned = [cosine[:, None] * x - sine[:, None] * z, y, sine[:, None] * x + cosine[:, None] * z]
     return np.stack(turned, axis=-1).astype(np.float32)
+
+
+def spread_frames(count: int, n_frames: int) -> list[int]:
+    """At most `count` frames, evenly over a clip.
+
+    Examples
+    --------
+    >>> spread_frames(3, 600)
+    [100, 300, 500]
+    """
+    chosen = min(count, n_frames)
+    return [int(t) for t in (np.arange(chosen) + 0.5) * n_frames / chosen]
 
 
 def caption(

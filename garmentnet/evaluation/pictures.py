@@ -23,6 +23,7 @@ from ..drawing.dressed import (
     free_vertices,
     outfit_parts,
     outfit_regions,
+    spread_frames,
 )
 from .scores import Answer
 
@@ -127,7 +128,7 @@ def draw_clip(
     fitted = bones.clip(clip.name)
     count = clip.n_frames
     if isinstance(frames, int):
-        frames = [int(t) for t in (np.arange(min(frames, count)) + 0.5) * count / frames]
+        frames = spread_frames(frames, count)
     _draw(
         bones,
         _scene(bones, clip, fitted.read("low") + fitted.read("high")),

@@ -61,23 +61,22 @@ class Curved:
         fine = np.einsum("lk,tkc->tlc", self.lattice, values[self.faces])
         return np.asarray(fine.reshape(-1, values.shape[1]))
 
-    def surface(self, points: Float) -> tuple[Float, Float]:
-        """Places and unit normals of the fine points, each ``(T L, 3)``."""
+    def vertex_normals(self, points: Float) -> Float:
+        """Unit normals ``(V, 3)``, weighted so that a sphere gets its own (Max 1999)."""
         p = points[self.faces]
         flat = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-        # Weighted so that a vertex of a sphere gets the sphere's normal (Max 1999).
         after, before = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
         lengths = (after**2).sum(-1) * (before**2).sum(-1)
         part = flat[:, None] / np.maximum(lengths, 1e-300)[..., None]
-        smooth = np.stack(
-            [
-                np.bincount(self.faces.ravel(), part[..., c].ravel(), len(points))
-                for c in range(3)
-            ],
-            axis=1,
-        )
-        normals = unit(smooth)[self.faces]
-        flat = unit(flat)
+        corners = self.faces.ravel()
+        sums = [np.bincount(corners, part[..., c].ravel(), len(points)) for c in range(3)]
+        return unit(np.stack(sums, axis=1))
+
+    def surface(self, points: Float, smooth: Float) -> tuple[Float, Float]:
+        """Places and unit normals of the fine points, each ``(T L, 3)``, from vertex normals."""
+        p = points[self.faces]
+        flat = unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
+        normals = smooth[self.faces]
         sharp = np.einsum("tkc,tc->tk", normals, flat) < _SHARP
         normals = np.where(sharp[..., None], flat[:, None], normals)
         if self.level == 1:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
@@ -22,10 +22,10 @@ from .panel import draw_panel
 from .raster import Camera
 from .scene import Scene, Style, View
 
-__all__ = ["Film", "animate", "write_film"]
+__all__ = ["Film", "animate"]
 
-_PAPER = "#ffffff"
-# Film formats of Pillow, and options under which a film stays small.
+_PAPER, _MARK = "#ffffff", "#c93559"
+_PALETTE_FRAMES = 6  # frames that the colours of a GIF are chosen from
 _KINDS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 
 
@@ -122,7 +122,13 @@ class Film:
     def size(self) -> tuple[int, int]:
         """Width and height of its pictures."""
         width, height = self.panel_size
-        return width * len(self.panels), height + self._head + self._foot
+        count = len(self.panels)
+        return width * count + self._gap * (count - 1), height + self._head + self._foot
+
+    @property
+    def _gap(self) -> int:
+        """Paper between panels, even, where these have titles."""
+        return 0 if self.titles is None else 2 * round(0.008 * self.panel_size[1])
 
     @property
     def _head(self) -> int:
@@ -153,26 +159,67 @@ class Film:
                 tile = draw_panel(
                     shown, self.view, frame, style, self.panel_size, self.top, self.supersample
                 )
-                picture.paste(tile, (k * self.panel_size[0], self._head))
-            self._write(picture, done, curve)
+                picture.paste(tile, (k * (self.panel_size[0] + self._gap), self._head))
+            self._annotate(picture, done, curve)
             yield picture
             if callback is not None:
                 callback((done + 1) / len(self.order))
 
-    def _write(self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None) -> None:
+    def write(
+        self, path: str | os.PathLike[str], callback: Callable[[float], object] | None = None
+    ) -> Path:
+        """Write the film, looping; arguments and errors as :func:`animate`."""
+        path = Path(path)
+        kind = _kind(path)
+        options: dict[str, Any] = {"duration": max(20, round(1000 / self.fps)), "loop": 0}
+        if kind != "GIF":
+            frames = list(self.pictures(callback))
+        elif self.panels[0][0].parts:
+            options["disposal"] = 1
+            frames = self._reduced(callback)
+        else:
+            options["disposal"] = 1
+            drawn = list(self.pictures(callback))
+            # One palette for all frames, else the background flickers.
+            palette = _palette([drawn[k] for k in {0, len(drawn) // 2, len(drawn) - 1}])
+            frames = [p.quantize(palette=palette) for p in drawn]
+        write_picture(frames[0], path, format=kind, append_images=frames[1:], **options)
+        return path
+
+    def _reduced(self, callback: Callable[[float], object] | None) -> list[Image.Image]:
+        """Frames with the 256 colours that a GIF can hold, and dots of two where one lies between.
+
+        The colours are chosen first, from some of the frames, so that only one is held in full.
+        """
+        count = len(self.order)
+        chosen = sorted({round(k) for k in np.linspace(0, count - 1, _PALETTE_FRAMES)})
+        some = dataclasses.replace(
+            self,
+            order=tuple(self.order[k] for k in chosen),
+            captions=None if self.captions is None else tuple(self.captions[k] for k in chosen),
+        )
+        # Text and marks are few pixels, which a choice by frequency forgets.
+        marks = [c for name in (_PAPER, INK, QUIET, _MARK) for c in ImageColor.getrgb(name)]
+        palette = _palette(list(some.pictures()), 256 - len(marks) // 3)
+        colors = palette.getpalette() or []
+        palette.putpalette(colors[: 768 - len(marks)] + marks)
+        return [p.quantize(palette=palette) for p in self.pictures(callback)]
+
+    def _annotate(self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None) -> None:
         width, height = self.panel_size
+        step = width + self._gap
         scale = height / 640
         draw = ImageDraw.Draw(picture)
         small, large = (ImageFont.load_default(max(8, s * scale)) for s in (20, 28))
         edge = 18 * scale
         for n, title in enumerate(self.titles or ()):
-            draw.text((n * width + edge, self._head / 2), title, INK, large, "lm")
+            draw.text((n * step + edge, self._head / 2), title, INK, large, "lm")
         for n, (shown, style) in enumerate(self.panels):
             if style == "error" and self.captions is not None:
                 # The scale lies in the panel whose colours it explains.
-                box = (round(n * width + edge), self._head + round(44 * scale), width // 2)
+                box = (round(n * step + edge), self._head + round(44 * scale), width // 2)
                 color_bar(
-                    draw, picture, box, scale, shown, self.order, self.top, small, self.unit, 2
+                    draw, picture, box, scale, shown, self.order, self.top, small, self.unit, 1
                 )
         if self.captions is None:
             return
@@ -204,7 +251,7 @@ class Film:
         draw.line(line[: k + 1], fill=QUIET, width=max(1, round(2 * scale)))
         r = 4.5 * scale
         a, b = line[k]
-        draw.ellipse((a - r, b - r, a + r, b + r), fill="#c93559")
+        draw.ellipse((a - r, b - r, a + r, b + r), fill=_MARK)
 
 
 def animate(
@@ -298,44 +345,15 @@ def animate(
         unit=unit,
         track=track,
     )
-    write_film(list(film.pictures(callback)), path, film.fps, adaptive=bool(parts))
-    return path
+    return film.write(path, callback)
 
 
-def write_film(
-    pictures: Sequence[Image.Image], path: Path, fps: float, *, adaptive: bool = True
-) -> None:
-    """Write pictures as a looping film.
-
-    Parameters
-    ----------
-    pictures : sequence of PIL.Image.Image
-    path : Path
-        Ends in ``.gif``, ``.webp`` or ``.png``.
-    fps : float
-    adaptive : bool
-        Whether a GIF gets its colours from all frames, and dots between two colours where a
-        surface has one between them.
-
-    Raises
-    ------
-    FormatError
-        If the suffix is none of the three.
-    """
-    kind = _kind(path)
-    options: dict[str, Any] = {"duration": max(20, round(1000 / fps)), "loop": 0}
-    frames = list(pictures)
-    if kind == "GIF":
-        # One palette for all frames, else the background flickers.
-        last = len(frames) - 1
-        few = [frames[k] for k in {0, len(frames) // 2, last}]
-        strip = Image.new("RGB", (few[0].width, few[0].height * len(few)))
-        for k, picture in enumerate(few):
-            strip.paste(picture, (0, k * picture.height))
-        palette = strip.quantize(256, method=Image.Quantize.MEDIANCUT)
-        frames = [p.quantize(palette=palette) for p in frames]
-        options["disposal"] = 1
-    write_picture(frames[0], path, format=kind, append_images=frames[1:], **options)
+def _palette(pictures: Sequence[Image.Image], colors: int = 256) -> Image.Image:
+    """Picture with a palette of the most frequent colours."""
+    strip = Image.new("RGB", (pictures[0].width, pictures[0].height * len(pictures)))
+    for k, picture in enumerate(pictures):
+        strip.paste(picture, (0, k * picture.height))
+    return strip.quantize(colors, method=Image.Quantize.MEDIANCUT)
 
 
 def _kind(path: Path) -> str:

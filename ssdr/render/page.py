@@ -110,11 +110,11 @@ def color_bar(
     top: float,
     font: Any,
     unit: tuple[str, float] | None = None,
-    ticks: int = 4,
+    steps: int = 4,
 ) -> None:
     """Scale of the error: ticks in the mesh's units above, in % of the diagonal below.
 
-    With two ticks, in a film, there is the scale alone.
+    With fewer than four steps, in a film, there is the scale alone.
     """
     left, y, width = box
     height = round(18 * scale)
@@ -122,19 +122,19 @@ def color_bar(
     page.paste(Image.fromarray(np.repeat(bar[None], height, axis=0)), (left, y))
     draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
     name, factor = unit or ("", 1.0)
-    for k in range(ticks + 1):
-        x = left + (width - 1) * k / ticks
-        sign = "> " if k == ticks and scene.largest_error(columns) > top else ""
+    for k in range(steps + 1):
+        x = left + (width - 1) * k / steps
+        sign = "> " if k == steps and scene.largest_error(columns) > top else ""
         draw.line((x, y - 4 * scale, x, y), fill=QUIET)
-        anchor = "l" if k == 0 else "r" if k == ticks else "m"
-        text = f"{sign}{factor * top * k / ticks:.3g} {name}".rstrip()
+        anchor = "l" if k == 0 else "r" if k == steps else "m"
+        text = f"{sign}{factor * top * k / steps:.3g} {name}".rstrip()
         draw.text((x, y - 6 * scale), text, INK, font, anchor + "s")
-        if ticks < 4:
+        if steps < 4:
             continue
         draw.line((x, y + height, x, y + height + 4 * scale), fill=QUIET)
-        share = 100 * top * k / ticks / scene.diagonal
+        share = 100 * top * k / steps / scene.diagonal
         draw.text((x, y + height + 6 * scale), f"{share:.3g} %", QUIET, font, anchor + "a")
-    if ticks < 4:
+    if steps < 4:
         return
     x = left + width + 24 * scale
     if scene.parts:

@@ -18,7 +18,7 @@ Float = NDArray[np.float64]
 _CLAY = linear_from_srgb([0.84, 0.82, 0.79])
 # sRGB of a bone's x, y and z axes: red, green, blue, as modelling programs draw them
 _AXES = linear_from_srgb([[0.86, 0.27, 0.25], [0.30, 0.66, 0.31], [0.22, 0.45, 0.85]])
-_LARGE = 480  # height in pixels from which triangles are cut more finely
+_LARGE = 600  # height in pixels from which triangles are cut more finely
 
 
 def draw_panel(

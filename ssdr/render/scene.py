@@ -145,7 +145,7 @@ class Scene:
         """Vertices whose error counts, ``(V,)``."""
         if not self.parts:
             return np.ones(len(self.positions(0)), dtype=bool)
-        return np.any([p.vertices for p in self.parts if p.measured], axis=0)
+        return np.asarray(np.any([p.vertices for p in self.parts if p.measured], axis=0))
 
     def high_error(self, frames: Sequence[int]) -> float:
         """An error that few vertices of these frames exceed."""

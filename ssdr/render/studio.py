@@ -132,7 +132,8 @@ class Stage:
         """
         large = (size[0] * supersample, size[1] * supersample)
         curved = Curved(faces, level)
-        places, normals = curved.surface(points)
+        vertex_normals = curved.vertex_normals(points)
+        places, normals = curved.surface(points, vertex_normals)
         fine = curved.triangles()
         bias = _BIAS * float(np.linalg.norm(np.ptp(points, axis=0)))
         around, colors = _surroundings(camera)
@@ -145,8 +146,8 @@ class Stage:
             shade = _floor(camera, half, ground, points, colors, sky, lamps, bias)
             factors = (large[1] / half[1], large[0] / half[0])
             picture *= zoom(shade, factors, order=1, mode="nearest", grid_mode=True)[..., None]
-        # Light from around changes slowly: at the points of the fine mesh, not at every pixel.
-        light = on_both_sides(sky, colors, places, normals, bias)
+        # Light from around changes slowly: at vertices, not at every pixel.
+        light = curved.spread(on_both_sides(sky, colors, points, vertex_normals, bias))
         _, pixels, hit, share = hits(camera, large, places, fine)
         corners = fine[hit]
         at = _between(share, places[corners])
@@ -208,7 +209,11 @@ class Stage:
 
 
 def _between(share: Float, values: Float) -> Float:
-    return np.asarray(np.einsum("nk,nkc->nc", share, values))
+    # Several times faster than one product over all three corners.
+    out = share[:, :1] * values[:, 0]
+    for k in (1, 2):
+        out += share[:, k : k + 1] * values[:, k]
+    return out
 
 
 def _surroundings(camera: Camera) -> tuple[Float, Float]:
