@@ -173,10 +173,7 @@ class Picture:
 
     def sheet(self, frames: int) -> Image.Image:
         p = self.prediction
-        count = p.cloth.n_frames
-        chosen = [
-            int(t) for t in (np.arange(min(frames, count)) + 0.5) * count / min(frames, count)
-        ]
+        chosen = spread_frames(frames, p.cloth.n_frames)
         classes = None if self.truth is None else self.truth.classes
         options: dict[str, Any] = {
             "frames": chosen,
