@@ -15,9 +15,9 @@ from ssdr.render import FABRIC, SKIN, Part
 
 from ..data.motion import CLASSES
 from ..data.outfit import Outfit
-from ..data.skeleton import Skeleton
 
 __all__ = [
+    "AZIMUTH",
     "MILLIMETRES",
     "camera_track",
     "caption",
@@ -30,6 +30,8 @@ __all__ = [
 ]
 
 MILLIMETRES = ("mm", 1000.0)
+# Degrees beside the front of a body: both its front and the depth of a skirt are seen.
+AZIMUTH = 32.0
 _SMOOTH = 0.25  # s, deviation of the Gaussian that smooths the path of the camera
 _HORIZONTAL = np.array([1.0, 0.0, 1.0])
 # Length of the heading, a unit vector seen from above, below which it says nothing.
@@ -105,10 +107,18 @@ def camera_track(root: ArrayLike, fps: float) -> NDArray[np.float64]:
     return np.asarray(gaussian_filter1d(path, _SMOOTH * fps, axis=0, mode="nearest"))
 
 
-def facing_the_camera(vertices: Any, skeleton: Skeleton, joints: Any) -> NDArray[np.float32]:
+def facing_the_camera(vertices: Any, root: ArrayLike, joints: Any) -> NDArray[np.float32]:
     """Vertices ``(F, V, 3)``, every frame turned and moved on the floor to one heading and place.
 
     For pictures of single frames, which then show the front of every pose; errors stay the same.
+
+    Parameters
+    ----------
+    vertices : (F, V, 3) array
+    root : (F, 3) array
+        Places of the root joint.
+    joints : (F, J, 3, 4) array
+        The first is the root.
     """
     m = np.asarray(joints, dtype=np.float64)
     forward = m[:, 0, :, 2]
@@ -117,7 +127,7 @@ def facing_the_camera(vertices: Any, skeleton: Skeleton, joints: Any) -> NDArray
     sine, cosine = np.where(
         length > _NO_HEADING, [forward[:, 0], forward[:, 2]] / np.maximum(length, 1e-30), [[0], [1]]
     )
-    local = np.asarray(vertices, np.float64) - skeleton.positions(m)[:, :1] * _HORIZONTAL
+    local = np.asarray(vertices, np.float64) - np.asarray(root)[:, None] * _HORIZONTAL
     x, y, z = np.moveaxis(local, -1, 0)
     turned = [cosine[:, None] * x - sine[:, None] * z, y, sine[:, None] * x + cosine[:, None] * z]
     return np.stack(turned, axis=-1).astype(np.float32)

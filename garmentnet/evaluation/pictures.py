@@ -17,6 +17,7 @@ from ..data.motion import CLASSES
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..drawing.dressed import (
+    AZIMUTH,
     MILLIMETRES,
     caption,
     facing_the_camera,
@@ -32,7 +33,6 @@ __all__ = ["HARD", "draw_clip", "draw_moments", "moments"]
 Array = NDArray[np.float32]
 # Classes of motion in which loose cloth moves most.
 HARD = ("spin", "kick", "squat", "stop")
-_AZIMUTH = 32.0  # degrees beside the front: both the front and the depth of a skirt show
 
 
 def moments(
@@ -183,7 +183,8 @@ def draw_moments(
 
 def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None)) -> Array:
     both = np.concatenate([clip.body(at), cloth], axis=1)
-    return facing_the_camera(both, clip.outfit.skeleton, clip.joints[at])
+    root = clip.outfit.skeleton.positions(clip.joints[at])[:, 0]
+    return facing_the_camera(both, root, clip.joints[at])
 
 
 def _draw(
@@ -212,6 +213,6 @@ def _draw(
         row_names=("truth", "prediction", "error"),
         captions=captions,
         unit=MILLIMETRES,
-        azimuth=_AZIMUTH,
+        azimuth=AZIMUTH,
     )
     write_picture(sheet, path)

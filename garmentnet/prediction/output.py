@@ -23,10 +23,12 @@ from ssdr.rigid import nearest_rotation
 
 from ..data.clip import Clip
 from ..drawing.dressed import (
+    AZIMUTH,
     MILLIMETRES,
     camera_track,
     caption,
     dressed,
+    facing_the_camera,
     free_vertices,
     outfit_parts,
     outfit_regions,
@@ -136,6 +138,7 @@ class Picture:
     def of(
         cls, prediction: Prediction, truth: Clip | None, free: NDArray[np.bool_] | None
     ) -> Picture:
+        """Check that the parts fit together."""
         body, cloth = prediction.body.n_vertices, prediction.cloth.n_vertices
         if truth is not None:
             expected = prediction.cloth.n_frames, cloth
@@ -147,6 +150,7 @@ class Picture:
         return cls(prediction, truth, outfit_regions(body, cloth, free))
 
     def film(self, size: int, error: bool) -> Film:
+        """The camera walks along; the body turns before it."""
         p = self.prediction
         side = size - size % 2
         options: dict[str, Any] = {
@@ -156,12 +160,12 @@ class Picture:
             "elevation": _ELEVATION,
         }
         if self.truth is None:
-            return Film.of(p.scene(still=False), size=(side, side), **options)
+            return Film.of(self._dressed(p.cloth.vertices), size=(side, side), **options)
         # Someone who stands is narrow.
         width = size * 3 // 4
         return Film.of(
-            p.scene(still=False),
-            reference=self._simulated(p.cloth.name),
+            self._dressed(p.cloth.vertices),
+            reference=self._dressed(self.truth.sequence.frames(slice(None))),
             style=["plain", "error"] if error else ["plain"],
             size=(width - width % 2, side),
             titles=("truth", "prediction", "error")[: 3 if error else 2],
@@ -172,6 +176,7 @@ class Picture:
         )
 
     def sheet(self, frames: int) -> Image.Image:
+        """Frames evenly over the clip, each seen from beside the body's front."""
         p = self.prediction
         chosen = spread_frames(frames, p.cloth.n_frames)
         classes = None if self.truth is None else self.truth.classes
@@ -180,13 +185,14 @@ class Picture:
             "parts": self.parts,
             "captions": [caption(t, p.cloth.fps, classes, "\n") for t in chosen],
             "title": p.cloth.name,
+            "azimuth": AZIMUTH,
         }
-        scene = p.scene(still=False)
+        subject = self._facing(p.cloth.vertices)
         if self.truth is None:
-            return contact_sheet(scene, row_names=("prediction",), **options)
+            return contact_sheet(subject, row_names=("prediction",), **options)
         return contact_sheet(
-            scene,
-            reference=self._simulated(p.cloth.name),
+            subject,
+            reference=self._facing(self.truth.sequence.frames(slice(None))),
             row_names=("truth", "prediction", "error"),
             regions=self.regions,
             unit=MILLIMETRES,
@@ -195,14 +201,19 @@ class Picture:
 
     @property
     def parts(self) -> tuple[Part, Part]:
+        """Body and cloth."""
         return outfit_parts(self.prediction.body.n_vertices, self.prediction.cloth.n_vertices)
 
-    def _simulated(self, name: str) -> MeshSequence:
+    def _dressed(self, cloth: Any) -> MeshSequence:
         p = self.prediction
-        assert self.truth is not None
-        cloth = np.asarray(self.truth.sequence.frames(slice(None)))
         faces = p.body.faces, p.cloth.faces
-        return dressed(p.body.vertices, cloth, *faces, p.cloth.fps, name)
+        return dressed(p.body.vertices, np.asarray(cloth), *faces, p.cloth.fps, p.cloth.name)
+
+    def _facing(self, cloth: Any) -> MeshSequence:
+        p, scene = self.prediction, self._dressed(cloth)
+        # Truth and prediction have one body, so one turn suits both.
+        vertices = facing_the_camera(scene.vertices, p.root, p.joints)
+        return dataclasses.replace(scene, vertices=vertices)
 
 
 def _save(
