@@ -230,7 +230,8 @@ def contact_sheet(
     if with_error:
         left = edge + label
         box = (left, page.height - round(70 * scale), min(width - 2 * left, round(700 * scale)))
-        color_bar(draw, page, box, scale, scene, columns, top, small, unit)
+        beyond = scene.largest_error(columns) > top
+        color_bar(draw, page, box, scale, scene, beyond, top, small, unit)
     return page
 
 

@@ -149,8 +149,11 @@ class Film:
         return shown if shown.reference is not None else None
 
     def pictures(self, callback: Callable[[float], object] | None = None) -> Iterator[Image.Image]:
-        """Draw the frames, one after the other; `callback` hears the fraction done."""
+        """Draw the frames, one after the other; `callback` is called with the fraction done."""
         curve = None
+        beyond = any(
+            s == "error" and p.largest_error(self.order) > self.top for p, s in self.panels
+        )
         if self.captions is not None and self._measured is not None:
             curve = np.array([self._measured.rmse([t]) for t in self.order])
         for done, frame in enumerate(self.order):
@@ -160,7 +163,7 @@ class Film:
                     shown, self.view, frame, style, self.panel_size, self.top, self.supersample
                 )
                 picture.paste(tile, (k * (self.panel_size[0] + self._gap), self._head))
-            self._annotate(picture, done, curve)
+            self._annotate(picture, done, curve, beyond)
             yield picture
             if callback is not None:
                 callback((done + 1) / len(self.order))
@@ -205,7 +208,9 @@ class Film:
         palette.putpalette(colors[: 768 - len(marks)] + marks)
         return [p.quantize(palette=palette) for p in self.pictures(callback)]
 
-    def _annotate(self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None) -> None:
+    def _annotate(
+        self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None, beyond: bool
+    ) -> None:
         width, height = self.panel_size
         step = width + self._gap
         scale = height / 640
@@ -218,9 +223,7 @@ class Film:
             if style == "error" and self.captions is not None:
                 # The scale lies in the panel whose colours it explains.
                 box = (round(n * step + edge), self._head + round(44 * scale), width // 2)
-                color_bar(
-                    draw, picture, box, scale, shown, self.order, self.top, small, self.unit, 1
-                )
+                color_bar(draw, picture, box, scale, shown, beyond, self.top, small, self.unit, 1)
         if self.captions is None:
             return
         top = self._head + height

@@ -106,7 +106,7 @@ def color_bar(
     box: tuple[int, int, int],
     scale: float,
     scene: Scene,
-    columns: Sequence[int],
+    beyond: bool,
     top: float,
     font: Any,
     unit: tuple[str, float] | None = None,
@@ -114,7 +114,8 @@ def color_bar(
 ) -> None:
     """Scale of the error: ticks in the mesh's units above, in % of the diagonal below.
 
-    With fewer than four steps, in a film, there is the scale alone.
+    `beyond`: errors exceed the last tick.  With fewer than four steps, in a film, there is the
+    scale alone.
     """
     left, y, width = box
     height = round(18 * scale)
@@ -124,7 +125,7 @@ def color_bar(
     name, factor = unit or ("", 1.0)
     for k in range(steps + 1):
         x = left + (width - 1) * k / steps
-        sign = "> " if k == steps and scene.largest_error(columns) > top else ""
+        sign = "> " if k == steps and beyond else ""
         draw.line((x, y - 4 * scale, x, y), fill=QUIET)
         anchor = "l" if k == 0 else "r" if k == steps else "m"
         text = f"{sign}{factor * top * k / steps:.3g} {name}".rstrip()
