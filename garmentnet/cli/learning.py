@@ -130,6 +130,7 @@ def predict(
         bool, typer.Option(help="Show a clip's own cloth beside the prediction.")
     ] = True,
     error: Annotated[bool, typer.Option(help="Show the error in films of a clip, too.")] = False,
+    every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
     import warnings
@@ -179,6 +180,7 @@ def predict(
                 path,
                 truth=clip,
                 error=error,
+                every=every,
                 progress=lambda done: show("drawing", done, None),
             )
         typer.echo(f"{path}: {text}")

@@ -80,6 +80,7 @@ def save_prediction(
     truth: Clip | None = None,
     free: NDArray[np.bool_] | None = None,
     error: bool = False,
+    every: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> str:
     """Write a prediction in the format of the suffix.
@@ -105,6 +106,8 @@ def save_prediction(
         not pinned.
     error : bool
         Whether a film with the truth has the error as a third panel.
+    every : int
+        A film shows every frame, every second and so on; its speed stays.
     progress : callable, optional
         Called with the fraction of a film that is drawn.
 
@@ -116,14 +119,29 @@ def save_prediction(
     Raises
     ------
     InputError
-        If the clip is not of the prediction's frames and vertices, or `free` is no mask of them.
+        If the clip is not of the prediction's frames and vertices, `free` is no mask of them, or
+        `every` is below 1.
     SsdrError
         If the file cannot be written.
     """
     file = Path(path)
     shown = Picture.of(prediction, truth, free)
+    if every < 1:
+        raise InputError("every", "1 or more", every)
+    suffix = file.suffix.lower()
     with writing(file):
-        return _save(prediction, shown, file, size, frames, error, progress)
+        if suffix in _FILMS:
+            film = shown.film(size, error, every)
+            if suffix == ".mp4":
+                _write_mp4(film, file, progress)
+            else:
+                film.write(file, progress)
+            beside = " of truth and prediction" if truth is not None else ""
+            return f"a film{beside}, {len(film.order)} frames"
+        if suffix in _PICTURES:
+            write_picture(shown.sheet(frames), file)
+            return f"{frames} frames"
+        return _save(prediction, file)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -149,14 +167,16 @@ class Picture:
             free = free_vertices(truth.outfit) if free is None else free
         return cls(prediction, truth, outfit_regions(body, cloth, free))
 
-    def film(self, size: int, error: bool) -> Film:
+    def film(self, size: int, error: bool, every: int) -> Film:
         """The camera walks along; the body turns before it."""
         p = self.prediction
         side = size - size % 2
+        order = range(0, p.cloth.n_frames, every)
         options: dict[str, Any] = {
             "parts": self.parts,
             "track": camera_track(p.root, p.cloth.fps),
-            "frames": range(p.cloth.n_frames),
+            "frames": order,
+            "fps": p.cloth.fps / every,
             "elevation": _ELEVATION,
         }
         if self.truth is None:
@@ -169,7 +189,7 @@ class Picture:
             style=["plain", "error"] if error else ["plain"],
             size=(width - width % 2, side),
             titles=("truth", "prediction", "error")[: 3 if error else 2],
-            captions=[caption(t, p.cloth.fps, self.truth.classes) for t in range(p.cloth.n_frames)],
+            captions=[caption(t, p.cloth.fps, self.truth.classes) for t in order],
             regions=self.regions,
             unit=MILLIMETRES,
             **options,
@@ -216,28 +236,8 @@ class Picture:
         return dataclasses.replace(scene, vertices=vertices)
 
 
-def _save(
-    prediction: Prediction,
-    shown: Picture,
-    file: Path,
-    size: int,
-    frames: int,
-    error: bool,
-    progress: Callable[[float], None] | None,
-) -> str:
-    suffix = file.suffix.lower()
-    if suffix in _FILMS:
-        film = shown.film(size, error)
-        if suffix == ".mp4":
-            _write_mp4(film, file, progress)
-        else:
-            film.write(file, progress)
-        beside = " of truth and prediction" if shown.truth is not None else ""
-        return f"a film{beside}, {len(film.order)} frames"
-    if suffix in _PICTURES:
-        write_picture(shown.sheet(frames), file)
-        return f"{frames} frames"
-    if suffix in _BONES:
+def _save(prediction: Prediction, file: Path) -> str:
+    if file.suffix.lower() in _BONES:
         ssdr.save(_rigid(prediction.skinning), file)
         gap = prediction.cloth.vertices - prediction.skinning.skin(dtype=np.float32)
         rms = 1e3 * float(np.sqrt((gap.astype(np.float64) ** 2).sum(-1).mean()))

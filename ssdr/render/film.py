@@ -17,7 +17,16 @@ from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .figures import write_picture
 from .materials import Part
-from .page import INK, QUIET, as_many, check_picture, checked_frames, checked_style, color_bar, nice
+from .page import (
+    INK,
+    QUIET,
+    as_many,
+    check_picture,
+    checked_frames,
+    checked_style,
+    nice,
+    small_color_bar,
+)
 from .panel import draw_panel
 from .raster import Camera
 from .scene import Scene, Style, View
@@ -219,11 +228,11 @@ class Film:
         edge = 18 * scale
         for n, title in enumerate(self.titles or ()):
             draw.text((n * step + edge, self._head / 2), title, INK, large, "lm")
-        for n, (shown, style) in enumerate(self.panels):
-            if style == "error" and self.captions is not None:
-                # The scale lies in the panel whose colours it explains.
-                box = (round(n * step + edge), self._head + round(44 * scale), width // 2)
-                color_bar(draw, picture, box, scale, shown, beyond, self.top, small, self.unit, 1)
+            if self.panels[n][1] == "error":
+                right = round(n * step + width - edge)
+                middle = self._head // 2
+                args = (beyond, self.top, small, self.unit)
+                small_color_bar(draw, picture, right, middle, scale, *args)
         if self.captions is None:
             return
         top = self._head + height

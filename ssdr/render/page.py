@@ -23,6 +23,7 @@ __all__ = [
     "color_bar",
     "nice",
     "rounded",
+    "small_color_bar",
     "spread",
     "upright_text",
 ]
@@ -110,33 +111,25 @@ def color_bar(
     top: float,
     font: Any,
     unit: tuple[str, float] | None = None,
-    steps: int = 4,
 ) -> None:
     """Scale of the error: ticks in the mesh's units above, in % of the diagonal below.
 
-    `beyond`: errors exceed the last tick.  With fewer than four steps, in a film, there is the
-    scale alone.
+    `beyond`: errors exceed the last tick.
     """
     left, y, width = box
     height = round(18 * scale)
-    bar = (255 * srgb_from_linear(heat(np.linspace(0, 1, width)))).round().astype(np.uint8)
-    page.paste(Image.fromarray(np.repeat(bar[None], height, axis=0)), (left, y))
-    draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
+    _bar(draw, page, (left, y, width, height))
     name, factor = unit or ("", 1.0)
-    for k in range(steps + 1):
-        x = left + (width - 1) * k / steps
-        sign = "> " if k == steps and beyond else ""
+    for k in range(5):
+        x = left + (width - 1) * k / 4
+        sign = "> " if k == 4 and beyond else ""
         draw.line((x, y - 4 * scale, x, y), fill=QUIET)
-        anchor = "l" if k == 0 else "r" if k == steps else "m"
-        text = f"{sign}{factor * top * k / steps:.3g} {name}".rstrip()
+        anchor = "l" if k == 0 else "r" if k == 4 else "m"
+        text = f"{sign}{factor * top * k / 4:.3g} {name}".rstrip()
         draw.text((x, y - 6 * scale), text, INK, font, anchor + "s")
-        if steps < 4:
-            continue
         draw.line((x, y + height, x, y + height + 4 * scale), fill=QUIET)
-        share = 100 * top * k / steps / scene.diagonal
+        share = 100 * top * k / 4 / scene.diagonal
         draw.text((x, y + height + 6 * scale), f"{share:.3g} %", QUIET, font, anchor + "a")
-    if steps < 4:
-        return
     x = left + width + 24 * scale
     if scene.parts:
         shown = " and ".join(p.name for p in scene.parts if p.measured)
@@ -145,3 +138,31 @@ def color_bar(
         text = "distance to the input, in the mesh's units"
     draw.text((x, y - 6 * scale), text, INK, font, "ls")
     draw.text((x, y + height + 6 * scale), "in % of the diagonal", QUIET, font, "la")
+
+
+def small_color_bar(
+    draw: ImageDraw.ImageDraw,
+    page: Image.Image,
+    right: int,
+    middle: int,
+    scale: float,
+    beyond: bool,
+    top: float,
+    font: Any,
+    unit: tuple[str, float],
+) -> None:
+    """Scale of the error on one line that ends at the right; arguments as :func:`color_bar`."""
+    name, factor = unit
+    text = f"{'> ' if beyond else ''}{factor * top:.3g} {name}".rstrip()
+    width, height = round(130 * scale), round(14 * scale)
+    left = round(right - draw.textlength(text, font) - width - 10 * scale)
+    _bar(draw, page, (left, middle - height // 2, width, height))
+    draw.text((left - 8 * scale, middle), "0", INK, font, "rm")
+    draw.text((right, middle), text, INK, font, "rm")
+
+
+def _bar(draw: ImageDraw.ImageDraw, page: Image.Image, box: tuple[int, int, int, int]) -> None:
+    left, y, width, height = box
+    bar = (255 * srgb_from_linear(heat(np.linspace(0, 1, width)))).round().astype(np.uint8)
+    page.paste(Image.fromarray(np.repeat(bar[None], height, axis=0)), (left, y))
+    draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")

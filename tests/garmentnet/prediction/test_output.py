@@ -97,6 +97,16 @@ def test_a_film_of_truth_beside_prediction(toy_network, toy_store, tmp_path, err
     assert (reddish < -40).sum() > 50
 
 
+def test_a_film_of_every_second_frame_has_the_same_speed(toy_network, joints, tmp_path):
+    from PIL import Image
+
+    p = predict(toy_network, joints[:5])
+    save_prediction(p, tmp_path / "a.gif", size=64, every=2)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 3
+        assert film.info["duration"] == pytest.approx(2000 / 30, abs=10)
+
+
 def test_a_sheet_of_truth_and_prediction(toy_network, toy_store, tmp_path):
     from PIL import Image
 
@@ -114,6 +124,7 @@ def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joint
     for argument, options in (
         ("truth", {"truth": clip}),
         ("free", {"free": np.ones(3, bool)}),
+        ("every", {"every": 0}),
     ):
         with pytest.raises(ssdr.InputError) as caught:
             save_prediction(p, tmp_path / "a.gif", size=64, **options)
