@@ -27,6 +27,7 @@ from .page import (
     nice,
     small_color_bar,
 )
+from .palette import heat, srgb_from_linear
 from .panel import draw_panel
 from .raster import Camera
 from .scene import Scene, Style, View
@@ -35,6 +36,7 @@ __all__ = ["Film", "animate"]
 
 _PAPER, _MARK = "#ffffff", "#c93559"
 _PALETTE_FRAMES = 6  # frames that the colours of a GIF are chosen from
+_SCALE_COLORS = 24  # colours of a GIF that are those of the error's scale
 _KINDS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
 
 
@@ -212,6 +214,9 @@ class Film:
         )
         # Text and marks are few pixels, which a choice by frequency forgets.
         marks = [c for name in (_PAPER, INK, QUIET, _MARK) for c in ImageColor.getrgb(name)]
+        if any(style == "error" for _, style in self.panels):
+            scale = srgb_from_linear(heat(np.linspace(0, 1, _SCALE_COLORS)))
+            marks += (255 * scale).round().astype(int).ravel().tolist()
         palette = _palette(list(some.pictures()), 256 - len(marks) // 3)
         colors = palette.getpalette() or []
         palette.putpalette(colors[: 768 - len(marks)] + marks)
