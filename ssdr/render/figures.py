@@ -202,7 +202,8 @@ def contact_sheet(
     check_picture(size, supersample)
     with_error = any(style == "error" for _, _, style in rows)
     top = nice(scene.high_error(columns)) if with_error else 1.0
-    head = round((118 if heads is None else 188) * scale)
+    lines = 0 if heads is None else 1 + any("\n" in h for h in heads)
+    head = round((118, 160, 188)[lines] * scale)
     foot = round((104 if with_error else 24) * scale)
     page = Image.new("RGB", (width, head + len(rows) * (size[1] + gap) + foot), "white")
     draw = ImageDraw.Draw(page)
@@ -216,7 +217,8 @@ def contact_sheet(
         x = edge + label + c * (cell + gap)
         if heads is not None:
             first, _, second = heads[c].partition("\n")
-            draw.text((x + 2 * scale, head - 38 * scale), first, INK, medium, "ls")
+            above = head - 26 * scale * (lines - 1) - 12 * scale
+            draw.text((x + 2 * scale, above), first, INK, medium, "ls")
             draw.text((x + 2 * scale, head - 12 * scale), second, QUIET, small, "ls")
         # Rows of one column share the light on it.
         for r, (_, shown, style) in enumerate(rows):
