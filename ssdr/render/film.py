@@ -186,9 +186,12 @@ class Film:
         path = Path(path)
         kind = _kind(path)
         options: dict[str, Any] = {"duration": max(20, round(1000 / self.fps)), "loop": 0}
+        with_parts = bool(self.panels[0][0].parts)
+        if kind == "WEBP" and with_parts:
+            options["method"] = 4  # a third smaller, and still quicker than drawing
         if kind != "GIF":
             frames = list(self.pictures(callback))
-        elif self.panels[0][0].parts:
+        elif with_parts:
             options["disposal"] = 1
             frames = self._reduced(callback)
         else:
