@@ -144,6 +144,11 @@ def predict(
     density: Annotated[float | None, typer.Option(help="kg/m².")] = None,
     time_scale: Annotated[float | None, typer.Option(help="Seconds of cloth per second.")] = None,
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
+    truth: Annotated[
+        bool, typer.Option(help="Show a clip's own cloth beside the prediction.")
+    ] = True,
+    error: Annotated[bool, typer.Option(help="Show the error in films of a clip, too.")] = False,
+    every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
     import warnings
@@ -152,7 +157,7 @@ def predict(
 
     from ..data.parameters import SimulationParameters
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.motion_file import read_joints
+    from ..prediction.motion_file import read_clip, read_joints
     from ..prediction.output import check_output, save_prediction
     from ..prediction.prediction import predict as run
 
@@ -166,6 +171,7 @@ def predict(
     usual = {k: getattr(trained_on, k) for k in options} if trained_on else {}
     parameters = SimulationParameters(**(usual | entered)) if entered or several else None
     joints = read_joints(motion, model)
+    clip = read_clip(motion, model) if truth else None
     began = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SsdrWarning)
@@ -182,9 +188,19 @@ def predict(
     shown = parameters or trained_on
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
+    if clip is not None and shown is not None and clip.parameters != shown:
+        typer.echo(f"the clip's cloth is not shown: it is of {clip.parameters}", err=True)
+        clip = None
     for path in output:
         with progress_bar() as show:
-            text = save_prediction(result, path, progress=lambda done: show("drawing", done, None))
+            text = save_prediction(
+                result,
+                path,
+                truth=clip,
+                error=error,
+                every=every,
+                progress=lambda done: show("drawing", done, None),
+            )
         typer.echo(f"{path}: {text}")
 
 

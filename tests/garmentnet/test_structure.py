@@ -13,7 +13,7 @@ LAYERS = (
     ("io",),
     ("configs",),
     ("data",),
-    ("networks", "scenes/dance"),
+    ("networks", "scenes/dance", "drawing"),
     ("training", "scenes"),
     ("evaluation", "prediction"),
     ("cli",),

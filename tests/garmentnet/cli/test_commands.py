@@ -42,6 +42,25 @@ def call(*arguments):
     return result.stdout
 
 
+def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
+    from PIL import Image
+
+    checkpoint = toy_run / "checkpoint.safetensors"
+    sizes = {}
+    for name, clip, options in (
+        ("beside", "base-test-0", ()),
+        ("alone", "base-test-0", ("--no-truth",)),
+        # Simulated with other parameters: not what the network was asked for.
+        ("other", "set0-test-0", ()),
+    ):
+        path = tmp_path / f"{name}.png"
+        call("predict", checkpoint, toy_store.path / "clips" / clip, "-o", path, *options)
+        with Image.open(path) as sheet:
+            sizes[name] = sheet.height
+    assert sizes["beside"] > 2 * sizes["alone"]
+    assert sizes["other"] == sizes["alone"]
+
+
 def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     monkeypatch.setenv("GARMENTNET_DATA", str(tmp_path / "data"))
     (tmp_path / "c.toml").write_text(
