@@ -45,7 +45,7 @@ def _fill_descriptors() -> None:
 
 def _spelling(stream: Any) -> Any:
     if stream is None:  # closed when Python started
-        return open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 (open as long as the process runs)
+        return open(os.devnull, "w", encoding="utf-8")
     with contextlib.suppress(AttributeError, ValueError, OSError):
         stream.reconfigure(errors=_HANDLER)
     return stream
