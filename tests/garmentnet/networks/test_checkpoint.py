@@ -14,12 +14,11 @@ from garmentnet.data.store import ClipStore
 from garmentnet.networks.checkpoint import (
     Checkpoint,
     load_checkpoint,
-    load_tensors,
     load_weights,
     save_checkpoint,
-    save_tensors,
 )
 from garmentnet.networks.ensemble import Kernel
+from garmentnet.networks.tensor_files import load_tensors, save_tensors
 from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError, SsdrError
 
