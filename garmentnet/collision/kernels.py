@@ -1,20 +1,16 @@
 """Signed distances from points to a closed mesh, and points moved out of it.
 
 The sign is that of the winding number, which a ray to +z counts exactly: the sum of the
-orientations of the triangles that it crosses.  A grid over x and y holds the triangles above each
-cell.  Distances come from the tree of :mod:`ssdr.kernels.closest`.
+orientations of the triangles that it crosses.  Rays and distances search the tree of
+:mod:`ssdr.kernels.closest`.
 
 A pose of the body is passed as one tuple, `scene`:
 
-vertices   (V, 3)                   float64
-triangles  (T, 3)                   int32    in the tree's order
-depth                               int      levels of the tree
-boxes      (2**(depth + 1) - 1, 6)  float64
-origin     (2,)                     float64  lower corner of the grid
-scale                               float64  cells a metre
-columns, rows                       int      of the grid
-starts     (columns * rows + 1,)    int64    first item of each cell
-items      (n,)                     int32    triangles of the cells, cell after cell
+corners  (T, 9)                   float64  of the triangles, in the tree's order
+depth                             int      levels of the tree
+boxes    (2**(depth + 1) - 1, 6)  float64  of its nodes
+
+Numbers are passed and indexed one by one: views of rows cost more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -30,14 +26,17 @@ _GAIN = 1e-6
 # Metres above a point of the skin where it is asked whether the skin is free there.
 _ABOVE = 1e-5
 _STEPS = 24
+# Metres; how far the skin is searched, so that the vertices about a distant one need no search.
+_LOOK = 0.06
 
 
 @inline
-def _closest(px, py, pz, a, b, c):
+def _closest(px, py, pz, corners, i):
     """Squared distance to a triangle and its closest point (Ericson 2005, section 5.1.5)."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    wx, wy, wz = px - a[0], py - a[1], pz - a[2]
+    ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
+    ux, uy, uz = corners[i, 3] - ax, corners[i, 4] - ay, corners[i, 5] - az
+    vx, vy, vz = corners[i, 6] - ax, corners[i, 7] - ay, corners[i, 8] - az
+    wx, wy, wz = px - ax, py - ay, pz - az
     d1 = ux * wx + uy * wy + uz * wz
     d2 = vx * wx + vy * wy + vz * wz
     uu = ux * ux + uy * uy + uz * uz
@@ -64,61 +63,88 @@ def _closest(px, py, pz, a, b, c):
         s = 1.0 - t
     else:
         s, t = vb / (va + vb + vc), vc / (va + vb + vc)
-    x, y, z = a[0] + s * ux + t * vx, a[1] + s * uy + t * vy, a[2] + s * uz + t * vz
-    return (px - x) ** 2 + (py - y) ** 2 + (pz - z) ** 2, x, y, z
+    x, y, z = s * ux + t * vx, s * uy + t * vy, s * uz + t * vz
+    return (wx - x) ** 2 + (wy - y) ** 2 + (wz - z) ** 2, ax + x, ay + y, az + z
 
 
 @inline
-def _gap(px, py, pz, box):
+def _gap(px, py, pz, boxes, i):
     """Squared distance to a box."""
-    x = max(0.0, max(box[0] - px, px - box[3]))
-    y = max(0.0, max(box[1] - py, py - box[4]))
-    z = max(0.0, max(box[2] - pz, pz - box[5]))
+    x = max(0.0, max(boxes[i, 0] - px, px - boxes[i, 3]))
+    y = max(0.0, max(boxes[i, 1] - py, py - boxes[i, 4]))
+    z = max(0.0, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
     return x * x + y * y + z * z
 
 
 @inline
-def _crossing(px, py, a, b):
+def _crossing(px, py, ax, ay, bx, by):
     """±1 if the edge passes the ray from the point to +x, upwards or downwards; else 0.
 
     It is computed from the lower end to the upper one, so that the two triangles of an edge agree
     to the last bit and no ray slips between them.
     """
-    if (a[1] > py) == (b[1] > py):
+    if (ay > py) == (by > py):
         return 0
-    low, high, sign = a, b, 1
-    if a[1] > b[1]:
-        low, high, sign = b, a, -1
-    x = low[0] + (py - low[1]) / (high[1] - low[1]) * (high[0] - low[0])
-    return sign if x > px else 0
+    if ay < by:
+        return 1 if ax + (py - ay) / (by - ay) * (bx - ax) > px else 0
+    return -1 if bx + (py - by) / (ay - by) * (ax - bx) > px else 0
 
 
 @inline
-def winding(px, py, pz, scene):
-    """The winding number of the mesh about a point."""
-    vertices, triangles, _, _, origin, scale, columns, rows, starts, items = scene
-    x, y = (px - origin[0]) * scale, (py - origin[1]) * scale
-    if not (0.0 <= x < columns and 0.0 <= y < rows):
+def _side(px, py, pz, corners, i):
+    """±1 if the ray to +z passes the triangle, out of or into the body; else 0."""
+    ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
+    bx, by, bz = corners[i, 3], corners[i, 4], corners[i, 5]
+    cx, cy, cz = corners[i, 6], corners[i, 7], corners[i, 8]
+    above = ay > py
+    if above == (by > py) and above == (cy > py):
         return 0
-    cell = int(y) * columns + int(x)
-    total = 0
-    for k in range(starts[cell], starts[cell + 1]):
-        t = items[k]
-        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        side = _crossing(px, py, a, b) + _crossing(px, py, b, c) + _crossing(px, py, c, a)
-        if side == 0:
-            continue
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        volume = (
-            (px - a[0]) * (uy * vz - uz * vy)
-            + (py - a[1]) * (uz * vx - ux * vz)
-            + (pz - a[2]) * (ux * vy - uy * vx)
-        )
-        # Below the triangle: behind it if it faces up, before it if it faces down.
-        if volume * side < 0.0:
-            total += side
-    return total
+    if ax <= px and bx <= px and cx <= px:
+        return 0
+    side = (
+        _crossing(px, py, ax, ay, bx, by)
+        + _crossing(px, py, bx, by, cx, cy)
+        + _crossing(px, py, cx, cy, ax, ay)
+    )
+    if side == 0:
+        return 0
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    volume = (
+        (px - ax) * (uy * vz - uz * vy)
+        + (py - ay) * (uz * vx - ux * vz)
+        + (pz - az) * (ux * vy - uy * vx)
+    )
+    # Below the triangle: behind it if it faces up, before it if it faces down.
+    return side if volume * side < 0.0 else 0
+
+
+@inline
+def _winding(px, py, pz, scene):
+    """The winding number of the mesh about a point."""
+    corners, depth, boxes = scene
+    count, base = len(corners), (1 << depth) - 1
+    total, node = 0, 0
+    while True:
+        if (
+            px >= boxes[node, 0]
+            and px <= boxes[node, 3]
+            and py >= boxes[node, 1]
+            and py <= boxes[node, 4]
+            and pz <= boxes[node, 5]
+        ):
+            if node < base:
+                node = 2 * node + 1
+                continue
+            j = node - base
+            for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+                total += _side(px, py, pz, corners, t)
+        # A right child has an even index: the subtrees that end with it are done.
+        while node > 0 and node & 1 == 0:
+            node = (node - 1) >> 1
+        if node == 0:
+            return total
+        node += 1
 
 
 @inline
@@ -127,15 +153,14 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
 
     With `free`, points of the skin that another part of the body covers do not count.
     """
-    vertices, triangles, depth, boxes = scene[0], scene[1], scene[2], scene[3]
-    count, base = len(triangles), (1 << depth) - 1
+    corners, depth, boxes = scene
+    count, base = len(corners), (1 << depth) - 1
     best, which, cx, cy, cz = limit, -1, px, py, pz
     if hint >= 0 and not free:
-        h = triangles[hint]
-        d, x, y, z = _closest(px, py, pz, vertices[h[0]], vertices[h[1]], vertices[h[2]])
+        d, x, y, z = _closest(px, py, pz, corners, hint)
         if d < best:
             best, which, cx, cy, cz = d, hint, x, y, z
-    nodes[0], gaps[0], top = 0, _gap(px, py, pz, boxes[0]), 1
+    nodes[0], gaps[0], top = 0, _gap(px, py, pz, boxes, 0), 1
     while top > 0:
         top -= 1
         if gaps[top] >= best:
@@ -144,18 +169,17 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
         if node >= base:
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                h = triangles[t]
-                d, x, y, z = _closest(px, py, pz, vertices[h[0]], vertices[h[1]], vertices[h[2]])
+                d, x, y, z = _closest(px, py, pz, corners, t)
                 if d < best:
                     if free and d > 0.0:
                         f = 1.0 + _ABOVE / np.sqrt(d)
                         qx, qy, qz = px + f * (x - px), py + f * (y - py), pz + f * (z - pz)
-                        if winding(qx, qy, qz, scene) > 0:
+                        if _winding(qx, qy, qz, scene) > 0:
                             continue
                     best, which, cx, cy, cz = d, t, x, y, z
             continue
         left, right = 2 * node + 1, 2 * node + 2
-        near, far = _gap(px, py, pz, boxes[left]), _gap(px, py, pz, boxes[right])
+        near, far = _gap(px, py, pz, boxes, left), _gap(px, py, pz, boxes, right)
         if near > far:
             left, right, near, far = right, left, far, near
         if far < best:
@@ -170,12 +194,25 @@ def _nearest(px, py, pz, limit, hint, free, scene, nodes, gaps):
 @inline
 def _signed(px, py, pz, margin, hint, scene, nodes, gaps):
     """Signed distance (inf: outside and farther than the margin), triangle, closest point."""
-    inside = winding(px, py, pz, scene) > 0
+    inside = _winding(px, py, pz, scene) > 0
     limit = np.inf if inside else margin * margin
     d, which, x, y, z = _nearest(px, py, pz, limit, hint, False, scene, nodes, gaps)
     if which < 0:
         return np.inf, which, x, y, z
     return (-np.sqrt(d) if inside else np.sqrt(d)), which, x, y, z
+
+
+@inline
+def _normal(corners, i):
+    """Unit normal of a triangle; 0 if it has none."""
+    ax, ay, az = corners[i, 0], corners[i, 1], corners[i, 2]
+    ux, uy, uz = corners[i, 3] - ax, corners[i, 4] - ay, corners[i, 5] - az
+    vx, vy, vz = corners[i, 6] - ax, corners[i, 7] - ay, corners[i, 8] - az
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = np.sqrt(x * x + y * y + z * z)
+    if length == 0.0:
+        return 0.0, 0.0, 0.0
+    return x / length, y / length, z / length
 
 
 @inline
@@ -188,7 +225,7 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
         inside, d = s < 0.0, abs(s)
         if inside:
             ux, uy, uz = (x - px) / d, (y - py) / d, (z - pz) / d
-            covered = winding(x + _ABOVE * ux, y + _ABOVE * uy, z + _ABOVE * uz, scene) > 0
+            covered = _winding(x + _ABOVE * ux, y + _ABOVE * uy, z + _ABOVE * uz, scene) > 0
             if covered:
                 square, other, x, y, z = _nearest(
                     px, py, pz, farthest * farthest, -1, True, scene, nodes, gaps
@@ -200,13 +237,9 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
         elif d > 0.0:
             ux, uy, uz = (px - x) / d, (py - y) / d, (pz - z) / d
         else:
-            h = scene[1][which]
-            a, b, c = scene[0][h[0]], scene[0][h[1]], scene[0][h[2]]
-            normal = np.cross(b - a, c - a)
-            length = np.sqrt((normal * normal).sum())
-            if length == 0.0:
+            ux, uy, uz = _normal(scene[0], which)
+            if ux == 0.0 and uy == 0.0 and uz == 0.0:
                 break
-            ux, uy, uz = normal[0] / length, normal[1] / length, normal[2] / length
         # The full margin does not fit between two parts of the body that nearly touch.
         step, better = margin, False
         for _ in range(5):
@@ -223,32 +256,18 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
 
 
 @kernel
-def bin_triangles(
-    vertices: Any, triangles: Any, origin: Any, scale: float, columns: int, rows: int
-) -> tuple[Any, Any]:
-    """Cells of the grid with the triangles above them: `starts` and `items` of a scene."""
-    span = np.empty((len(triangles), 4), np.int32)
-    starts = np.zeros(columns * rows + 1, np.int64)
+def gather_corners(vertices: Any, triangles: Any, corners: Any) -> None:
+    """Corners of the triangles of a scene.
+
+    vertices   (V, 3)  float64  in
+    triangles  (T, 3)  int32    in the tree's order, in
+    corners    (T, 9)  float64  out
+    """
     for t in range(len(triangles)):
-        a, b, c = vertices[triangles[t, 0]], vertices[triangles[t, 1]], vertices[triangles[t, 2]]
-        x0 = int((min(a[0], b[0], c[0]) - origin[0]) * scale)
-        x1 = int((max(a[0], b[0], c[0]) - origin[0]) * scale)
-        y0 = int((min(a[1], b[1], c[1]) - origin[1]) * scale)
-        y1 = int((max(a[1], b[1], c[1]) - origin[1]) * scale)
-        span[t, 0], span[t, 1] = x0, min(x1, columns - 1)
-        span[t, 2], span[t, 3] = y0, min(y1, rows - 1)
-        for y in range(span[t, 2], span[t, 3] + 1):
-            for x in range(span[t, 0], span[t, 1] + 1):
-                starts[y * columns + x + 1] += 1
-    for k in range(columns * rows):
-        starts[k + 1] += starts[k]
-    items, fill = np.empty(starts[-1], np.int32), starts[:-1].copy()
-    for t in range(len(triangles)):
-        for y in range(span[t, 2], span[t, 3] + 1):
-            for x in range(span[t, 0], span[t, 1] + 1):
-                items[fill[y * columns + x]] = t
-                fill[y * columns + x] += 1
-    return starts, items
+        for k in range(3):
+            v = triangles[t, k]
+            for c in range(3):
+                corners[t, 3 * k + c] = vertices[v, c]
 
 
 @kernel
@@ -260,7 +279,7 @@ def signed_distances(points: Any, scene: Any, limit: float, out: Any) -> None:
     limit           float    metres, in
     out     (n,)    float64  out
     """
-    nodes, gaps = np.empty(2 * scene[2] + 2, np.int64), np.empty(2 * scene[2] + 2, np.float64)
+    nodes, gaps = np.empty(2 * scene[1] + 2, np.int64), np.empty(2 * scene[1] + 2, np.float64)
     for i in range(len(points)):
         out[i] = _signed(points[i, 0], points[i, 1], points[i, 2], limit, -1, scene, nodes, gaps)[0]
 
@@ -296,24 +315,36 @@ def push_frame(
     after       (n,)    float64  the same for `out`; out
     """
     n = len(points)
-    nodes, gaps = np.empty(2 * scene[2] + 2, np.int64), np.empty(2 * scene[2] + 2, np.float64)
+    nodes, gaps = np.empty(2 * scene[1] + 2, np.int64), np.empty(2 * scene[1] + 2, np.float64)
     wanted, length = np.zeros((n, 3)), np.zeros(n)
-    any_moved = False
+    any_moved, look = False, max(_LOOK, margin)
+    # Lower bounds of the distance of points that are known to be outside.
+    clear = np.zeros(n)
     for i in range(n):
-        out[i] = points[i]
+        for c in range(3):
+            out[i, c] = points[i, c]
         before[i] = after[i] = np.inf
         if fixed[i]:
             continue
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        s, which, _, _, _ = _signed(px, py, pz, margin, hints[i], scene, nodes, gaps)
-        before[i] = after[i] = s
-        if which >= 0:
-            hints[i] = which
+        s = clear[i]
+        if s < margin:
+            s, which, _, _, _ = _signed(px, py, pz, look, hints[i], scene, nodes, gaps)
+            s = min(s, look)
+            if which >= 0:
+                hints[i] = which
+        clear[i] = s
         if s >= margin - _GAIN:
+            for k in range(starts[i], starts[i + 1]):
+                j = neighbours[k]
+                if j > i:
+                    x, y, z = points[j, 0] - px, points[j, 1] - py, points[j, 2] - pz
+                    clear[j] = max(clear[j], s - np.sqrt(x * x + y * y + z * z))
             continue
+        before[i] = after[i] = s
         qx, qy, qz, _ = _move_out(px, py, pz, margin, farthest, which, scene, nodes, gaps)
         wanted[i, 0], wanted[i, 1], wanted[i, 2] = qx - px, qy - py, qz - pz
-        length[i] = np.sqrt((wanted[i] * wanted[i]).sum())
+        length[i] = np.sqrt((qx - px) ** 2 + (qy - py) ** 2 + (qz - pz) ** 2)
         any_moved = any_moved or length[i] > 0.0
     if not any_moved:
         return
@@ -330,20 +361,27 @@ def push_frame(
                 share = 1.0 / (starts[i + 1] - starts[i])
                 x, y, z = x * share, y * share, z * share
             if length[i] > 0.0:
-                w = wanted[i]
-                lack = 1.0 - (w[0] * x + w[1] * y + w[2] * z) / length[i] ** 2
+                wx, wy, wz = wanted[i, 0], wanted[i, 1], wanted[i, 2]
+                lack = 1.0 - (wx * x + wy * y + wz * z) / length[i] ** 2
                 if lack > 0.0:
-                    x, y, z = x + lack * w[0], y + lack * w[1], z + lack * w[2]
+                    x, y, z = x + lack * wx, y + lack * wy, z + lack * wz
             other[i, 0], other[i, 1], other[i, 2] = x, y, z
         field, other = other, field
     for i in range(n):
-        f = field[i]
-        if f[0] == 0.0 and f[1] == 0.0 and f[2] == 0.0:
+        fx, fy, fz = field[i, 0], field[i, 1], field[i, 2]
+        if fx == 0.0 and fy == 0.0 and fz == 0.0:
+            continue
+        if clear[i] - np.sqrt(fx * fx + fy * fy + fz * fz) >= margin:
+            out[i, 0], out[i, 1], out[i, 2] = (
+                points[i, 0] + fx,
+                points[i, 1] + fy,
+                points[i, 2] + fz,
+            )
             continue
         px, py, pz, s = _move_out(
-            points[i, 0] + f[0],
-            points[i, 1] + f[1],
-            points[i, 2] + f[2],
+            points[i, 0] + fx,
+            points[i, 1] + fy,
+            points[i, 2] + fz,
             margin,
             farthest,
             hints[i],

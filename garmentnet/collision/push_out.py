@@ -23,7 +23,7 @@ from ssdr.errors import InputError, is_real, is_whole
 from ssdr.kernels.closest import fit_boxes, tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
-from .kernels import bin_triangles, push_frame, signed_distances
+from .kernels import gather_corners, push_frame, signed_distances
 
 __all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "push_out"]
 
@@ -247,15 +247,9 @@ class PushOut:
         """The posed body as the kernels need it."""
         boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
         fit_boxes(body, self._triangles, self._depth, boxes)
-        origin, extent = boxes[0, :2].copy(), boxes[0, 3:5] - boxes[0, :2]
-        # About as many cells as triangles.
-        scale = math.sqrt(len(self._triangles) / max(1e-12, float(extent[0] * extent[1])))
-        columns, rows = (int(e * scale) + 1 for e in extent)
-        starts, items = bin_triangles(body, self._triangles, origin, scale, columns, rows)
-        return (
-            *(body, self._triangles, self._depth, boxes),
-            *(origin, scale, columns, rows, starts, items),
-        )
+        corners = np.empty((len(self._triangles), 9))
+        gather_corners(body, self._triangles, corners)
+        return corners, self._depth, boxes
 
 
 def push_out(
