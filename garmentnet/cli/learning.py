@@ -126,6 +126,9 @@ def predict(
     density: Annotated[float | None, typer.Option(help="kg/m².")] = None,
     time_scale: Annotated[float | None, typer.Option(help="Seconds of cloth per second.")] = None,
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
+    push_out: Annotated[
+        bool, typer.Option(help="Move vertices that lie inside the body out of it.")
+    ] = True,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
     import warnings
@@ -151,7 +154,7 @@ def predict(
     began = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SsdrWarning)
-        result = run(model, joints, parameters, detail=detail, name=motion.stem)
+        result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
     for warning in caught:
         if issubclass(warning.category, SsdrWarning):
             typer.echo(f"warning: {warning.message}", err=True)
@@ -164,6 +167,12 @@ def predict(
     shown = parameters or trained_on
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
+    if push_out:
+        typer.echo(
+            f"pushed out of the body: {100 * result.moved:.2f} % of the vertices moved, "
+            f"at most {1e3 * result.farthest:.1f} mm",
+            err=True,
+        )
     for path in output:
         with progress_bar() as show:
             text = save_prediction(result, path, progress=lambda done: show("drawing", done, None))
