@@ -104,6 +104,9 @@ def evaluate(
         str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
     ] = None,
     per_clip: Annotated[bool, typer.Option("--per-clip", help="Tables of each clip too.")] = False,
+    push_out: Annotated[
+        bool, typer.Option("--push-out", help="Score with vertices moved out of the body too.")
+    ] = False,
     rescore: Annotated[
         bool, typer.Option("--rescore", help="Ignore the scores of an earlier run.")
     ] = False,
@@ -126,6 +129,7 @@ def evaluate(
             clips=clips or (),
             against=against,
             per_clip=per_clip,
+            push_out=push_out,
             rescore=rescore,
             progress=lambda name, done: show(name, done, None),
         )
@@ -149,6 +153,9 @@ def predict(
     ] = True,
     error: Annotated[bool, typer.Option(help="Show the error in films of a clip, too.")] = False,
     every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
+    push_out: Annotated[
+        bool, typer.Option(help="Move vertices that lie inside the body out of it.")
+    ] = True,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
     import warnings
@@ -175,7 +182,7 @@ def predict(
     began = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SsdrWarning)
-        result = run(model, joints, parameters, detail=detail, name=motion.stem)
+        result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
     for warning in caught:
         if issubclass(warning.category, SsdrWarning):
             typer.echo(f"warning: {warning.message}", err=True)
@@ -191,6 +198,12 @@ def predict(
     if clip is not None and shown is not None and clip.parameters != shown:
         typer.echo(f"the clip's cloth is not shown: it is of {clip.parameters}", err=True)
         clip = None
+    if push_out:
+        typer.echo(
+            f"pushed out of the body: {100 * result.moved:.2f} % of the vertices moved, "
+            f"at most {1e3 * result.farthest:.1f} mm",
+            err=True,
+        )
     for path in output:
         with progress_bar() as show:
             text = save_prediction(

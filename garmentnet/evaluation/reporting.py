@@ -19,6 +19,7 @@ from ..networks.checkpoint import Checkpoint, load_checkpoint
 from .clip_scores import VERTICES, Method, Scorer
 from .entrants import SANTESTEBAN, baseline_methods
 from .pictures import draw_clip, draw_moments
+from .pushed import pushed_method
 from .report_text import (
     clip_tables,
     name_width,
@@ -54,6 +55,7 @@ def report(
     clips: Sequence[str] = (),
     against: str | None = None,
     per_clip: bool = False,
+    push_out: bool = False,
     rescore: bool = False,
     bones_folder: Path | str | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -79,6 +81,8 @@ def report(
         default where it is scored, else the first checkpoint.
     per_clip : bool
         Whether the text has the tables of each clip too; ``report.json`` always has its figures.
+    push_out : bool
+        Whether each checkpoint is scored a second time with its vertices moved out of the body.
     rescore : bool
         Whether to score again what is in ``scores``.
 
@@ -109,6 +113,11 @@ def report(
     bounds: dict[str, Method] = {"bones themselves": bones_themselves(bones)}
     methods = bounds | {k: network_method(m) for k, m in models.items()}
     digests = {k: digest_of_file(p) for k, p in files.items()}
+    if push_out:
+        for k in models:
+            name = f"{k}, pushed out"
+            methods[name] = pushed_method(methods[k], store)
+            digests[name] = f"{digests[k]} pushed out"
     digests["bones themselves"] = digest_of_file(bones.folder / "bones.json")
     if baselines:
         found, digest = baseline_methods(bones, config, base, folder / "baselines", progress)

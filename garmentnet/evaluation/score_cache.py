@@ -12,6 +12,7 @@ from typing import Any
 import ssdr.metrics
 from ssdr.errors import FormatError
 
+from ..collision import push_out
 from ..data.clip import Clip
 from ..data.store import ClipStore
 from ..io.files import write_file, writing
@@ -138,7 +139,7 @@ def _digest_of_clip(clip: Clip) -> str:
 
 def _digest_of_code() -> str:
     # A checkpoint's prediction changes with the code that runs it.
-    folders = [Path(str(m.__file__)).parent for m in (checkpoint, ssdr.metrics)]
+    folders = [Path(str(m.__file__)).parent for m in (checkpoint, push_out, ssdr.metrics)]
     files = [f for folder in folders for f in sorted(folder.glob("*.py"))]
     return _digest([digest_of_file(f) for f in (*files, Path(clip_scores.__file__))])
 
