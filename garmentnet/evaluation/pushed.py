@@ -7,7 +7,8 @@ import numpy as np
 from ..collision.push_out import MARGIN, PushOut
 from ..data.clip import Clip
 from ..data.outfit import Outfit
-from .scores import Answer, Method
+from .clip_scores import Method
+from .scores import Answer
 
 __all__ = ["pushed_method"]
 
