@@ -40,6 +40,7 @@ class DataOptions:
     parameters: str = ""
     motions: str = ""
     leave_out: str = ""
+    frames: int = 0
     mirror: bool = True
     condition: bool = False
 
@@ -172,7 +173,7 @@ class Config:
                 name = f"{section.name}.{field.name}"
                 if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
                     raise InputError(name, "a number >= 0", value)
-                low = 0 if field.name in _ZERO else 1
+                low = 0 if field.name in _ZERO or name == "data.frames" else 1
                 for number in value if isinstance(value, tuple) else (value,):
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)

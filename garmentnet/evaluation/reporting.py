@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,8 @@ def report(
     pictures : int
         Test clips to draw for every checkpoint.
     clips : sequence of str
-        Patterns of clip names as in a shell, ``base-small-*``; all test clips by default.
+        Patterns of clip names as in a shell, ``base-small-*``; all test clips by default.  Clips
+        of other splits may be named, too; the text says which they are.
     against : str, optional
         Method whose errors the others' are divided by; the baseline of Santesteban et al. 2019 by
         default where it is scored, else the first checkpoint.
@@ -108,7 +110,7 @@ def report(
     config = first.networks[0].config
     roles, base = parameter_roles(store), _base(first, store)
     several = {k: m for k, m in models.items() if m.kernel is not None or m.networks[0].condition}
-    chosen = matching(_candidates(store, base, roles, bool(several)), clips)
+    chosen = matching(_candidates(store, base, roles, bool(several), clips), clips)
     bones = virtual_bones(store, config.bones, folder=bones_folder, progress=progress)
     bounds: dict[str, Method] = {"bones themselves": bones_themselves(bones)}
     methods = bounds | {k: network_method(m) for k, m in models.items()}
@@ -141,7 +143,11 @@ def report(
         "vertices": {"all": store.n_vertices, "free": n_free},
         "bones": bones.report | {"test": bones.prepare(chosen["unseen_motions"])},
     }
-    lines: list[str] = []
+    lines: list[str] = [
+        f"{name} is no test clip, but of the split {store.clip(name).split}"
+        for name in chosen["unseen_motions"]
+        if store.clip(name).split != "test"
+    ]
     tables = _Tables(n_free, seeds_of(models), against, per_clip, lines)
     seen, rows = chosen["unseen_motions"], []
     if seen:
@@ -217,9 +223,15 @@ def _candidates(
     base: SimulationParameters,
     roles: dict[SimulationParameters, str],
     reads_parameters: bool,
+    patterns: Sequence[str],
 ) -> dict[str, list[str]]:
-    """Names of the clips of each part of the report."""
-    seen = [c.name for c in store.clips("test") if c.parameters == base]
+    """Names of the clips of each part of the report; of other splits only what is named."""
+    seen = [
+        c.name
+        for c in store.clips()
+        if c.parameters == base
+        and (c.split == "test" or any(fnmatchcase(c.name, p) for p in patterns))
+    ]
     if not seen:
         raise InputError("store", f"test clips of {base}", str(store.path))
     names = {"unseen_motions": seen}

@@ -84,7 +84,12 @@ def choose_clips(
             return not left and _matches(clip, o.motions)
         return left and split == "test"
 
-    names = [c.name for c in store.clips() if used(c)]
+    names, frames = [], 0
+    for clip in store.clips():
+        enough = split == "train" and 0 < o.frames <= frames
+        if used(clip) and not enough:
+            names.append(clip.name)
+            frames += clip.n_frames
     if needed and not names:
         wanted = f" of motions {o.motions}" if o.motions else ""
         expected = f"{split} clips{wanted} of {chosen or 'training sets'}"

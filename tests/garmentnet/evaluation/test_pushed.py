@@ -1,6 +1,5 @@
 """A method with its vertices moved out of the body."""
 
-# ruff: noqa: E402
 
 import numpy as np
 import pytest

@@ -161,6 +161,10 @@ def test_motions_are_chosen_by_pattern(toy_store, toy_config):
     assert {toy_store.clip(n).motion for n in names(motions=one)} == {one}
     with pytest.raises(InputError, match="no-such"):
         names(motions="no-such-*")
+    length = toy_store.clip(every[0]).n_frames
+    assert names(frames=1) == every[:1]
+    assert names(frames=length + 1) == every[:2]
+    assert names("validation", frames=1) == names("validation")
     # With a motion left out, those of the other splits are learned too.
     held = names("test")
     left = toy_store.clip(held[0]).motion

@@ -1,0 +1,218 @@
+"""Everything that the page on garmentnet reports, trained and scored by one command.
+
+    python benchmarks/garment/study.py out/medium.clips --out out/study
+
+It may be stopped at any time; the same command goes on.  A store that is still being simulated
+may be given with ``--parts`` that need no more than it has.  Parts:
+
+    base        `rooted` with three seeds, `faithful`
+    curve       the low-frequency module of `rooted` on 1,000 frames, twice as many, ... all
+    baselines   Santesteban et al. 2019 and the others, within the report
+    large       the network that reads the parameters
+    ensembles   the paper's (independent pivots) and ours (from the network that reads them)
+    recorded    each motion capture left out in turn, fine-tuned from the first network
+    report      the tables of all that is there
+
+Results are written to ``study.json`` in the folder, times beside the machine's GEMM rate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from benchmarks import common
+from garmentnet.configs import load_config, override
+from garmentnet.configs.config import Config
+from garmentnet.data.store import ClipStore
+from garmentnet.evaluation.reporting import report
+from garmentnet.evaluation.statistics import fit_power_law
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.training.ensemble import train_ensemble
+from garmentnet.training.run import choose_clips, train
+
+PARTS = ("base", "curve", "baselines", "large", "ensembles", "recorded", "report")
+SEEDS = (0, 1, 2)
+SIZES = (1000, 2000, 4000, 8000, 16000, 32000, 64000)
+# Generated dances alone, so that motion capture can be left out; bones from the base's alone, so
+# that they are the same while sets are simulated.
+DANCES = ("data.motions=dance-*", "bones.motions=dance-20[01]*")
+FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=12")
+
+
+class Study:
+    """The store, the folder and what has been measured."""
+
+    def __init__(self, store: ClipStore, folder: Path, settings: list[str]) -> None:
+        self.store, self.folder, self.settings = store, folder, settings
+        folder.mkdir(parents=True, exist_ok=True)
+        self.file = folder / "study.json"
+        self.record: dict[str, Any] = {}
+        if self.file.is_file():
+            self.record = json.loads(self.file.read_text("utf-8"))
+
+    def config(self, preset: str, *changes: str) -> Config:
+        return override(load_config(preset), [*DANCES, *changes, *self.settings])
+
+    def note(self, key: str, value: Any) -> None:
+        self.record[key] = value
+        self.record["machine"] = common.machine()
+        self.file.write_text(json.dumps(self.record, indent=1), "utf-8")
+
+    def run(self, name: str, work: Callable[[Path], Path]) -> Path:
+        """A training in a folder of its own; its time is kept."""
+        began = time.process_time()
+        path = work(self.folder / name)
+        spent = self.record.get("cpu_seconds", {})
+        spent[name] = spent.get(name, 0.0) + time.process_time() - began
+        self.note("cpu_seconds", spent)
+        print(f"{name}: {path}", file=sys.stderr, flush=True)
+        return path
+
+    def network(self, name: str, config: Config, start: Path | None = None) -> Path:
+        begun = load_checkpoint(start) if start else None
+        return self.run(name, lambda at: train(self.store, config, at, start=begun))
+
+    def checkpoint(self, name: str) -> Path:
+        path = self.folder / name / "checkpoint.safetensors"
+        if not path.is_file():
+            raise SystemExit(f"{path} is missing: run the part that trains it first")
+        return path
+
+
+def base(study: Study) -> None:
+    for seed in SEEDS:
+        study.network(f"rooted-{seed}", study.config("rooted", f"train.seed={seed}"))
+    study.network("faithful", study.config("faithful"))
+
+
+def curve(study: Study) -> None:
+    """Steps grow with the square root of the frames; validation error of the low module."""
+    full = study.config("rooted")
+    names, _ = choose_clips(study.store, full)
+    total = sum(study.store.clip(n).n_frames for n in names)
+    points = []
+    for size in [*(s for s in SIZES if s < 0.9 * total), total]:
+        epochs = max(1, round(full.train.epochs * math.sqrt(total / size)))
+        config = study.config("rooted", f"data.frames={size}", f"train.epochs={epochs}")
+        config = dataclasses.replace(
+            config, train=dataclasses.replace(config.train, high_epochs=1, patience=10**6)
+        )
+        used, _ = choose_clips(study.store, config)
+        frames = sum(study.store.clip(n).n_frames for n in used)
+        study.network(f"curve-{size}", config)
+        history = json.loads((study.folder / f"curve-{size}" / "history.json").read_text("utf-8"))
+        best = min(e["rmse"] for e in history["low"] if e["rmse"] is not None)
+        points.append({"frames": frames, "epochs": epochs, "rmse_mm": 1e3 * best})
+    if len(points) > 2:
+        law = fit_power_law([p["frames"] for p in points], [p["rmse_mm"] for p in points])
+        study.note("curve", {"points": points, "law": dataclasses.asdict(law)})
+    else:
+        study.note("curve", {"points": points})
+
+
+def large(study: Study) -> None:
+    study.network("large", study.config("rooted", "data.condition=true"))
+
+
+def ensembles(study: Study) -> None:
+    independent = study.config("rooted", "ensemble.start_from_base=false")
+    first = load_checkpoint(study.checkpoint("rooted-0"))
+    study.run(
+        "ensemble-paper",
+        lambda at: train_ensemble(study.store, independent, at, base=first),
+    )
+    reading = load_checkpoint(study.checkpoint("large"))
+    ours = study.config("rooted", "data.condition=true")
+    study.run("ensemble-ours", lambda at: train_ensemble(study.store, ours, at, base=reading))
+    for name in ("ensemble-paper", "ensemble-ours"):
+        found = json.loads((study.folder / name / "ensemble.json").read_text("utf-8"))
+        study.note(name, found)
+
+
+def recorded(study: Study) -> None:
+    clips = [c for c in study.store.clips() if c.provenance["motion"]["file"]]
+    files = sorted({str(c.motion).rsplit("_", 1)[0] for c in clips})
+    if not files:
+        raise SystemExit("no motion capture in the store: make it with --motion FOLDER")
+    start = study.checkpoint("rooted-0")
+    rows = {}
+    for stem in files:
+        left = f"{stem}_*"
+        changes = ("data.motions=*", f"data.leave_out={left}", *FINE_TUNING)
+        config = study.config("rooted", *changes)
+        only = dataclasses.replace(config.data, motions=_common(files))
+        path = study.network(f"recorded-{stem}", dataclasses.replace(config, data=only), start)
+        text = report(
+            [path, start],
+            study.store,
+            study.folder / f"report-{stem}",
+            baselines=False,
+            pictures=1,
+            clips=(f"base-{left}",),
+            push_out=True,
+        )
+        print(text)
+        document = study.folder / f"report-{stem}" / "report.json"
+        rows[stem] = json.loads(document.read_text("utf-8"))["unseen_motions"]
+    study.note("recorded", rows)
+
+
+def _common(names: list[str]) -> str:
+    """A pattern of all the names: what they begin with."""
+    first, last = min(names), max(names)
+    same = next(
+        (k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first)
+    )
+    return first[:same] + "*"
+
+
+def tables(study: Study, *, baselines: bool) -> None:
+    names = [*(f"rooted-{s}" for s in SEEDS), "faithful", "large"]
+    paths = [study.folder / n / "checkpoint.safetensors" for n in names]
+    paths += [study.folder / f"ensemble-{n}" / "ensemble.safetensors" for n in ("paper", "ours")]
+    there = [p for p in paths if p.is_file()]
+    text = report(
+        there,
+        study.store,
+        study.folder / "report",
+        baselines=baselines,
+        push_out=True,
+        progress=lambda name, done: print(f"{name} {100 * done:.0f} %", file=sys.stderr),
+    )
+    print(text)
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("store", type=Path)
+    options.add_argument("--out", type=Path, default=Path("out/study"))
+    options.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    options.add_argument("--set", nargs="*", default=[], metavar="SECTION.NAME=VALUE")
+    given = options.parse_args()
+    study = Study(ClipStore.open(given.store), given.out, given.set)
+    steps: dict[str, Callable[[Study], None]] = {
+        "base": base,
+        "curve": curve,
+        "large": large,
+        "ensembles": ensembles,
+        "recorded": recorded,
+    }
+    for name, step in steps.items():
+        if name in given.parts:
+            step(study)
+    if {"report", "baselines"} & set(given.parts):
+        tables(study, baselines="baselines" in given.parts)
+
+
+if __name__ == "__main__":
+    main()
