@@ -1,5 +1,6 @@
 """Alembic and FBX through Blender, which runs in a process of its own."""
 
-from .bridge import interpreter, read, write_skinning
+from .bridge import read, write_skinning
+from .finder import command, environment
 
-__all__ = ["interpreter", "read", "write_skinning"]
+__all__ = ["command", "environment", "read", "write_skinning"]
