@@ -22,7 +22,7 @@ from torch import Tensor
 from ssdr import Skinning
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import reading
 
 from ..configs.config import Config
 from ..data.parameters import SimulationParameters
@@ -30,6 +30,7 @@ from ..data.skeleton import Skeleton
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
 from ..io.files import writing
+from ..io.packages import require
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
 from .network import Motion, MotionNetwork
