@@ -12,21 +12,22 @@ PYTEST ?=
 # A Python that runs from elsewhere must not shadow the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint format docs wheel bench bench-full clean
+.PHONY: help setup demo test lint format docs wheel release bench bench-full clean
 
 help:
 	@echo 'make demo    decompose the sample that ships with the package: out/'
 	@echo 'make test    run the tests              (PYTEST="-k rigid" passes options on)'
 	@echo 'make lint    ruff, its format, mypy'
 	@echo 'make docs    check the links and run the snippets of README and docs, build out/docs'
-	@echo 'make wheel   build dist/, install it into a new environment and try it'
+	@echo 'make wheel   build dist/ and try ssdr in a new environment without a compiler'
+	@echo 'make release the same, and garmentnet beside it (PYTHONS="python3.12 ..." tries more of them)'
 	@echo 'make bench   ssdr beside Dem Bones and others in ten minutes: out/bench-short/'
 	@echo 'make bench-full  all of it, hours: the tables and charts of docs/benchmarks.md'
 	@echo 'make clean   remove what the others made'
 
 setup: $(READY)
 
-$(READY): pyproject.toml .ci/constraints.txt .ci/setup.sh
+$(READY): pyproject.toml garmentnet/pyproject.toml .ci/constraints.txt .ci/setup.sh
 	@PYTHON="$(PYTHON)" .ci/setup.sh
 
 demo: $(READY)
@@ -55,7 +56,10 @@ $(VENV)/.docs: $(READY)
 	@touch $@
 
 wheel: $(READY)
-	@.ci/wheel.sh
+	@GARMENTNET=0 .ci/release.sh
+
+release: $(READY)
+	@.ci/release.sh
 
 # Both go on where they were stopped.
 bench: $(VENV)/.bench
@@ -70,5 +74,5 @@ $(VENV)/.bench: $(READY)
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(OUT) build dist *.egg-info garmentnet/build garmentnet/*.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find ssdr tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

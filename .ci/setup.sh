@@ -2,7 +2,8 @@
 # Sets up everything that the Makefile's targets need, in .venv beside this folder.
 # Usage: .ci/setup.sh
 # Environment: PYTHON (interpreter to build on), SSDR_NO_SYSTEM=1 (install no system package),
-# EXTRAS (more of pyproject's extras, such as garmentnet,scenes: their tests skip without them).
+# EXTRAS (more of pyproject's extras, such as dask,docs; garmentnet and scenes are the second
+# distribution and its extra: tests of what is not installed skip).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -80,7 +81,17 @@ if ! { [ -x "$venv/bin/python" ] && usable "$venv/bin/python" && "$venv/bin/pyth
 fi
 
 say "installing ssdr and what its tests need into $venv (a few minutes the first time)"
-if ! "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input -c .ci/constraints.txt -e ".[usd,zarr,dev${EXTRAS:+,$EXTRAS}]"; then
+extras=usd,zarr,dev
+editable=()
+wanted=${EXTRAS:-}
+for extra in ${wanted//,/ }; do
+    case $extra in
+        garmentnet) [ ${#editable[@]} -gt 0 ] || editable=(-e ./garmentnet) ;;
+        scenes) editable=(-e "./garmentnet[scenes]") ;;
+        *) extras+=,$extra ;;
+    esac
+done
+if ! "$venv/bin/python" -m pip install -q --disable-pip-version-check --no-input -c .ci/constraints.txt -e ".[$extras]" "${editable[@]}"; then
     die "pip could not install the packages (its own words are above); without network nothing can be set up"
 fi
 

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import ssdr
 from benchmarks.common import write_csv
 from helpers.rig_model import tube
-from ssdr.io.blender import bridge
+from ssdr.io.blender import bridge, command
 from ssdr.io.corners import corner_normals
 from ssdr.io.rig import turn_up
 
@@ -125,10 +125,9 @@ def picture(model: ssdr.Skinning, name: str, folder: Path, out: Path, frame: int
     files = [folder / f"{name}_truth_0.obj"]
     files += [folder / f"{name}{suffix}" for suffix in (".glb", ".usdc", ".fbx")]
     script = Path(__file__).with_name("blender_picture.py")
-    python = bridge.interpreter()
     # glTF and UsdSkel start at frame 0 in Blender, as they are written.
-    command = [python, str(script), str(out.resolve()), str(frame), *map(str, files)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    words = command(script, str(out.resolve()), str(frame), *map(str, files))
+    done = subprocess.run(words, capture_output=True, text=True, timeout=600, check=False)
     if done.returncode:
         raise SystemExit(done.stderr[-2000:])
 

@@ -10,9 +10,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ssdr.io.registry import require
-
 from ..data.store import ClipStore
+from ..io.packages import require
 from ..scenes import dataset
 from ..scenes.scene_file import load_data_set
 from .progress import progress_bar
@@ -28,7 +27,7 @@ def run(
     workers: int | None = None,
 ) -> ClipStore:
     """Make a data set; what happens is shown on stderr."""
-    require("newton", "scenes", "a simulation")
+    require("newton", "garmentnet[scenes]", "a simulation")
     # A log has no width; 120 columns hold the whole table.
     console = Console(stderr=True, width=None if sys.stderr.isatty() else 120)
     data_set = load_data_set(source)

@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import free_name, remove
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import reading
+
+from ..io.packages import require
 
 __all__ = [
     "Frames",

@@ -1,1 +1,1 @@
-"""Files written complete or not at all, and TOML tables read into dataclasses."""
+"""Files written complete or not at all, TOML tables read into dataclasses, optional packages."""

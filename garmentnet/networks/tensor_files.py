@@ -12,9 +12,10 @@ from torch import Tensor
 
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import reading
 
 from ..io.files import writing
+from ..io.packages import require
 
 __all__ = ["load_tensors", "save_tensors"]
 

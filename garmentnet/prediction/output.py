@@ -16,7 +16,7 @@ import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import FORMATS, require
+from ssdr.io.registry import FORMATS
 from ssdr.render import Part, contact_sheet, write_picture
 from ssdr.render.film import Film
 from ssdr.rigid import nearest_rotation
@@ -35,6 +35,7 @@ from ..drawing.dressed import (
     spread_frames,
 )
 from ..io.files import writing
+from ..io.packages import require
 from .prediction import Prediction
 
 __all__ = ["check_output", "save_prediction"]
@@ -66,9 +67,11 @@ def check_output(path: Path | str) -> None:
     if suffix == ".mp4":
         require("av", "garmentnet", "an .mp4 file")
     if suffix.startswith(".usd"):
-        require("pxr", "usd", f"a {suffix} file")
+        require("pxr", "ssdr[usd]", f"a {suffix} file")
     if suffix == ".fbx":
-        require("bpy", "blender", "an .fbx file")
+        from ssdr.io.blender import command
+
+        command("")
 
 
 def save_prediction(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from ssdr.io.registry import require
+from ..io.packages import require
 
 __all__ = ["load_warp"]
 
@@ -19,7 +19,7 @@ def load_warp() -> Any:
     MissingDependencyError
         Where it is not installed.
     """
-    wp = require("warp", "scenes", "a simulation")
+    wp = require("warp", "garmentnet[scenes]", "a simulation")
     # Every process would say again that there is no GPU, and what it compiled.
     wp.config.log_level = wp.LOG_ERROR
     return wp

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from ssdr.errors import InputError
 from ssdr.io.arrays.archive import read_arrays, write_arrays
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import reading
 from ssdr.skinning import Skinning
 
 from ..data.skeleton import Skeleton
 from ..data.skin_weights import strongest
+from ..io.packages import require
 
 __all__ = ["Body", "default_body", "load_body", "make_body", "save_body"]
 
@@ -163,8 +164,8 @@ def make_body(
     for name, value in shape.items():
         if not 0 <= value <= 1:
             raise InputError(name, "a number from 0 to 1", value)
-    anny = require("anny", "scenes", "a body")
-    torch = require("torch", "scenes", "a body")
+    anny = require("anny", "garmentnet[scenes]", "a body")
+    torch = require("torch", "garmentnet[scenes]", "a body")
     model = anny.Anny(topology=_TOPOLOGY)
     with torch.no_grad():
         out = model(phenotype_kwargs=shape)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import InputError
-from ssdr.io.registry import require
 from ssdr.skinning import skin
 
 from ..data.parameters import SimulationParameters
+from ..io.packages import require
 from .backend import load_warp
 from .body import Body
 from .garments import Garment
@@ -116,7 +116,7 @@ class Cloth:
         fps: float,
         joints: NDArray[np.float64],
     ) -> None:
-        wp, newton = load_warp(), require("newton", "scenes", "a simulation")
+        wp, newton = load_warp(), require("newton", "garmentnet[scenes]", "a simulation")
         self._rig, self._garment = body.skinning, garment
         self._dt = parameters.time_scale / fps / how.substeps
         self._decay = math.exp(-how.drag * self._dt * _DENSITY / parameters.density)

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ssdr.errors import InputError
-from ssdr.io.registry import require
 from ssdr.parallel import get_threads
 
 from ..data.bvh import find_bvh, read_bvh
 from ..data.clip_files import Split
 from ..data.retarget import retarget
 from ..data.store import ClipStore
+from ..io.packages import require
 from .scene import DataSet, MotionSource, Scene
 from .simulator import versions
 from .workers import Progress, Run
@@ -125,8 +125,8 @@ def make_data_set(
     MissingDependencyError
         Without newton or warp.
     """
-    require("newton", "scenes", "a simulation")
-    require("warp", "scenes", "a simulation")
+    require("newton", "garmentnet[scenes]", "a simulation")
+    require("warp", "garmentnet[scenes]", "a simulation")
     count = get_threads() if workers is None else workers
     if count < 1:
         raise InputError("workers", "at least 1", workers)

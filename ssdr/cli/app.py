@@ -40,7 +40,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done, 1 unexpected, 2 wrong usage or input, 3 bad file, "
     "4 missing optional package, 130 interrupted.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -29,7 +29,7 @@ from ..io.registry import FORMATS, Format, SaveReport, format_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
-_PACKAGES = {"usd": "pxr", "blender": "bpy", "zarr": "zarr"}
+_PACKAGES = {"usd": "pxr", "zarr": "zarr"}
 
 JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
 Force = Annotated[bool, typer.Option("--force", "-f", help="Overwrite outputs that exist.")]
@@ -212,8 +212,11 @@ def check_outputs(
         if writer is None:
             what = "holds a sequence of vertices" if format_.write_skinning else "can be written"
             raise InputError("--output", f"a format that {what}", f"{path} ({suffix})")
-        elsewhere = format_.extra == "blender" and os.environ.get("SSDR_BLENDER_PYTHON")
-        package = _PACKAGES[format_.extra] if format_.extra and not elsewhere else None
+        if format_.extra == "blender":
+            from ..io.blender import finder
+
+            finder.command("")
+        package = _PACKAGES.get(format_.extra or "")
         if package and importlib.util.find_spec(package) is None:
             raise MissingDependencyError(
                 f'{path}: {format_.title} needs {package}: pip install "ssdr[{format_.extra}]"'

@@ -169,6 +169,19 @@ def test_snippets_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ssdr.set_threads(None)
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md"], ids=_name)
+def test_no_command_stops_on_a_file_that_python_has_just_written(page: Path) -> None:
+    saved, written = set(), set()
+    for language, text in _FENCE.findall(_text(page)):
+        if language == "python":
+            saved |= set(re.findall(r"save\([^\"]*\"([^\"]+)\"", text))
+        else:
+            written |= set(re.findall(r"^ssdr .*-o (\S+)", text, re.MULTILINE))
+    assert saved
+    assert written
+    assert not saved & written
+
+
 def _run(line: str) -> None:
     words = shlex.split(line, comments=True)
     if words[:1] != ["ssdr"]:

@@ -14,6 +14,7 @@ import sys
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,8 +47,8 @@ def _run(code: str) -> str:
     return done.stdout
 
 
-def _project() -> dict[str, object]:
-    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+def _project(folder: str = ".") -> dict[str, Any]:
+    return tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
 
 
 def test_import_is_quick_and_light() -> None:
@@ -81,6 +82,10 @@ def test_version_agrees_everywhere() -> None:
     assert ssdr.__version__ == project["version"]
     assert f"version: {ssdr.__version__}" in (ROOT / "CITATION.cff").read_text()
     assert f"## [{ssdr.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+    second = _project("garmentnet")
+    assert second["version"] == project["version"]
+    (needs,) = (r for r in map(Requirement, second["dependencies"]) if r.name == "ssdr")
+    assert ssdr.__version__ in needs.specifier
 
 
 @pytest.mark.parametrize("name", ssdr.__all__)
@@ -117,8 +122,7 @@ def test_all_of_a_module_resolves(module: str) -> None:
 
 def test_optional_packages_are_not_required() -> None:
     required = _project()["dependencies"]
-    assert isinstance(required, list)
-    for package in ("torch", "bpy", "usd-core", "scikit-sparse", "zarr"):
+    for package in ("garmentnet", "torch", "bpy", "usd-core", "scikit-sparse", "zarr"):
         assert not any(text.startswith(package) for text in required)
 
 
@@ -154,14 +158,12 @@ def test_samples_are_small_and_named() -> None:
 
 def test_constraints_agree_with_the_package() -> None:
     """Each pin names a package that the project asks for, within the range that it asks for."""
-    project = _project()
     asked: dict[str, list[SpecifierSet]] = {}
-    assert isinstance(project["dependencies"], list)
-    assert isinstance(project["optional-dependencies"], dict)
-    extras = project["optional-dependencies"].values()
-    for text in itertools.chain(project["dependencies"], *extras):
-        requirement = Requirement(text)
-        asked.setdefault(requirement.name, []).append(requirement.specifier)
+    for project in (_project(), _project("garmentnet")):
+        extras = project["optional-dependencies"].values()
+        for text in itertools.chain(project["dependencies"], *extras):
+            requirement = Requirement(text)
+            asked.setdefault(requirement.name, []).append(requirement.specifier)
     for line in (ROOT / ".ci" / "constraints.txt").read_text().splitlines():
         if not line or line.startswith("#"):
             continue
@@ -184,15 +186,29 @@ def test_setup_refuses_what_is_no_python() -> None:
     assert "PYTHON=/bin/false is not a Python of version 3.11 or newer" in done.stderr
 
 
+def test_garmentnet_names_each_of_its_packages() -> None:
+    """Its pyproject.toml lies in the package itself, where none is found by searching."""
+    setup = tomllib.loads((ROOT / "garmentnet" / "pyproject.toml").read_text())["tool"][
+        "setuptools"
+    ]
+    folders = {p.parent.relative_to(ROOT) for p in (ROOT / "garmentnet").rglob("__init__.py")}
+    assert setup["packages"] == sorted(".".join(f.parts) for f in folders if "build" not in f.parts)
+    assert (ROOT / "garmentnet" / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+
+
 @pytest.mark.slow
-def test_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
+@pytest.mark.parametrize("package", ["ssdr", "garmentnet"])
+def test_wheel_holds_the_package_and_nothing_else(package: str, tmp_path: Path) -> None:
     tree, out = tmp_path / "tree", tmp_path / "out"
     tree.mkdir()
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tree)
-    shutil.copytree(ROOT / "ssdr", tree / "ssdr")
+    clean = shutil.ignore_patterns("build", "*.egg-info", "__pycache__")
+    for name in ("ssdr", "garmentnet"):
+        shutil.copytree(ROOT / name, tree / name, ignore=clean)
+    place = tree if package == "ssdr" else tree / package
     done = subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(out), str(tree)],
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", str(out), str(place)],
         capture_output=True,
         text=True,
         check=False,
@@ -205,13 +221,22 @@ def test_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
     tops = {name.split("/")[0] for name in held}
-    info = f"ssdr-{ssdr.__version__}.dist-info"
-    assert tops <= {"ssdr", "garmentnet", info}
-    sources = {
-        str(path.relative_to(ROOT)) for path in (ROOT / "ssdr").rglob("*.py") if path.is_file()
+    info = f"{package}-{ssdr.__version__}.dist-info"
+    assert tops == {package, info}
+    sources = {str(path.relative_to(tree)) for path in (tree / package).rglob("*.py")}
+    assert {name for name in sources if "/build/" not in name} == {
+        name for name in held if name.endswith(".py")
     }
-    assert sources <= held
-    for name in ("ssdr/py.typed", "ssdr/samples/dancer.npz", "ssdr/samples/ORIGIN.md"):
-        assert name in held
+    data = {
+        "ssdr": ("py.typed", "samples/dancer.npz", "samples/ORIGIN.md"),
+        "garmentnet": (
+            "py.typed",
+            "configs/tiny.toml",
+            "scenes/presets/tiny.toml",
+            "scenes/body.npz",
+        ),
+    }
+    for name in data[package]:
+        assert f"{package}/{name}" in held
     assert f"{info}/licenses/LICENSE" in held
     assert not [name for name in held if name.endswith((".pyc", ".nbi", ".nbc"))]

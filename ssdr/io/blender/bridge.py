@@ -1,20 +1,17 @@
 """Alembic and FBX through Blender, which runs in a process of its own.
 
 ``bpy`` prints, keeps one global scene and pins an old NumPy; none of that
-reaches the user's process.  Where it lives in another environment, the
-environment variable ``SSDR_BLENDER_PYTHON`` names that Python.
+reaches the user's process or environment.  `finder` says where Blender is.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import logging
 import math
 import os
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -30,12 +27,14 @@ from ..atomic import atomic_path
 from ..gltf import reader as gltf
 from ..registry import SaveReport, describe, reading
 from ..rig import MAX_BYTES, Up, check_up, turn_up
+from .finder import command
 
-__all__ = ["interpreter", "list_clips", "read", "run", "write_skinning"]
+__all__ = ["list_clips", "read", "run", "write_skinning"]
 
 _log = logging.getLogger(__name__)
 _LONGEST_NAME = 63  # bytes, of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
+_TOO_OLD = "Blender 4.2 or newer is needed"  # in the words of script.py
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
 
 
@@ -75,7 +74,7 @@ def read(
     FormatError
         If Blender cannot read the file.
     MissingDependencyError
-        Without ``bpy``.
+        If there is no Blender, or one that is too old.
     """
     check_up(up)
     _check_limit(time_limit)
@@ -131,7 +130,7 @@ def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
 def _read_by_blender(
     job: dict[str, Any], path: Path, fps: float | None, time_limit: float
 ) -> dict[str, NDArray[Any]]:
-    python = interpreter()
+    command(_SCRIPT)  # whether there is a Blender comes before what may be wrong with the file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
@@ -143,7 +142,9 @@ def _read_by_blender(
         "resample": fps is not None,
     }
     try:
-        return run(job, python=python, time_limit=time_limit)
+        return run(job, time_limit=time_limit)
+    except MissingDependencyError:
+        raise
     except SsdrError as error:
         raise FormatError(f"{path}: {error}") from error
 
@@ -190,7 +191,7 @@ def write_skinning(
             "clips of one frame rate, as all takes of an FBX file have",
             ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
         )
-    python = interpreter()
+    command(_SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         source = Path(folder) / "model.glb"
         # Blender knows the takes by these names, whatever the clips' own.
@@ -213,7 +214,7 @@ def write_skinning(
                     for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
                 ],
             }
-            numbers = run(job, python=python, time_limit=time_limit)["vertex"]
+            numbers = run(job, time_limit=time_limit)["vertex"]
             if not temporary.is_file():
                 raise SsdrError("Blender wrote no FBX file")
     total, count, largest = 0.0, 0, 0.0
@@ -256,50 +257,26 @@ def _check_limit(time_limit: float) -> None:
         raise InputError("time_limit", "seconds > 0", time_limit)
 
 
-def interpreter() -> str:
-    """The Python that has ``bpy``, found without importing it.
-
-    Raises
-    ------
-    InputError
-        If ``SSDR_BLENDER_PYTHON`` names no file.
-    MissingDependencyError
-        If there is none.
-    """
-    named = os.environ.get("SSDR_BLENDER_PYTHON", "")
-    if named:
-        if not Path(named).is_file():
-            raise InputError("SSDR_BLENDER_PYTHON", "a Python with bpy", repr(named))
-        return named
-    if importlib.util.find_spec("bpy") is None:
-        raise MissingDependencyError(
-            'Alembic and FBX need Blender as a module: pip install "ssdr[blender]"; each bpy '
-            "release fits one Python version (bpy 4.2 to 5.0: 3.11), and one in another "
-            "environment is found through the variable SSDR_BLENDER_PYTHON"
-        )
-    return sys.executable
-
-
-def run(
-    job: dict[str, Any], *, python: str | None = None, time_limit: float = 600.0
-) -> dict[str, NDArray[Any]]:
+def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[Any]]:
     """Do one job of ``script.py`` in a process of its own.
 
     Raises
     ------
+    InputError, MissingDependencyError
+        If Blender is not found, cannot be started or is too old.
     SsdrError
         If Blender fails or needs too long; the message holds what it said.
     """
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         out, order = Path(folder) / "out.npz", Path(folder) / "job.json"
         order.write_text(json.dumps({**job, "out": str(out)}), encoding="utf-8")
-        command = [python or interpreter(), str(_SCRIPT), str(order)]
+        words = command(_SCRIPT, str(order))
         # Blender's Python must see its own packages, not those of this process.
         hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
         environment = {k: v for k, v in os.environ.items() if k not in hidden}
         try:
             done = subprocess.run(
-                command,
+                words,
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 text=True,
@@ -311,10 +288,15 @@ def run(
             )
         except subprocess.TimeoutExpired as error:
             raise SsdrError(f"Blender needed more than {time_limit:g} s") from error
+        except OSError as error:
+            raise MissingDependencyError(f"{words[0]} could not be started: {error}") from error
         _log.debug("blender: %s", done.stdout)
         if done.returncode != 0 or not out.is_file():
             lines = [line for line in done.stderr.splitlines() if line.strip()]
-            raise SsdrError(f"Blender failed ({done.returncode}): " + " | ".join(lines[-3:])[-600:])
+            reason = " | ".join(lines[-3:])[-600:]
+            if _TOO_OLD in reason or "No module named 'bpy'" in reason:
+                raise MissingDependencyError(f"{words[0]}: {lines[-1]}")
+            raise SsdrError(f"Blender failed ({done.returncode}): {reason}")
         with np.load(out, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
 

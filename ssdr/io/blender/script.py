@@ -1,4 +1,4 @@
-"""Run by a Python that has ``bpy``, as ``python script.py job.json``.
+"""Run as ``python script.py job.json`` or ``blender --python script.py -- job.json``.
 
 It knows NumPy and Blender alone: the package itself need not be installed
 there.  What it finds goes into an archive of arrays, what goes wrong to stderr.
@@ -332,7 +332,9 @@ def write(job: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    with open(sys.argv[1], encoding="utf-8") as stream:
+    if bpy.app.version < (4, 2, 0):
+        raise RuntimeError(f"Blender 4.2 or newer is needed, this is {bpy.app.version_string}")
+    with open(sys.argv[-1], encoding="utf-8") as stream:
         job = json.load(stream)
     if job["action"] == "write":
         write(job)

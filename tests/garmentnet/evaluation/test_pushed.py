@@ -1,6 +1,5 @@
 """A method with its vertices moved out of the body."""
 
-
 import numpy as np
 import pytest
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.util
 import json
 import os
 from pathlib import Path
@@ -12,6 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 import ssdr
+from helpers.blender import no_blender
 from helpers.command import fake_decompose
 from ssdr.cli.output import size_text, write_options
 from ssdr.cli.progress import describe
@@ -53,14 +53,10 @@ def test_bad_outputs_are_found_before_the_work(run, clip, tmp_path, monkeypatch)
 
 
 def test_a_missing_package_is_named_before_the_work(run, clip, tmp_path, monkeypatch):
-    real = importlib.util.find_spec
-    monkeypatch.delenv("SSDR_BLENDER_PYTHON", raising=False)
-    monkeypatch.setattr(
-        importlib.util, "find_spec", lambda name, *a: None if name == "bpy" else real(name, *a)
-    )
+    no_blender(monkeypatch, tmp_path)
     code, out, err = run("decompose", clip, "-b", 2, "-o", tmp_path / "a.fbx")
     assert (code, out) == (4, "")
-    assert 'pip install "ssdr[blender]"' in err
+    assert "environment of its own" in err
 
 
 def test_warnings_are_lines_and_part_of_the_json(faked, run, clip, tmp_path, monkeypatch):

@@ -62,7 +62,8 @@ def test_the_page_on_formats_names_them_all():
         able = [row.read, row.read_skinning, row.write_sequence, row.write_skinning]
         assert [cell == "yes" for cell in cells[2:5]] == [bool(f) for f in able[:3]]
         assert bool(cells[5]) == bool(row.write_sequence or row.write_skinning)
-        assert cells[6] == (f"`ssdr[{row.extra}]`" if row.extra else "")
+        needs = {None: "", "blender": "[Blender](export.md#blender)"}
+        assert cells[6] == needs.get(row.extra, f"`ssdr[{row.extra}]`")
 
 
 def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):

@@ -1,0 +1,113 @@
+"""Where Blender is: named by a variable, a Python module, or a program on the PATH.
+
+``bpy`` pins an old NumPy, so nothing here asks for it beside ``ssdr``: the place
+for it is an environment of its own, at `environment`, which is found by itself.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from ...errors import InputError, MissingDependencyError
+
+__all__ = ["command", "environment"]
+
+
+def environment() -> Path:
+    """The folder of Blender's own Python environment, whether it exists or not.
+
+    ``ssdr/blender`` in the user's cache: ``$XDG_CACHE_HOME`` or ``~/.cache``,
+    ``~/Library/Caches`` on macOS, ``%LOCALAPPDATA%`` on Windows.
+    """
+    home = Path.home()
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local"
+    elif sys.platform == "darwin":
+        base = home / "Library" / "Caches"
+    else:
+        base = os.environ.get("XDG_CACHE_HOME") or home / ".cache"
+    return Path(base) / "ssdr" / "blender"
+
+
+def command(script: Path | str, *arguments: str) -> list[str]:
+    """The command that runs a script with ``bpy``, found without importing it.
+
+    The first of these that is there: the program that ``SSDR_BLENDER`` names, the
+    Python that ``SSDR_BLENDER_PYTHON`` names, ``bpy`` beside this package, the
+    environment at `environment`, ``blender`` on the PATH.
+
+    Parameters
+    ----------
+    script : Path or str
+    arguments : str
+        What the script gets: the last of its ``sys.argv``.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    InputError
+        If a variable names nothing that can be run.
+    MissingDependencyError
+        If there is no Blender; the message says how to get one.
+    """
+    blender = _named("SSDR_BLENDER", "a Blender program")
+    python = None if blender else _named("SSDR_BLENDER_PYTHON", "a Python with bpy")
+    if not (blender or python):
+        if importlib.util.find_spec("bpy") is not None:
+            python = sys.executable
+        else:
+            python = _python_of(environment())
+            blender = None if python else shutil.which("blender")
+    if python:
+        return [python, str(script), *arguments]
+    if not blender:
+        raise MissingDependencyError(_how())
+    # The user's own start-up file and add-ons must not change what is read.
+    options = ["--background", "--factory-startup", "--python-exit-code", "1"]
+    return [blender, *options, "--python", str(script), "--", *arguments]
+
+
+def _named(variable: str, what: str) -> str | None:
+    name = os.environ.get(variable, "")
+    if not name:
+        return None
+    found = shutil.which(name)
+    if found is None:
+        raise InputError(variable, what, repr(name))
+    return found
+
+
+def _programs(folder: Path) -> tuple[Path, Path]:
+    if sys.platform == "win32":
+        return folder / "Scripts" / "python.exe", folder / "Scripts" / "pip.exe"
+    return folder / "bin" / "python", folder / "bin" / "pip"
+
+
+def _python_of(folder: Path) -> str | None:
+    """The Python of an environment, if ``bpy`` was installed into it."""
+    python, _ = _programs(folder)
+    places = [*folder.glob("lib/python*/site-packages/bpy"), folder / "Lib/site-packages/bpy"]
+    return str(python) if python.is_file() and any(p.is_dir() for p in places) else None
+
+
+def _how() -> str:
+    folder = environment()
+    pip = _programs(folder)[1]
+    first, second = [["-m", "venv", str(folder)], [str(pip), "install", "bpy"]]
+    if sys.platform == "win32":
+        make = f"py -3.11 {subprocess.list2cmdline(first)} && {subprocess.list2cmdline(second)}"
+    else:
+        make = f"python3.11 {shlex.join(first)} && {shlex.join(second)}"
+    return (
+        "Alembic and FBX need Blender, 4.2 or newer: put it on the PATH, name it in SSDR_BLENDER, "
+        f"or give it an environment of its own with: {make} (bpy 4.2 to 5.0 need Python 3.11)"
+    )

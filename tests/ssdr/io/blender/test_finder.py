@@ -1,0 +1,134 @@
+"""Which Blender is taken, and what is said where there is none; programs stand in for Blender."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.blender import no_blender, program
+from helpers.rig_model import tube
+from ssdr.io.blender import command, environment
+
+ROOT = Path(__file__).resolve().parents[4]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="programs here are scripts")
+
+# A Blender that sees one triangle, whatever the file is, if it is called as Blender is.
+BLENDER = """
+import json, sys
+sys.path[:0] = {path!r}
+import numpy as np
+options, (script, _, name) = sys.argv[1:-3], sys.argv[-3:]
+assert options == ["--background", "--factory-startup", "--python-exit-code", "1", "--python"]
+assert script.endswith("script.py") and _ == "--"
+job = json.load(open(name, encoding="utf-8"))
+print("Blender talks")
+np.savez(job["out"], vertices=np.eye(3, dtype=np.float32)[None], faces=np.array([[0, 1, 2]]),
+         fps=np.float64(24))
+"""
+
+
+@pytest.fixture(autouse=True)
+def bare(monkeypatch, tmp_path):
+    no_blender(monkeypatch, tmp_path)
+
+
+@pytest.fixture
+def clip(tmp_path):
+    path = tmp_path / "a.abc"
+    path.write_bytes(b"Ogawa")
+    return path
+
+
+def own_environment(folder, *, module=True):
+    python = program(folder / "bin" / "python", "")
+    if module:
+        (folder / "lib" / "python3.11" / "site-packages" / "bpy").mkdir(parents=True)
+    return python
+
+
+def test_the_package_asks_for_no_bpy_which_would_downgrade_numpy():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for asked in (project["dependencies"], *project["optional-dependencies"].values()):
+        assert not [name for name in asked if name.startswith("bpy")]
+
+
+def test_a_blender_on_the_path_reads(tmp_path, clip, monkeypatch):
+    code = BLENDER.format(path=sys.path)
+    blender = program(tmp_path / "programs" / "blender", code)
+    monkeypatch.setenv("PATH", str(blender.parent))
+    words = command("script.py", "job.json")
+    assert words[0] == str(blender)
+    assert words[-4:] == ["--python", "script.py", "--", "job.json"]
+    sequence = ssdr.load(clip, up="z")
+    np.testing.assert_array_equal(sequence.vertices, np.eye(3)[None])
+
+
+def test_the_nearer_blender_comes_first(tmp_path, monkeypatch):
+    on_path = program(tmp_path / "programs" / "blender", "")
+    monkeypatch.setenv("PATH", str(on_path.parent))
+    assert environment() == tmp_path / "ssdr" / "blender" or sys.platform == "darwin"
+    own_environment(environment(), module=False)
+    assert command("s")[0] == str(on_path)  # an environment that was never finished
+    own = own_environment(environment())
+    assert command("s", "a") == [str(own), "s", "a"]
+    python = own_environment(tmp_path / "other")
+    monkeypatch.setenv("SSDR_BLENDER_PYTHON", str(python))
+    assert command("s", "a") == [str(python), "s", "a"]
+    named = program(tmp_path / "blender-5" / "blender", "")
+    monkeypatch.setenv("SSDR_BLENDER", str(named))
+    assert command("s")[0] == str(named)
+
+
+def test_without_blender_one_line_says_how_to_get_it(clip, tmp_path):
+    with pytest.raises(ssdr.MissingDependencyError, match="SSDR_BLENDER") as caught:
+        ssdr.load(clip)
+    text = str(caught.value)
+    assert "\n" not in text
+    make = text.partition("with: ")[2].partition(" (bpy")[0]
+    venv, pip = (shlex.split(part) for part in make.split(" && "))
+    assert venv == ["python3.11", "-m", "venv", str(environment())]
+    assert pip == [str(environment() / "bin" / "pip"), "install", "bpy"]
+    with pytest.raises(ssdr.MissingDependencyError, match="SSDR_BLENDER"):
+        ssdr.save(tube(frames=2), tmp_path / "a.fbx")
+    assert not (tmp_path / "a.fbx").exists()
+
+
+@pytest.mark.parametrize("variable", ["SSDR_BLENDER", "SSDR_BLENDER_PYTHON"])
+def test_a_variable_that_names_nothing_is_refused(clip, tmp_path, monkeypatch, variable):
+    for name in (tmp_path / "nothing", clip):
+        monkeypatch.setenv(variable, str(name))
+        with pytest.raises(ssdr.InputError, match=f"{variable}: expected a .*'{name}'"):
+            ssdr.load(clip)
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        ("raise RuntimeError('Blender 4.2 or newer is needed, this is 3.4.1')", "this is 3.4.1"),
+        ("import bpy_is_missing", "Blender failed"),
+        ("raise ModuleNotFoundError(\"No module named 'bpy'\")", "No module named 'bpy'"),
+        ("", "Blender failed"),
+    ],
+)
+def test_a_blender_that_does_not_do_it_is_named(clip, tmp_path, monkeypatch, code, text):
+    blender = program(tmp_path / "old" / "blender", code)
+    monkeypatch.setenv("SSDR_BLENDER", str(blender))
+    lacks = "failed" not in text
+    kind = ssdr.MissingDependencyError if lacks else ssdr.FormatError
+    with pytest.raises(kind, match=text) as caught:
+        ssdr.load(clip)
+    assert str(blender if lacks else clip) in str(caught.value)
+
+
+def test_a_blender_that_cannot_be_started_is_named(clip, tmp_path, monkeypatch):
+    blender = program(tmp_path / "broken" / "blender", "")
+    blender.write_text("#!/no/such/interpreter\n")
+    monkeypatch.setenv("SSDR_BLENDER", str(blender))
+    with pytest.raises(ssdr.MissingDependencyError, match="could not be started"):
+        ssdr.load(clip)
