@@ -41,7 +41,15 @@ from .output import (
     write_options,
 )
 from .progress import Reporter
-from .reading import ClipNames, clips_document, clips_text, join, options_for, read_clips
+from .reading import (
+    ClipNames,
+    check_rates,
+    clips_document,
+    clips_text,
+    join,
+    options_for,
+    read_clips,
+)
 
 
 class Effort(StrEnum):
@@ -207,6 +215,7 @@ def decompose(
         raise InputError(
             "IN", "an animation", f"one frame, {files} (no motion: did you mean a pattern?)"
         )
+    check_rates(outputs, shots)
     loading = time.perf_counter() - began
 
     with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, _stopping() as stop:
