@@ -156,7 +156,7 @@ def _finite(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
         raise InputError(argument, f"shape {shape}", f"shape {array.shape}")
     if not np.isfinite(array).all():
         raise InputError(argument, "finite numbers", "NaN or Inf")
-    return np.ascontiguousarray(array)
+    return np.array(array, order="C")  # a copy: a callback may write to the caller's
 
 
 def _squarable(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
@@ -226,7 +226,7 @@ def check_weights(joints: Any, weights: Any, n_vertices: int) -> tuple[NDArray[n
     if w.shape[1] < 1 or np.abs(total - 1).max() > 1e-4:
         worst = int(np.abs(total - 1).argmax()) if w.shape[1] else 0
         raise InputError("weights", "rows that sum to 1", f"{total[worst]} at vertex {worst}")
-    return np.ascontiguousarray(j, dtype=np.int32), w / total[:, None]
+    return np.array(j, dtype=np.int32, order="C"), w / total[:, None]
 
 
 def check_importance(value: Any, argument: str, count: int) -> Array | None:
@@ -236,7 +236,7 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     array = _finite(value, argument, (count,))
     if (array < 0).any() or not array.max() > 0:
         raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
-    shares: Array = array / array.max()  # not in place: the array may be the caller's
+    shares: Array = array / array.max()
     return shares
 
 

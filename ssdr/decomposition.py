@@ -88,7 +88,8 @@ def decompose(
         far is returned; at least one model is always made.
     callback : callable, optional
         Called with a :class:`Progress` after every step; returning True stops.
-        A pass over streamed frames is finished first.
+        A pass over streamed frames is finished first.  What it writes to the
+        arrays of this call has no effect; frames that are streamed must not change.
     resume : SolverState or path, optional
         State of an earlier call with the same input and arguments.
     checkpoint : path, optional
@@ -184,11 +185,14 @@ def decompose(
         tolerance=tolerance,
         tolerance_of=tolerance_of,
     )
+    streamed = needs_streaming(problem.sequences)
+    if problem.callback is not None and not streamed:
+        problem = problem.detached()
     compile_seconds = compile_kernels()
     outcome: Outcome
     if problem.tolerance is not None:
         outcome = solve_within_tolerance(problem)
-    elif needs_streaming(problem.sequences):
+    elif streamed:
         outcome = solve_streamed(problem)
     else:
         outcome = solve_in_memory(problem)

@@ -35,7 +35,9 @@ class Decomposition:
     history : tuple of Record
         One record an accepted model; `rmse` never rises (with `smoothness` the
         penalised error never does); the last is the result.  With a tolerance
-        one record for each smaller model that held it, then the result.
+        one record for each smaller model that held it, then the result: a
+        smaller model may have a larger error, so that `rmse` may rise up to
+        the tolerance.
     offsets : (S + 1,) int array
         First frame of each shot, and the number of frames.
     state : SolverState

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import InputError
+from .errors import InputError, is_whole
 
 __all__ = [
     "kabsch",
@@ -48,7 +48,8 @@ def kabsch(
     Raises
     ------
     InputError
-        If shapes do not match, a number is not finite or a weight is negative.
+        If shapes do not match, a number is complex or not finite, a weight is negative
+        or the translation is beyond float64.
 
     References
     ----------
@@ -62,44 +63,78 @@ def kabsch(
     >>> np.allclose(transform[:, :3], np.eye(3)), np.allclose(transform[:, 3], [1, 2, 3])
     (True, True)
     """
-    s, t = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    s, t = _numbers(source, "source"), _numbers(target, "target")
     if s.ndim < 2 or s.shape[-1] != 3 or s.shape[-2] < 1:
         raise InputError("source", "an array of shape (..., N, 3)", f"shape {s.shape}")
     if t.ndim < 2 or t.shape[-2:] != s.shape[-2:]:
         raise InputError("target", f"an array of shape (..., {s.shape[-2]}, 3)", f"shape {t.shape}")
-    w = np.ones(s.shape[-2]) if weights is None else np.asarray(weights, dtype=np.float64)
+    w = np.ones(s.shape[-2]) if weights is None else _numbers(weights, "weights")
     if w.shape[-1:] != s.shape[-2:-1]:
         raise InputError("weights", f"shape (..., {s.shape[-2]})", f"shape {w.shape}")
-    for name, array in (("source", s), ("target", t), ("weights", w)):
-        if not np.isfinite(array).all():
-            raise InputError(name, "finite numbers", "NaN or Inf")
     if (w < 0).any():
         raise InputError("weights", "numbers >= 0", f"{w.min()}")
+    try:
+        np.broadcast_shapes(s.shape[:-2], t.shape[:-2], w.shape[:-1])
+    except ValueError as error:
+        shapes = f"{s.shape}, {t.shape}, {w.shape}"
+        raise InputError("target", "leading axes that broadcast", shapes) from error
+    # Powers of two, so that products neither overflow nor vanish and nothing is rounded.
+    s, s_power = _scaled(s, (-2, -1))
+    t, t_power = _scaled(t, (-2, -1))
+    w, _ = _scaled(w, (-1,))
     total = w.sum(axis=-1)[..., None]
     share = np.where(total > 0, w / np.where(total > 0, total, 1.0), 1.0 / s.shape[-2])
     s_mean = np.einsum("...n,...nc->...c", share, s)
     t_mean = np.einsum("...n,...nc->...c", share, t)
-    moment = np.einsum(
-        "...n,...na,...nb->...ab", share, t - t_mean[..., None, :], s - s_mean[..., None, :]
-    )
+    s_arm, _ = _scaled(s - s_mean[..., None, :], (-2, -1))
+    t_arm, _ = _scaled(t - t_mean[..., None, :], (-2, -1))
+    moment = np.einsum("...n,...na,...nb->...ab", share, t_arm, s_arm)
     moment = np.where(total[..., None] > 0, moment, np.eye(3))
     rotation = nearest_rotation(moment)
-    translation = t_mean - np.einsum("...ab,...b->...a", rotation, s_mean)
+    with np.errstate(over="ignore", invalid="ignore"):
+        s_mean, t_mean = np.ldexp(s_mean, s_power[..., 0]), np.ldexp(t_mean, t_power[..., 0])
+        translation = t_mean - np.einsum("...ab,...b->...a", rotation, s_mean)
+    if not np.isfinite(translation).all():
+        raise InputError("target", "a translation within float64", "points further apart")
     return np.concatenate([rotation, translation[..., None]], axis=-1)
+
+
+def _numbers(value: ArrayLike, argument: str) -> NDArray[np.float64]:
+    """Finite real numbers as float64."""
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind == "c":
+            raise InputError(argument, "real numbers", f"dtype {array.dtype}")
+        array = array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(argument, "an array of numbers", str(error)) from error
+    if not np.isfinite(array).all():
+        raise InputError(argument, "finite numbers", "NaN or Inf")
+    return array
+
+
+def _scaled(
+    array: NDArray[np.float64], axes: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.intc]]:
+    """An array of size 1/2 to 1 along axes, and the power of two that leads back."""
+    _, power = np.frexp(np.abs(array).max(axis=axes, keepdims=True, initial=0.0))
+    return np.ldexp(array, -power), power
 
 
 # Below this ratio of singular values, a moment says nothing about the turn around its axis.
 _COLLINEAR = 1e-13
 
 
-def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     """Rotation R, det R = +1, of largest tr(Rᵀ M): the nearest to M in the Frobenius norm.
 
     :func:`kabsch` takes M = Σ_i w_i t_i s_iᵀ, of points about their centroids.
 
     Parameters
     ----------
-    moment : (..., 3, 3) float64 array
+    moment : (..., 3, 3) array
         M; finite.
 
     Returns
@@ -107,6 +142,11 @@ def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     (..., 3, 3) float64
         U diag(1, 1, ±1) Vᵀ of M = U S Vᵀ.  Where M does not determine the rotation, the
         smallest that fits: the identity for M = 0, the turn from line to line for rank 1.
+
+    Raises
+    ------
+    InputError
+        If the shape is another one, or a number is complex or not finite.
 
     References
     ----------
@@ -118,7 +158,8 @@ def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     >>> np.allclose(ssdr.rigid.nearest_rotation(np.diag([3.0, 2.0, 1.0])), np.eye(3))
     True
     """
-    u, s, vt = np.linalg.svd(moment)
+    m = _matrices(moment, "moment")
+    u, s, vt = np.linalg.svd(m)
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
     rotation = np.asarray(u @ vt)
@@ -128,6 +169,17 @@ def nearest_rotation(moment: NDArray[np.float64]) -> NDArray[np.float64]:
         point = s[line][..., 0] == 0
         rotation[line] = np.where(point[..., None, None], np.eye(3), turn)
     return rotation
+
+
+# Of what passes for a rotation matrix: of others nothing is said, but no number overflows.
+_LARGEST_ENTRY = 1e100
+
+
+def _matrices(value: ArrayLike, argument: str) -> NDArray[np.float64]:
+    matrices = _numbers(value, argument)
+    if matrices.shape[-2:] != (3, 3):
+        raise InputError(argument, "an array of shape (..., 3, 3)", f"shape {matrices.shape}")
+    return matrices
 
 
 def _turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -150,15 +202,20 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
     The branch with the largest component is taken (Shepperd 1978), so that no
     rotation loses accuracy; w >= 0 on return.
 
+    Raises
+    ------
+    InputError
+        If the shape is another one, or an entry is complex, not finite or far above 1.
+
     Examples
     --------
     >>> half_turn = np.diag([-1.0, -1.0, 1.0])
     >>> np.allclose(np.abs(ssdr.rigid.quaternion_from_matrix(half_turn)), [0, 0, 1, 0])
     True
     """
-    r = np.asarray(rotation, dtype=np.float64)
-    if r.shape[-2:] != (3, 3):
-        raise InputError("rotation", "an array of shape (..., 3, 3)", f"shape {r.shape}")
+    r = _matrices(rotation, "rotation")
+    if (np.abs(r) > _LARGEST_ENTRY).any():
+        raise InputError("rotation", "rotation matrices", f"an entry of {np.abs(r).max():g}")
     diagonal = np.stack([r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
     trace = diagonal.sum(axis=-1)
     choice = np.argmax(np.concatenate([diagonal, trace[..., None]], axis=-1), axis=-1)
@@ -207,18 +264,24 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
 def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     """Rotation matrices ``(..., 3, 3)`` of quaternions ``(..., 4)`` xyzw of any length but 0.
 
+    Raises
+    ------
+    InputError
+        If the shape is another one, or a quaternion is zero, complex or not finite.
+
     Examples
     --------
     >>> half_turn = ssdr.rigid.matrix_from_quaternion([0, 0, 1, 0])
     >>> np.allclose(half_turn, np.diag([-1, -1, 1]))
     True
     """
-    q = np.asarray(quaternion, dtype=np.float64)
+    q = _numbers(quaternion, "quaternion")
     if q.shape[-1:] != (4,):
         raise InputError("quaternion", "an array of shape (..., 4)", f"shape {q.shape}")
+    q, _ = _scaled(q, (-1,))
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    if not (np.isfinite(norm) & (norm > 0)).all():
-        raise InputError("quaternion", "finite quaternions that are not zero", "NaN, Inf or zero")
+    if not (norm > 0).all():
+        raise InputError("quaternion", "quaternions that are not zero", "zero")
     x, y, z, w = np.moveaxis(q / norm, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -234,18 +297,26 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.
 
+    Raises
+    ------
+    InputError
+        If there is no such axis, or a number is complex or not finite.
+
     Examples
     --------
     >>> keys = np.array([[0, 0, 0, 1.0], [0, 0, 0, -1.0]])
     >>> np.allclose(ssdr.rigid.unflip_quaternions(keys), [0, 0, 0, 1])
     True
     """
-    q = np.asarray(quaternion, dtype=np.float64)
-    if q.ndim < 2 or q.shape[-1] != 4 or axis % q.ndim == q.ndim - 1:
+    q = _numbers(quaternion, "quaternion")
+    if not is_whole(axis):
+        raise InputError("axis", "an integer", repr(axis))
+    if q.ndim < 2 or q.shape[-1] != 4 or not -q.ndim <= axis < q.ndim or axis in (-1, q.ndim - 1):
         raise InputError("quaternion", "shape (..., 4) with a time axis", f"shape {q.shape}")
     q = np.moveaxis(q, axis, 0)
     flip = np.ones(q.shape[:-1])
-    flip[1:] = np.where((q[1:] * q[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
+    small, _ = _scaled(q, (-1,))
+    flip[1:] = np.where((small[1:] * small[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     return np.moveaxis(q * np.cumprod(flip, axis=0)[..., None], 0, axis)
 
 
@@ -254,21 +325,24 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
 _SMALL_SINE = 1e-8
 
 
-def slerp(
-    a: NDArray[np.float64], b: NDArray[np.float64], u: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def slerp(a: ArrayLike, b: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
     """Spherical linear interpolation of unit quaternions along the shorter arc.
 
     Parameters
     ----------
-    a, b : (..., 4) float64
+    a, b : (..., 4) array
         Unit quaternions; they are not normalised again.
-    u : (...) float64
+    u : (...) array
         0 gives `a`, 1 gives `b` or −`b`, whichever is nearer to `a`.
 
     Returns
     -------
     (..., 4) float64
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or a number is complex, not finite or far above 1.
 
     References
     ----------
@@ -282,6 +356,18 @@ def slerp(
     >>> np.allclose(2 * np.degrees(np.arccos(eighth[3])), 45)
     True
     """
+    a, b, u = _numbers(a, "a"), _numbers(b, "b"), _numbers(u, "u")
+    for name, q in (("a", a), ("b", b)):
+        if q.shape[-1:] != (4,):
+            raise InputError(name, "an array of shape (..., 4)", f"shape {q.shape}")
+    if max(np.abs(x).max(initial=0.0) for x in (a, b, u)) > _LARGEST_ENTRY:
+        raise InputError("a, b and u", f"numbers up to {_LARGEST_ENTRY:g}", "larger ones")
+    try:
+        np.broadcast_shapes(a.shape[:-1], b.shape[:-1], u.shape)
+    except ValueError as error:
+        raise InputError(
+            "u", "shapes that broadcast", f"{a.shape}, {b.shape}, {u.shape}"
+        ) from error
     u = u[..., None]
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     # Half the angle by arctan2: arccos loses half the digits near 1.
@@ -304,9 +390,7 @@ def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(ssdr.rigid.sixd_from_matrix(np.eye(3)), [1, 0, 0, 0, 1, 0])
     True
     """
-    r = np.asarray(rotation, dtype=np.float64)
-    if r.shape[-2:] != (3, 3):
-        raise InputError("rotation", "an array of shape (..., 3, 3)", f"shape {r.shape}")
+    r = _matrices(rotation, "rotation")
     return np.concatenate([r[..., :, 0], r[..., :, 1]], axis=-1)
 
 
@@ -323,12 +407,13 @@ def matrix_from_sixd(sixd: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(ssdr.rigid.matrix_from_sixd([2, 0, 0, 1, 1, 0]), np.eye(3))
     True
     """
-    d = np.asarray(sixd, dtype=np.float64)
+    d = _numbers(sixd, "sixd")
     if d.shape[-1:] != (6,):
         raise InputError("sixd", "an array of shape (..., 6)", f"shape {d.shape}")
+    first, second = _scaled(d[..., :3], (-1,))[0], _scaled(d[..., 3:], (-1,))[0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        a = d[..., :3] / np.linalg.norm(d[..., :3], axis=-1, keepdims=True)
-        b = d[..., 3:] - (a * d[..., 3:]).sum(axis=-1, keepdims=True) * a
+        a = first / np.linalg.norm(first, axis=-1, keepdims=True)
+        b = second - (a * second).sum(axis=-1, keepdims=True) * a
         b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     if not (np.isfinite(a).all() and np.isfinite(b).all()):
         raise InputError("sixd", "pairs of finite, independent vectors", "NaN, Inf or parallel")

@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
 from garmentnet.data.parameters import SimulationParameters
+from garmentnet.drawing.dressed import outfit_parts
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.features import PoseFeatures
 from garmentnet.prediction.prediction import follow
@@ -141,6 +142,7 @@ def pictures(
     skins = np.asarray(skin(rig.rest, rig.joints, rig.weights, motion.joints), np.float32)
     root = body.skeleton.positions(motion.joints)[:, 0]
     size = 300
+    parts = outfit_parts(rig.n_vertices, len(garment.rest))
     names = list(meshes)
     page = Image.new("RGB", (size * 2 * len(frames), (size + 22) * len(names)), "white")
     draw = ImageDraw.Draw(page)
@@ -148,7 +150,7 @@ def pictures(
         for e, cloth in enumerate(meshes[name]):
             scene = follow(cloth, skins, garment.faces, rig.faces, data_set.fps, root, name)
             for c, frame in enumerate(frames):
-                tile = render_frame(scene, frame, size=(size, size), azimuth=20)
+                tile = render_frame(scene, frame, size=(size, size), azimuth=20, parts=parts)
                 x, y = (2 * c + e) * size, r * (size + 22)
                 page.paste(tile, (x, y + 22))
                 draw.text((x + 6, y + 5), f"{name.split('|')[e]}, frame {frame}", "black")

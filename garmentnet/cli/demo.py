@@ -91,7 +91,7 @@ def run_demo(
     sheet = draw_clip(bones, clip, network(clip), folder / "truth-prediction-error.png")
     film = folder / "prediction.gif"
     result = predict(checkpoint, clip.joints, name=clip.name)
-    save_prediction(result, film, size=360, progress=lambda done: show("drawing", done))
+    save_prediction(result, film, size=360, truth=clip, progress=lambda done: show("drawing", done))
     lap("draw")
     return {
         "seconds": seconds | {"all": round(time.perf_counter() - began, 1)},

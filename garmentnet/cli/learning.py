@@ -96,8 +96,25 @@ def evaluate(
         bool, typer.Option(help="Train and score what the networks must beat.")
     ] = True,
     pictures: Annotated[int, typer.Option(help="Test clips to draw, per checkpoint.")] = 1,
+    clips: Annotated[
+        list[str] | None,
+        typer.Option("--clips", metavar="PATTERN", help="As 'base-small-*'; repeatable."),
+    ] = None,
+    against: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
+    ] = None,
+    per_clip: Annotated[bool, typer.Option("--per-clip", help="Tables of each clip too.")] = False,
+    push_out: Annotated[
+        bool, typer.Option("--push-out", help="Score with vertices moved out of the body too.")
+    ] = False,
+    rescore: Annotated[
+        bool, typer.Option("--rescore", help="Ignore the scores of an earlier run.")
+    ] = False,
 ) -> None:
-    """The paper's table on unseen motions and unseen parameters, beside baselines and floors."""
+    """The paper's table on unseen motions and unseen parameters, beside baselines and floors.
+
+    Scores of a checkpoint on a clip are kept in the output folder and not computed again.
+    """
     from ..data.store import ClipStore
     from ..evaluation.reporting import report
 
@@ -109,6 +126,11 @@ def evaluate(
             folder,
             baselines=baselines,
             pictures=pictures,
+            clips=clips or (),
+            against=against,
+            per_clip=per_clip,
+            push_out=push_out,
+            rescore=rescore,
             progress=lambda name, done: show(name, done, None),
         )
     typer.echo(text)
@@ -126,6 +148,14 @@ def predict(
     density: Annotated[float | None, typer.Option(help="kg/m².")] = None,
     time_scale: Annotated[float | None, typer.Option(help="Seconds of cloth per second.")] = None,
     detail: Annotated[bool, typer.Option(help="Run the high-frequency module.")] = True,
+    truth: Annotated[
+        bool, typer.Option(help="Show a clip's own cloth beside the prediction.")
+    ] = True,
+    error: Annotated[bool, typer.Option(help="Show the error in films of a clip, too.")] = False,
+    every: Annotated[int, typer.Option(help="Every n-th frame alone in films.")] = 1,
+    push_out: Annotated[
+        bool, typer.Option(help="Move vertices that lie inside the body out of it.")
+    ] = True,
 ) -> None:
     """Dress a motion: from a checkpoint and a motion to meshes, a film or pictures."""
     import warnings
@@ -134,7 +164,7 @@ def predict(
 
     from ..data.parameters import SimulationParameters
     from ..networks.checkpoint import load_checkpoint
-    from ..prediction.motion_file import read_joints
+    from ..prediction.motion_file import read_clip, read_joints
     from ..prediction.output import check_output, save_prediction
     from ..prediction.prediction import predict as run
 
@@ -148,10 +178,11 @@ def predict(
     usual = {k: getattr(trained_on, k) for k in options} if trained_on else {}
     parameters = SimulationParameters(**(usual | entered)) if entered or several else None
     joints = read_joints(motion, model)
+    clip = read_clip(motion, model) if truth else None
     began = time.perf_counter()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SsdrWarning)
-        result = run(model, joints, parameters, detail=detail, name=motion.stem)
+        result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
     for warning in caught:
         if issubclass(warning.category, SsdrWarning):
             typer.echo(f"warning: {warning.message}", err=True)
@@ -164,9 +195,25 @@ def predict(
     shown = parameters or trained_on
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
+    if clip is not None and shown is not None and clip.parameters != shown:
+        typer.echo(f"the clip's cloth is not shown: it is of {clip.parameters}", err=True)
+        clip = None
+    if push_out:
+        typer.echo(
+            f"pushed out of the body: {100 * result.moved:.2f} % of the vertices moved, "
+            f"at most {1e3 * result.farthest:.1f} mm",
+            err=True,
+        )
     for path in output:
         with progress_bar() as show:
-            text = save_prediction(result, path, progress=lambda done: show("drawing", done, None))
+            text = save_prediction(
+                result,
+                path,
+                truth=clip,
+                error=error,
+                every=every,
+                progress=lambda done: show("drawing", done, None),
+            )
         typer.echo(f"{path}: {text}")
 
 

@@ -38,6 +38,8 @@ class DataOptions:
 
     store: str = ""
     parameters: str = ""
+    motions: str = ""
+    leave_out: str = ""
     mirror: bool = True
     condition: bool = False
 
@@ -51,6 +53,7 @@ class BoneOptions:
     influences: int = 8
     effort: Literal["fast", "balanced", "best"] = "balanced"
     frames: int = 1000
+    motions: str = ""
     seed: int = 0
 
 
@@ -59,6 +62,7 @@ class FeatureOptions:
     """Pose features, a network's input, and the moving frame of its output."""
 
     rotation: Literal["vector", "sixd"] = "vector"
+    joints: tuple[str, ...] = ()
     heading_free: bool = False
     translation: bool = True
     velocities: bool = False
@@ -73,21 +77,30 @@ class LowOptions:
     """The low-frequency module."""
 
     hidden: int = 600
+    layers: int = 1
     rotation: Literal["euler", "vector", "sixd"] = "euler"
     laplacian: float = 1.0
     dropout: float = 0.0
+    collision: float = 0.0
+    frames: int = 4
 
 
 @dataclasses.dataclass(frozen=True)
 class HighOptions:
     """The high-frequency module."""
 
+    kind: Literal["vertices", "basis"] = "vertices"
     hidden: int = 600
     source: Literal["bones", "body"] = "bones"
+    rank: int = 64
     local: bool = True
     global_features: int = 10
-    edge_features: tuple[int, ...] = (8, 8, 16)
-    mlp: tuple[int, ...] = (32,)
+    edge_features: tuple[int, ...] = (8, 16)
+    mlp: tuple[int, ...] = ()
+    activation: Literal["relu", "prelu"] = "prelu"
+    batch_norm: bool = True
+    dropout: float = 0.5
+    edge_dropout: float = 0.8
     collision: float = 0.1
     frames: int = 4
 
@@ -123,7 +136,8 @@ class EnsembleOptions:
     high_epochs: int = 15
     learning_rate: float = 3e-4
     frames: int = 60
-    sigmas: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
+    kernel: Literal["gaussian", "exponential"] = "exponential"
+    sigmas: tuple[float, ...] = (1.0,)
     steps: int = 600
 
 
@@ -163,8 +177,16 @@ class Config:
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)
 
-        if self.low.dropout >= 1:
-            raise InputError("low.dropout", "a fraction below 1", self.low.dropout)
+        if self.high.kind == "basis" and self.high.collision:
+            expected = 'collision = 0 where kind = "basis", which computes no mesh in training'
+            raise InputError("high.collision", expected, self.high.collision)
+        for name, value in (
+            ("low.dropout", self.low.dropout),
+            ("high.dropout", self.high.dropout),
+            ("high.edge_dropout", self.high.edge_dropout),
+        ):
+            if value >= 1:
+                raise InputError(name, "a fraction below 1", value)
 
     def as_dict(self) -> dict[str, Any]:
         """Nested dictionaries; :meth:`of` reads them."""

@@ -11,6 +11,7 @@ import numpy as np
 from ssdr import Skinning
 
 from .skeleton import Skeleton
+from .skin_weights import BodyBound
 
 __all__ = ["Subject", "mesh_identity"]
 
@@ -28,6 +29,8 @@ class Subject:
     fps : float
     garment_id : str
         Hash of the simulated mesh; see :func:`mesh_identity`.
+    bound : BodyBound or None
+        Vertices that the body carries; None: all are predicted.
     """
 
     garment: Skinning
@@ -35,6 +38,7 @@ class Subject:
     skeleton: Skeleton
     fps: float
     garment_id: str
+    bound: BodyBound | None = None
 
     @property
     def body_id(self) -> str:

@@ -15,6 +15,7 @@ import logging
 import time
 import zlib
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from ..configs.config import BoneOptions
 from ..io.files import map_array, write_file, writing
 from .clip import MIRRORED, Clip
 from .parameters import SimulationParameters
+from .skin_weights import BodyBound, find_body_bound
 from .store import ClipStore
 from .subject import Subject, mesh_identity
 
@@ -106,6 +108,8 @@ class VirtualBones:
     options : BoneOptions
     report : dict
         Frames used and error of the decomposition.
+    bound : BodyBound or None
+        Vertices that the body carries.
     """
 
     folder: Path
@@ -113,13 +117,14 @@ class VirtualBones:
     skinning: Skinning
     options: BoneOptions
     report: dict[str, Any]
+    bound: BodyBound | None = None
 
     @property
     def subject(self) -> Subject:
         """Garment and body, as a network takes them."""
         store = self.store
         identity = mesh_identity(store.rest, store.faces)
-        return Subject(self.skinning, store.body, store.skeleton, store.fps, identity)
+        return Subject(self.skinning, store.body, store.skeleton, store.fps, identity, self.bound)
 
     def smoother(self) -> LaplacianSmoother:
         """The Laplacian smoother that splits low from high frequencies, on the rest pose."""
@@ -245,9 +250,15 @@ def virtual_bones(
         If the store has no training clips.
     """
     roles = parameter_roles(store)
-    names = [c.name for c in store.clips("train") if roles[c.parameters] == "train"]
+    names = [
+        c.name
+        for c in store.clips("train")
+        if roles[c.parameters] == "train"
+        and (not options.motions or fnmatchcase(c.motion, options.motions))
+    ]
     if not names:
-        raise InputError("store", "training clips of a training set", str(store.path))
+        of = f" of motions {options.motions}" if options.motions else ""
+        raise InputError("store", f"training clips{of} of a training set", str(store.path))
     record = dataclasses.asdict(options) | {
         "garment": mesh_identity(store.rest, store.faces),
         "clips": names,
@@ -273,7 +284,26 @@ def virtual_bones(
             f"the clips that its virtual bones were made from (remove {place} to make them again)",
             "others of the same names",
         )
-    return VirtualBones(place, store, skinning, options, known)
+    bones = VirtualBones(place, store, skinning, options, known)
+    return dataclasses.replace(bones, bound=_body_bound(bones, names))
+
+
+def _body_bound(bones: VirtualBones, names: Sequence[str]) -> BodyBound | None:
+    file = bones.folder / "bound.npz"
+    fields = [f.name for f in dataclasses.fields(BodyBound)]
+    if not file.is_file():
+        found = find_body_bound(bones.store, names, bones.smoother())
+        packed = io.BytesIO()
+        none = dict.fromkeys(fields, np.zeros(0))
+        np.savez(packed, **(none if found is None else {k: getattr(found, k) for k in fields}))
+        write_file(file, packed.getvalue())
+    with reading(file), np.load(file, allow_pickle=False) as arrays:
+        bound = BodyBound(**{k: arrays[k] for k in fields})
+        if not len(bound.index):
+            return None
+        if bound.rest.shape != (len(bound.index), 3) or bound.index.max() >= bones.store.n_vertices:
+            raise FormatError("vertices of another garment")
+    return bound
 
 
 def _decompose(

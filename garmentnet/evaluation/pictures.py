@@ -10,11 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ssdr
+from ssdr.render import contact_sheet, write_picture
 
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
+from ..drawing.dressed import (
+    AZIMUTH,
+    MILLIMETRES,
+    caption,
+    facing_the_camera,
+    free_vertices,
+    outfit_parts,
+    outfit_regions,
+    spread_frames,
+)
 from .scores import Answer
 
 __all__ = ["HARD", "draw_clip", "draw_moments", "moments"]
@@ -85,11 +96,18 @@ def _highest_foot(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def draw_clip(
-    bones: VirtualBones, clip: Clip, answer: Answer, path: Path, *, frames: Any = 5
+    bones: VirtualBones,
+    clip: Clip,
+    answer: Answer,
+    path: Path,
+    *,
+    frames: Any = 5,
+    free: NDArray[np.bool_] | None = None,
 ) -> Path:
-    """Draw simulation, prediction and error map of a clip, row by row, as a PNG.
+    """Draw truth, prediction and error of a clip, row by row, as a PNG.
 
-    Body and cloth are one mesh; the camera follows the root.
+    The error is coloured on the cloth alone, and the figures are RMSE over the cloth: of the clip
+    in the head, of a frame in its column.
 
     Parameters
     ----------
@@ -99,19 +117,44 @@ def draw_clip(
     path : Path
     frames : int or list of int
         How many, evenly spread, or which.
+    free : (V,) bool array, optional
+        Vertices that have a figure of their own; by default those that are not pinned.
+
+    Raises
+    ------
+    InputError
+        If `free` is no mask of the cloth.
     """
     fitted = bones.clip(clip.name)
-    truth = fitted.read("low") + fitted.read("high")
-    simulated = _scene(bones, clip, truth)
-    predicted = _scene(bones, clip, answer.low + answer.high)
-    _draw(bones, simulated, predicted, clip.fps, path, title=clip.name, frames=frames)
+    count = clip.n_frames
+    if isinstance(frames, int):
+        frames = spread_frames(frames, count)
+    _draw(
+        bones,
+        _scene(bones, clip, fitted.read("low") + fitted.read("high")),
+        _scene(bones, clip, answer.low + answer.high),
+        clip.fps,
+        path,
+        title=clip.name,
+        frames=frames,
+        captions=[caption(t, clip.fps, clip.classes, "\n") for t in frames],
+        free=free,
+    )
     return path
 
 
 def draw_moments(
-    bones: VirtualBones, method: Callable[[Clip], Answer], names: Sequence[str], path: Path
+    bones: VirtualBones,
+    method: Callable[[Clip], Answer],
+    names: Sequence[str],
+    path: Path,
+    *,
+    free: NDArray[np.bool_] | None = None,
 ) -> list[tuple[str, str, int]]:
-    """Draw the frames of :func:`moments` as the columns of one picture; returns them."""
+    """Draw the frames of :func:`moments` as the columns of one picture; returns them.
+
+    The figures in the head are those of these frames.
+    """
     hardest = moments(bones.store, names)
     truths, answers = [], []
     for _, name, frame in hardest:
@@ -129,14 +172,19 @@ def draw_moments(
             path,
             title=", ".join(label for label, _, _ in hardest),
             frames=list(range(len(hardest))),
+            captions=[
+                f"{label}\n{name}, {frame / bones.store.fps:.2f} s"
+                for label, name, frame in hardest
+            ],
+            free=free,
         )
     return hardest
 
 
 def _scene(bones: VirtualBones, clip: Clip, cloth: Array, at: slice = slice(None)) -> Array:
-    root = clip.outfit.skeleton.positions(clip.joints[at])[:, :1]
-    both = np.concatenate([clip.body(at), cloth], axis=1) - root
-    return np.asarray(both, np.float32)
+    both = np.concatenate([clip.body(at), cloth], axis=1)
+    root = clip.outfit.skeleton.positions(clip.joints[at])[:, 0]
+    return facing_the_camera(both, root, clip.joints[at])
 
 
 def _draw(
@@ -147,15 +195,24 @@ def _draw(
     path: Path,
     *,
     title: str,
-    frames: Any,
+    frames: list[int],
+    captions: list[str],
+    free: NDArray[np.bool_] | None,
 ) -> None:
-    from ssdr.render import contact_sheet, write_picture
-
     store = bones.store
-    faces = np.concatenate([store.body.faces, store.faces + store.body.n_vertices])
-    simulated = ssdr.MeshSequence(truth, faces, fps, name="simulated")
-    predicted = ssdr.MeshSequence(answer, faces, fps, name="predicted")
+    body, cloth = store.body.n_vertices, store.n_vertices
+    faces = np.concatenate([store.body.faces, store.faces + body])
     sheet = contact_sheet(
-        predicted, reference=simulated, frames=frames, styles=["plain", "error"], title=title
+        ssdr.MeshSequence(answer, faces, fps, name="prediction"),
+        reference=ssdr.MeshSequence(truth, faces, fps, name="truth"),
+        frames=frames,
+        styles=["plain", "error"],
+        title=title,
+        parts=outfit_parts(body, cloth),
+        regions=outfit_regions(body, cloth, free_vertices(store) if free is None else free),
+        row_names=("truth", "prediction", "error"),
+        captions=captions,
+        unit=MILLIMETRES,
+        azimuth=AZIMUTH,
     )
     write_picture(sheet, path)

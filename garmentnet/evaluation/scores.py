@@ -3,6 +3,9 @@
 Low is G_LF against Ĝ_LF; high is Ĝ_LF + G_HF against Ĝ, the error of the detail alone; overall is
 G against Ĝ.  The prediction of a method without two modules is split like the data: its smoothed
 vertices are the low part, the rest is the high part.
+
+Every figure is that of all vertices or of the free ones, which are not pinned to the body; see
+:mod:`garmentnet.evaluation.clip_scores`.
 """
 
 from __future__ import annotations
@@ -13,19 +16,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import ssdr
-from ssdr.metrics import compare
 
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
 from ..networks.checkpoint import Checkpoint
-from ..networks.losses import BodyShape, collision_depth
 from ..networks.network import Motion
+from .clip_scores import PARTS, VERTICES, Answer, ClipScore, Inside, Method, Parts, Score, Scorer
+from .score_cache import ScoreCache
 
 __all__ = [
     "Answer",
@@ -38,53 +40,38 @@ __all__ = [
     "looseness",
     "network_method",
     "plain_method",
+    "pool",
     "table",
 ]
 
-# Frames for which distances to the body are in memory at once.
-_FRAMES_AT_ONCE = 64
 _MM = 1e3  # from metres to millimetres
-PARTS = ("low", "high", "overall")
 Array = NDArray[np.float32]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Answer:
-    """A method's prediction for a clip: low and high part ``(F, V, 3)``, metres, to be added."""
-
-    low: Array
-    high: Array
-
-
-Method = Callable[[Clip], Answer]
-
-
-@dataclasses.dataclass(frozen=True)
-class Score:
-    """RMSE over vertices and frames and mean Hausdorff distance of vertices, mm, and STED."""
-
-    rmse: float
-    hausdorff: float
-    sted: float
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Row:
-    """Errors of one method.
+    """Errors of one method, pooled over clips.
+
+    RMSE is pooled over frames; Hausdorff distance and STED are means, weighted by frames.
 
     Attributes
     ----------
     name : str
     frames : int
     low, high, overall : Score
-    per_class : dict
+        Over all vertices.
+    free : Parts
+        Over those that are not pinned.
+    per_class, per_class_free : dict
         Overall RMSE, mm, for each class of motion.
     per_vertex : (V,) float64
         Mean overall error, mm.
-    inside : float
+    inside, inside_free : float
         Fraction of the vertices inside the body, over all frames.
     depth_mean, depth_max : float
         Their depth, mm.
+    clips : tuple of ClipScore
+        The figures of each clip.
     """
 
     name: str
@@ -92,16 +79,27 @@ class Row:
     low: Score
     high: Score
     overall: Score
+    free: Parts
     per_class: dict[str, float]
+    per_class_free: dict[str, float]
     per_vertex: NDArray[np.float64]
     inside: float
+    inside_free: float
     depth_mean: float
     depth_max: float
+    clips: tuple[ClipScore, ...]
+
+    def parts(self, vertices: str = "all") -> Parts:
+        """Scores over "all" or "free" vertices."""
+        return self.free if vertices == "free" else Parts(self.low, self.high, self.overall)
 
     def as_dict(self) -> dict[str, Any]:
         """Numbers and lists, for JSON."""
-        plain = dataclasses.asdict(self)
-        return plain | {"per_vertex": self.per_vertex.tolist()}
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        for key in ("low", "high", "overall", "free"):
+            values[key] = dataclasses.asdict(values[key])
+        values["per_vertex"] = self.per_vertex.tolist()
+        return values | {"clips": [c.as_dict() for c in self.clips]}
 
 
 def network_method(checkpoint: Checkpoint) -> Method:
@@ -128,13 +126,19 @@ def plain_method(bones: VirtualBones, predict: Callable[[Any], Array]) -> Method
 
 
 def bones_themselves(bones: VirtualBones) -> Method:
-    """LBS with the fitted transforms, and the simulated detail: the bound for every network."""
-    s = bones.skinning
+    """LBS with the fitted transforms, and the simulated detail: the bound for every network.
+
+    Vertices that the body carries are where they belong, as in a network.
+    """
+    s, bound = bones.skinning, bones.bound
 
     def answer(clip: Clip) -> Answer:
         fitted = bones.clip(clip.name)
         low = ssdr.skin(s.rest, s.joints, s.weights, fitted.transforms)
-        return Answer(np.asarray(low, np.float32), fitted.read("high"))
+        low = np.asarray(low, np.float32)
+        if bound is not None:
+            low[:, bound.index] = fitted.read("low")[:, bound.index]
+        return Answer(low, fitted.read("high"))
 
     return answer
 
@@ -144,9 +148,12 @@ def evaluate(
     methods: Mapping[str, Method],
     names: Sequence[str],
     *,
+    cache: ScoreCache | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Row]:
     """Score methods on clips that are not mirrored.
+
+    One clip of one method is in memory at a time.
 
     Parameters
     ----------
@@ -154,6 +161,8 @@ def evaluate(
     methods : mapping from names to methods
     names : sequence of str
         Clips.
+    cache : ScoreCache, optional
+        Where scores are looked up, and stored as soon as they are known.
     progress : callable, optional
         Called with the method's name and the fraction that is done.
 
@@ -162,87 +171,86 @@ def evaluate(
     list of Row
         In the order of `methods`.
     """
+    scorer = Scorer(bones)
     rows = []
     for m, (name, method) in enumerate(methods.items()):
-        total = _Total(bones)
+        scores = []
         for k, clip_name in enumerate(names):
             clip = bones.store.clip(clip_name)
-            total.add(clip, method(clip))
+            known = cache.get(name, clip) if cache else None
+            score = known or scorer.score(clip, method)
+            if cache and known is None:
+                cache.put(name, clip, score)
+            scores.append(score)
             if progress:
                 progress(name, (m + (k + 1) / len(names)) / len(methods))
-        rows.append(total.row(name))
+        rows.append(pool(name, scores, scorer.n_free))
     return rows
 
 
-class _Total:
-    """Sums over clips: squared errors for RMSE, means over frames for the other figures."""
+def pool(name: str, clips: Sequence[ClipScore], n_free: int) -> Row:
+    """The errors of a method from those of each clip.
 
-    def __init__(self, bones: VirtualBones) -> None:
-        self.bones = bones
-        self.frames = 0
-        self.parts = {p: np.zeros(3) for p in PARTS}
-        self.classes: dict[str, list[float]] = {}
-        self.error = np.zeros(bones.store.n_vertices)
-        self.body = BodyShape(bones.store.body)
-        self.inside, self.depth, self.deepest = 0, 0.0, 0.0
+    Parameters
+    ----------
+    name : str
+    clips : sequence of ClipScore
+        At least one.
+    n_free : int
+        Vertices that are not pinned.
+    """
+    frames = sum(c.frames for c in clips)
+    n_vertices = len(clips[0].per_vertex)
+    per_vertex = sum(c.frames * c.per_vertex for c in clips) / frames
+    whole, free = _parts(clips, "all"), _parts(clips, "free")
+    inside = _inside([c.inside for c in clips])
+    return Row(
+        name,
+        frames,
+        whole.low,
+        whole.high,
+        whole.overall,
+        free,
+        per_class=_by_class(clips, "all"),
+        per_class_free=_by_class(clips, "free"),
+        per_vertex=np.asarray(per_vertex),
+        inside=inside.count / (frames * n_vertices),
+        inside_free=_inside([c.inside_free for c in clips]).count / (frames * n_free),
+        depth_mean=inside.depth / max(inside.count, 1),
+        depth_max=inside.deepest,
+        clips=tuple(clips),
+    )
 
-    def add(self, clip: Clip, answer: Answer) -> None:
-        fitted = self.bones.clip(clip.name)
-        low, high = fitted.read("low"), fitted.read("high")
-        truth = low + high
-        pairs = {
-            "low": (low, answer.low),
-            "high": (truth, low + answer.high),
-            "overall": (truth, answer.low + answer.high),
-        }
-        faces, count = self.bones.store.faces, clip.n_frames
-        for part, (reference, other) in pairs.items():
-            c = compare(reference, other, faces, hausdorff_options={"surface": False})
-            assert c.hausdorff is not None
-            assert c.sted is not None
-            figures = [c.rmse**2, c.hausdorff.vertex_mean, c.sted.value]
-            self.parts[part] += count * np.array(figures)
-            if part == "overall":
-                self._by_class(clip, c.distances.per_frame)
-        self.frames += count
-        answered = answer.low + answer.high
-        self.error += np.linalg.norm(answered - truth, axis=-1).astype(np.float64).sum(axis=0)
-        self._penetration(clip, answered)
 
-    def _by_class(self, clip: Clip, per_frame: Any) -> None:
-        for label in np.unique(clip.classes):
-            chosen = np.asarray(per_frame)[clip.classes == label]
-            slot = self.classes.setdefault(CLASSES[int(label)], [0.0, 0.0])
-            slot[0] += float((chosen**2).sum())
-            slot[1] += len(chosen)
-
-    def _penetration(self, clip: Clip, vertices: Array) -> None:
-        with torch.no_grad():
-            for i in range(0, len(vertices), _FRAMES_AT_ONCE):
-                part = slice(i, i + _FRAMES_AT_ONCE)
-                joints = torch.from_numpy(np.asarray(clip.joints[part], np.float32))
-                body, normals = self.body(joints)
-                depth = collision_depth(torch.from_numpy(vertices[part]), body, normals)
-                self.inside += int((depth > 0).sum())
-                self.depth += float(depth.double().sum())
-                self.deepest = max(self.deepest, float(depth.max()))
-
-    def row(self, name: str) -> Row:
-        n = max(self.frames, 1)
-        scores = {}
-        for part, sums in self.parts.items():
-            square, hausdorff, sted = sums / n
-            scores[part] = Score(_MM * math.sqrt(square), _MM * float(hausdorff), float(sted))
-        return Row(
-            name,
-            self.frames,
-            **scores,
-            per_class={k: _MM * math.sqrt(s / c) for k, (s, c) in sorted(self.classes.items())},
-            per_vertex=_MM * self.error / n,
-            inside=self.inside / (n * self.bones.store.n_vertices),
-            depth_mean=_MM * self.depth / max(self.inside, 1),
-            depth_max=_MM * self.deepest,
+def _parts(clips: Sequence[ClipScore], vertices: str) -> Parts:
+    scores = {}
+    for part in PARTS:
+        pairs = [(c.frames, getattr(getattr(c, vertices), part)) for c in clips]
+        scores[part] = Score(
+            _root_mean((n, s.rmse) for n, s in pairs),
+            sum(n * s.hausdorff for n, s in pairs) / sum(n for n, _ in pairs),
+            sum(n * s.sted for n, s in pairs) / sum(n for n, _ in pairs),
         )
+    return Parts(**scores)
+
+
+def _by_class(clips: Sequence[ClipScore], vertices: str) -> dict[str, float]:
+    found: dict[str, list[tuple[int, float]]] = {}
+    for clip in clips:
+        for c in clip.classes:
+            pair = (c.frames, getattr(c, vertices).overall.rmse)
+            found.setdefault(c.name, []).append(pair)
+    return {name: _root_mean(pairs) for name, pairs in sorted(found.items())}
+
+
+def _root_mean(pairs: Iterable[tuple[int, float]]) -> float:
+    frames, squares = np.array(list(pairs), float).T
+    return math.sqrt(float(frames @ squares**2) / float(frames.sum()))
+
+
+def _inside(parts: Sequence[Inside]) -> Inside:
+    deepest = max(p.deepest for p in parts)
+    return Inside(sum(p.count for p in parts), sum(p.depth for p in parts), deepest)
 
 
 def chaos_floor(
@@ -262,9 +270,12 @@ def chaos_floor(
     Returns
     -------
     dict
-        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, and the number of
-        ``frames``; empty without pairs.
+        For each class of motion and for "all": RMSE / √2 ``low`` and ``overall``, over free
+        vertices ``low_free`` and ``overall_free``, and the number of ``frames``; empty without
+        pairs.
     """
+    keys = ("low", "overall", "low_free", "overall_free")
+    free = ~np.asarray(bones.store.pinned, bool)
     sums: dict[str, NDArray[np.float64]] = {}
     smoother = bones.smoother()
     for first, second in bones.store.pairs() if pairs is None else pairs:
@@ -273,20 +284,17 @@ def chaos_floor(
         gap = a.sequence.frames(slice(0, frames)) - b.sequence.frames(slice(0, frames))
         # Smoothing is linear: the difference of the low parts is the smoothed difference.
         low = np.asarray(smoother.smooth(gap))
-        squares = [(x.astype(np.float64) ** 2).sum(-1).mean(-1) for x in (low, gap)]
+        of_vertices = [(x.astype(np.float64) ** 2).sum(-1) for x in (low, gap)]
+        means = [x[:, part].mean(-1) for part in (slice(None), free) for x in of_vertices]
+        squares = np.stack([*means, np.ones(frames)])
         for label in [-1, *np.unique(a.classes[:frames])]:
             chosen = a.classes[:frames] == label if label >= 0 else slice(None)
             key = CLASSES[int(label)] if label >= 0 else "all"
-            part = np.array([squares[0][chosen].sum(), squares[1][chosen].sum(), 0.0])
-            part[2] = len(squares[0][chosen])
-            sums[key] = sums.get(key, np.zeros(3)) + part
+            sums[key] = sums.get(key, np.zeros(5)) + squares[:, chosen].sum(axis=1)
     return {
-        key: {
-            "low": _MM * math.sqrt(s[0] / s[2] / 2),
-            "overall": _MM * math.sqrt(s[1] / s[2] / 2),
-            "frames": float(s[2]),
-        }
-        for key, s in sums.items()
+        name: {k: _MM * math.sqrt(x / s[4] / 2) for k, x in zip(keys, s[:4], strict=True)}
+        | {"frames": float(s[4])}
+        for name, s in sums.items()
     }
 
 
@@ -324,17 +332,25 @@ def by_looseness(
     return [(float(mean[p].mean()), float(row.per_vertex[p].mean())) for p in parts]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """The paper's table as text: mm, mm and STED for low, high and overall."""
+def table(rows: Sequence[Row], vertices: str = "all") -> str:
+    """The paper's table as text: mm, mm and STED for low, high and overall.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    vertices : {"all", "free"}
+    """
+    assert vertices in VERTICES
     width = max([8, *(len(r.name) for r in rows)])
     head = f"{'':<{width}}" + "".join(
         f" | {p + ' RMSE':>12} {'Hausd.':>7} {'STED':>7}" for p in PARTS
     )
     lines = [head + " | inside", "-" * (len(head) + 9)]
     for r in rows:
-        cells = [getattr(r, p) for p in PARTS]
+        cells = [getattr(r.parts(vertices), p) for p in PARTS]
         text = "".join(f" | {c.rmse:12.2f} {c.hausdorff:7.1f} {c.sted:7.4f}" for c in cells)
-        lines.append(f"{r.name:<{width}}{text} | {100 * r.inside:5.2f}%")
+        inside = r.inside_free if vertices == "free" else r.inside
+        lines.append(f"{r.name:<{width}}{text} | {100 * inside:5.2f}%")
     return "\n".join(lines)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,29 +19,32 @@ from torch import Tensor
 
 from ssdr import Skinning
 from ssdr.errors import FormatError, InputError
-from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import reading, require
+from ssdr.io.registry import reading
 
 from ..configs.config import Config
 from ..data.parameters import SimulationParameters
 from ..data.skeleton import Skeleton
+from ..data.skin_weights import BodyBound
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
-from ..io.files import writing
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
 from .network import Motion, MotionNetwork
+from .tensor_files import load_tensors, save_tensors
 
 __all__ = [
     "Checkpoint",
     "load_checkpoint",
-    "load_tensors",
     "load_weights",
     "save_checkpoint",
-    "save_tensors",
 ]
 
-_FORMAT, _VERSION = "garmentnet checkpoint", 1
+_FORMAT, _VERSION, _READ = "garmentnet checkpoint", 2, (1, 2)
+# Version 1 knew no vertices that the body carries, and had these in place of later settings.
+_BEFORE = {
+    "high": {"activation": "relu", "batch_norm": False, "dropout": 0.0, "edge_dropout": 0.0},
+    "ensemble": {"kernel": "gaussian"},
+}
 # Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
 # 80 bones in float32.
 _MAX_SKINNING = 4 << 30
@@ -61,11 +62,17 @@ class Checkpoint:
         network that reads them.
     kernel : Kernel or None
         Of an ensemble.
+    common : MotionNetwork or None
+        Of an ensemble: a network that reads the parameters, mixed with the pivots.
+    share : float
+        Its weight.
     """
 
     networks: tuple[MotionNetwork, ...]
     parameters: tuple[SimulationParameters | None, ...]
     kernel: Kernel | None
+    common: MotionNetwork | None = None
+    share: float = 0.0
 
     @property
     def subject(self) -> Subject:
@@ -83,7 +90,7 @@ class Checkpoint:
         if self.kernel is None:
             raise InputError("checkpoint", "an ensemble", "a single network")
         rows = np.stack([p.normalised() for p in self.parameters if p is not None])
-        return Ensemble(self.networks, rows, self.kernel)
+        return Ensemble(self.networks, rows, self.kernel, self.common, self.share)
 
     def motions(
         self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
@@ -108,8 +115,7 @@ class Checkpoint:
             theta = parameters.normalised()
             if self.kernel is None:
                 return self.networks[0].motions(joints, parameters=theta, detail=detail)
-            ensemble = self.ensemble
-            return ensemble.motions(joints, weights=ensemble.weights(theta), detail=detail)
+            return self.ensemble.motions(joints, theta=theta, detail=detail)
         return self.networks[0].motions(joints, detail=detail)
 
     def predict(
@@ -149,10 +155,14 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
             tensors[f"{name}.{field}"] = torch.from_numpy(np.array(getattr(part, field)))
     tensors["skeleton.rest"] = torch.from_numpy(np.array(skeleton.rest))
     tensors["skeleton.parents"] = torch.from_numpy(np.array(skeleton.parents))
+    if subject.bound is not None:
+        for key in (f.name for f in dataclasses.fields(BodyBound)):
+            tensors[f"bound.{key}"] = torch.from_numpy(np.array(getattr(subject.bound, key)))
     record: list[dict[str, Any]] = []
-    for k, (network, trained_on) in enumerate(
-        zip(checkpoint.networks, checkpoint.parameters, strict=True)
-    ):
+    networks, parameters = list(checkpoint.networks), list(checkpoint.parameters)
+    if checkpoint.common is not None:
+        networks, parameters = [*networks, checkpoint.common], [*parameters, None]
+    for k, (network, trained_on) in enumerate(zip(networks, parameters, strict=True)):
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
@@ -180,7 +190,10 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
         "body_id": subject.body_id,
         "joint_names": list(skeleton.names),
         "networks": record,
-        "kernel": None if kernel is None else {"sizes": kernel.sizes, "sigma": kernel.sigma},
+        "kernel": None
+        if kernel is None
+        else {"sizes": kernel.sizes, "sigma": kernel.sigma, "shape": kernel.shape},
+        "common": None if checkpoint.common is None else checkpoint.share,
     }
     return save_tensors(Path(path), tensors, {"checkpoint": document})
 
@@ -199,8 +212,8 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         d = documents["checkpoint"]
         if not isinstance(d, dict) or d.get("format") != _FORMAT:
             raise FormatError("not a checkpoint of garmentnet")
-        if d.get("version") != _VERSION:
-            raise FormatError(f"version {d.get('version')}, this reads {_VERSION}")
+        if d.get("version") not in _READ:
+            raise FormatError(f"version {d.get('version')}, this reads {_READ[0]} to {_READ[-1]}")
         arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("network.")}
         names = tuple(str(n) for n in d["joint_names"])
         skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
@@ -211,28 +224,41 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             skeleton,
             float(d["fps"]),
             str(d["garment_id"]),
+            _bound(arrays, skeleton.n_joints),
         )
         if subject.body_id != d["body_id"]:
             raise FormatError("the body is not the one that the file names")
         networks, parameters = [], []
         for k, record in enumerate(d["networks"]):
-            config = Config.of(record["config"], "configuration")
+            table = record["config"]
+            if d["version"] == 1:
+                table |= {k: v | table[k] for k, v in _BEFORE.items()}
+            config = Config.of(table, "configuration")
             part = _part(tensors, f"network.{k}.")
             networks.append(_network(config, subject, record, part))
             trained_on = record["parameters"]
             parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
-        kernel = None
+        kernel, common, share = None, None, 0.0
+        if d.get("common") is not None:
+            if d["kernel"] is None or parameters.pop() is not None:
+                raise FormatError("a common network without a kernel, or with parameters")
+            common, share = networks.pop(), float(d["common"])
         if d["kernel"] is not None:
             if any(p is None for p in parameters):
                 raise FormatError("pivots without parameters")
             inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
             own_part = _part(tensors, "kernel.")
             _expect(own_part, {"g.0.weight": (hidden, inputs), "g.2.weight": (latent, hidden)})
-            kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=d["kernel"]["sigma"])
+            shape = str(d["kernel"].get("shape", "gaussian"))
+            if shape not in ("gaussian", "exponential"):
+                raise FormatError(f"a kernel of shape {shape!r}")
+            kernel = Kernel(
+                inputs, hidden=hidden, latent=latent, sigma=d["kernel"]["sigma"], shape=shape
+            )
             kernel.load_state_dict(own_part)
         elif len(networks) != 1:
             raise FormatError(f"{len(networks)} networks without a kernel")
-        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel)
+        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, common, share)
         if kernel is not None:
             _ = checkpoint.ensemble
         return checkpoint
@@ -264,51 +290,6 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     network.normaliser = source.normaliser
 
 
-def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
-    """Write tensors and JSON documents to one safetensors file, complete or not at all."""
-    safetensors = require("safetensors.torch", "garmentnet", "a checkpoint")
-    # One entry, because several are written in an order that changes from run to run.
-    text = json.dumps(documents, sort_keys=True)
-    # Tensors may share memory, which the format cannot express.
-    plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
-    with writing(path), atomic_path(path) as temporary:
-        temporary.touch()
-        mode = temporary.stat().st_mode
-        safetensors.save_file(plain, str(temporary), metadata={"garmentnet": text})
-        # safetensors makes the file readable by its owner alone.
-        temporary.chmod(mode)
-    return path
-
-
-def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and JSON documents of a safetensors file.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    FormatError
-        If the file is of another format, lacks a document or holds NaN or Inf.
-    """
-    safetensors = require("safetensors", "garmentnet", "a checkpoint")
-    if not path.is_file():
-        raise InputError("checkpoint", "a file", str(path))
-    with reading(path):
-        with safetensors.safe_open(str(path), framework="pt") as file:
-            text = (file.metadata() or {}).get("garmentnet")
-            if text is None:
-                raise FormatError("safetensors, but not of garmentnet")
-            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
-        documents = json.loads(text)
-        missing = [k for k in wanted if k not in documents]
-        if missing:
-            raise FormatError(f"no document {missing[0]!r}")
-        for key, value in tensors.items():
-            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-                raise FormatError(f"NaN or Inf in {key}")
-    return tensors, documents
-
-
 def _skinning(
     arrays: dict[str, Any], name: str, bones: int, names: tuple[str, ...] | None
 ) -> Skinning:
@@ -325,14 +306,41 @@ def _skinning(
     )
 
 
+def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
+    fields = [f.name for f in dataclasses.fields(BodyBound)]
+    if f"bound.{fields[0]}" not in arrays:
+        return None
+    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in fields})
+    count, vertices = len(bound.index), len(arrays["garment.rest"])
+    fits = (
+        0 < count <= vertices
+        and bound.rest.shape == bound.smooth.shape == (count, 3)
+        and bound.joints.shape == bound.weights.shape == (count, bound.weights.shape[1])
+        and (np.diff(bound.index) > 0).all()
+        and bound.index[0] >= 0
+        and bound.index[-1] < vertices
+        and bound.joints.min() >= 0
+        and bound.joints.max() < joints
+    )
+    if not fits:
+        raise FormatError("bound: vertices or joints that do not exist")
+    return bound
+
+
 def _network(
     config: Config, subject: Subject, record: dict[str, Any], part: dict[str, Tensor]
 ) -> MotionNetwork:
     # The sizes of the configuration are checked against the tensors before anything is allocated.
     o, n = config.high, subject.garment.n_vertices
+    if subject.bound is not None:
+        n -= len(subject.bound.index)
     low = config.low.hidden
     sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}
-    if record["high"]:
+    if record["high"] and o.kind == "basis":
+        sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
+        sizes["high.basis"] = (o.rank, 3 * n)
+        sizes["high.mean"] = (n, 3)
+    elif record["high"]:
         sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
         sizes["high.spread.weight"] = (n * o.global_features, o.hidden)
         widths = (3, *o.edge_features) if o.local else ()

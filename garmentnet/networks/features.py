@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ssdr.errors import InputError
 from ssdr.rigid import sixd_from_matrix
 
 from ..configs.config import FeatureOptions
@@ -45,6 +46,11 @@ class PoseFeatures:
     options : FeatureOptions
     fps : float
 
+    Raises
+    ------
+    InputError
+        If the options name a joint that the skeleton has not.
+
     Examples
     --------
     >>> body = Skeleton(("root",), [-1], [[0, 1, 0]])
@@ -56,11 +62,18 @@ class PoseFeatures:
 
     def __init__(self, skeleton: Skeleton, options: FeatureOptions, fps: float) -> None:
         self.skeleton, self.options, self.fps = skeleton, options, float(fps)
+        missing = [j for j in options.joints if j not in skeleton.names]
+        if missing:
+            expected = f"joints of the body ({', '.join(skeleton.names)})"
+            raise InputError("features.joints", expected, ", ".join(missing))
+        read = [k for k, name in enumerate(skeleton.names) if name in options.joints]
+        # The root's rotation says which way is down; it is read in any case.
+        self._read = sorted({0, *read}) if read else list(range(skeleton.n_joints))
 
     @property
     def size(self) -> int:
         """Number of features."""
-        o, n = self.options, self.skeleton.n_joints
+        o, n = self.options, len(self._read)
         each = 3 if o.rotation == "vector" else 6
         pose = n * each
         return pose + (pose if o.velocities else 0) + 3 * o.translation + 12 * o.root_motion
@@ -96,7 +109,7 @@ class PoseFeatures:
         heading = _heading(root)
         if o.heading_free:
             relative[:, 0] = np.einsum("fba,fbc->fac", heading, root)
-        pose = _code(relative, o.rotation)
+        pose = _code(relative[:, self._read], o.rotation)
         if state is None:
             zero = np.zeros(3)
             state = PoseState(position[0], position[0], zero, root[0], pose[0])

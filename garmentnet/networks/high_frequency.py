@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-__all__ = ["EdgeConv", "HighFrequency", "neighbour_table"]
+__all__ = ["Dropped", "EdgeConv", "HighFrequency", "neighbour_table"]
 
 
 def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
@@ -57,13 +59,14 @@ class _Highest(torch.autograd.Function):
             winner.masked_fill_(other > highest, k)
             torch.maximum(highest, other, out=highest)
         ctx.save_for_backward(winner, neighbours)
+        ctx.rows = len(x)
         return highest
 
     @staticmethod
     def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
         winner, neighbours = ctx.saved_tensors
         (slope,) = slopes
-        out = torch.zeros_like(slope)
+        out = slope.new_zeros(ctx.rows, *slope.shape[1:])
         for k in range(neighbours.shape[1]):
             out.index_add_(0, neighbours[:, k], slope * (winner == k))
         return out, None
@@ -82,6 +85,8 @@ class EdgeConv(nn.Module):
     scale : float
         Divides x_j − x_i: the mean edge length where x are positions, so that differences are
         of the size of the positions.
+    activation : {"relu", "prelu"}
+        PReLU with one slope a channel, kept at 0 or above: below 0 it is not monotone.
 
     Examples
     --------
@@ -90,17 +95,63 @@ class EdgeConv(nn.Module):
     torch.Size([4, 2, 8])
     """
 
-    def __init__(self, inputs: int, outputs: int, scale: float = 1.0) -> None:
+    def __init__(
+        self, inputs: int, outputs: int, scale: float = 1.0, activation: str = "relu"
+    ) -> None:
         super().__init__()
         self.linear = nn.Linear(2 * inputs, outputs)
         self.scale = scale
+        self.act = _activation(activation, outputs)
 
-    def forward(self, x: Tensor, neighbours: Tensor) -> Tensor:
-        """``(V, N, outputs)`` of ``(V, N, inputs)``; with vertices first a gather copies rows."""
+    def forward(self, x: Tensor, neighbours: Tensor, dropped: Tensor | None = None) -> Tensor:
+        """``(V, N, outputs)`` of ``(V, N, inputs)``; with vertices first a gather copies rows.
+
+        `dropped` ``(V, D)`` names neighbours to be left out; a vertex without any other answers 0.
+        """
         w_a, w_b = self.linear.weight.chunk(2, dim=1)
-        w_b = w_b / self.scale
-        highest: Tensor = _Highest.apply(x @ w_b.T, neighbours)
-        return torch.relu(x @ (w_a - w_b).T + self.linear.bias + highest)
+        candidates, alone = x @ (w_b / self.scale).T, None
+        if dropped is not None:
+            # One row more, which never wins, stands in for neighbours that are left out.
+            lowest = candidates.new_full((1, *candidates.shape[1:]), -math.inf)
+            candidates = torch.cat([candidates, lowest])
+            neighbours = torch.where(dropped, len(x), neighbours)
+            alone = dropped.all(dim=1)[:, None, None]
+        highest: Tensor = _Highest.apply(candidates, neighbours)
+        if alone is not None:
+            highest = highest.masked_fill(alone, 0.0)
+        out: Tensor = self.act(x @ (w_a - w_b / self.scale).T + self.linear.bias + highest)
+        return out if alone is None else out.masked_fill(alone, 0.0)
+
+
+class _PReLU(nn.Module):
+    """max(x, 0) + a min(x, 0) with a >= 0 for each channel."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.slope = nn.Parameter(torch.full((channels,), 0.25))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.relu(x) + self.slope.clamp(min=0) * x.clamp(max=0)
+
+
+def _activation(name: str, channels: int) -> nn.Module:
+    return nn.ReLU() if name == "relu" else _PReLU(channels)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Dropped:
+    """What dropout leaves out in one training step.
+
+    Attributes
+    ----------
+    hidden : (N, S, H) float tensor or None
+        Factors of the GRU's outputs, 0 or 1 / (1 − p).
+    edges : list of (V, D) bool tensors or None
+        For each EdgeConv layer the neighbours that are left out.
+    """
+
+    hidden: Tensor | None
+    edges: list[Tensor] | None
 
 
 class HighFrequency(nn.Module):
@@ -121,6 +172,11 @@ class HighFrequency(nn.Module):
         Widths of the hidden layers.
     edge_length : float
         Mean length of an edge, metres.
+    activation : {"relu", "prelu"}
+    batch_norm : bool
+        Normalise the global features over the batch, as the published code does.
+    vertices : (n,) int array, optional
+        Vertices whose detail is predicted, all by default; the others' is 0.
 
     Examples
     --------
@@ -134,6 +190,7 @@ class HighFrequency(nn.Module):
     """
 
     neighbours: Tensor
+    vertices: Tensor
     mean: Tensor
     deviation: Tensor
     centre: Tensor
@@ -149,28 +206,73 @@ class HighFrequency(nn.Module):
         edge_features: Sequence[int],
         mlp: Sequence[int],
         edge_length: float,
+        activation: str = "relu",
+        batch_norm: bool = False,
+        vertices: Any = None,
     ) -> None:
         super().__init__()
         self.n_vertices, self.global_features = n_vertices, global_features
+        chosen = np.arange(n_vertices) if vertices is None else np.asarray(vertices)
         self.gru = nn.GRU(inputs, hidden, batch_first=True)
-        self.spread = nn.Linear(hidden, n_vertices * global_features)
+        wide = len(chosen) * global_features
+        self.spread = nn.Linear(hidden, wide)
+        self.spread_act = _activation(activation, wide)
+        # The published code's momentum.
+        self.norm = nn.BatchNorm1d(wide, momentum=1e-3) if batch_norm else nn.Identity()
         widths = [3, *edge_features] if edge_features else []
         self.edges = nn.ModuleList(
-            EdgeConv(a, b, edge_length if k == 0 else 1.0)
+            EdgeConv(a, b, edge_length if k == 0 else 1.0, activation)
             for k, (a, b) in enumerate(itertools.pairwise(widths))
         )
         sizes = [global_features + (widths[-1] if widths else 0), *mlp]
         layers: list[nn.Module] = []
         for a, b in itertools.pairwise(sizes):
-            layers += [nn.Linear(a, b), nn.ReLU()]
+            layers += [nn.Linear(a, b), _activation(activation, b)]
         self.mlp = nn.Sequential(*layers, nn.Linear(sizes[-1], 3))
+        index = torch.from_numpy(chosen.astype(np.int64))
+        self.register_buffer("vertices", index, persistent=False)
         self.register_buffer("neighbours", neighbour_table(faces, n_vertices), persistent=False)
         self.register_buffer("mean", torch.zeros(n_vertices, 3))
         self.register_buffer("deviation", torch.ones(()))
         self.register_buffer("centre", torch.zeros(3))
 
+    def draw(
+        self, rng: np.random.Generator, shape: tuple[int, int], *, hidden: float, edges: float
+    ) -> Dropped:
+        """What a training step leaves out, from the probabilities of outputs and of edges.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+        shape : (N, S)
+            Clips and frames of the step.
+        hidden, edges : float
+            Probabilities; an edge is left out in both directions.
+        """
+        factors = None
+        if hidden:
+            stays = rng.random((*shape, self.gru.hidden_size), np.float32) >= hidden
+            factors = torch.from_numpy(stays).to(self.mean) / (1 - hidden)
+        if not (edges and len(self.edges)):
+            return Dropped(factors, None)
+        table = self.neighbours.cpu().numpy()
+        here = np.arange(len(table))[:, None]
+        # One number for both directions of an edge.
+        name = np.minimum(table, here) * len(table) + np.maximum(table, here)
+        _, edge = np.unique(name, return_inverse=True)
+        edge = edge.reshape(table.shape)
+        lost = [rng.random(int(edge.max()) + 1) < edges for _ in self.edges]
+        return Dropped(
+            factors, [torch.from_numpy(x[edge]).to(self.neighbours.device) for x in lost]
+        )
+
     def forward(
-        self, x: Tensor, low: Any, state: Tensor | None = None, frames: Tensor | None = None
+        self,
+        x: Tensor,
+        low: Any,
+        state: Tensor | None = None,
+        frames: Tensor | None = None,
+        dropped: Dropped | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Detail and new state.
 
@@ -182,6 +284,8 @@ class HighFrequency(nn.Module):
         state : (1, N, H), optional
         frames : (N, S) int, optional
             Frames whose detail is computed; all by default.
+        dropped : Dropped, optional
+            In training.
 
         Returns
         -------
@@ -190,13 +294,19 @@ class HighFrequency(nn.Module):
         h, state = self.gru(x, state)
         if frames is not None:
             h = h.gather(1, frames[..., None].expand(-1, -1, h.shape[-1]))
+        if dropped is not None and dropped.hidden is not None:
+            h = h * dropped.hidden
         lead = h.shape[:2]
-        wide = torch.relu(self.spread(h)).reshape(-1, self.n_vertices, self.global_features)
-        features = wide.transpose(0, 1)
+        wide = self.norm(self.spread_act(self.spread(h.flatten(0, 1))))
+        features = wide.view(-1, len(self.vertices), self.global_features).transpose(0, 1)
         if len(self.edges):
             y = (low.reshape(-1, self.n_vertices, 3) - self.centre).transpose(0, 1).contiguous()
-            for layer in self.edges:
-                y = layer(y, self.neighbours)
-            features = torch.cat([features, y], dim=-1)
-        out = self.mlp(features).transpose(0, 1).reshape(*lead, self.n_vertices, 3)
-        return out * self.deviation + self.mean, state
+            lost = dropped.edges if dropped is not None else None
+            for k, layer in enumerate(self.edges):
+                y = layer(y, self.neighbours, lost[k] if lost else None)
+            features = torch.cat([features, y[self.vertices]], dim=-1)
+        out = self.mlp(features) * self.deviation + self.mean[self.vertices][:, None]
+        if len(self.vertices) < self.n_vertices:
+            everywhere = out.new_zeros(self.n_vertices, *out.shape[1:])
+            out = everywhere.index_copy(0, self.vertices, out)
+        return out.transpose(0, 1).reshape(*lead, self.n_vertices, 3), state

@@ -105,13 +105,15 @@ class BoneCode(nn.Module):
 
 
 class LowFrequency(nn.Module):
-    """One GRU layer and one linear layer.
+    """A GRU of one layer or more, and one linear layer.
 
     Parameters
     ----------
     inputs : int
     hidden : int
     code : BoneCode
+    layers : int
+        Of the GRU.
 
     Examples
     --------
@@ -121,17 +123,17 @@ class LowFrequency(nn.Module):
     (torch.Size([1, 5, 2, 6]), torch.Size([1, 1, 8]))
     """
 
-    def __init__(self, inputs: int, hidden: int, code: BoneCode) -> None:
+    def __init__(self, inputs: int, hidden: int, code: BoneCode, layers: int = 1) -> None:
         super().__init__()
         bones, width = code.shape
         self.code = code
-        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.gru = nn.GRU(inputs, hidden, num_layers=layers, batch_first=True)
         self.out = nn.Linear(hidden, bones * width)
 
     def forward(
         self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Normalised bone motion ``(N, T, B, C)`` and the new state ``(1, N, H)``.
+        """Normalised bone motion ``(N, T, B, C)`` and the new state ``(layers, N, H)``.
 
         `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
         """

@@ -14,7 +14,8 @@ from ssdr.errors import InputError
 
 from ..configs.config import Config
 from ..data.subject import Subject
-from .features import Normaliser, PoseFeatures, PoseState
+from .detail_basis import DetailBasis, SurfaceTurns
+from .features import Normaliser, PoseFeatures, PoseState, transforms_in_frame
 from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
 from .skinning import TorchSkinning, apply_frame
@@ -103,6 +104,8 @@ class MotionNetwork(nn.Module):
     (5, 3, 3)
     """
 
+    bound: Tensor
+
     def __init__(self, config: Config, subject: Subject, normaliser: Normaliser) -> None:
         super().__init__()
         self.config, self.subject, self.normaliser = config, subject, normaliser
@@ -112,14 +115,36 @@ class MotionNetwork(nn.Module):
         self.lbs = TorchSkinning.of(garment)
         code = BoneCode(garment.centroids(), config.low.rotation)
         inputs = self.features.size + self.condition
-        self.low = LowFrequency(inputs, config.low.hidden, code)
-        self.high: HighFrequency | None = None
+        self.low = LowFrequency(inputs, config.low.hidden, code, config.low.layers)
+        self.high: HighFrequency | DetailBasis | None = None
+        bound = subject.bound
+        n = garment.n_vertices
+        # Vertices that the modules predict; the body carries the others.
+        self.free = np.arange(n) if bound is None else bound.free(n)
+        self.turns = SurfaceTurns(garment.joints, garment.weights, garment.n_bones, self.free)
+        self.carried: TorchSkinning | None = None
+        if bound is not None:
+            # Smooth and true positions of the same vertices, one below the other.
+            self.carried = TorchSkinning(
+                np.concatenate([bound.smooth, bound.rest]),
+                np.tile(bound.joints, (2, 1)),
+                np.tile(bound.weights, (2, 1)),
+                subject.body.n_bones,
+            )
+            index = torch.from_numpy(bound.index.astype(np.int64))
+            self.register_buffer("bound", index, persistent=False)
 
-    def add_high(self) -> HighFrequency:
+    def add_high(self) -> HighFrequency | DetailBasis:
         """Add the high-frequency module, with random weights."""
         o, garment = self.config.high, self.subject.garment
         bones, width = self.low.code.shape
         inputs = bones * width if o.source == "bones" else self.features.size
+        if o.kind == "basis":
+            basis = DetailBasis(
+                inputs + self.condition, len(self.free), hidden=o.hidden, rank=o.rank
+            )
+            self.high = basis.to(self.device)
+            return self.high
         a = np.asarray(garment.rest, np.float64)[garment.faces]
         edge = float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean())
         self.high = HighFrequency(
@@ -131,6 +156,9 @@ class MotionNetwork(nn.Module):
             edge_features=o.edge_features if o.local else (),
             mlp=o.mlp,
             edge_length=edge,
+            activation=o.activation,
+            batch_norm=o.batch_norm,
+            vertices=self.free,
         ).to(self.device)
         return self.high
 
@@ -161,8 +189,46 @@ class MotionNetwork(nn.Module):
         return x
 
     def mesh(self, z: Tensor) -> Tensor:
-        """Low-frequency mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame."""
+        """Skinned mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame.
+
+        Vertices that the body carries are where the bones put them; see :meth:`carry`.
+        """
         return torch.as_tensor(self.lbs(self.low.code(z)))
+
+    def carry(
+        self, low: Tensor, high: Tensor | None, joints: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Both parts with the vertices that the body carries where its joints put them.
+
+        Parameters
+        ----------
+        low, high : (F, V, 3)
+        joints : (F, J, 3, 4)
+            In the moving frame.
+        """
+        if self.carried is None:
+            return low, high
+        smooth, true = self.carried(joints).chunk(2, dim=1)
+        low = low.index_copy(1, self.bound, smooth)
+        return low, None if high is None else high.index_copy(1, self.bound, true - smooth)
+
+    def turned(self, numbers: Tensor, transforms: Tensor) -> Tensor:
+        """Detail ``(F, V, 3)`` of the basis in the moving frame; 0 where the body carries.
+
+        Parameters
+        ----------
+        numbers : (F, rank)
+        transforms : (F, B, 3, 4)
+            Of the virtual bones.
+        """
+        assert isinstance(self.high, DetailBasis)
+        local = self.high.local(numbers)
+        detail = (self.turns(transforms) @ local[..., None])[..., 0]
+        if len(self.free) == self.subject.garment.n_vertices:
+            return detail
+        out = detail.new_zeros(len(detail), self.subject.garment.n_vertices, 3)
+        out[:, self.free] = detail
+        return out
 
     def high_inputs(self, x: Tensor, z: Tensor) -> Tensor:
         """Input ``(N, T, D)`` of the high-frequency module's GRU."""
@@ -207,17 +273,25 @@ class MotionNetwork(nn.Module):
         features, frame, pose = self.features(joints, state.pose)
         x = self.inputs(features, parameters).to(self.device)[None]
         z, low_state = self.low(x, state.low)
-        index = None
+        index, joints = None, np.asarray(joints)
         if frames is not None:
+            joints = joints[np.asarray(frames, np.int64)]
             index = torch.as_tensor(np.asarray(frames, np.int64), device=self.device)
             frame = frame[np.asarray(frames, np.int64)]
         transforms = self.low.code(z if index is None else z[:, index])[0]
-        low = self.lbs(transforms)
+        moved = torch.from_numpy(transforms_in_frame(joints, frame).astype(np.float32))
+        low, _ = self.carry(self.lbs(transforms), None, moved.to(self.device))
         high, high_state = None, state.high
         if detail and self.high is not None:
-            chosen = None if index is None else index[None]
-            out, high_state = self.high(self.high_inputs(x, z), low[None], state.high, chosen)
-            high = out[0]
+            inputs = self.high_inputs(x, z)
+            if isinstance(self.high, DetailBasis):
+                numbers, high_state = self.high(inputs, state.high)
+                out = self.turned(numbers[0] if index is None else numbers[0, index], transforms)
+            else:
+                chosen = None if index is None else index[None]
+                several, high_state = self.high(inputs, low[None], state.high, chosen)
+                out = several[0]
+            low, high = self.carry(low, out, moved.to(self.device))
         return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)
 
     def predict(

@@ -12,12 +12,31 @@ from ssdr.io.arrays.archive import read_arrays
 from ssdr.io.registry import reading
 
 from ..data.bvh import read_bvh
+from ..data.clip import Clip
 from ..data.retarget import retarget
 from ..data.skeleton import check_joints
 from ..data.store import ClipStore
 from ..networks.checkpoint import Checkpoint
 
-__all__ = ["read_joints"]
+__all__ = ["read_clip", "read_joints"]
+
+
+def read_clip(path: Path | str, checkpoint: Checkpoint) -> Clip | None:
+    """The simulated clip that a path names, or None if it is another kind of motion.
+
+    Raises
+    ------
+    InputError
+        If the clip is of another garment, body or frame rate, or its store has none of that name.
+    FormatError
+        If the store is damaged.
+    """
+    file = Path(path)
+    if not (file.is_dir() and file.parent.name == "clips"):
+        return None
+    store = ClipStore.open(file.parent.parent)
+    checkpoint.check_fits(store)
+    return store.clip(file.name)
 
 
 def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]:
@@ -43,10 +62,9 @@ def read_joints(path: Path | str, checkpoint: Checkpoint) -> NDArray[np.float64]
     if file.name.lower().endswith((".bvh", ".bvh.gz")):
         moved = retarget(read_bvh(file), subject.skeleton, fps=subject.fps, name=file.stem)
         return np.asarray(moved.joints, np.float64)
-    if file.is_dir() and file.parent.name == "clips":
-        store = ClipStore.open(file.parent.parent)
-        checkpoint.check_fits(store)
-        return np.asarray(store.clip(file.name).joints, np.float64)
+    clip = read_clip(file, checkpoint)
+    if clip is not None:
+        return np.asarray(clip.joints, np.float64)
     if suffix != ".npz":
         raise FormatError(f"{file}: a motion is a .bvh, a .npz with joints, or a clip of a store")
     joints = np.asarray(read_arrays(file, required=("joints",))["joints"], np.float64)

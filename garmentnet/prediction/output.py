@@ -4,17 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import FORMATS, require
+from ssdr.render import Part, contact_sheet, write_picture
+from ssdr.render.film import Film
 from ssdr.rigid import nearest_rotation
 
+from ..data.clip import Clip
+from ..drawing.dressed import (
+    AZIMUTH,
+    MILLIMETRES,
+    camera_track,
+    caption,
+    dressed,
+    facing_the_camera,
+    free_vertices,
+    outfit_parts,
+    outfit_regions,
+    spread_frames,
+)
 from ..io.files import writing
 from .prediction import Prediction
 
@@ -58,22 +77,37 @@ def save_prediction(
     *,
     size: int = 640,
     frames: int = 5,
+    truth: Clip | None = None,
+    free: NDArray[np.bool_] | None = None,
+    error: bool = False,
+    every: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> str:
     """Write a prediction in the format of the suffix.
 
     ``.mp4``, ``.gif`` and ``.webp`` are films and ``.png`` and ``.jpg`` sheets of pictures, with
-    the body; ``.glb``, ``.gltf`` and ``.fbx`` hold the virtual bones, without the high-frequency
-    part; all other formats hold the vertices.
+    the body and, where it is known, the truth beside the prediction; ``.glb``, ``.gltf`` and
+    ``.fbx`` hold the virtual bones, without the high-frequency part; all other formats hold the
+    vertices.
 
     Parameters
     ----------
     prediction : Prediction
     path : path
     size : int
-        Width and height of a film, pixels.
+        Height of a panel of a film, pixels; without the truth its width too.
     frames : int
-        Number of pictures in a sheet.
+        Number of frames in a sheet.
+    truth : Clip, optional
+        The simulated clip of the same motion: films show it beside the prediction, sheets with
+        the error, and the RMSE over the cloth is stated.
+    free : (V,) bool array, optional
+        Vertices that have a figure of their own; by default those of the clip's garment that are
+        not pinned.
+    error : bool
+        Whether a film with the truth has the error as a third panel.
+    every : int
+        A film shows every frame, every second and so on; its speed stays.
     progress : callable, optional
         Called with the fraction of a film that is drawn.
 
@@ -84,35 +118,126 @@ def save_prediction(
 
     Raises
     ------
+    InputError
+        If the clip is not of the prediction's frames and vertices, `free` is no mask of them, or
+        `every` is below 1.
     SsdrError
         If the file cannot be written.
     """
     file = Path(path)
-    with writing(file):
-        return _save(prediction, file, size, frames, progress)
-
-
-def _save(
-    prediction: Prediction,
-    file: Path,
-    size: int,
-    frames: int,
-    progress: Callable[[float], None] | None,
-) -> str:
-    from ssdr.render import animate, contact_sheet, write_picture
-
+    shown = Picture.of(prediction, truth, free)
+    if every < 1:
+        raise InputError("every", "1 or more", every)
     suffix = file.suffix.lower()
-    if suffix in _FILMS:
-        scene = prediction.scene()
-        if suffix == ".mp4":
-            _write_mp4(scene, file, size, progress)
-        else:
-            animate(scene, file, size=(size, size), callback=progress)
-        return f"a film of {scene.n_frames} frames"
-    if suffix in _PICTURES:
-        write_picture(contact_sheet(prediction.scene(), frames=frames), file)
-        return f"{frames} frames"
-    if suffix in _BONES:
+    with writing(file):
+        if suffix in _FILMS:
+            film = shown.film(size, error, every)
+            if suffix == ".mp4":
+                _write_mp4(film, file, progress)
+            else:
+                film.write(file, progress)
+            beside = " of truth and prediction" if truth is not None else ""
+            return f"a film{beside}, {len(film.order)} frames"
+        if suffix in _PICTURES:
+            write_picture(shown.sheet(frames), file)
+            return f"{frames} frames"
+        return _save(prediction, file)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Picture:
+    """What films and sheets show of a prediction."""
+
+    prediction: Prediction
+    truth: Clip | None
+    regions: dict[str, NDArray[np.bool_]]
+
+    @classmethod
+    def of(
+        cls, prediction: Prediction, truth: Clip | None, free: NDArray[np.bool_] | None
+    ) -> Picture:
+        """Check that the parts fit together."""
+        body, cloth = prediction.body.n_vertices, prediction.cloth.n_vertices
+        if truth is not None:
+            expected = prediction.cloth.n_frames, cloth
+            found = truth.n_frames, truth.outfit.n_vertices
+            if expected != found:
+                text = "a clip of {} frames and {} vertices".format
+                raise InputError("truth", text(*expected), text(*found))
+            free = free_vertices(truth.outfit) if free is None else free
+        return cls(prediction, truth, outfit_regions(body, cloth, free))
+
+    def film(self, size: int, error: bool, every: int) -> Film:
+        """The camera walks along; the body turns before it."""
+        p = self.prediction
+        side = size - size % 2
+        order = range(0, p.cloth.n_frames, every)
+        options: dict[str, Any] = {
+            "parts": self.parts,
+            "track": camera_track(p.root, p.cloth.fps),
+            "frames": order,
+            "fps": p.cloth.fps / every,
+            "elevation": _ELEVATION,
+        }
+        if self.truth is None:
+            return Film.of(self._dressed(p.cloth.vertices), size=(side, side), **options)
+        # Someone who stands is narrow.
+        width = size * 3 // 4
+        return Film.of(
+            self._dressed(p.cloth.vertices),
+            reference=self._dressed(self.truth.sequence.frames(slice(None))),
+            style=["plain", "error"] if error else ["plain"],
+            size=(width - width % 2, side),
+            titles=("truth", "prediction", "error")[: 3 if error else 2],
+            captions=[caption(t, p.cloth.fps, self.truth.classes) for t in order],
+            regions=self.regions,
+            unit=MILLIMETRES,
+            **options,
+        )
+
+    def sheet(self, frames: int) -> Image.Image:
+        """Frames evenly over the clip, each seen from beside the body's front."""
+        p = self.prediction
+        chosen = spread_frames(frames, p.cloth.n_frames)
+        classes = None if self.truth is None else self.truth.classes
+        options: dict[str, Any] = {
+            "frames": chosen,
+            "parts": self.parts,
+            "captions": [caption(t, p.cloth.fps, classes, "\n") for t in chosen],
+            "title": p.cloth.name,
+            "azimuth": AZIMUTH,
+        }
+        subject = self._facing(p.cloth.vertices)
+        if self.truth is None:
+            return contact_sheet(subject, row_names=("prediction",), **options)
+        return contact_sheet(
+            subject,
+            reference=self._facing(self.truth.sequence.frames(slice(None))),
+            row_names=("truth", "prediction", "error"),
+            regions=self.regions,
+            unit=MILLIMETRES,
+            **options,
+        )
+
+    @property
+    def parts(self) -> tuple[Part, Part]:
+        """Body and cloth."""
+        return outfit_parts(self.prediction.body.n_vertices, self.prediction.cloth.n_vertices)
+
+    def _dressed(self, cloth: Any) -> MeshSequence:
+        p = self.prediction
+        faces = p.body.faces, p.cloth.faces
+        return dressed(p.body.vertices, np.asarray(cloth), *faces, p.cloth.fps, p.cloth.name)
+
+    def _facing(self, cloth: Any) -> MeshSequence:
+        p, scene = self.prediction, self._dressed(cloth)
+        # Truth and prediction have one body, so one turn suits both.
+        vertices = facing_the_camera(scene.vertices, p.root, p.joints)
+        return dataclasses.replace(scene, vertices=vertices)
+
+
+def _save(prediction: Prediction, file: Path) -> str:
+    if file.suffix.lower() in _BONES:
         ssdr.save(_rigid(prediction.skinning), file)
         gap = prediction.cloth.vertices - prediction.skinning.skin(dtype=np.float32)
         rms = 1e3 * float(np.sqrt((gap.astype(np.float64) ** 2).sum(-1).mean()))
@@ -137,27 +262,18 @@ def _rigid(skinning: Skinning) -> Skinning:
     )
 
 
-def _write_mp4(
-    scene: MeshSequence, path: Path, size: int, progress: Callable[[float], None] | None
-) -> None:
-    from ssdr.render.scene import Scene, View, draw_panel
-
+def _write_mp4(film: Film, path: Path, progress: Callable[[float], None] | None) -> None:
     av = require("av", "garmentnet", "an .mp4 file")
-    side = size - size % 2
-    shown = Scene.of(scene, None)
-    view = View.of(
-        shown, list(range(scene.n_frames)), (side, side), None, "y", None, _ELEVATION, True
-    )
+    width, height = film.size
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as file:
         codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-        stream = file.add_stream(codec, rate=round(scene.fps))
-        stream.width = stream.height = side
+        stream = file.add_stream(codec, rate=Fraction(film.fps).limit_denominator(1001))
+        stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
-        for t in range(scene.n_frames):
-            picture = draw_panel(shown, view, t, "plain", (side, side), 1.0, 2)
+        if codec == "libx264":
+            stream.options = {"crf": "20", "preset": "slow"}
+        for picture in film.pictures(progress):
             for packet in stream.encode(av.VideoFrame.from_image(picture)):
                 file.mux(packet)
-            if progress:
-                progress((t + 1) / scene.n_frames)
         for packet in stream.encode():
             file.mux(packet)

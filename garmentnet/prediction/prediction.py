@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError, SsdrWarning
+from ssdr.skinning import BoneModel
 
+from ..collision.push_out import PushOut
 from ..data.parameters import RANGES, SimulationParameters
+from ..data.subject import Subject
 from ..networks.checkpoint import Checkpoint
 
 __all__ = ["Prediction", "follow", "predict", "trained_range"]
@@ -30,12 +33,20 @@ class Prediction:
     ----------
     cloth, body : MeshSequence
     skinning : Skinning
-        The low-frequency part: the virtual bones with their transforms in the world.
+        The low-frequency part: the virtual bones with their transforms in the world, and behind
+        them the joints of the body that carry vertices.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
     extrapolated : tuple of str
         A sentence for every parameter outside the trained range.
+    moved : float
+        Fraction of the cloth's vertices that were moved out of the body or along with those that
+        were, over all frames.
+    farthest : float
+        The longest way that one was moved, metres.
+
+    The push-out changes `cloth` alone, not `skinning`.
     """
 
     cloth: MeshSequence
@@ -44,6 +55,8 @@ class Prediction:
     joints: NDArray[np.float64]
     root: NDArray[np.float64]
     extrapolated: tuple[str, ...]
+    moved: float = 0.0
+    farthest: float = 0.0
 
     def scene(self, *, still: bool = True) -> MeshSequence:
         """Cloth and body as one mesh; `still`: without the root's horizontal motion."""
@@ -65,6 +78,7 @@ def predict(
     parameters: SimulationParameters | None = None,
     *,
     detail: bool = True,
+    push_out: bool = True,
     name: str = "prediction",
 ) -> Prediction:
     """The garment that a checkpoint predicts for a motion of its body.
@@ -79,6 +93,9 @@ def predict(
         and accepts no others.
     detail : bool
         Whether to run the high-frequency module.
+    push_out : bool
+        Whether to move vertices that lie inside the body out of it; see
+        :class:`~garmentnet.collision.push_out.PushOut`.
 
     Raises
     ------
@@ -106,24 +123,61 @@ def predict(
     subject, m = checkpoint.subject, np.asarray(joints, np.float64)
     garment, rig = subject.garment, subject.body
     cloth = np.concatenate([part.vertices() for part in motions])
-    moved = np.concatenate([part.world_transforms() for part in motions])
+    transforms = np.concatenate([part.world_transforms() for part in motions])
+    moved, farthest = 0.0, 0.0
+    if push_out:
+        held = np.zeros(garment.n_vertices, bool)
+        if subject.bound is not None:
+            held[subject.bound.index] = True
+        push = PushOut(rig, garment.faces, pinned=held, n_vertices=garment.n_vertices)
+        pushed = push(cloth, m)
+        cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
     body = np.asarray(ssdr.skin(rig.rest, rig.joints, rig.weights, m), np.float32)
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
-        skinning=Skinning(
-            garment.rest,
-            garment.joints,
-            garment.weights,
-            moved,
-            faces=garment.faces,
-            fps=subject.fps,
-            bone_model="affine" if several else "rigid",
-            name=name,
-        ),
+        skinning=_skinning(subject, transforms, m, "affine" if several else "rigid", name),
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
         extrapolated=beyond,
+        moved=moved,
+        farthest=farthest,
+    )
+
+
+def _skinning(
+    subject: Subject,
+    transforms: NDArray[np.float64],
+    joints: NDArray[np.float64],
+    bone_model: BoneModel,
+    name: str,
+) -> Skinning:
+    garment, bound = subject.garment, subject.bound
+    rest, bones, weights = garment.rest, garment.joints, garment.weights
+    names = [f"virtual_{b:02d}" for b in range(garment.n_bones)]
+    if bound is not None:
+        used = np.unique(bound.joints)
+        width = max(bones.shape[1], bound.joints.shape[1])
+        bones, weights, rest = (np.array(x) for x in (bones, weights, rest))
+        pad = ((0, 0), (0, width - bones.shape[1]))
+        bones, weights = np.pad(bones, pad), np.pad(weights, pad)
+        bones[bound.index] = weights[bound.index] = 0
+        columns = slice(0, bound.joints.shape[1])
+        bones[bound.index, columns] = garment.n_bones + np.searchsorted(used, bound.joints)
+        weights[bound.index, columns] = bound.weights
+        rest[bound.index] = bound.smooth
+        transforms = np.concatenate([transforms, joints[:, used]], axis=1)
+        names += [subject.skeleton.names[j] for j in used]
+    return Skinning(
+        rest,
+        bones,
+        weights,
+        transforms,
+        faces=garment.faces,
+        fps=subject.fps,
+        bone_model=bone_model,
+        bone_names=tuple(names),
+        name=name,
     )
 
 

@@ -8,7 +8,6 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import get_args
 
 from ssdr.errors import InputError
 from ssdr.io.registry import require
@@ -138,7 +137,7 @@ def make_data_set(
     with _writing(store):
         store.sweep()
         todo = [s for s in scenes if not _is_there(store, s, made_with)]
-        # The base parameters first, and of these the training clips: training need not wait.
+        # The base parameters first, and of these what training needs: it need not wait.
         todo.sort(key=lambda s: (s.parameters != data_set.base, bool(s.repeat_of), _order(s)))
         _check_space(store, todo)
         if todo:
@@ -147,7 +146,8 @@ def make_data_set(
 
 
 def _order(scene: Scene) -> int:
-    return get_args(Split).index(scene.motion.split)
+    order: tuple[Split, ...] = ("validation", "train", "test")
+    return order.index(scene.motion.split)
 
 
 def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool:

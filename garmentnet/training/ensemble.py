@@ -1,4 +1,9 @@
-"""Training of an ensemble: one network for every training set, pivots, kernel, comparison."""
+"""Training of an ensemble: one network for every training set, pivots, kernel, comparison.
+
+It has two forms.  The paper's: pivots that know their own parameters' clips alone.  With
+``data.condition`` a network that reads the parameters learns from all training sets first; pivots
+start from it and are fine-tuned, and it is mixed with them by a share that validation sets choose.
+"""
 
 from __future__ import annotations
 
@@ -42,6 +47,8 @@ Array = NDArray[np.float64]
 Mixer = Callable[[Array, Any], Array]
 # Clips of a parameter set on which networks are compared, at most: predicting is the cost.
 _CLIPS = 4
+# Shares of the common network that are tried.
+_SHARES = tuple(k / 10 for k in range(11))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,7 +69,9 @@ class Sweep:
         other pivots: one validation set alone says little.
     errors : dict
         mm, of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training motions
-        (``train``) and test motions (``test``).
+        (``train``) and test motions (``test``); with a common network of ``mixed`` and ``common``.
+    share : float
+        Of the common network in ``mixed``.
     """
 
     pivots: list[int]
@@ -71,6 +80,7 @@ class Sweep:
     validation: float
     score: float
     errors: dict[str, dict[str, float]]
+    share: float = 0.0
 
 
 def train_ensemble(
@@ -83,9 +93,11 @@ def train_ensemble(
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train the base network, one for every other training set, and the kernel.
+    """Train a network for every training set, and the kernel.
 
-    Called again, it continues.
+    Without ``data.condition`` the first is the base network, from which the others start if the
+    configuration says so; with it all start from the network that reads the parameters.  Called
+    again, it continues.
 
     Parameters
     ----------
@@ -95,7 +107,7 @@ def train_ensemble(
         For one folder a network, ``ensemble.safetensors`` and ``ensemble.json``, which holds the
         sweep over K.
     base : Checkpoint, optional
-        The base network, if it is trained already.
+        The network from which the others start, if it is trained already.
     bones_folder, progress
         As in :func:`~garmentnet.training.run.train`.
     callback : callable, optional
@@ -116,43 +128,17 @@ def train_ensemble(
     sets = [p for p in store.parameters() if roles[p] == "train"]
     if len(sets) < 2:
         raise InputError("store", "two or more training sets of parameters", len(sets))
-    if config.data.condition:
-        raise InputError("data.condition", "false: an ensemble's networks read no parameters", True)
     stopped = False
-    checkpoints: list[Checkpoint] = []
-    if base is not None:
-        base.check_fits(store)
-        if base.kernel is not None or base.parameters[0] != sets[0]:
-            raise InputError("base", f"a network of {sets[0]}", base.parameters)
-        checkpoints.append(base)
-    o = config.ensemble
-    for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
-        # Named by its parameters, because numbers would change as the store grows.
-        name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters)) if k else "base"
-        data = dataclasses.replace(config.data, parameters=_text(parameters))
-        set_config = dataclasses.replace(config, data=data)
-        start = None
-        if k and o.start_from_base:
-            start = checkpoints[0]
-            set_config = dataclasses.replace(
-                set_config,
-                train=dataclasses.replace(
-                    config.train,
-                    epochs=o.epochs,
-                    high_epochs=o.high_epochs,
-                    learning_rate=o.learning_rate,
-                    high_learning_rate=o.learning_rate,
-                ),
-            )
 
-        def after_epoch(p: Progress, name: str = name) -> bool:
+    def run(name: str, settings: Config, start: Checkpoint | None) -> Checkpoint:
+        def after_epoch(p: Progress) -> bool:
             nonlocal stopped
             stopped = bool(callback(name, p)) if callback else False
             return stopped
 
         path = train(
             store,
-            set_config,
+            settings,
             folder / name,
             start=start,
             bones_folder=bones_folder,
@@ -161,11 +147,48 @@ def train_ensemble(
         )
         if stopped:
             raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
-        checkpoints.append(load_checkpoint(path))
+        return load_checkpoint(path)
+
+    common: Checkpoint | None = None
+    checkpoints: list[Checkpoint] = []
+    if base is not None:
+        base.check_fits(store)
+        fits = (
+            base.networks[0].condition if config.data.condition else base.parameters[0] == sets[0]
+        )
+        if base.kernel is not None or not fits:
+            of = "all training sets" if config.data.condition else str(sets[0])
+            raise InputError("base", f"a network of {of}", base.parameters)
+    if config.data.condition:
+        everything = dataclasses.replace(config.data, parameters="")
+        common = base or run("common", dataclasses.replace(config, data=everything), None)
+    elif base is not None:
+        checkpoints.append(base)
+    o = config.ensemble
+    for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
+        # Named by its parameters, because numbers would change as the store grows.
+        name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters))
+        data = dataclasses.replace(config.data, parameters=_text(parameters))
+        settings = dataclasses.replace(config, data=data)
+        start = common
+        if common is None:
+            name = name if k else "base"
+            start = checkpoints[0] if k and o.start_from_base else None
+        if start is not None:
+            shorter = dataclasses.replace(
+                config.train,
+                epochs=o.epochs,
+                high_epochs=o.high_epochs,
+                learning_rate=o.learning_rate,
+                high_learning_rate=o.learning_rate,
+            )
+            settings = dataclasses.replace(settings, train=shorter)
+        checkpoints.append(run(name, settings, start))
 
     bones = virtual_bones(store, config.bones, folder=bones_folder)
     networks = tuple(c.networks[0] for c in checkpoints)
-    sweep = sweep_pivots(store, bones, networks, sets, config, progress=progress)
+    shared = None if common is None else common.networks[0]
+    sweep = sweep_pivots(store, bones, networks, sets, config, common=shared, progress=progress)
     count = o.pivots or smallest_good([s.score for s in sweep])
     chosen = sweep[min(count, len(sweep)) - 1]
     text = json.dumps(_report(sets, sweep, chosen), indent=1)
@@ -175,6 +198,8 @@ def train_ensemble(
             tuple(networks[i] for i in chosen.pivots),
             tuple(sets[i] for i in chosen.pivots),
             chosen.kernel,
+            shared,
+            chosen.share,
         ),
         folder / "ensemble.safetensors",
     )
@@ -187,11 +212,13 @@ def sweep_pivots(
     sets: Sequence[SimulationParameters],
     config: Config,
     *,
+    common: MotionNetwork | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Sweep]:
     """Pivots and kernel for K from 1 to all training sets, and their errors.
 
-    Bandwidth and training step are chosen on the validation sets, never on the test sets.
+    Bandwidth, training step and the common network's share are chosen on the validation sets,
+    never on the test sets.
 
     Returns
     -------
@@ -205,7 +232,9 @@ def sweep_pivots(
     def grams(of: Sequence[SimulationParameters], split: str) -> list[Array]:
         out = []
         for k, p in enumerate(of):
-            out.append(compare_networks(store, bones, networks, p, split, o.frames))
+            every = [*networks] if common is None else [*networks, common]
+            own = [*sets] if common is None else [*sets, p]
+            out.append(compare_networks(store, bones, every, own, p, split, o.frames))
             if progress:
                 progress(f"comparing networks, {split} motions", (k + 1) / len(of))
         return out
@@ -218,7 +247,9 @@ def sweep_pivots(
     places = [p.normalised() for p in by_role["test"]]
 
     def error_at(q: Array, at: Array, mix: Mixer, pivots: list[int]) -> float:
-        return error_of(q[np.ix_(pivots, pivots)], mix(theta[pivots], at))
+        w = mix(theta[pivots], at)
+        mixed = [*pivots, len(sets)][: len(w)]  # the common network comes last
+        return error_of(q[np.ix_(mixed, mixed)], w)
 
     def test_error(split: str, mix: Mixer, pivots: list[int]) -> float:
         pairs = zip(tests[split], places, strict=True)
@@ -227,7 +258,14 @@ def sweep_pivots(
     def fit(pivots: list[int], sigma: float) -> tuple[Kernel, float]:
         seed = config.train.seed
         return fit_kernel(
-            train_grams, theta, pivots, validation=held_out, sigma=sigma, steps=o.steps, seed=seed
+            train_grams,
+            theta,
+            pivots,
+            validation=held_out,
+            sigma=sigma,
+            shape=o.kernel,
+            steps=o.steps,
+            seed=seed,
         )
 
     sweep = []
@@ -243,19 +281,35 @@ def sweep_pivots(
         }
         seen = left_out_errors(kernel, train_grams, theta, pivots)
         seen += [error_at(q, at, kernel.weights, pivots) for q, at in held_out]
+        share = 0.0
+        if common is not None:
+            mixtures = [(_with_share(kernel.weights, x), x) for x in _SHARES]
+            if held_out:
+                share = min(
+                    mixtures,
+                    key=lambda m: sum(error_at(q, at, m[0], pivots) for q, at in held_out),
+                )[1]
+            mixers["mixed"] = _with_share(kernel.weights, share)
+            mixers["common"] = _with_share(kernel.weights, 1.0)
         errors = {
             name: {split: test_error(split, mix, pivots) for split in tests if tests[split]}
             for name, mix in mixers.items()
         }
         score = 1e3 * float(np.mean(seen))
-        sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors))
+        sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors, share))
     return sweep
+
+
+def _with_share(mix: Mixer, share: float) -> Mixer:
+    """The mixture of pivots, and the common network with a share of it."""
+    return lambda pivots, at: np.append((1 - share) * mix(pivots, at), share)
 
 
 def compare_networks(
     store: ClipStore,
     bones: VirtualBones,
     networks: Sequence[MotionNetwork],
+    own: Sequence[SimulationParameters],
     parameters: SimulationParameters,
     split: str,
     frames: int,
@@ -263,7 +317,7 @@ def compare_networks(
     """Gram matrix ``(S, S)`` of all networks' residuals on one set's clips of a split.
 
     Networks predict at most four clips from their first frame; `frames` evenly spread frames are
-    compared.
+    compared.  A network that reads parameters reads its `own`.
 
     Raises
     ------
@@ -286,7 +340,10 @@ def compare_networks(
         clip = store.clip(name)
         truth = clip.sequence.frames(here)
         upto = clip.joints[: here[-1] + 1]
-        answers = [n.predict(upto, frames=here) for n in networks]
+        answers = [
+            n.predict(upto, frames=here, parameters=p.normalised() if n.condition else None)
+            for n, p in zip(networks, own, strict=True)
+        ]
         total += gram(answers, truth) * len(here)
         used += len(here)
     return total / used
@@ -316,6 +373,7 @@ def _report(
                 "sigma": s.sigma,
                 "validation_mm": None if math.isnan(s.validation) else s.validation,
                 "score_mm": s.score,
+                "share": s.share,
                 "test_mm": s.errors,
             }
             for s in sweep

@@ -19,7 +19,7 @@ from ssdr.errors import InputError
 from ssdr.io.registry import require
 
 from ..configs.config import TrainOptions
-from ..networks.checkpoint import load_tensors, save_tensors
+from ..networks.tensor_files import load_tensors, save_tensors
 from .batches import Batch, Track, batches
 
 __all__ = ["Epoch", "Objective", "Progress", "fit"]

@@ -10,11 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..networks.high_frequency import HighFrequency
 from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm, mesh_laplacian
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 
-__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective"]
+__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective", "dropout_mask"]
 
 # Metres; the smallest deviation by which the output of a module is scaled.
 LEAST_DEVIATION = 1e-4
@@ -58,6 +59,9 @@ class _SkinnedNorm:
 class LowFrequencyObjective:
     """Loss of the low-frequency module: ‖Ĝ_LF − G_LF‖ + λ_Lap ‖Δ(Ĝ_LF) − Δ(G_LF)‖.
 
+    Over the vertices that the module predicts; those that the body carries are exact, and so is
+    their part of Δ.
+
     Parameters
     ----------
     network : MotionNetwork
@@ -70,9 +74,12 @@ class LowFrequencyObjective:
         self.network, self.module = network, network.low
         garment = network.subject.garment
         self.weight = network.config.low.laplacian
-        self._count = garment.n_vertices
-        skinned = network.lbs.matrix.double().cpu().numpy()
-        self._laplacian = mesh_laplacian(garment.faces, garment.n_vertices)
+        self._free = network.free
+        self._count = len(self._free)
+        skinned = network.lbs.matrix.double().cpu().numpy()[self._free]
+        laplacian = mesh_laplacian(garment.faces, garment.n_vertices)
+        self._laplacian = laplacian[self._free][:, self._free]
+        self.body = BodyShape(network.subject.body).to(network.device)
         self._position = _SkinnedNorm(skinned, network.device)
         self._detail = _SkinnedNorm(self._laplacian @ skinned, network.device)
         self.tracks = [self._with_targets(t) for t in tracks]
@@ -81,11 +88,8 @@ class LowFrequencyObjective:
     def _with_targets(self, track: Track) -> Track:
         codes = []
         for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
-            g = (
-                track.target("low", slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames)))
-                .double()
-                .numpy()
-            )
+            part = slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames))
+            g = track.target("low", part).double().numpy()[:, self._free]
             flat = g.transpose(1, 0, 2).reshape(self._count, -1)
             bent = (self._laplacian @ flat).reshape(self._count, -1, 3).transpose(1, 0, 2)
             codes.append(np.hstack([self._position.code(g), self._detail.code(bent)]))
@@ -103,18 +107,24 @@ class LowFrequencyObjective:
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        x, drop = batch.inputs(), self.network.config.low.dropout
-        mask = None
-        if drop:
-            # Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
-            stays = rng.random((*x.shape[:2], self.module.gru.hidden_size), np.float32) >= drop
-            mask = torch.from_numpy(stays).to(self.network.device) / (1 - drop)
+        x, hidden = batch.inputs(), self.module.gru.hidden_size
+        mask = dropout_mask(rng, (*x.shape[:2], hidden), self.network.config.low.dropout)
+        mask = None if mask is None else mask.to(self.network.device)
         z, state = self.module(x.to(self.network.device), state, mask)
         code = torch.cat([_extra(w.track)[w.frames] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
         loss = (position + EXACT).sqrt().mean()
         if self.weight:
             loss = loss + self.weight * (detail + EXACT).sqrt().mean()
+        options = self.network.config.low
+        if options.collision:
+            lanes, frames, chosen = _some_frames(batch, options.frames, rng)
+            some = z[lanes, torch.from_numpy(chosen)[lanes].T].transpose(0, 1)
+            vertices = self.network.mesh(some)[:, :, self._free].flatten(0, 1)
+            windows = [w for w in batch.windows if w]
+            joints = [w.track.joints(f) for w, f in zip(windows, frames, strict=True)]
+            body, normals = self.body(torch.cat(joints).to(z.device))
+            loss = loss + options.collision * collision_depth(vertices, body, normals).mean()
         return loss, state
 
     def validate(self) -> float:
@@ -143,7 +153,7 @@ class HighFrequencyObjective:
     def __init__(
         self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
     ) -> None:
-        assert network.high is not None
+        assert isinstance(network.high, HighFrequency)
         self.network, self.module = network, network.high
         self.tracks = [self._with_motion(t) for t in tracks]
         self.validation = [self._with_motion(t) for t in validation]
@@ -162,44 +172,51 @@ class HighFrequencyObjective:
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
         device, options = self.network.device, self.network.config.high
-        lanes = [k for k, w in enumerate(batch.windows) if w]
+        lanes, frames, chosen = _some_frames(batch, options.frames, rng)
         windows = [w for w in batch.windows if w]
-        # The same number of frames in every lane, some twice where a window is shorter.
-        chosen = np.zeros((len(batch.windows), options.frames), int)
-        for k, w in zip(lanes, windows, strict=True):
-            length = w.stop - w.start
-            short = length < options.frames
-            chosen[k] = np.sort(rng.choice(length, options.frames, replace=short))
         z = batch.stack([w and _extra(w.track)[w.frames] for w in batch.windows])
-        pick = torch.from_numpy(chosen)
+        joints = torch.zeros(*chosen.shape, *windows[0].track.joints([0]).shape[1:])
+        for k, w, f in zip(lanes, windows, frames, strict=True):
+            joints[k] = w.track.joints(f)
+        pick, joints = torch.from_numpy(chosen), joints.to(device)
         with torch.no_grad():
             index = pick[:, :, None, None].expand(-1, -1, *z.shape[2:])
-            low = self.network.mesh(z.gather(1, index).to(device))
+            low = self._low(z.gather(1, index).to(device), joints)
         x = self._inputs(batch.inputs(), z)
-        high, state = self.module(x, low, state, pick.to(device))
-        frames = [w.start + chosen[k] for k, w in zip(lanes, windows, strict=True)]
+        dropped = self.module.draw(
+            rng, (len(chosen), options.frames), hidden=options.dropout, edges=options.edge_dropout
+        )
+        high, state = self.module(x, low, state, pick.to(device), dropped)
         targets = [w.track.target("high", f) for w, f in zip(windows, frames, strict=True)]
         truth = torch.stack(targets).to(device)
-        loss = frame_norm(high[lanes] - truth)
+        gap = high[lanes] - truth
+        loss = frame_norm(gap[:, :, self.network.free])
         if options.collision:
-            joints = torch.cat([w.track.joints(f) for w, f in zip(windows, frames, strict=True)])
-            body, normals = self.body(joints.to(device))
-            mesh = (low + high)[lanes].flatten(0, 1)
+            body, normals = self.body(joints[lanes].flatten(0, 1))
+            mesh = (low + high)[lanes][:, :, self.network.free].flatten(0, 1)
             loss = loss + options.collision * collision_depth(mesh, body, normals).mean()
         return loss, state
 
+    def _low(self, z: Tensor, joints: Tensor) -> Tensor:
+        """Low-frequency mesh ``(N, S, V, 3)``, with what the body carries in its place."""
+        mesh, _ = self.network.carry(self.network.mesh(z).flatten(0, 1), None, joints.flatten(0, 1))
+        return mesh.unflatten(0, z.shape[:2])
+
     def validate(self) -> float:
-        """RMSE of the garment, low and high frequencies together, metres."""
-        square, count = 0.0, 0
+        """RMSE of the detail, of the vertices that the module predicts, metres.
+
+        Not of the garment: the low frequencies' error, ten times as large, would hide it.
+        """
+        square, count, free = 0.0, 0, self.network.free
         for track in self.validation:
             state, z = None, _extra(track)
             for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
                 part = slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames))
-                low = self.network.mesh(z[part].to(self.network.device))[None]
+                joints = track.joints(part)[None].to(self.network.device)
+                low = self._low(z[None, part].to(self.network.device), joints)
                 x = self._inputs(track.inputs[None, part], z[None, part])
                 high, state = self.module(x, low, state)
-                truth = track.target("low", part) + track.target("high", part)
-                gap = (low + high)[0].cpu() - truth
+                gap = (high[0].cpu() - track.target("high", part))[:, free]
                 square += float(gap.double().square().sum())
                 count += gap.shape[0] * gap.shape[1]
         return math.sqrt(square / count) if count else math.nan
@@ -207,17 +224,54 @@ class HighFrequencyObjective:
     def fit_statistics(self) -> None:
         """Set the mean detail of every vertex and one deviation, over the training clips."""
         total, square, frames = torch.zeros(()), 0.0, 0
+        free = self.network.free
         for track in self.tracks:
             high = track.target("high").double()
             total = total + high.sum(0)
-            square += float(high.square().sum())
+            square += float(high[:, free].square().sum())
             frames += len(high)
         mean = total / frames
-        variance = square / (mean.numel() * frames) - float(mean.square().mean())
+        variance = square / (3 * len(free) * frames) - float(mean[free].square().mean())
         low = self.network.mesh(_extra(self.tracks[0])[:1].to(self.network.device))
         self.module.mean.copy_(mean)
         self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
         self.module.centre.copy_(low[0].mean(0))
+
+
+def dropout_mask(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Tensor | None:
+    """Factors 0 and 1 / (1 − share); None where nothing is left out.
+
+    Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
+    """
+    if not share:
+        return None
+    return torch.from_numpy(rng.random(shape, np.float32) >= share) / (1 - share)
+
+
+def _some_frames(
+    batch: Batch, count: int, rng: np.random.Generator
+) -> tuple[list[int], list[NDArray[np.int64]], NDArray[np.int64]]:
+    """Frames for the terms that are too expensive for all.
+
+    Returns
+    -------
+    lanes : list of int
+        Those that hold a window.
+    frames : list of (S,) int arrays
+        For each of them, the chosen frames of its track.
+    chosen : (N, S) int array
+        Likewise for every lane, counted from the window's start.
+    """
+    lanes = [k for k, w in enumerate(batch.windows) if w]
+    chosen, frames = np.zeros((len(batch.windows), count), np.int64), []
+    for k in lanes:
+        w = batch.windows[k]
+        assert w is not None
+        length = w.stop - w.start
+        # Some twice where a window is shorter.
+        chosen[k] = np.sort(rng.choice(length, count, replace=length < count))
+        frames.append(w.start + chosen[k])
+    return lanes, frames, chosen
 
 
 def _extra(track: Track) -> Tensor:

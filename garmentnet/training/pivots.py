@@ -196,6 +196,7 @@ def fit_kernel(
     *,
     validation: Sequence[tuple[Array, Any]] = (),
     sigma: float = 0.5,
+    shape: str = "gaussian",
     steps: int = 600,
     learning_rate: float = 1e-2,
     weight_decay: float = 1e-3,
@@ -217,8 +218,8 @@ def fit_kernel(
     validation : pairs (Q, θ)
         Of sets that no network was trained on; the step with the smallest error on them is
         returned.  Without any it is the last step.
-    sigma : float
-        Bandwidth of the kernel.
+    sigma, shape : float, str
+        Of the kernel.
     steps : int
         Of Adam, with `learning_rate` and `weight_decay`.
     seed : int
@@ -239,7 +240,7 @@ def fit_kernel(
     """
     torch_state = torch.random.get_rng_state()
     torch.manual_seed(seed)
-    kernel = Kernel(np.shape(parameters)[1], sigma=sigma)
+    kernel = Kernel(np.shape(parameters)[1], sigma=sigma, shape=shape)
     torch.random.set_rng_state(torch_state)
     p = list(pivots)
     theta = torch.as_tensor(np.asarray(parameters, float))

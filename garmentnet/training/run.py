@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +20,16 @@ from ssdr.errors import InputError
 from ssdr.io.atomic import write_bytes
 
 from ..configs.config import Config
-from ..data.clip import MIRRORED
+from ..data.clip import MIRRORED, Clip
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
+from ..networks.detail_basis import DetailBasis
 from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
 from ..networks.network import MotionNetwork
-from .batches import load_tracks
+from .batches import Track, load_tracks
+from .detail import DetailObjective
 from .loop import Progress, fit
 from .objectives import HighFrequencyObjective, LowFrequencyObjective
 
@@ -50,7 +53,7 @@ def choose_clips(
     -------
     names : list of str
     parameters : SimulationParameters or None
-        Those of all the clips; None: those of all training sets.
+        Those of all the clips; None: those of all training sets, for a network that reads them.
 
     Raises
     ------
@@ -59,7 +62,7 @@ def choose_clips(
     """
     roles = parameter_roles(store)
     text, chosen = config.data.parameters, None
-    if text and not config.data.condition:
+    if text:
         try:
             bending, density, time_scale = (float(x) for x in text.split(","))
             chosen = SimulationParameters(bending, density, time_scale)
@@ -68,14 +71,29 @@ def choose_clips(
             raise InputError("data.parameters", expected, repr(text)) from error
     elif not config.data.condition:
         chosen = store.parameters()[0] if store.parameters() else None
-    names = [
-        c.name
-        for c in store.clips(split)
-        if (c.parameters == chosen if chosen else roles[c.parameters] == "train")
-    ]
+    o = config.data
+
+    def used(clip: Clip) -> bool:
+        if not (clip.parameters == chosen if chosen else roles[clip.parameters] == "train"):
+            return False
+        if not o.leave_out:
+            return clip.split == split and _matches(clip, o.motions)
+        # One motion after the other is left out and tested on, whatever the splits say.
+        left = fnmatchcase(clip.motion, o.leave_out)
+        if split == "train":
+            return not left and _matches(clip, o.motions)
+        return left and split == "test"
+
+    names = [c.name for c in store.clips() if used(c)]
     if needed and not names:
-        raise InputError("store", f"{split} clips of {chosen or 'training sets'}", str(store.path))
+        wanted = f" of motions {o.motions}" if o.motions else ""
+        expected = f"{split} clips{wanted} of {chosen or 'training sets'}"
+        raise InputError("store", expected, str(store.path))
     return names, chosen
+
+
+def _matches(clip: Clip, pattern: str) -> bool:
+    return not pattern or fnmatchcase(clip.motion, pattern)
 
 
 def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> MotionNetwork:
@@ -180,10 +198,8 @@ def train(
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
-        objective = HighFrequencyObjective(network, tracks, validation)
-        objective.fit_statistics()
-        if start is not None and start.networks[0].high is not None:
-            load_weights(network, start, "high")
+        begun = start is not None and start.networks[0].high is not None
+        objective = _high_objective(network, tracks, validation, start if begun else None)
         history["high"] = fit(
             objective,
             o,
@@ -198,6 +214,24 @@ def train(
     return save_checkpoint(
         Checkpoint((network,), (parameters,), None), folder / "checkpoint.safetensors"
     )
+
+
+def _high_objective(
+    network: MotionNetwork,
+    tracks: list[Track],
+    validation: list[Track],
+    start: Checkpoint | None,
+) -> HighFrequencyObjective | DetailObjective:
+    """The loss of the high-frequency module, whose statistics are set, or weights loaded."""
+    if isinstance(network.high, DetailBasis):
+        if start is not None:
+            load_weights(network, start, "high")
+        return DetailObjective(network, tracks, validation, start=start is not None)
+    objective = HighFrequencyObjective(network, tracks, validation)
+    objective.fit_statistics()
+    if start is not None:
+        load_weights(network, start, "high")
+    return objective
 
 
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:

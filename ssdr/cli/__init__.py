@@ -1,5 +1,5 @@
 """The command ``ssdr``: decompose, info, compare, convert, render."""
 
-from .app import app, main
+from .entry import main
 
-__all__ = ["app", "main"]
+__all__ = ["main"]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -31,8 +30,9 @@ from .decomposing import decompose
 from .inspecting import info
 from .output import Interrupted, Output
 from .rendering import render
+from .streams import safe_streams
 
-__all__ = ["app", "main"]
+__all__ = ["app", "run"]
 
 app = typer.Typer(
     name="ssdr",
@@ -66,7 +66,7 @@ def _root(
     pass
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code.
 
     Parameters
@@ -75,12 +75,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Those of the process by default.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    with safe_streams(), terminate_as_interrupt():
+        try:
+            return _called(given)
+        except KeyboardInterrupt:  # a second one, while the first was being dealt with
+            return 130
+
+
+def _called(given: list[str]) -> int:
     as_json = "--json" in given
     output = Output.current = Output(arguments=given)
-    with warnings.catch_warnings(), terminate_as_interrupt():
+    with warnings.catch_warnings():
         warnings.showwarning = output.warn
         try:
             code = app(given, prog_name="ssdr", standalone_mode=False)
+            if code == 130:  # what the parser makes of an interrupt
+                raise KeyboardInterrupt
             return code if isinstance(code, int) else 0
         except (KeyboardInterrupt, Interrupted, Cancelled) as error:
             return _fail(130, error, str(error) or "interrupted", as_json)
@@ -90,9 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _fail(3, error, str(error), as_json)
         except (InputError, FileNotFoundError, PermissionError, IsADirectoryError) as error:
             return _fail(2, error, error_text(error), as_json)
-        except BrokenPipeError:
-            # The reader of stdout has gone; Python would complain again when it exits.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        except BrokenPipeError:  # the reader of stdout has gone
             return 1
         except (SsdrError, OSError, MemoryError) as error:
             return _fail(1, error, error_text(error), as_json)
@@ -122,7 +130,11 @@ def _fail(
             "warnings": output.warnings,
             **getattr(error, "details", {}),
         }
-        sys.stdout.write(json.dumps(document) + "\n")
-    else:
-        sys.stderr.write(f"ssdr: {line}\n" if code == 130 else f"ssdr: error: {line}\n")
+        try:
+            sys.stdout.write(json.dumps(document) + "\n")
+            sys.stdout.flush()
+            return code
+        except OSError:
+            pass  # stderr is what is left
+    sys.stderr.write(f"ssdr: {line}\n" if code == 130 else f"ssdr: error: {line}\n")
     return code

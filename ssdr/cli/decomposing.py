@@ -5,12 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import os
-import shlex
-import signal
 import sys
 import time
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +17,7 @@ from ..clips import names_of
 from ..errors import Cancelled, InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from .interruption import interrupted, rescue, state_beside, stopping
 from .output import (
     Force,
     Fps,
@@ -36,6 +33,7 @@ from .output import (
     check_file,
     check_outputs,
     length_text,
+    rehearse,
     saved_document,
     saved_line,
     write_options,
@@ -186,14 +184,15 @@ def decompose(
                 f"at most 8 for {path} (--write {path.suffix[1:]}:influences=8 keeps the largest)",
                 influences,
             )
-    state_path = checkpoint or outputs[0].with_name(f"{outputs[0].stem}.state.npz")
+    state_path = checkpoint or state_beside(outputs[0])
     if checkpoint is not None and checkpoint.suffix.lower() != ".npz":
         raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
     # A run may be cut into several that hand one state on.
     mine = resume is not None and state_path.resolve() == resume.resolve()
     if not mine:
         anyway = force or checkpoint is None
-        check_file(state_path, "--checkpoint", force=anyway, sources=inputs)
+        others = {path.resolve() for path in outputs}
+        check_file(state_path, "--checkpoint", force=anyway, sources=inputs, seen=others)
     if picture is not None:
         from ..render.figures import picture_format
         from ..render.raster import up_axes
@@ -217,8 +216,11 @@ def decompose(
         )
     check_rates(outputs, shots)
     loading = time.perf_counter() - began
+    for path in outputs:
+        frames = sum(len(shot) for shot in shots)
+        rehearse(shots[0], path, write_options(write, path), frames=frames)
 
-    with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, _stopping() as stop:
+    with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, stopping() as stop:
 
         def follow(progress: Any) -> bool:
             reporter.update(progress)
@@ -243,7 +245,7 @@ def decompose(
         except Cancelled as error:
             raise Interrupted("interrupted before there was a model to save") from error
     if result.stop_reason == "cancelled":
-        raise _interrupted(result, state_path, output)
+        raise interrupted(result, state_path, output)
     solving = time.perf_counter() - began - loading
 
     reports = []
@@ -258,12 +260,10 @@ def decompose(
             )
             write_picture(sheet, picture)
     except KeyboardInterrupt:
-        raise _interrupted(result, state_path, output) from None
-    except Exception:
+        raise interrupted(result, state_path, output) from None
+    except Exception as error:
         # What was computed must survive a full disk or a format's limits.
-        with contextlib.suppress(Exception):
-            result.state.save(state_path)
-            sys.stderr.write(f"ssdr: the result is kept in {state_path}\n")
+        rescue(error, result.state, state_path, output)
         raise
 
     diagonal = max(shot.diagonal() for shot in shots)
@@ -371,56 +371,3 @@ def _pruned_rows(result: Any, diagonal: float) -> list[tuple[str, str]]:
             (p.what, f"{p.before:,} to {p.after:,}, {saved:,} bytes less; error {p.cost:+.2g}")
         )
     return rows
-
-
-def _interrupted(result: Any, state_path: Path, output: Output) -> Interrupted:
-    result.state.save(state_path)
-    again = [*_without(output.arguments, "--resume"), "--resume", str(state_path)]
-    command = shlex.join(["ssdr", *again])
-    return Interrupted(
-        f"interrupted at RMSE {result.rmse:.4g}; go on with: {command}",
-        state=str(state_path),
-        rmse=result.rmse,
-        resume=command,
-    )
-
-
-def _without(arguments: list[str], option: str) -> list[str]:
-    kept, skip = [], False
-    for argument in arguments:
-        if skip or argument.startswith(f"{option}="):
-            skip = False
-        elif argument == option:
-            skip = True
-        else:
-            kept.append(argument)
-    return kept
-
-
-class _Stop:
-    asked = False
-
-
-@contextlib.contextmanager
-def _stopping() -> Iterator[_Stop]:
-    """First SIGINT or SIGTERM: ask to stop.  Second: quit at once."""
-    stop = _Stop()
-
-    def handle(*_: Any) -> None:
-        if stop.asked:
-            if sys.stderr.isatty():
-                os.write(2, b"\x1b[?25h\n")  # the progress display hides the cursor
-            os._exit(130)
-        stop.asked = True
-        os.write(2, b"\nssdr: stopping at the next safe point; again to quit at once\n")
-
-    try:
-        old = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not in the main thread: signals are somebody else's
-        yield stop
-        return
-    try:
-        yield stop
-    finally:
-        for number, handler in old.items():
-            signal.signal(number, handler)

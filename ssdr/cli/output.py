@@ -14,6 +14,8 @@ import math
 import os
 import re
 import sys
+import tempfile
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -22,6 +24,7 @@ import numpy as np
 import typer
 
 from ..errors import FormatError, InputError, MissingDependencyError
+from ..io.atomic import check_writable
 from ..io.registry import FORMATS, Format, SaveReport, format_of
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -108,7 +111,22 @@ class Output:
         sys.stderr.write(f"ssdr: warning: {text}\n")
 
     def result(self, document: Mapping[str, Any], rows: Iterable[tuple[str, str]]) -> None:
-        """Print the result, as JSON or as a table."""
+        """Print the result, as JSON or as a table.
+
+        Raises
+        ------
+        BrokenPipeError
+            If nobody reads it and it is all that there is: no file was written.
+        OSError
+            If it cannot be written.
+        """
+        try:
+            self._print(document, rows)
+        except BrokenPipeError:
+            if not {"output", "outputs"} & document.keys():
+                raise
+
+    def _print(self, document: Mapping[str, Any], rows: Iterable[tuple[str, str]]) -> None:
         if self.json:
             text = json.dumps({**_plain(document), "warnings": self.warnings}, allow_nan=False)
             sys.stdout.write(text + "\n")
@@ -216,11 +234,11 @@ def check_file(
     seen: set[Path] | None = None,
 ) -> None:
     """Refuse a file that exists, is an input, is named twice or cannot be written."""
-    folder = path.parent
-    if not folder.is_dir():
-        raise InputError(option, "a file in a folder that exists", str(path))
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise InputError(option, "a file in a folder that can be written to", str(path))
+    if not (path.suffix.lower() == ".zarr" and path.is_dir()):
+        try:
+            check_writable(path)
+        except InputError as error:
+            raise InputError(option, error.expected, error.got) from error
     absolute = path.resolve()
     if any(absolute == source.resolve() for source in sources):
         raise InputError(option, "another file than the input", str(path))
@@ -229,11 +247,64 @@ def check_file(
             raise InputError(option, "each file once", str(path))
         seen.add(absolute)
     numbered = re.sub(r"%0?\d*d", "*", path.name)
-    there = [path] if numbered == path.name else glob.glob(f"{glob.escape(str(folder))}/{numbered}")
-    if any(os.path.lexists(p) for p in there) and not force:
-        raise InputError(option, "a new file (--force overwrites)", f"{path}, which exists")
-    if path.is_dir() and path.suffix.lower() != ".zarr":
-        raise InputError(option, "the name of a file", f"the folder {path}")
+    there = [path, *_beside(path)]
+    if numbered != path.name:
+        there = list(map(Path, glob.glob(f"{glob.escape(str(path.parent))}/{numbered}")))
+    taken = [p for p in there if os.path.lexists(p)]
+    if taken and not force:
+        name = path if path in taken or numbered != path.name else taken[0]
+        raise InputError(option, "a new file (--force overwrites)", f"{name}, which exists")
+
+
+def _beside(path: Path) -> list[Path]:
+    """What a format writes beside a file, whatever the file holds."""
+    endings = {".gltf": ".bin", ".npy": ".faces.npy"}
+    suffix = path.suffix.lower()
+    return [path.with_suffix(endings[suffix])] if suffix in endings else []
+
+
+def rehearse(
+    sequence: MeshSequence, path: Path, options: Mapping[str, Any], *, frames: int
+) -> None:
+    """Write a model of one bone and one frame to a folder that goes away; `frames` will come.
+
+    What a format refuses (an option's value, one file for many frames) is refused before the
+    work, not after it.
+
+    Raises
+    ------
+    InputError, MissingDependencyError, SsdrError
+        As :func:`ssdr.save`.
+    """
+    from .. import io
+
+    suffix, format_ = format_of(path)
+    if format_.module == "meshes":
+        from ..io.meshes.numbered import check_pattern
+
+        check_pattern(path, frames)
+    if format_.module == "blender":  # starts another program, for seconds
+        return
+    n = sequence.n_vertices
+    frame = sequence.frames(slice(0, 1))
+    model = Skinning(
+        frame[0],
+        np.zeros((n, 1), dtype=np.int32),
+        np.ones((n, 1)),
+        np.eye(3, 4)[None, None],
+        faces=sequence.faces,
+        fps=sequence.fps,
+        surface=sequence.surface,
+        vertex_map=sequence.vertex_map,
+        name=sequence.name,
+    )
+    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they come again with the whole model
+        try:
+            io.save(model, Path(folder) / f"rehearsal{suffix}", **options)
+        except OSError as error:
+            # The folder of the output has been tried; this one says nothing about it.
+            logging.getLogger(__name__).debug("no rehearsal: %s", error)
 
 
 def saved_document(report: SaveReport) -> dict[str, Any]:

@@ -80,7 +80,8 @@ def render(
 ) -> None:
     """Draw a contact sheet, one frame or a film; no display is needed."""
     output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
-    from ..render.figures import animate, contact_sheet, picture_format, render_frame, write_picture
+    from ..render.figures import contact_sheet, picture_format, render_frame, write_picture
+    from ..render.film import animate
     from ..render.raster import up_axes
 
     up_axes(up)

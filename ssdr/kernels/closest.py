@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .policy import inline, kernel
 
@@ -62,6 +63,25 @@ def _box(p, box):
         gap = max(0.0, max(box[c] - p[c], p[c] - box[3 + c]))
         total += gap * gap
     return total
+
+
+def tree_order(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], depth: int
+) -> NDArray[np.intp]:
+    """Indices that sort triangles so that each node of the complete tree covers a compact range."""
+    centres = vertices[faces].mean(axis=1)
+    order, count = np.arange(len(faces)), len(faces)
+    for level in range(depth):
+        for j in range(1 << level):
+            start, stop = (count * j) >> level, (count * (j + 1)) >> level
+            middle = (count * (2 * j + 1)) >> (level + 1)
+            part = centres[order[start:stop]]
+            if start < middle < stop:
+                axis = int(np.ptp(part, axis=0).argmax())
+                order[start:stop] = order[start:stop][
+                    np.argpartition(part[:, axis], middle - start)
+                ]
+    return order
 
 
 @kernel

@@ -75,3 +75,45 @@ def raster_balls(balls, depth, index, first, last) -> None:
                 if near > depth[row, column]:
                     depth[row, column] = near
                     index[row, column] = k
+
+
+@kernel
+def light_shares(points, normals, axes, corners, scales, nearness, bias, shares, first, last):
+    """Share of each distant light that reaches points first..last, read from pictures of depth.
+
+    points    (N, 3)     float64  in
+    normals   (N, 3)     float64  a point is lifted by the bias to the light's side, in
+    axes      (D, 3, 3)  float64  rows: right and up in a light's picture, towards the light, in
+    corners   (D, 2)     float64  of the pictures, along their axes, in
+    scales    (D,)       float64  pixels per unit of length, in
+    nearness  (D, n, n)  float64  along the third axis, −inf where nothing is, in
+    bias      float64             what is nearer to the light by less casts no shadow, by twice as
+                                  much a full one, in
+    shares    (N, D)     float64  interpolated between pixels, out
+    """
+    end = nearness.shape[1] - 2
+    for k in range(first, last):
+        for d in range(axes.shape[0]):
+            a = axes[d]
+            cosine = normals[k, 0] * a[2, 0] + normals[k, 1] * a[2, 1] + normals[k, 2] * a[2, 2]
+            lift = bias if cosine >= 0.0 else -bias
+            x = points[k, 0] + lift * normals[k, 0]
+            y = points[k, 1] + lift * normals[k, 1]
+            z = points[k, 2] + lift * normals[k, 2]
+            u = (x * a[0, 0] + y * a[0, 1] + z * a[0, 2] - corners[d, 0]) * scales[d] - 0.5
+            v = (x * a[1, 0] + y * a[1, 1] + z * a[1, 2] - corners[d, 1]) * scales[d] - 0.5
+            near = x * a[2, 0] + y * a[2, 1] + z * a[2, 2]
+            # Outside the picture nothing is in the way: its border is empty.
+            u = min(max(u, 0.0), end + 1.0)
+            v = min(max(v, 0.0), end + 1.0)
+            column = min(int(u), end)
+            row = min(int(v), end)
+            s = u - column
+            t = v - row
+            lit = 0.0
+            for i in range(2):
+                for j in range(2):
+                    gap = (nearness[d, row + i, column + j] - near) / bias - 1.0
+                    weight = (t if i else 1.0 - t) * (s if j else 1.0 - s)
+                    lit += weight * (1.0 - min(max(gap, 0.0), 1.0))
+            shares[k, d] = lit

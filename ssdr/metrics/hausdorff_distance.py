@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from ..errors import InputError, is_whole
-from ..kernels.closest import farthest, fit_boxes
+from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
 from .inputs import Frames, as_sequence, read
@@ -182,7 +182,7 @@ class _Surface:
         first = read(sequence, 0, 1)[0]
         self.depth = max(0, math.ceil(math.log2(max(1, len(sequence.faces)) / _LEAF)))
         self.triangles = np.ascontiguousarray(
-            sequence.faces[_tree_order(first, sequence.faces, self.depth)]
+            sequence.faces[tree_order(first, sequence.faces, self.depth)]
         )
         self.probes = _probes(sequence.faces, sequence.n_vertices, subdivisions)
 
@@ -205,25 +205,6 @@ class _Search:
             points, others, tree.triangles, tree.depth, self.boxes, self.hints, self.lead
         )
         return math.sqrt(square)
-
-
-def _tree_order(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], depth: int
-) -> NDArray[np.intp]:
-    """Triangles sorted such that each node of the complete tree covers a compact range."""
-    centres = vertices[faces].mean(axis=1)
-    order, count = np.arange(len(faces)), len(faces)
-    for level in range(depth):
-        for j in range(1 << level):
-            start, stop = (count * j) >> level, (count * (j + 1)) >> level
-            middle = (count * (2 * j + 1)) >> (level + 1)
-            part = centres[order[start:stop]]
-            if start < middle < stop:
-                axis = int(np.ptp(part, axis=0).argmax())
-                order[start:stop] = order[start:stop][
-                    np.argpartition(part[:, axis], middle - start)
-                ]
-    return order
 
 
 def _probes(faces: NDArray[np.int32], n_vertices: int, subdivisions: int) -> csr_array:

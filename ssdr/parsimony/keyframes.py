@@ -144,7 +144,9 @@ class Tracks:
         byte, price = price, price * (self.key_bytes + self.time_bytes)
         n_frames, n_bones = self.place.shape[:2]
         best = np.full((n_frames, n_bones), np.inf)
-        came = np.zeros((n_frames, n_bones), dtype=np.intp)
+        came = np.ones(
+            (n_frames, n_bones), dtype=np.intp
+        )  # where nothing is better, from frame to frame
         best[0] = price
         for t in range(1, n_frames):
             for k, span in enumerate(self.spans):

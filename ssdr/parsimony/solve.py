@@ -31,6 +31,7 @@ from .report import Parsimony, Pruning, bytes_of, size
 __all__ = ["SmallestModel", "solve"]
 
 _ROUNDING = 1e-13  # of the largest coordinate: an error below is none
+_LOOSE = 10.0  # times the largest distance between vertices that there can be
 # Polish steps of the model that holds: what they gain is error budget for pruning.
 _IMPROVE = {"fast": 0, "balanced": 16, "best": 60}
 _RETRIES = 4  # where the search sees a part of the frames, until all of them hold
@@ -64,6 +65,8 @@ def solve(problem: Problem) -> SmallestModel:
             skinning = hunt.fewest_bytes(skinning, prunings)
     except Stopped as stop:
         reason = stop.reason
+        if skinning is None:
+            skinning = hunt.latest
     if skinning is None:
         model = hunt.search.held or hunt.search.closest
         if model is None:
@@ -119,14 +122,17 @@ class _Hunt:
         self.true_error = TrueError(problem.sequences, problem.tolerance_of, self.executor)
         self.solved_error = TrueError(sequences, problem.tolerance_of)
         data = problem.gather(sequences, importance, compress=True)
+        digests = None if self.scan is None else self.scan.digests
         self.settings = problem.settings(
             tolerance=self.asked,
             tolerance_of=problem.tolerance_of,
-            input=f"tolerance {problem.fingerprint(data)}",
+            input=f"tolerance {problem.fingerprint(data, digests)}",
         )
         largest = max(float(np.abs(data.centre).max()), data.scale)
-        self.tolerance = max(self.asked, _ROUNDING * largest)
         count = data.n_frames * data.n_vertices
+        # what no model misses bounds nothing, and its square need not be a number
+        most = _LOOSE * data.scale * math.sqrt(count)
+        self.tolerance = max(min(self.asked, most), _ROUNDING * largest)
         allowed = (self.tolerance / data.scale) ** 2 * count
         self.least, exact = self._least_bones(data, allowed)
         self.data: Trajectories = reduced(data, allowed)
@@ -150,6 +156,9 @@ class _Hunt:
             on_smaller=self.on_smaller,
         )
         self.search.fraction = 0.0 if self.scan is None else SCANNED
+        # a pass is finished before the caller or a limit ends the search
+        self.pending: str | None = None
+        self.latest: Skinning | None = None  # of the pass that was the last one
 
     def _least_bones(self, data: Trajectories, allowed: float) -> tuple[int, int]:
         """The bound by the motion's rank, and how many bones exact skinning would need."""
@@ -167,6 +176,8 @@ class _Hunt:
 
     def on_step(self, phase: str, iteration: int, fraction: float) -> str | None:
         """Report; the reason to stop, if there is one."""
+        if self.pending is not None:
+            return self.pending
         most = self.problem.max_iterations
         if most is not None and iteration >= most:
             return "iterations"
@@ -175,6 +186,12 @@ class _Hunt:
         rmse = self.search.held_error
         stop = self.report(phase, iteration=iteration, rmse=rmse, fraction=fraction)
         return "cancelled" if stop else None
+
+    def on_progress(self, _: float) -> None:
+        """Report from within a pass; a reason to stop holds once it is finished."""
+        if self.pending is None:
+            search = self.search
+            self.pending = self.on_step("all frames", search.iteration, search.fraction)
 
     def error(self, model: Model) -> float:
         """Of a model in the search; over all frames where all of them are in memory."""
@@ -207,6 +224,9 @@ class _Hunt:
             skinning = self.over_all_frames(search.held, passes=PASSES[effort], entering=ENTERING)
             if self.scan is None:
                 return skinning
+            if self.pending is not None:
+                self.latest = skinning
+                raise Stopped(self.pending)
             error = self.true_error(skinning)
             if error <= self.tolerance:
                 return skinning
@@ -262,8 +282,8 @@ class _Hunt:
         )
         last = math.inf
         for _ in range(passes):
-            value = frames.pass_over(entering=entering)
-            if not value < (1 - GAIN) * last:
+            value = frames.pass_over(entering=entering, on_progress=self.on_progress)
+            if self.pending is not None or not value < (1 - GAIN) * last:
                 break
             last = value
         rest, transforms = frames.alignment.to_world(frames.model.rest, frames.model.transforms)

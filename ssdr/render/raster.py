@@ -24,10 +24,13 @@ __all__ = [
     "Layer",
     "backdrop",
     "block_mean",
+    "blur",
     "draw_balls",
     "draw_mesh",
+    "hits",
     "over",
     "shadow",
+    "unit",
     "up_axes",
 ]
 
@@ -180,20 +183,12 @@ def draw_mesh(
     camera: Camera, size: tuple[int, int], points: Float, faces: NDArray[np.int32], colors: Float
 ) -> Layer:
     """Triangles with smooth normals, lit, colours (linear RGB per vertex) interpolated."""
-    screen = camera.project(points, size)
-    nearness, index = _buffers(size)
-    tasks = chunk_bounds(size[1], _BAND)
-    run_chunks(lambda _, a, b: raster_triangles(screen, faces, nearness, index, a, b), tasks)
+    nearness, (rows, columns), hit, share = hits(camera, size, points, faces)
     out = np.zeros((size[1], size[0], 3))
-    rows, columns = np.nonzero(index >= 0)
     if len(rows):
-        corners = faces[index[rows, columns]]
-        share = _barycentric(screen, corners, np.stack([columns, rows], axis=1) + 0.5)
-        if camera.perspective:
-            share *= screen[corners, 2]
-            share /= share.sum(axis=1, keepdims=True)
+        corners = faces[hit]
         flat, smooth = _normals(points, faces)
-        flat = flat[index[rows, columns]]
+        flat = flat[hit]
         normal = smooth[corners]
         # Across a crease a corner keeps its triangle's own normal.
         crease = (normal * flat[:, None]).sum(axis=2) < 0.5
@@ -203,6 +198,36 @@ def draw_mesh(
         occlusion = _occlusion(camera, nearness, size)[rows, columns]
         out[rows, columns] = _shade(camera, albedo, normal, occlusion)
     return Layer(out, nearness)
+
+
+def hits(
+    camera: Camera, size: tuple[int, int], points: Float, faces: NDArray[np.int32]
+) -> tuple[Float, tuple[Any, Any], NDArray[np.int32], Float]:
+    """What the camera sees of triangles.
+
+    Returns
+    -------
+    nearness : (H, W) float64
+        −inf where nothing is.
+    (rows, columns)
+        Pixels that a triangle covers, N of them.
+    index : (N,) int32
+        The nearest triangle.
+    share : (N, 3) float64
+        Barycentric coordinates in it.
+    """
+    screen = camera.project(points, size)
+    nearness, index = _buffers(size)
+    tasks = chunk_bounds(size[1], _BAND)
+    run_chunks(lambda _, a, b: raster_triangles(screen, faces, nearness, index, a, b), tasks)
+    rows, columns = np.nonzero(index >= 0)
+    hit = index[rows, columns]
+    corners = faces[hit]
+    share = _barycentric(screen, corners, np.stack([columns, rows], axis=1) + 0.5)
+    if camera.perspective:
+        share *= screen[corners, 2]
+        share /= share.sum(axis=1, keepdims=True)
+    return nearness, (rows, columns), hit, share
 
 
 def draw_balls(
@@ -240,7 +265,7 @@ def shadow(
     tasks = chunk_bounds(size[1], _BAND)
     run_chunks(lambda _, a, b: raster_triangles(screen, faces, nearness, index, a, b), tasks)
     cover = (index >= 0).astype(np.float64)
-    soft = 0.6 * _blur(cover, size[1] / 50) + 0.4 * _blur(cover, size[1] / 16)
+    soft = 0.6 * blur(cover, size[1] / 50) + 0.4 * blur(cover, size[1] / 16)
     return np.asarray(1.0 - 0.34 * np.clip(soft, 0.0, 1.0))
 
 
@@ -300,10 +325,11 @@ def _normals(points: Float, faces: NDArray[np.int32]) -> tuple[Float, Float]:
     smooth = np.stack(
         [np.bincount(faces.ravel(), np.repeat(flat[:, k], 3), len(p)) for k in range(3)], axis=1
     )
-    return _unit(flat), _unit(smooth)
+    return unit(flat), unit(smooth)
 
 
-def _unit(vectors: Any) -> Float:
+def unit(vectors: Any) -> Float:
+    """Vectors of length 1; a zero stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1.0))
 
@@ -320,15 +346,15 @@ def _occlusion(camera: Camera, nearness: Float, size: tuple[int, int]) -> Float:
     light = np.ones_like(nearness)
     for share, strength in ((1 / 90, 0.45), (1 / 28, 0.40)):
         sigma = size[1] * share
-        cover = _blur(mask.astype(np.float64), sigma)
-        around = _blur(depth, sigma) / np.maximum(cover, 1e-6)
+        cover = blur(mask.astype(np.float64), sigma)
+        around = blur(depth, sigma) / np.maximum(cover, 1e-6)
         length = 2.5 * sigma / float(camera.pixels(np.array([mean]), size)[0])
         behind = np.clip((depth - around) / length, 0.0, 1.0)
         light *= 1.0 - strength * behind
     return light
 
 
-def _blur(values: Float, sigma: float) -> Float:
+def blur(values: Float, sigma: float) -> Float:
     """Gaussian blur; a wide one is done on a coarser grid, where it costs less."""
     step = max(1, int(sigma / 4))
     if step == 1:
@@ -347,7 +373,7 @@ def _blur(values: Float, sigma: float) -> Float:
 
 
 def _shade(camera: Camera, albedo: Float, normal: Float, occlusion: Float) -> Float:
-    n = _unit(normal)
+    n = unit(normal)
     n = np.where(n[:, 2:] < 0, -n, n)  # both sides of a triangle are lit alike
     sky = n @ (camera.axes @ camera.vertical) * 0.5 + 0.5
     key = np.clip((n @ _KEY + 0.12) / 1.12, 0.0, 1.0)

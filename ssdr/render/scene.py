@@ -1,33 +1,30 @@
-"""What a picture shows: positions, colours and errors of a subject, the view, one panel."""
+"""What a picture shows: positions, colours and errors of a subject, and the view of it."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from .palette import bone_colors, heat, linear_from_srgb, mix, srgb_from_linear
-from .raster import Camera, Layer, backdrop, block_mean, draw_balls, draw_mesh, over, shadow
+from .materials import Part, checked_parts, checked_regions
+from .palette import bone_colors, mix
+from .raster import Camera
+from .studio import Stage
 
-__all__ = ["Scene", "Style", "View", "draw_panel"]
+__all__ = ["Scene", "Style", "View"]
 
 Style = Literal["plain", "weights", "bones", "error"]
 Float = NDArray[np.float64]
 
-# sRGB, chosen by eye: a light warm grey on which shading shows
-_CLAY = linear_from_srgb([0.84, 0.82, 0.79])
-# sRGB of a bone's x, y and z axes: red, green, blue, as modelling programs draw them
-_AXES = linear_from_srgb([[0.86, 0.27, 0.25], [0.30, 0.66, 0.31], [0.22, 0.45, 0.85]])
 _FIT_FRAMES = 24  # frames that the camera is fitted to: more are slower, fewer may cut motion off
 
 
@@ -35,22 +32,32 @@ _FIT_FRAMES = 24  # frames that the camera is fitted to: more are slower, fewer 
 class Scene:
     """A subject and what it should be, with one topology.
 
-    A welded skinning is shown on the vertices of the unwelded reference.
+    A welded skinning is shown on the vertices of the unwelded reference.  Errors are those of the
+    parts that are measured; `regions` are sets of their vertices that have figures of their own.
     """
 
     sequence: MeshSequence | None
     skinning: Skinning | None
     reference: MeshSequence | None
     vertex_map: NDArray[np.int32] | None
+    parts: tuple[Part, ...] = ()
+    regions: dict[str, NDArray[np.bool_]] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, subject: Any, reference: MeshSequence | None) -> Scene:
+    def of(
+        cls,
+        subject: Any,
+        reference: MeshSequence | None,
+        parts: Sequence[Part] = (),
+        regions: Mapping[str, Any] | None = None,
+    ) -> Scene:
         """Check the arguments of a picture.
 
         Raises
         ------
         InputError
-            If the subject is of no known kind or does not match the reference.
+            If the subject is of no known kind or does not match the reference, or the parts or
+            regions do not fit it.
         """
         if not isinstance(subject, (MeshSequence, Skinning)):
             subject = getattr(subject, "skinning", subject)
@@ -73,7 +80,15 @@ class Scene:
                     f"{subject.n_frames} frames of {n_vertices} vertices, as the subject has",
                     f"{reference.n_frames} frames of {reference.n_vertices}",
                 )
-        return cls(sequence, skinning, reference, vertex_map)
+        scene = cls(sequence, skinning, reference, vertex_map)
+        if not parts and not regions:
+            return scene
+        count = len(scene.positions(0))
+        if parts and not len(scene.faces):
+            raise InputError("parts", "a subject with triangles", "a cloud of points")
+        return dataclasses.replace(
+            scene, parts=checked_parts(parts, count), regions=checked_regions(regions, count)
+        )
 
     @property
     def _subject(self) -> MeshSequence | Skinning:
@@ -125,24 +140,50 @@ class Scene:
         truth = np.asarray(self.reference.frames(frame), dtype=np.float64)
         return np.asarray(np.linalg.norm(self.positions(frame) - truth, axis=1))
 
+    @functools.cached_property
+    def measured(self) -> NDArray[np.bool_]:
+        """Vertices whose error counts, ``(V,)``."""
+        if not self.parts:
+            return np.ones(len(self.positions(0)), dtype=bool)
+        return np.asarray(np.any([p.vertices for p in self.parts if p.measured], axis=0))
+
     def high_error(self, frames: Sequence[int]) -> float:
         """An error that few vertices of these frames exceed."""
-        errors = np.stack([self.errors(t) for t in frames])
+        errors = np.stack([self.errors(t)[self.measured] for t in frames])
         # Never so small that rounding of float32 would look like an error.
         return max(float(np.quantile(errors, 0.995)), 1e-6 * self.diagonal)
 
     def largest_error(self, frames: Sequence[int]) -> float:
-        return max(float(self.errors(t).max()) for t in frames)
+        return max(float(self.errors(t)[self.measured].max()) for t in frames)
 
-    def rmse(self) -> float:
-        """sqrt(Σ |d|² / (F V)) over all frames."""
-        total = sum(float((self.errors(t) ** 2).sum()) for t in range(self.n_frames))
-        assert self.reference is not None
-        return math.sqrt(total / (self.n_frames * self.reference.n_vertices))
+    def rmse(
+        self, frames: Sequence[int] | None = None, where: NDArray[np.bool_] | None = None
+    ) -> float:
+        """sqrt(Σ |d|² / (F V)) over frames, all by default, and measured vertices."""
+        chosen = self.measured if where is None else where
+        order = range(self.n_frames) if frames is None else frames
+        total = sum(float((self.errors(t)[chosen] ** 2).sum()) for t in order)
+        return math.sqrt(total / (len(order) * int(chosen.sum())))
 
-    def summary(self, with_error: bool) -> str:
+    def figures(self, frames: Sequence[int] | None, unit: tuple[str, float]) -> str:
+        """RMSE over the measured vertices, or over each region, as text."""
+        name, factor = unit
+        several = self.regions or {"": self.measured}
+        found = [
+            f"{k} {three_digits(factor * self.rmse(frames, mask))} {name}".strip()
+            for k, mask in several.items()
+        ]
+        return ", ".join(found)
+
+    def summary(self, with_error: bool, unit: tuple[str, float] | None = None) -> str:
         """Counts and error in one line."""
         shown = self._subject
+        if self.parts:
+            name = " and ".join(p.name for p in self.parts if p.measured)
+            parts = [f"{name}: {int(self.measured.sum()):,} vertices", f"{self.n_frames:,} frames"]
+            if with_error:
+                parts.append(f"RMSE: {self.figures(None, unit or ('', 1.0))}")
+            return "  ·  ".join(parts)
         parts = [f"{shown.n_vertices:,} vertices", f"{shown.n_frames:,} frames"]
         if self.skinning is not None:
             parts += [f"{self.skinning.n_bones} bones", f"{self.skinning.n_influences} influences"]
@@ -151,6 +192,11 @@ class Scene:
             parts.append(f"RMSE {rmse:.3g} ({100 * rmse / self.diagonal:.3g} % of the diagonal)")
             parts.append(f"E = {1000 * rmse / math.sqrt(3):.3g}")
         return "  ·  ".join(parts)
+
+    @functools.cached_property
+    def lit(self) -> dict[Any, Stage]:
+        """The stage that was drawn last."""
+        return {}
 
     @functools.cached_property
     def centroids(self) -> Float:
@@ -198,8 +244,11 @@ class View:
         azimuth: float | None,
         elevation: float,
         perspective: bool,
+        track: Float | None = None,
     ) -> View:
         """Frame the motion; where it travels far, walk with it.
+
+        With a `track` ``(F, 3)`` the camera moves by just that.
 
         `size` fixes the aspect and the view is that of the whole motion;
         without it the frames alone decide on both, and each is centred.
@@ -220,6 +269,10 @@ class View:
         travel = float(np.linalg.norm(np.ptp(flat, axis=0)))
         follow = camera is None and travel > (0.8 if size else 0.1) * body
         shift = {t: np.zeros(3) for t in frames}
+        if track is not None:
+            follow = False
+            shift = {t: np.asarray(track[t], dtype=np.float64) for t in frames}
+            points = [p - track[t] for p, t in zip(points, some, strict=True)]
         if follow:
             points = [p - d for p, d in zip(points, flat, strict=True)]
             known = dict(zip(some, flat, strict=True))
@@ -240,9 +293,10 @@ class View:
                 level = Camera.fit(
                     everything, azimuth=turn, elevation=elevation, up=up, perspective=False
                 )
+                narrowest = 0.66 if scene.parts else 0.75
                 extent = np.ptp(everything @ level.axes.T, axis=0)
                 extent = np.maximum(extent[:2], 0.05 * extent.max() + 1e-30)
-                aspect = float(np.clip(extent[0] / extent[1], 0.75, 1.7))
+                aspect = float(np.clip(extent[0] / extent[1], narrowest, 1.7))
             fitted = Camera.fit(
                 everything,
                 azimuth=turn,
@@ -254,65 +308,9 @@ class View:
         return cls(fitted, aspect, ground, shift)
 
 
-def draw_panel(
-    scene: Scene,
-    view: View,
-    frame: int,
-    style: Style,
-    size: tuple[int, int],
-    top: float,
-    supersample: int,
-) -> Image.Image:
-    """One frame in one style; `top` is the error that gets the last colour."""
-    large = (size[0] * supersample, size[1] * supersample)
-    shift = view.shift[frame]
-    points = scene.positions(frame) - shift
-    colors = np.broadcast_to(_CLAY, points.shape)
-    if style == "weights":
-        colors = scene.weight_colors
-    elif style == "error":
-        colors = heat(scene.errors(frame) / top)
-    camera, faces = view.camera, scene.faces
-    picture = backdrop(large)
-    if len(faces):
-        layer = draw_mesh(camera, large, points, faces, colors)
-        # From below the ground would hide the mesh, so it is not there.
-        if camera.eye @ camera.vertical > view.ground and camera.axes[2] @ camera.vertical > 0.02:
-            soft = shadow(camera, size, points, faces, view.ground)
-            picture *= np.kron(soft, np.ones((supersample, supersample)))[..., None]
-    else:
-        radii = np.full(len(points), scene.disc_radius)
-        layer = draw_balls(camera, large, points, radii, colors)
-    if style == "bones":
-        picture = over(picture, layer, 0.55)
-        balls = _draw_bones(scene, view, frame, large)
-        # A ball behind the surface shines through it.
-        behind = np.where(layer.nearness > balls.nearness, 0.82, 1.0)
-        picture = over(picture, balls, behind)
-    else:
-        picture = over(picture, layer)
-    if supersample > 1:
-        picture = block_mean(picture, supersample)
-    return Image.fromarray((255 * srgb_from_linear(picture)).round().astype(np.uint8))
-
-
-def _draw_bones(scene: Scene, view: View, frame: int, size: tuple[int, int]) -> Layer:
-    """Balls at the posed centroids; each axis of a bone is a row of small balls."""
-    assert scene.skinning is not None
-    transforms = scene.skinning.transforms[frame].astype(np.float64)
-    turn = transforms[:, :, :3]
-    at = np.einsum("brc,bc->br", turn, scene.centroids) + transforms[:, :, 3] - view.shift[frame]
-    n_bones = len(at)
-    radius = scene.diagonal * 0.022 * min(1.0, (20 / n_bones) ** 0.33)
-    steps = np.linspace(1.0, 2.3, 14) * radius
-    length = np.linalg.norm(turn, axis=1, keepdims=True)
-    axes = np.swapaxes(turn / np.where(length > 0, length, 1.0), 1, 2)
-    ticks = at[:, None, None] + steps[:, None] * axes[:, :, None]
-    shape = (n_bones, 3, len(steps), 3)
-    centers = np.concatenate([at, ticks.reshape(-1, 3)])
-    radii = np.concatenate([np.full(n_bones, radius), np.full(ticks.size // 3, radius * 0.17)])
-    tints = np.broadcast_to(_AXES[None, :, None], shape).reshape(-1, 3)
-    return draw_balls(view.camera, size, centers, radii, np.concatenate([scene.palette, tints]))
+def three_digits(value: float) -> str:
+    """A number with three digits, zeros at the end too."""
+    return f"{value:#.3g}".rstrip(".")
 
 
 def _best_azimuth(points: list[Float], up: str, elevation: float) -> float:

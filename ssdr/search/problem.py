@@ -24,6 +24,7 @@ from ..checks import (
     parse_tolerance,
 )
 from ..errors import InputError, check_choice, is_real
+from ..frames.digest import Digests, digests_of
 from ..sequence import MeshSequence
 from ..solver.model import Fixed
 from ..solver.smoothness import WeightSmoothness
@@ -93,6 +94,10 @@ class Problem:
     resume: SolverState | None
     checkpoint: Checkpoint | None
 
+    def detached(self) -> Problem:
+        """With arrays of its own, so that nothing that the caller writes to changes the result."""
+        return dataclasses.replace(self, sequences=[_copied(s) for s in self.sequences])
+
     @property
     def n_frames(self) -> int:
         return sum(len(s) for s in self.sequences)
@@ -126,12 +131,15 @@ class Problem:
         """The penalty on the weights, where there is one."""
         return WeightSmoothness.build(data, self.sequences[0].faces, self.smoothness)
 
-    def fingerprint(self, data: Trajectories) -> str:
-        """Tells another input from the one that a state belongs to."""
+    def fingerprint(self, data: Trajectories, digests: Digests | None = None) -> str:
+        """Tells another input from the one that a state belongs to.
+
+        `digests` are those of all frames where a walk has made them already.
+        """
         p = self.prescribed
-        arrays: list[Any] = [data.x2, data.centre, data.importance, data.frame_scale]
-        # faces play a part only where weights are to be smooth
-        arrays += [self.sequences[0].faces if self.smoothness > 0 else None]
+        if digests is None:
+            digests = digests_of(self.sequences)
+        arrays: list[Any] = [digests, data.importance, data.frame_scale, self.sequences[0].faces]
         arrays += [p.rest, p.joints, p.weights, p.transforms, p.locked_vertices, p.locked_bones]
         digest = hashlib.sha256()
         for array in arrays:
@@ -253,6 +261,26 @@ def check_problem(
     )
     _check_tolerance(problem)
     return problem
+
+
+def _copied(sequence: MeshSequence) -> MeshSequence:
+    vertices, surface = sequence.vertices, sequence.surface
+    if isinstance(vertices, np.ndarray) and not isinstance(vertices, np.memmap):
+        vertices = vertices.copy()
+    if surface is not None:
+        arrays = ("uv", "normals", "material_index")
+        there = {name: getattr(surface, name) for name in arrays}
+        surface = dataclasses.replace(
+            surface, **{name: a.copy() for name, a in there.items() if a is not None}
+        )
+    return dataclasses.replace(
+        sequence,
+        vertices=vertices,
+        faces=sequence.faces.copy(),
+        surface=surface,
+        vertex_map=None if sequence.vertex_map is None else sequence.vertex_map.copy(),
+        validate=False,
+    )
 
 
 def _check_tolerance(problem: Problem) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..clips import names_of
 from ..errors import Cancelled
+from ..frames.digest import Digests
 from ..frames.error import squared_error
 from ..frames.executor import Executor
 from ..skinning import Skinning
@@ -100,9 +101,15 @@ def solve(problem: Problem) -> Outcome:
 
 
 def begin(
-    problem: Problem, data: Trajectories, prescribed: Prescribed, clock: Clock
+    problem: Problem,
+    data: Trajectories,
+    prescribed: Prescribed,
+    clock: Clock,
+    digests: Digests | None = None,
 ) -> tuple[Run, dict[str, Any]]:
     """The effort's run, and the settings that a state of it carries.
+
+    `digests` are those of all frames where a walk has made them already.
 
     Raises
     ------
@@ -131,7 +138,7 @@ def begin(
     )
     settings = problem.settings(
         smoothness=problem.smoothness,
-        input=problem.fingerprint(data),
+        input=problem.fingerprint(data, digests),
         schedule=fingerprint(schedule),
     )
     if problem.resume is not None:

@@ -27,7 +27,7 @@ __all__ = [
     "taking_up",
 ]
 
-_VERSION = 3
+_VERSION = 4
 _CHECKPOINT_SECONDS = 60.0  # between two checkpoints: what a killed process loses at most
 _DRIVER = "driver_"  # prefix, in a file, of the arrays that a driver adds
 
@@ -161,7 +161,7 @@ def check_settings(state: SolverState, settings: dict[str, Any]) -> None:
             continue  # states saved before this setting was know nothing of clips
         expected, got = f"a state of a run with {key} = {value!r}", repr(there)
         if key == "input":
-            expected = "a state of a run on these very frames, importances and fixed parts"
+            expected = "a state of a run on these very frames, faces, importances and fixed parts"
             got = "one on others"
         elif key == "schedule":
             expected, got = "a state of this version of ssdr", "one of other steps"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from ..checks import check_nonnegative
+from ..checks import LARGEST, check_nonnegative
 from ..errors import InputError
 from .model import Model
 from .trajectories import Array, Trajectories
@@ -54,7 +54,8 @@ class WeightSmoothness:
         adjacency = csr_array(coo_array((np.ones(len(i)), (i, k)), shape=(n, n)))
         adjacency.data[:] = 1.0
         degree = np.asarray(adjacency.sum(axis=1), dtype=np.float64).ravel()
-        strength = data.n_frames * (smoothness / data.scale) ** 2
+        # beyond that the error counts for nothing, and the square need not be a number
+        strength = data.n_frames * min(smoothness / data.scale, LARGEST) ** 2
         return WeightSmoothness(adjacency, degree, strength, np.maximum(data.importance, 1e-6))
 
     def terms(self, model: Model) -> tuple[Array, Array]:

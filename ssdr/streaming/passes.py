@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..frames.digest import BYTES, Digests, check_same, of_block
 from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
@@ -77,6 +78,8 @@ class AllFrames:
         Of the frames.
     executor : Executor, optional
         Who walks over the frames; this process by default.
+    resumed : bool
+        Whether the scan is of the run that is resumed.
     """
 
     def __init__(
@@ -90,10 +93,12 @@ class AllFrames:
         prescribed: Array | None,
         importance: Array | None,
         executor: Executor | None = None,
+        resumed: bool = False,
     ) -> None:
+        self.resumed = resumed
         self.sequences, self.fixed = sequences, fixed
         self.executor = executor or Local()
-        self.alignment = scan.alignment
+        self.alignment, self.digests = scan.alignment, scan.digests
         self.passes = 0
         ratio = data.scale / self.alignment.scale
         self.model = carried(model, scan.nearest, ratio, prescribed, fixed)
@@ -108,6 +113,11 @@ class AllFrames:
         """One exact alternation; returns the objective in the solver's space.
 
         `on_progress` is called with the fraction of the frames that is done.
+
+        Raises
+        ------
+        InputError
+            If a frame is not the one that was scanned.
         """
         model, n_frames = self.model, len(self.frame_scale)
         n, n_bones = len(model.rest), model.n_bones
@@ -134,6 +144,7 @@ class AllFrames:
 
         walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
+            check_same(part[4], self.digests[start:stop], range(start, stop), resumed=self.resumed)
             model.transforms[start:stop] = part[0]
             y += part[1]
             g += part[2]
@@ -175,14 +186,16 @@ def _pass_span(
     frame_scale: Array,
     transforms: Array,
     shared: _Shared,
-) -> tuple[Array, Array, Array, Array]:
-    """Bones of a span, and its part of Y, G and Σ|x|²."""
+) -> tuple[Array, Array, Array, Array, Digests]:
+    """Bones of a span, its part of Y, G and Σ|x|², and which frames they were."""
     n, n_bones = len(shared.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
+    digests = np.empty((len(frames), BYTES), dtype=np.uint8)
     alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
+        digests[start:stop] = of_block(block)
         x = alignment.inward(block, start)
         x *= frame_scale[start:stop, None]
         flat = x.reshape(n, -1)
@@ -216,4 +229,4 @@ def _pass_span(
             y[i:k] += flat[i:k] @ hat
 
         run_chunks(add, chunk_bounds(n, 2 * CHUNK))
-    return transforms, y, g, x2
+    return transforms, y, g, x2, digests

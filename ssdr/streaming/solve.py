@@ -17,6 +17,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..errors import Cancelled
+from ..frames.digest import check_same, digests_of, of_block
 from ..frames.executor import Executor, executor_for
 from ..search.prescribed import Prescribed
 from ..search.problem import Problem
@@ -51,18 +52,21 @@ def solve(problem: Problem) -> Outcome:
     clock = Clock()
     executor = executor_for(problem.sequences)
     streamed = None if problem.resume is None else StreamedState.of(problem.resume)
-    if streamed is None or streamed.scan.alignment.n_frames != problem.n_frames:
+    resumed = streamed is not None and streamed.scan.alignment.n_frames == problem.n_frames
+    if streamed is None or not resumed:
         streamed = StreamedState(scan_of(problem, clock, executor))
     few = streamed.scan
     more = few.extended(problem.n_vertices)
     if more is None:
         streamed.settling = False
 
-    data, prescribed = _frames(problem, few, few.importance(problem.frame_importance), executor)
-    run, settings = begin(problem, data, prescribed, clock)
+    data, prescribed = _frames(
+        problem, few, few.importance(problem.frame_importance), executor, resumed=resumed
+    )
+    run, settings = begin(problem, data, prescribed, clock, few.digests)
     del data  # what a compressed or released run needs no longer is freed
     if more is not None and streamed.settling:
-        run = _settling(problem, few, more, run, executor)
+        run = _settling(problem, few, more, run, executor, resumed=resumed)
     if problem.resume is not None:
         restore(run, problem.resume)
     # passes go on where they were only under a model that is not going to change
@@ -78,18 +82,24 @@ def solve(problem: Problem) -> Outcome:
     after = _REPRESENTED if more is not None and not streamed.settling else _SETTLED
     reason = walk(run, problem, save=offer, part=(before, after))
     if more is not None and not streamed.settling and run.finished and reason != "cancelled":
-        run, streamed.settling = _settling(problem, few, more, run, executor), True
+        run = _settling(problem, few, more, run, executor, resumed=resumed)
+        streamed.settling = True
         reason = walk(run, problem, save=offer, part=(_REPRESENTED, _SETTLED))
     idle = idle_bones(run)
 
-    frames = _all_frames(
-        problem, more if streamed.settling and more is not None else few, run, executor
-    )
+    if resumed and streamed.done:  # no pass will read the frames
+        check_same(
+            digests_of(problem.sequences, executor),
+            few.digests,
+            range(problem.n_frames),
+            resumed=resumed,
+        )
+    chosen = more if streamed.settling and more is not None else few
+    frames = _all_frames(problem, chosen, run, executor, resumed=resumed)
     run.release()
     hurried = reason in ("cancelled", "iterations")
     save = None if checkpoint is None else lambda: checkpoint.save(state())
-    if _passes(problem, run, frames, streamed, save, hurried=hurried):
-        reason = "cancelled"
+    reason = _passes(problem, run, frames, streamed, save, hurried=hurried) or reason
     assert streamed.model is not None
     return outcome_of(
         problem,
@@ -122,15 +132,30 @@ def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
 
 
 def _frames(
-    problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
+    problem: Problem,
+    chosen: Scan,
+    importance: Array | None,
+    executor: Executor,
+    *,
+    resumed: bool,
 ) -> tuple[Trajectories, Prescribed]:
-    """The chosen frames in memory, and what was prescribed of them."""
+    """The chosen frames in memory, and what was prescribed of them.
+
+    Raises
+    ------
+    InputError
+        If one of them is not the one that was scanned.
+    """
     sequence = subset(problem.sequences, chosen.chosen, executor=executor)
+    seen, expected = of_block(sequence.vertices), chosen.digests[chosen.chosen]
+    check_same(seen, expected, chosen.chosen, resumed=resumed)
     data = problem.gather([sequence], importance)
     return data, problem.prescribed.of_frames(chosen.chosen).inside(data)
 
 
-def _settling(problem: Problem, few: Scan, more: Scan, first: Run, executor: Executor) -> Run:
+def _settling(
+    problem: Problem, few: Scan, more: Scan, first: Run, executor: Executor, *, resumed: bool
+) -> Run:
     """What settles the model of representative frames on more of them.
 
     Representative frames alone, few and extreme, lead weights to follow what only they do.
@@ -138,7 +163,11 @@ def _settling(problem: Problem, few: Scan, more: Scan, first: Run, executor: Exe
     first.release()
     importance = problem.frame_importance
     data, prescribed = _frames(
-        problem, more, None if importance is None else importance[more.chosen], executor
+        problem,
+        more,
+        None if importance is None else importance[more.chosen],
+        executor,
+        resumed=resumed,
     )
     smoothness = problem.smoothness_of(data)
     schedule = settling_schedule(problem.effort, smoothed=smoothness is not None)
@@ -154,7 +183,9 @@ def _settling(problem: Problem, few: Scan, more: Scan, first: Run, executor: Exe
     return run
 
 
-def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
+def _all_frames(
+    problem: Problem, chosen: Scan, run: Run, executor: Executor, *, resumed: bool
+) -> AllFrames:
     """The model of a run on some frames, ready for passes over all of them."""
     fixed = problem.fixed
     if run.smoothness is not None:
@@ -169,6 +200,7 @@ def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) ->
         prescribed=problem.prescribed.inside(chosen.alignment).transforms,
         importance=problem.frame_importance,
         executor=executor,
+        resumed=resumed,
     )
 
 
@@ -180,8 +212,8 @@ def _passes(
     save: Callable[[], None] | None,
     *,
     hurried: bool,
-) -> bool:
-    """Passes until they do not pay, one if `hurried`; whether the caller stopped them."""
+) -> str | None:
+    """Passes until they do not pay, one if `hurried`; why they ended before that, if they did."""
     if streamed.model is None:
         streamed.model = frames.model
     else:
@@ -217,6 +249,12 @@ def _passes(
         streamed.model = frames.model if streamed.done else frames.model.copy()
         if save is not None and not streamed.done:
             save()
-        if hurried or report.out_of_time:
+        if streamed.done or hurried:
             break
-    return stopped
+        if problem.max_iterations is not None and run.iteration + count + 1 >= (
+            problem.max_iterations
+        ):
+            return "iterations"
+        if report.out_of_time and not stopped:
+            return "time limit"
+    return "cancelled" if stopped else None

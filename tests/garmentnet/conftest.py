@@ -23,11 +23,23 @@ def toy_config():
             "tensorboard": False,
             "device": "cpu",
         }
+        # The paper's high module; that of the preset has tests of its own.
+        paper = {
+            "kind": "vertices",
+            "edge_features": (8, 8, 16),
+            "mlp": (32,),
+            "collision": 0.1,
+            "dropout": 0.0,
+        }
+        if preset == "faithful":
+            paper = {}
         return dataclasses.replace(
             c,
             bones=BoneOptions(length=0.03, count=10, influences=4, effort="fast", frames=160),
+            # The toy body has other joints.
+            features=dataclasses.replace(c.features, joints=()),
             low=dataclasses.replace(c.low, hidden=64),
-            high=dataclasses.replace(c.high, hidden=32),
+            high=dataclasses.replace(c.high, hidden=32, **paper),
             train=dataclasses.replace(c.train, **(defaults | train)),
         )
 

@@ -13,7 +13,7 @@ LAYERS = (
     ("io",),
     ("configs",),
     ("data",),
-    ("networks", "scenes/dance"),
+    ("networks", "scenes/dance", "drawing", "collision"),
     ("training", "scenes"),
     ("evaluation", "prediction"),
     ("cli",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 import textwrap
@@ -98,17 +99,22 @@ FAKED = textwrap.dedent(
 )
 
 
-def start(arguments, **options):
-    environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+def start(arguments, *, environment=None, **options):
+    variables = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
     return subprocess.Popen(
-        [sys.executable, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment,
-        **options,
+        [sys.executable, *map(str, arguments)], env=variables | (environment or {}), **options
     )
+
+
+def through_shell(redirections, arguments, **options):
+    """As :func:`start`, with what the shell does to the standard streams."""
+    quoted = shlex.join([sys.executable, *map(str, arguments)])
+    return start(["-c", _EXEC, f"exec {quoted} {redirections}"], **options)
+
+
+_EXEC = "import os, sys; os.execvp('sh', ['sh', '-c', sys.argv[1]])"
 
 
 def wait_for(process, text):

@@ -243,3 +243,46 @@ def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share:
     assert with_it[0] <= 1.2 * without[0]
     if share == 1e-2:  # below that it is the error that decides
         assert with_it[1] < without[1]
+
+
+def test_a_callback_that_writes_to_the_arrays_changes_nothing() -> None:
+    """The error and the history were measured against what it had written."""
+    rig = motions.chain(3, bones=4, frames=12)
+
+    def call(callback=None):
+        arrays = {
+            "sequence": motions.wobble(rig, 0.1),
+            "faces": rig.faces.copy(),
+            "rest": rig.rest.copy(),
+            "joints": rig.joints.copy(),
+            "weights": rig.weights.copy(),
+            "transforms": rig.transforms.copy(),
+            "vertex_importance": np.linspace(1.0, 2.0, len(rig.rest)),
+            "frame_importance": np.linspace(1.0, 2.0, 12),
+            "locked_vertices": np.arange(5),
+            "locked_bones": np.arange(2),
+        }
+
+        def spoil(_) -> None:
+            for array in arrays.values():
+                array[...] = 0
+
+        follow = spoil if callback else None
+        return ssdr.decompose(**arrays, bones=4, effort="fast", callback=follow)
+
+    quiet, spoiled = call(), call(True)
+    assert spoiled.rmse == quiet.rmse
+    assert [r.rmse for r in spoiled.history] == [r.rmse for r in quiet.history]
+    for name in ("rest", "joints", "weights", "transforms", "faces"):
+        np.testing.assert_array_equal(
+            getattr(spoiled.skinning, name), getattr(quiet.skinning, name), err_msg=name
+        )
+
+
+@pytest.mark.parametrize("smoothness", [1e100, 1e160, 1e200, 1e308])
+def test_a_smoothness_whose_square_is_no_number(smoothness: float) -> None:
+    """It ended in an OverflowError."""
+    options: dict[str, Any] = {"bones": 3, "effort": "fast", "max_iterations": 5}
+    result = ssdr.decompose(frames(), rig().faces, smoothness=smoothness, **options)
+    strong = ssdr.decompose(frames(), rig().faces, smoothness=1e6, **options)
+    assert result.rmse == pytest.approx(strong.rmse, rel=1e-6)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ssdr import InputError, kabsch
+import ssdr
+from ssdr import InputError, kabsch, rigid
 from ssdr.rigid import (
     matrix_from_quaternion,
     matrix_from_sixd,
@@ -233,3 +236,76 @@ def test_slerp_turns_evenly_along_the_shorter_arc():
         ways = slerp(np.tile(start, (3, 1)), np.tile(end, (3, 1)), u)
         np.testing.assert_allclose(ways, [start, third, half], atol=1e-15)
     np.testing.assert_array_equal(slerp(half, half, np.array(0.25)), half)
+
+
+@pytest.mark.parametrize("power", [-300, -200, -160, -151, 151, 160, 200, 300, 307])
+def test_kabsch_of_any_size(power: int) -> None:
+    """Beyond 1e±150 it did not converge, or gave the identity."""
+    rotation = rigid.matrix_from_quaternion([0.1, 0.2, 0.3, 0.9])
+    source = np.random.default_rng(power + 400).uniform(-1, 1, (2, 7, 3))
+    size = 10.0**power
+    found = ssdr.kabsch(source * size, (source @ rotation.T + [0.1, 0.2, 0.3]) * size)
+    np.testing.assert_allclose(found[..., :3], np.broadcast_to(rotation, (2, 3, 3)), atol=1e-13)
+    np.testing.assert_allclose(found[..., 3] / size, [[0.1, 0.2, 0.3]] * 2, atol=1e-13)
+    # each of its own size, and weights of any
+    found = ssdr.kabsch(source, source @ rotation.T * size, weights=np.full(7, size))
+    np.testing.assert_allclose(found[..., :3], np.broadcast_to(rotation, (2, 3, 3)), atol=1e-13)
+
+
+def test_kabsch_whose_translation_is_no_number() -> None:
+    far = np.full((4, 3), 1.7e308)
+    with pytest.raises(InputError, match="translation within float64"):
+        ssdr.kabsch(far, -far)
+
+
+_CALLS = {
+    "kabsch": lambda x: ssdr.kabsch(np.tile(np.ravel(x)[:1], (4, 3)), np.ones((4, 3))),
+    "kabsch, target": lambda x: ssdr.kabsch(np.ones((4, 3)), np.tile(np.ravel(x)[:1], (4, 3))),
+    "kabsch, weights": lambda x: ssdr.kabsch(*np.ones((2, 4, 3)), weights=np.ravel(x)[:4]),
+    "nearest_rotation": lambda x: rigid.nearest_rotation(np.ravel(x)[:9].reshape(3, 3)),
+    "quaternion_from_matrix": lambda x: rigid.quaternion_from_matrix(np.ravel(x)[:9].reshape(3, 3)),
+    "matrix_from_quaternion": lambda x: rigid.matrix_from_quaternion(np.ravel(x)[:4]),
+    "unflip_quaternions": lambda x: rigid.unflip_quaternions(np.ravel(x)[:8].reshape(2, 4)),
+    "slerp, a": lambda x: rigid.slerp(np.ravel(x)[:4], np.ones(4) / 2, np.float64(0.5)),
+    "slerp, b": lambda x: rigid.slerp(np.ones(4) / 2, np.ravel(x)[:4], np.float64(0.5)),
+    "slerp, u": lambda x: rigid.slerp(np.ones(4) / 2, np.ones(4) / 2, np.ravel(x)[0]),
+    "sixd_from_matrix": lambda x: rigid.sixd_from_matrix(np.ravel(x)[:9].reshape(3, 3)),
+    "matrix_from_sixd": lambda x: rigid.matrix_from_sixd(np.ravel(x)[:6]),
+}
+
+
+@pytest.mark.parametrize("name", _CALLS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1j, "a", None], ids=str)
+def test_what_is_no_real_number_is_refused_by_name(name: str, bad: Any) -> None:
+    """NaN went through, complex numbers lost their imaginary part, the rest was NumPy's error."""
+    with pytest.raises(InputError, match=r"expected (finite|real|an array of) numbers"):
+        _CALLS[name](np.full(12, bad))
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e200, 1e308])
+def test_quaternions_and_columns_of_any_length(size: float) -> None:
+    quaternion, columns = np.array([0.0, 0.0, 0.6, 0.8]), np.array([1.0, 0, 0, 1, 1, 0])
+    np.testing.assert_allclose(
+        rigid.matrix_from_quaternion(quaternion * size),
+        rigid.matrix_from_quaternion(quaternion),
+        atol=1e-13,
+    )
+    np.testing.assert_allclose(rigid.matrix_from_sixd(columns * size), np.eye(3), atol=1e-13)
+    keys = np.array([quaternion, -quaternion]) * size
+    np.testing.assert_array_equal(rigid.unflip_quaternions(keys), keys[[0, 0]])
+
+
+def test_shapes_that_do_not_broadcast_are_refused() -> None:
+    points = np.zeros((2, 5, 3))
+    for call in (
+        lambda: ssdr.kabsch(points, np.zeros((3, 5, 3))),
+        lambda: ssdr.kabsch(points, points, weights=np.ones((3, 5))),
+        lambda: rigid.slerp(np.ones((2, 4)), np.ones((3, 4)), np.float64(0.5)),
+        lambda: rigid.slerp(np.ones(3), np.ones(3), np.float64(0.5)),
+        lambda: rigid.unflip_quaternions(np.ones((2, 4)), axis=5),
+        lambda: rigid.unflip_quaternions(np.ones((2, 4)), axis=0.5),
+        lambda: rigid.nearest_rotation(np.ones((3, 2))),
+        lambda: rigid.quaternion_from_matrix(1e200 * np.eye(3)),
+    ):
+        with pytest.raises(InputError, match="expected"):
+            call()

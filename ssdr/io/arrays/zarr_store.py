@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
-from ..atomic import free_name, remove
+from ..atomic import free_name, naming, remove
 from ..companion import find
 from ..registry import SaveReport, reading, require
 
@@ -70,28 +70,29 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
         raise InputError("path", "a zarr store or a new name", f"{path}, something else")
     temporary = free_name(path)
     try:
-        group = zarr.create_group(store=temporary, attributes={"fps": sequence.fps})
-        vertices = sequence.vertices
-        row = sequence.n_vertices * 3 * vertices.dtype.itemsize
-        step = min(sequence.n_frames, max(1, _CHUNK // row))
-        array = group.create_array(
-            "vertices",
-            shape=vertices.shape,
-            dtype=np.dtype(vertices.dtype),
-            chunks=(step, *vertices.shape[1:]),
-        )
-        for start, block in sequence.chunks(step * row):
-            array[start : start + len(block)] = block
-        group.create_array("faces", data=sequence.faces)
-        size = sum(f.stat().st_size for f in temporary.rglob("*") if f.is_file())
-        if path.exists():
-            # A folder that is not empty cannot be replaced in one step.
-            old = free_name(path)
-            os.replace(path, old)
-            os.replace(temporary, path)
-            remove(old)
-        else:
-            os.replace(temporary, path)
+        with naming(path, temporary):
+            group = zarr.create_group(store=temporary, attributes={"fps": sequence.fps})
+            vertices = sequence.vertices
+            row = sequence.n_vertices * 3 * vertices.dtype.itemsize
+            step = min(sequence.n_frames, max(1, _CHUNK // row))
+            array = group.create_array(
+                "vertices",
+                shape=vertices.shape,
+                dtype=np.dtype(vertices.dtype),
+                chunks=(step, *vertices.shape[1:]),
+            )
+            for start, block in sequence.chunks(step * row):
+                array[start : start + len(block)] = block
+            group.create_array("faces", data=sequence.faces)
+            size = sum(f.stat().st_size for f in temporary.rglob("*") if f.is_file())
+            if path.exists():
+                # A folder that is not empty cannot be replaced in one step.
+                old = free_name(path)
+                os.replace(path, old)
+                os.replace(temporary, path)
+                remove(old)
+            else:
+                os.replace(temporary, path)
     except BaseException:
         remove(temporary)
         raise

@@ -17,7 +17,7 @@ from .obj import ObjWriter, parse_obj
 from .ply import parse_ply, write_ply
 from .polygons import Mesh, fan, vertex_rows
 
-__all__ = ["read", "write_sequence"]
+__all__ = ["check_pattern", "read", "write_sequence"]
 
 _log = logging.getLogger(__name__)
 
@@ -87,11 +87,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     InputError
         If a sequence of several frames gets a plain name.
     """
-    names = _PRINTF.findall(path.name)
-    if len(names) > 1 or (not names and sequence.n_frames > 1):
-        raise InputError(
-            "path", f"one number such as %04d in the name, for {sequence.n_frames} files", path.name
-        )
+    names = check_pattern(path, sequence.n_frames)
     if start < 0:
         raise InputError("start", "a number >= 0", start)
     if names:
@@ -112,6 +108,22 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
             else:
                 writer.write(file, vertices, first=t == 0)
     return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
+
+
+def check_pattern(path: Path, n_frames: int) -> list[str]:
+    """The numbers in a name, of which there must be one for a sequence of several frames.
+
+    Raises
+    ------
+    InputError
+        If there is none, or more than one.
+    """
+    names = _PRINTF.findall(path.name)
+    if len(names) > 1 or (not names and n_frames > 1):
+        raise InputError(
+            "path", f"one number such as %04d in the name, for {n_frames} files", path.name
+        )
+    return names
 
 
 def _files(path: Path) -> list[Path]:

@@ -243,7 +243,7 @@ class ObjWriter:
         parts = [self._head, _rows("v", vertices), self._vt]
         if self._hard is not None:
             parts.append(_rows("vn", self._first if first else self._normals(vertices)))
-        self.bytes += write_bytes(path, b"".join([*parts, self._f]))
+        self.bytes += write_bytes(path, b"".join([*parts, self._f]), flush=False)
 
     def _normals(self, vertices: NDArray[Any]) -> NDArray[np.float32]:
         assert self._hard is not None

@@ -114,7 +114,7 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
     )
     rows = np.empty(len(faces), dtype=[("n", "u1"), ("v", "<i4", (3,))])
     rows["n"], rows["v"] = 3, faces
-    with atomic_path(path) as temporary:
+    with atomic_path(path, flush=False) as temporary:
         with temporary.open("wb") as stream:
             stream.write(header.encode("ascii"))
             stream.write(np.ascontiguousarray(vertices, dtype=kind).tobytes())

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -173,7 +175,7 @@ def _stage(path: Path, fps: float, n_frames: int, up: Up, meters_per_unit: float
         raise InputError("meters_per_unit", "a positive number", meters_per_unit)
     from pxr import Usd, UsdGeom
 
-    with atomic_path(path) as temporary:
+    with atomic_path(path) as temporary, _system_errors(path):
         stage = Usd.Stage.CreateNew(str(temporary))
         UsdGeom.SetStageUpAxis(stage, up.upper())
         UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
@@ -183,6 +185,21 @@ def _stage(path: Path, fps: float, n_frames: int, up: Up, meters_per_unit: float
         stage.SetEndTimeCode(n_frames - 1)
         yield stage
         stage.GetRootLayer().Save()
+
+
+@contextlib.contextmanager
+def _system_errors(path: Path) -> Iterator[None]:
+    """What USD raises of its own where it cannot write, as the OSError that it stands for."""
+    from pxr import Tf
+
+    try:
+        yield
+    except Tf.ErrorException as error:
+        text = str(error)
+        known = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
+        number = next((n for n in known if os.strerror(n) in text), errno.EIO)
+        said = os.strerror(number) if number != errno.EIO else " ".join(text.split())
+        raise OSError(number, said, str(path)) from error
 
 
 def _root(name: str) -> str:

@@ -42,6 +42,25 @@ def call(*arguments):
     return result.stdout
 
 
+def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
+    from PIL import Image
+
+    checkpoint = toy_run / "checkpoint.safetensors"
+    sizes = {}
+    for name, clip, options in (
+        ("beside", "base-test-0", ()),
+        ("alone", "base-test-0", ("--no-truth",)),
+        # Simulated with other parameters: not what the network was asked for.
+        ("other", "set0-test-0", ()),
+    ):
+        path = tmp_path / f"{name}.png"
+        call("predict", checkpoint, toy_store.path / "clips" / clip, "-o", path, *options)
+        with Image.open(path) as sheet:
+            sizes[name] = sheet.height
+    assert sizes["beside"] > 2 * sizes["alone"]
+    assert sizes["other"] == sizes["alone"]
+
+
 def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     monkeypatch.setenv("GARMENTNET_DATA", str(tmp_path / "data"))
     (tmp_path / "c.toml").write_text(
@@ -59,6 +78,13 @@ def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     names = [r["name"] for r in report["unseen_motions"]]
     assert names[0] == "bones themselves"
     assert {"mean shape", "body-skinned", "ridge", "Santesteban 2019"} <= set(names)
+    options = ["--pictures", 0, "--clips", "*-test-1", "--against", "ridge", "--per-clip"]
+    out = call("evaluate", checkpoint, "--store", toy_store.path, *options)
+    assert "overall error divided by that of ridge, all vertices, 1 clip" in out
+    assert "clip base-test-1, 90 frames" in out
+    assert "scored now: 0, scored before: 6" in out
+    with pytest.raises(InputError, match="clips: expected a pattern of test clips"):
+        call("evaluate", checkpoint, "--store", toy_store.path, "--clips", "base-dance-*")
 
     motion = toy_store.path / "clips" / "base-test-0"
     out = call("predict", checkpoint, motion, "-o", tmp_path / "dress.npz")

@@ -14,12 +14,11 @@ from garmentnet.data.store import ClipStore
 from garmentnet.networks.checkpoint import (
     Checkpoint,
     load_checkpoint,
-    load_tensors,
     load_weights,
     save_checkpoint,
-    save_tensors,
 )
 from garmentnet.networks.ensemble import Kernel
+from garmentnet.networks.tensor_files import load_tensors, save_tensors
 from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError, SsdrError
 
@@ -60,6 +59,48 @@ def test_ensemble_round_trip(toy_network, toy_store, tmp_path):
     theta = SimulationParameters(bending=1.0)
     joints = toy_store.clip("base-test-1").joints[:5]
     assert np.array_equal(loaded.predict(joints, theta), both.predict(joints, theta))
+
+
+def test_files_of_version_1_are_read(file, toy_network, toy_store, tmp_path):
+    """They name no carried vertices and no settings that came later."""
+    network = toy_network.networks[0]
+    plain = dataclasses.replace(network.subject, bound=None)
+    old = type(network)(network.config, plain, network.normaliser)
+    old.low.load_state_dict(network.low.state_dict())
+    new = save_checkpoint(Checkpoint((old,), (toy.BASE,), None), tmp_path / "new.safetensors")
+
+    def back(tensors, document):
+        assert not any(k.startswith("bound.") for k in tensors)
+        document["version"] = 1
+        document.pop("common")
+        for record in document["networks"]:
+            config = record["config"]
+            for key in ("kind", "rank", "activation", "batch_norm", "dropout", "edge_dropout"):
+                config["high"].pop(key)
+            for key in ("layers", "collision", "frames"):
+                config["low"].pop(key)
+            config["features"].pop("joints")
+            config["ensemble"].pop("kernel")
+
+    loaded = load_checkpoint(altered(new, tmp_path / "old.safetensors", back))
+    config = loaded.networks[0].config
+    assert (config.high.activation, config.high.batch_norm) == ("relu", False)
+    assert config.high.dropout == config.high.edge_dropout == 0
+    assert (config.ensemble.kernel, config.high.kind) == ("gaussian", "vertices")
+    joints = toy_store.clip("base-test-1").joints[:5]
+    assert np.array_equal(loaded.predict(joints), old.eval().predict(joints))
+
+
+def test_carried_vertices_that_do_not_fit(file, tmp_path):
+    def beyond(tensors, document):
+        tensors["bound.index"][-1] = 10**6
+
+    def short(tensors, document):
+        tensors["bound.rest"] = tensors["bound.rest"][:-1]
+
+    for k, change in enumerate((beyond, short)):
+        with pytest.raises(FormatError, match="bound"):
+            load_checkpoint(altered(file, tmp_path / f"{k}.safetensors", change))
 
 
 def test_another_garment_or_skeleton(toy_network, tmp_path):

@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,9 @@ from garmentnet.networks.features import Normaliser, PoseFeatures
 from helpers import toy_store as toy
 from ssdr.errors import InputError
 
-FAITHFUL, ROOTED = load_config("faithful").features, load_config("rooted").features
+FAITHFUL = load_config("faithful").features
+# The toy body has other joints.
+ROOTED = dataclasses.replace(load_config("rooted").features, joints=())
 
 
 @pytest.fixture(scope="module")
@@ -121,3 +125,24 @@ def test_bad_joints(moved):
         check_joints(joints * np.array([-1, 1, 1, 1]), 3)
     with pytest.raises(InputError, match="shape"):
         check_joints(joints[:0], 3)
+
+
+def test_only_some_joints_are_read(moved):
+    skeleton, joints, _ = moved
+    some = dataclasses.replace(ROOTED, joints=("leg_l",))
+    features, every = PoseFeatures(skeleton, some, toy.FPS), PoseFeatures(skeleton, ROOTED, toy.FPS)
+    x, frame, _ = features(joints)
+    y, same, _ = every(joints)
+    assert x.shape[1] == features.size < every.size
+    assert np.array_equal(frame, same)
+    # The root is read in any case; the other leg is not.
+    n = skeleton.n_joints
+    assert np.array_equal(x[:, :12], y[:, :12])
+    assert np.array_equal(x[:, 12:24], y[:, 6 * n : 6 * n + 12])
+    assert np.array_equal(x[:, 24:], y[:, 12 * n :])
+
+
+def test_joints_that_do_not_exist(moved):
+    skeleton, _, _ = moved
+    with pytest.raises(InputError, match=r"features\.joints.*tail"):
+        PoseFeatures(skeleton, dataclasses.replace(ROOTED, joints=("tail",)), toy.FPS)

@@ -2,6 +2,7 @@
 
 # ruff: noqa: E402
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -71,3 +72,64 @@ def test_high_frequency_of_chosen_frames():
     some, same = module(x, low.gather(1, index), None, pick)
     assert torch.allclose(some, whole.gather(1, index), atol=1e-6)
     assert torch.equal(state, same)
+
+
+@pytest.mark.parametrize("activation", ["relu", "prelu"])
+def test_edge_conv_without_some_edges(activation):
+    torch.manual_seed(0)
+    _, faces, _ = toy.skirt(columns=8, rings=3)
+    layer = EdgeConv(3, 5, 1.0, activation).double()
+    x = torch.randn(24, 2, 3, dtype=torch.float64)
+    module = HighFrequency(
+        2, faces, 24, hidden=4, global_features=2, edge_features=(5,), mlp=(), edge_length=1.0
+    )
+    dropped = module.draw(np.random.default_rng(3), (1, 2), hidden=0.0, edges=0.7).edges[0]
+    table = module.neighbours
+    stays = {
+        (i, int(j)) for i in range(24) for j, d in zip(table[i], dropped[i], strict=True) if not d
+    }
+    assert all((j, i) in stays for i, j in stays)  # in both directions
+    got = layer(x, table, dropped)
+    alone = 0
+    for i, near in enumerate(neighbours_of(faces, 24)):
+        kept = [j for j in near if (i, j) in stays]
+        alone += not kept
+        for f in range(2):
+            edges = [layer.act(layer.linear(torch.cat([x[i, f], x[j, f] - x[i, f]]))) for j in kept]
+            expected = torch.stack(edges).amax(0) if edges else torch.zeros(5, dtype=torch.float64)
+            assert torch.allclose(got[i, f], expected, atol=1e-12)
+    assert 0 < alone < 24
+    torch.autograd.backward(got.sum())
+    assert all(bool(torch.isfinite(p.grad).all()) for p in layer.parameters())
+
+
+def test_dropped_shares():
+    _, faces, _ = toy.skirt()
+    module = HighFrequency(
+        2, faces, 112, hidden=50, global_features=2, edge_features=(4, 4), mlp=(), edge_length=1.0
+    )
+    drawn = module.draw(np.random.default_rng(0), (8, 4), hidden=0.5, edges=0.8)
+    assert set(drawn.hidden.unique().tolist()) == {0.0, 2.0}
+    assert abs(float(drawn.hidden.mean()) - 1) < 0.1
+    assert len(drawn.edges) == 2
+    assert not torch.equal(drawn.edges[0], drawn.edges[1])
+    assert all(abs(float(e.double().mean()) - 0.8) < 0.05 for e in drawn.edges)
+    again = module.draw(np.random.default_rng(0), (8, 4), hidden=0.5, edges=0.8)
+    assert torch.equal(again.hidden, drawn.hidden)
+
+
+@torch.no_grad()
+def test_detail_of_some_vertices():
+    torch.manual_seed(0)
+    rest, faces, _ = toy.skirt(columns=8, rings=3)
+    chosen = np.array([1, 5, 9, 23])
+    module = HighFrequency(
+        6, faces, 24, hidden=16, global_features=4, edge_features=(8,), mlp=(8,), edge_length=0.1,
+        vertices=chosen, batch_norm=True, activation="prelu",
+    )  # fmt: skip
+    module.mean.fill_(0.5)
+    out, _ = module.eval()(torch.randn(2, 3, 6), torch.from_numpy(rest).expand(2, 3, 24, 3))
+    others = np.setdiff1d(np.arange(24), chosen)
+    assert float(out[:, :, others].abs().max()) == 0
+    assert float(out[:, :, chosen].abs().min()) > 0
+    assert module.spread.weight.shape == (16, 16)

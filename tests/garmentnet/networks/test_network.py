@@ -49,7 +49,9 @@ def test_world_transforms_skin_to_the_low_part(toy_network, toy_store):
     motion, _ = network.run(joints, detail=False)
     g = network.subject.garment
     posed = ssdr.skin(g.rest, g.joints, g.weights, motion.world_transforms())
-    assert np.abs(posed - motion.vertices()).max() < 1e-5
+    # The body carries the others.
+    assert len(network.free) < g.n_vertices
+    assert np.abs(posed - motion.vertices())[:, network.free].max() < 1e-5
 
 
 def test_a_network_that_reads_parameters(toy_config, toy_store, toy_bones):
@@ -84,3 +86,33 @@ def test_ablations_are_other_networks(toy_config, toy_store, toy_bones):
         assert high.gru.input_size == expected
         joints = toy_store.clip("base-test-0").joints[:4]
         assert np.isfinite(network.predict(joints)).all()
+
+
+def test_what_the_body_carries_is_exact(toy_network, toy_store):
+    network, clip = toy_network.networks[0], toy_store.clip("base-test-1")
+    bound = network.subject.bound
+    truth = clip.sequence.frames(slice(None))
+    gap = np.abs(network.predict(clip.joints) - truth)
+    assert gap[:, bound.index].max() < 1e-5
+    assert gap[:, network.free].max() > 1e-3
+    # Frame by frame too, and without the detail its smooth shape.
+    _, one = network.step(None, clip.joints[0])
+    assert np.abs(one - truth[0])[bound.index].max() < 1e-5
+    smooth = network.predict(clip.joints, detail=False)
+    import ssdr
+
+    skinned = ssdr.skin(bound.smooth, bound.joints, bound.weights, clip.joints.astype(float))
+    assert np.abs(smooth[:, bound.index] - skinned).max() < 1e-5
+
+
+def test_networks_without_carried_vertices_predict_all(toy_network, toy_store):
+    import dataclasses
+
+    network = toy_network.networks[0]
+    subject = dataclasses.replace(network.subject, bound=None)
+    plain = type(network)(network.config, subject, network.normaliser)
+    plain.low.load_state_dict(network.low.state_dict())
+    joints = toy_store.clip("base-test-1").joints[:5]
+    a, b = plain.predict(joints), network.predict(joints, detail=False)
+    assert len(plain.free) == toy_store.n_vertices
+    assert np.abs(a - b)[:, network.free].max() < 1e-6

@@ -66,3 +66,90 @@ def test_mp4(toy_network, joints, tmp_path):
     assert len(frames) == 5
     assert frames[0].shape == (96, 96, 3)
     assert frames[0].std() > 5
+
+
+def decoded(path):
+    av = pytest.importorskip("av")
+    with av.open(str(path)) as film:
+        return [f.to_ndarray(format="rgb24").astype(int) for f in film.decode(video=0)]
+
+
+@pytest.mark.parametrize("error", [False, True])
+def test_a_film_of_truth_beside_prediction(toy_network, toy_store, tmp_path, error):
+    clip = toy_store.clip("base-test-0")
+    p = predict(toy_network, clip.joints)
+    cut = first_frames(clip, 4)
+    short = cut_prediction(p, 4)
+    text = save_prediction(short, tmp_path / "a.mp4", size=96, truth=cut, error=error)
+    assert text == "a film of truth and prediction, 4 frames"
+    frames = decoded(tmp_path / "a.mp4")
+    assert len(frames) == 4
+    panels = 3 if error else 2
+    height, width = frames[0].shape[:2]
+    assert width == 72 * panels + 2 * (panels - 1)
+    assert height > 96
+    head = 10
+    one, two = (frames[3][head : head + 96, k * 74 : k * 74 + 72] for k in (0, 1))
+    assert (np.abs(one - two).sum(2) > 40).mean() > 0.003
+    # Skin and cloth have colours of their own.
+    reddish = one[..., 0] - one[..., 2]
+    assert (reddish > 25).sum() > 10
+    assert (reddish < -40).sum() > 50
+
+
+def test_a_film_of_every_second_frame_has_the_same_speed(toy_network, joints, tmp_path):
+    from PIL import Image
+
+    p = predict(toy_network, joints[:5])
+    save_prediction(p, tmp_path / "a.gif", size=64, every=2)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 3
+        assert film.info["duration"] == pytest.approx(2000 / 30, abs=10)
+
+
+def test_a_sheet_of_truth_and_prediction(toy_network, toy_store, tmp_path):
+    from PIL import Image
+
+    clip = toy_store.clip("base-test-0")
+    p = predict(toy_network, clip.joints)
+    save_prediction(p, tmp_path / "with.png", frames=2, truth=clip)
+    save_prediction(p, tmp_path / "without.png", frames=2)
+    with Image.open(tmp_path / "with.png") as full, Image.open(tmp_path / "without.png") as plain:
+        assert full.height > 2 * plain.height
+
+
+def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joints, tmp_path):
+    p = predict(toy_network, joints)
+    clip = toy_store.clip("base-test-0")
+    for argument, options in (
+        ("truth", {"truth": clip}),
+        ("free", {"free": np.ones(3, bool)}),
+        ("every", {"every": 0}),
+    ):
+        with pytest.raises(ssdr.InputError) as caught:
+            save_prediction(p, tmp_path / "a.gif", size=64, **options)
+        assert caught.value.argument == argument
+    assert list(tmp_path.iterdir()) == []
+
+
+def first_frames(clip, count):
+    """A clip cut off, as far as films use it."""
+    import types
+
+    cloth = np.asarray(clip.sequence.vertices[:count])
+    return types.SimpleNamespace(
+        outfit=clip.outfit,
+        n_frames=count,
+        classes=clip.classes[:count],
+        sequence=ssdr.MeshSequence(cloth, clip.outfit.faces, clip.fps),
+    )
+
+
+def cut_prediction(p, count):
+    import dataclasses
+
+    cut = {
+        k: dataclasses.replace(getattr(p, k), vertices=getattr(p, k).vertices[:count])
+        for k in ("cloth", "body")
+    }
+    return dataclasses.replace(p, **cut, joints=p.joints[:count], root=p.root[:count])

@@ -12,8 +12,9 @@ from ssdr.errors import InputError, SsdrWarning
 
 
 def test_a_single_network(toy_network, joints, toy_store):
-    p = predict(toy_network, joints)
+    p = predict(toy_network, joints, push_out=False)
     assert np.array_equal(p.cloth.vertices, toy_network.predict(joints))
+    assert (p.moved, p.farthest) == (0.0, 0.0)
     assert np.abs(p.body.vertices - toy_store.clip("base-test-0").body(slice(0, 12))).max() < 1e-5
     assert p.extrapolated == ()
     assert predict(toy_network, joints, toy.BASE).extrapolated == ()
@@ -39,7 +40,7 @@ def test_extrapolation_is_stated(pair, joints):
 
 
 def test_skinning_is_the_low_part(pair, joints):
-    p = predict(pair, joints, SimulationParameters(bending=1.0), detail=False)
+    p = predict(pair, joints, SimulationParameters(bending=1.0), detail=False, push_out=False)
     assert np.abs(p.skinning.skin() - p.cloth.vertices).max() < 1e-5
 
 
@@ -49,3 +50,36 @@ def test_the_camera_walks_along(toy_network, joints):
     place = still[:, : p.body.n_vertices].mean(axis=1)
     assert np.abs(place[:, [0, 2]]).max() < 0.2
     assert p.scene().n_vertices == p.body.n_vertices + p.cloth.n_vertices
+
+
+def test_vertices_inside_the_body_are_pushed_out(toy_network, joints):
+    import dataclasses
+
+    from garmentnet.collision.push_out import PushOut
+    from ssdr import Skinning
+
+    # The same body, so wide that it reaches through the skirt.
+    network = toy_network.networks[0]
+    b = network.subject.body
+    wide = Skinning(
+        b.rest * np.array([2.2, 1, 2.2], np.float32),
+        b.joints,
+        b.weights,
+        b.transforms,
+        faces=b.faces,
+        bone_names=b.bone_names,
+    )
+    before = network.subject
+    network.subject = dataclasses.replace(before, body=wide)
+    try:
+        plain = predict(toy_network, joints, push_out=False)
+        p = predict(toy_network, joints)
+    finally:
+        network.subject = before
+    measure = PushOut(wide, p.cloth.faces, n_vertices=p.cloth.n_vertices)
+    assert (measure.signed_distance(plain.cloth.vertices, joints) < -5e-4).mean() > 0.02
+    assert (measure.signed_distance(p.cloth.vertices, joints) >= -5e-4).all()
+    way = np.linalg.norm(p.cloth.vertices - plain.cloth.vertices, axis=2)
+    assert p.moved > 0.02
+    assert p.farthest == pytest.approx(float(way.max()), abs=1e-6)
+    assert np.array_equal(p.skinning.transforms, plain.skinning.transforms)

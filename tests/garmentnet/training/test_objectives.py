@@ -9,8 +9,9 @@ torch = pytest.importorskip("torch")
 
 
 from garmentnet.configs import override
+from garmentnet.networks.losses import mesh_laplacian
 from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.objectives import LowFrequencyObjective
+from garmentnet.training.objectives import HighFrequencyObjective, LowFrequencyObjective
 
 
 def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatch):
@@ -25,11 +26,59 @@ def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatc
 
     network.low.zero_grad()
     z, _ = network.low(batch.inputs())
-    gap = network.mesh(z[batch.mask]) - task.tracks[0].target("low", slice(0, 20))
-    bent = torch.stack([torch.from_numpy(task._laplacian.toarray()).float() @ g for g in gap])
+    truth = task.tracks[0].target("low", slice(0, 20))
+    gap = (network.mesh(z[batch.mask]) - truth)[:, network.free]
+    # What the body carries is exact in the prediction, so its part of the Laplacian cancels.
+    whole = torch.zeros_like(truth)
+    whole[:, network.free] = gap
+    laplacian = mesh_laplacian(toy_store.faces, toy_store.n_vertices)
+    dense = torch.from_numpy(laplacian.toarray()).float()
+    bent = (dense @ whole)[:, network.free]
     plain = sum(x.square().sum(-1).mean(-1).sqrt().mean() for x in (gap, bent))
     torch.autograd.backward(plain)
     assert abs((loss - plain).item()) < 1e-5 * plain.item()
     for a, p in zip(got, network.low.parameters(), strict=True):
         assert float((a - p.grad).norm()) < 1e-3 * float(p.grad.norm())
     network.low.zero_grad()
+
+
+def test_collision_of_the_low_part_pushes_outward(toy_store, toy_bones, toy_network, monkeypatch):
+    network = toy_network.networks[0]
+
+    def loss(weight):
+        changed = override(network.config, ["low.dropout=0.0", f"low.collision={weight}"])
+        monkeypatch.setattr(network, "config", changed)
+        task = LowFrequencyObjective(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
+        # A body that is as large as the dress swallows it.
+        task.body.skinning.matrix.mul_(4.0)
+        batch = next(batches(task.tracks, 1, 20, None))
+        return task.loss(batch, None, np.random.default_rng(0))[0]
+
+    with torch.no_grad():
+        none, some, more = (float(loss(w)) for w in (0.0, 1.0, 2.0))
+    assert some > none
+    assert abs((more - none) - 2 * (some - none)) < 1e-5 * more
+    torch.autograd.backward(loss(1.0))
+    assert any(float(p.grad.abs().max()) > 0 for p in network.low.parameters())
+    network.low.zero_grad()
+
+
+@torch.no_grad()
+def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_network):
+    network = toy_network.networks[0]
+    tracks = load_tracks(network, toy_bones, ["base-train-0"])
+    task = HighFrequencyObjective(network, tracks, tracks)
+    before = task.validate()
+    (track,) = tracks
+    high, _ = network.high(
+        network.high_inputs(track.inputs[None], task.tracks[0].extra[None]),
+        task._low(task.tracks[0].extra[None], track.joints()[None]),
+    )
+    gap = (high[0] - track.target("high"))[:, network.free]
+    assert abs(before - float(gap.square().sum(-1).mean().sqrt())) < 1e-6
+    # Another low part does not change what is asked of the detail.
+    code = network.low.code
+    code.mean += 0.01
+    after = HighFrequencyObjective(network, tracks, tracks).validate()
+    code.mean -= 0.01
+    assert abs(after - before) < 0.2 * before

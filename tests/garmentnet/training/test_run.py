@@ -146,3 +146,26 @@ def test_a_corrupt_clip_is_named(tmp_path, toy_config):
     chunk.write_bytes(bytes(data))
     with pytest.raises(FormatError, match="base-train-1"):
         train(ClipStore.open(store.path), toy_config(epochs=1, high_epochs=1), tmp_path / "run")
+
+
+def test_motions_are_chosen_by_pattern(toy_store, toy_config):
+    config = toy_config()
+
+    def names(split="train", **data):
+        data = dataclasses.replace(config.data, **data)
+        return choose_clips(toy_store, dataclasses.replace(config, data=data), split)[0]
+
+    every = names()
+    motions = {toy_store.clip(n).motion for n in every}
+    one = sorted(motions)[0]
+    assert {toy_store.clip(n).motion for n in names(motions=one)} == {one}
+    with pytest.raises(InputError, match="no-such"):
+        names(motions="no-such-*")
+    # With a motion left out, those of the other splits are learned too.
+    held = names("test")
+    left = toy_store.clip(held[0]).motion
+    assert set(every) | set(held[1:]) <= set(names(leave_out=left))
+    assert held[0] not in names(leave_out=left)
+    assert names("test", leave_out=left) == [n for n in held if toy_store.clip(n).motion == left]
+    with pytest.raises(InputError, match="validation clips"):
+        names("validation", leave_out=left)

@@ -116,7 +116,7 @@ def test_the_result_survives_a_disk_that_fails(faked, run, clip, tmp_path, monke
     assert FakeState.load(tmp_path / "a.state.npz").steps == 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_leaves_a_state_to_resume_from(number, clip, tmp_path):
     def faked(steps):
         return ["-c", FAKED.format(steps=steps)]

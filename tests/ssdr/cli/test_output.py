@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.util
 import json
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -89,3 +91,54 @@ def test_words_for_sizes_options_and_progress():
     assert write_options(pairs, Path("m.npz")) == {"a": 1, "c": True}
     progress = SimpleNamespace(rmse=float("nan"), elapsed=12.2, time_left=130.0)
     assert describe(progress) == "13 s, 2 min 10 s left"
+
+
+def test_what_a_format_refuses_is_refused_before_the_work(run, clip, wave, tmp_path, monkeypatch):
+    """One file for many frames, an option's value: it came after hours of solving."""
+
+    def never(*_, **__):
+        raise AssertionError("the work has started")
+
+    monkeypatch.setitem(vars(ssdr), "decompose", never)
+    good = tmp_path / "good.npz"
+    for arguments, text in (
+        (["-o", tmp_path / "x.obj"], "one number such as %04d in the name, for 4 files"),
+        (["-o", tmp_path / "x.ply"], "one number such as %04d"),
+        (["-o", tmp_path / "x.glb", "--write", "up=q"], "up: expected"),
+        (["-o", tmp_path / "x.glb", "--write", "influences=0"], "influences: expected"),
+        (["-o", tmp_path / "x.pc2", "--write", "unweld=true"], "unweld: expected"),
+        (["-o", tmp_path / ("n" * 252 + ".npz")], "File name too long"),
+        (["-o", good, "--checkpoint", tmp_path / ("n" * 252 + ".npz")], "File name too long"),
+        (["-o", good, "--picture", tmp_path / ("n" * 252 + ".png")], "File name too long"),
+        (["-o", good, "--checkpoint", good], "--checkpoint: expected each file once"),
+        (["-o", good, "--checkpoint", tmp_path / "." / "good.npz"], "each file once"),
+        (["-o", tmp_path / "a.glb", "-o", tmp_path / "a.state.npz"], "each file once"),
+    ):
+        code, out, err = run("decompose", clip, "-b", 2, *arguments)
+        assert (code, out) == (2, ""), (arguments, err)
+        assert text in err
+    assert [p.name for p in tmp_path.iterdir()] == ["clip.npz"]
+
+
+def test_a_folder_that_takes_no_file_is_refused_before_the_work(run, clip, tmp_path, monkeypatch):
+    """Not every such folder says so by its permissions: one without inodes left does not."""
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(ssdr, "load", lambda *_, **__: pytest.fail("the work has started"))
+    monkeypatch.setattr(Path, "touch", full)
+    code, out, err = run("decompose", clip, "-b", 2, "-o", tmp_path / "a.npz")
+    assert (code, out) == (2, "")
+    assert "--output: expected a file in a folder that can be written to" in err
+    assert "(No space left on device)" in err
+
+
+def test_a_file_beside_the_output_is_not_overwritten(run, clip, tmp_path):
+    """glTF's .bin and NumPy's .faces.npy were."""
+    for name, beside in (("a.gltf", "a.bin"), ("b.npy", "b.faces.npy")):
+        (tmp_path / beside).write_bytes(b"precious")
+        code, _, err = run("decompose", clip, "-b", 2, "-o", tmp_path / name)
+        assert code == 2
+        assert f"{tmp_path / beside}, which exists" in err
+        assert (tmp_path / beside).read_bytes() == b"precious"

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
+
 import pytest
 
 import ssdr
@@ -36,3 +40,69 @@ def test_files_get_the_permissions_of_any_new_file(tmp_path, wave):
     (tmp_path / "plain").write_text("")
     ssdr.save(wave, tmp_path / "a.npz")
     assert (tmp_path / "a.npz").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_a_file_and_its_folder_reach_the_disk_before_it_is_called_written(
+    tmp_path, wave, monkeypatch
+):
+    """A power cut after the rename must not leave an empty file of that name."""
+    order, real = [], {"fsync": os.fsync, "replace": os.replace}
+
+    def fsync(number):
+        kind = os.fstat(number).st_mode
+        order.append("folder" if stat.S_ISDIR(kind) else "file")
+        real["fsync"](number)
+
+    def replace(source, target):
+        order.append("name")
+        real["replace"](source, target)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", replace)
+    ssdr.save(wave, tmp_path / "a.npz")
+    assert order == ["file", "name", "folder"]
+
+
+def test_a_link_stays_and_the_file_that_it_leads_to_is_replaced(tmp_path, wave):
+    (tmp_path / "far").mkdir()
+    real, link = tmp_path / "far" / "real.npz", tmp_path / "link.npz"
+    real.write_bytes(b"old")
+    link.symlink_to(real)
+    ssdr.save(wave, link)
+    assert link.is_symlink()
+    assert ssdr.load(real).n_frames == wave.n_frames
+    assert [p.name for p in (tmp_path / "far").iterdir()] == ["real.npz"]
+    dangling = tmp_path / "dangling.npz"
+    dangling.symlink_to(tmp_path / "far" / "new.npz")
+    ssdr.save(wave, dangling)
+    assert (tmp_path / "far" / "new.npz").is_file()
+    for name, place in (("loop.npz", "loop.npz"), ("gone.npz", "no/a.npz"), ("z.npz", "/dev/null")):
+        (tmp_path / name).symlink_to(place)
+        with pytest.raises(InputError, match="path: expected"):
+            ssdr.save(wave, tmp_path / name)
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+
+
+def test_a_full_disk_is_named_by_the_file(tmp_path, wave, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    for name in ("a.npz", "a.pc2", "a.glb", "a.npy"):
+        with pytest.raises(OSError, match="No space left") as caught:
+            ssdr.save(wave if name != "a.glb" else _still(wave), tmp_path / name)
+        assert caught.value.errno == errno.ENOSPC
+        assert str(caught.value.filename).startswith(str(tmp_path / "a."))
+    assert list(tmp_path.iterdir()) == []
+
+
+def _still(wave):
+    return ssdr.initialize(wave, bones=1)
+
+
+def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path, wave):
+    for stem in ("n" * 251, "ü" * 125):
+        ssdr.save(wave, tmp_path / f"{stem}.npz")
+        assert ssdr.load(tmp_path / f"{stem}.npz").n_frames == wave.n_frames
+        with pytest.raises(InputError, match="File name too long"):
+            ssdr.save(wave, tmp_path / f"{stem}nn.npz")

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal, largest_of, rmse_of, small, wavy
+from ssdr.search.progress import Reporter
 from ssdr.streaming import scan
 
 
@@ -207,3 +208,66 @@ def test_no_warning_where_the_tolerance_is_held() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ssdr.decompose(wavy(), tolerance="5%", effort="fast")
+
+
+def _streamed(monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1)
+    monkeypatch.setattr(scan, "_FEWEST", 40)
+    monkeypatch.setattr(scan, "_MOST", 40)
+    return motions.rippled()
+
+
+def test_a_callback_is_asked_within_passes_over_all_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither callback nor limits were, however long the passes took."""
+    frames, seen = _streamed(monkeypatch), []
+
+    def stop(progress: Any) -> bool:
+        seen.append((progress.phase, progress.fraction))
+        return progress.phase == "all frames"
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = ssdr.decompose(frames, tolerance="2%", bones=12, effort="fast", callback=stop)
+    assert result.stop_reason == "cancelled"
+    first = [phase for phase, _ in seen].index("all frames")
+    # the pass is finished, and nothing follows it
+    assert {phase for phase, _ in seen[first:]} == {"all frames"}
+    assert len(seen) - first == 1
+    assert [f for _, f in seen] == sorted(f for _, f in seen)
+    assert result.rmse == pytest.approx(rmse_of(result.skinning, frames))
+
+
+def test_a_time_limit_ends_passes_over_all_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames, phases = _streamed(monkeypatch), []
+    late = property(lambda _: "all frames" in phases)
+    monkeypatch.setattr(Reporter, "out_of_time", late)
+    options = {"tolerance": "2%", "bones": 12, "effort": "balanced"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = ssdr.decompose(
+            frames, **options, time_limit=1e6, callback=lambda p: phases.append(p.phase)
+        )
+    assert result.stop_reason == "time limit"
+    assert phases.count("all frames") == 1
+    assert np.isfinite(result.rmse)
+
+
+def test_history_under_a_tolerance_is_of_models_that_hold_it() -> None:
+    """It may rise, as the documentation did not say: a smaller model has a larger error."""
+    result = ssdr.decompose(wavy(), tolerance="1%")
+    errors = [record.rmse for record in result.history]
+    assert errors[-1] == result.rmse
+    assert max(errors) <= result.parsimony.tolerance * (1 + 1e-9)
+    assert "`rmse` may rise up to" in " ".join(ssdr.Decomposition.__doc__.split())
+
+
+@pytest.mark.parametrize("tolerance", [1e4, 1e100, 1e160, 1e308, "1e300%"])
+@pytest.mark.parametrize("tolerance_of", ["rmse", "max"])
+def test_a_tolerance_whose_square_is_no_number(tolerance: Any, tolerance_of: Any) -> None:
+    """It ended in an OverflowError, or never."""
+    result = ssdr.decompose(
+        wavy(), tolerance=tolerance, tolerance_of=tolerance_of, effort="fast", rng=3
+    )
+    assert result.skinning.n_bones == 1
+    assert result.stop_reason == "tolerance held"
+    assert result.parsimony.tolerance > 1e3

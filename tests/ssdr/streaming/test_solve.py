@@ -10,6 +10,7 @@ import pytest
 
 import ssdr
 from helpers import motions
+from ssdr.search.progress import Reporter
 from ssdr.streaming import scan
 from ssdr.streaming.state import StreamedState
 
@@ -238,3 +239,32 @@ def test_many_short_shots_are_what_one_long_one_is() -> None:
     many = ssdr.decompose(shots, bones=4, effort="fast")
     same(one.skinning, many.skinning)
     assert many.offsets.tolist() == cuts
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_time_limit_within_the_passes_is_the_reason_to_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It said "converged", of the run on representative frames."""
+    late = False
+
+    def watch(progress) -> None:
+        nonlocal late
+        late |= progress.phase == "all frames"
+
+    monkeypatch.setattr(Reporter, "out_of_time", property(lambda _: late))
+    result = ssdr.decompose(motions.rippled(), bones=4, time_limit=1e6, callback=watch)
+    assert result.stop_reason == "time limit"
+    assert not result.converged
+    assert len(result.history) == 1
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_passes_count_as_iterations() -> None:
+    whole = ssdr.decompose(motions.rippled(), bones=4)
+    assert len(whole.history) > 1
+    most = whole.history[0].iteration
+    part = ssdr.decompose(motions.rippled(), bones=4, max_iterations=most)
+    assert part.stop_reason == "iterations"
+    assert part.history[-1].iteration == most
+    same(whole.skinning, ssdr.decompose(motions.rippled(), bones=4, resume=part.state).skinning)

@@ -9,6 +9,7 @@ import pytest
 
 import ssdr
 from helpers import motions
+from ssdr.streaming import scan
 from ssdr.streaming.state import StreamedState
 
 
@@ -48,3 +49,59 @@ def test_a_damaged_state_is_refused(tmp_path: Path) -> None:
         np.savez(tmp_path / "bad.npz", **arrays)
         with pytest.raises(ssdr.FormatError, match=r"bad\.npz"):
             ssdr.decompose(motions.rippled(), bones=3, effort="fast", resume=tmp_path / "bad.npz")
+
+
+@pytest.mark.usefixtures("tiny_memory")
+@pytest.mark.parametrize("phase", ["polish", "all frames", "end"])
+@pytest.mark.parametrize("frames", ["chosen", "settling", "others"])
+def test_a_state_of_frames_that_have_changed_anywhere_is_refused(phase: str, frames: str) -> None:
+    """Only the representative frames were compared."""
+    first = motions.rippled()
+    count = 0
+
+    def stop(progress: ssdr.search.progress.Progress) -> bool:
+        nonlocal count
+        count += progress.phase == phase
+        return count == 3
+
+    state = ssdr.decompose(first, bones=4, callback=stop).state
+    streamed = StreamedState.of(state)
+    assert streamed is not None
+    few = streamed.scan
+    more = few.extended(first.shape[1])
+    assert more is not None
+    among = {
+        "chosen": few.chosen[1:],
+        "settling": np.setdiff1d(more.chosen, few.chosen),
+        "others": np.setdiff1d(np.arange(len(first)), more.chosen),
+    }[frames]
+    changed = first.copy()
+    changed[among[3], 17] *= 1 + 1e-12  # a single vertex, hardly
+    with pytest.raises(ssdr.InputError, match="very frames") as caught:
+        ssdr.decompose(changed, bones=4, resume=state)
+    assert caught.value.argument == "resume"
+    # float32 that became float64 is the same animation
+    ssdr.decompose(list(first), bones=4, resume=state, max_iterations=1)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_under_a_tolerance_other_frames_are_refused_too() -> None:
+    frames = motions.rippled()
+    options = {"tolerance": "2%", "bones": 12, "effort": "fast"}
+    state = ssdr.decompose(frames, **options).state
+    chosen = scan.scan([ssdr.MeshSequence(frames)], None, keep=[0]).chosen
+    frames[np.setdiff1d(np.arange(len(frames)), chosen)[5], 3] += 0.1
+    with pytest.raises(ssdr.InputError, match="very frames"):
+        ssdr.decompose(frames, **options, resume=state)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_frames_that_change_during_the_run_are_an_error() -> None:
+    frames = motions.rippled()
+
+    def spoil(progress: ssdr.search.progress.Progress) -> None:
+        if progress.phase == "polish":
+            frames[:] = 0
+
+    with pytest.raises(ssdr.InputError, match="stay as they are during the run"):
+        ssdr.decompose(frames, bones=4, effort="fast", callback=spoil)

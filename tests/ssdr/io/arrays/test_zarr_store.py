@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers.disks import small_files
 from helpers.surfaces import same_sequence
 from ssdr import FormatError, InputError
 
@@ -40,3 +41,12 @@ def test_zarr_shapes_are_not_believed(tmp_path):
     group.create_array("points", data=np.zeros(3))
     with pytest.raises(FormatError, match="no array vertices; it holds"):
         ssdr.load(tmp_path / "b.zarr")
+
+
+def test_a_full_disk_is_named_by_the_store(tmp_path):
+    pytest.importorskip("zarr")
+    sample = ssdr.samples.load("dancer_small")
+    with small_files(4000), pytest.raises(OSError, match="File too large") as caught:
+        ssdr.save(sample, tmp_path / "a.zarr")
+    assert caught.value.filename == str(tmp_path / "a.zarr")
+    assert list(tmp_path.iterdir()) == []

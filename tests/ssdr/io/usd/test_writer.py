@@ -7,6 +7,7 @@ import pytest
 from pxr import Usd, UsdGeom, UsdSkel
 
 import ssdr
+from helpers.disks import small_files
 from helpers.rig_model import baked_by_usd, largest_distance, tube
 from ssdr.io.rig import build_rig, turn_skinning_up
 
@@ -123,3 +124,13 @@ def test_options_are_checked(tmp_path):
         with pytest.raises(ssdr.InputError):
             ssdr.save(tube(frames=2), tmp_path / "a.usda", **options)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.usdc", "a.usda"])
+def test_a_full_disk_is_an_error_of_the_system_that_names_the_file(tmp_path, name):
+    """Not pxr's own, which nobody catches."""
+    sample = ssdr.samples.load("dancer_small")
+    with small_files(4000), pytest.raises(OSError, match="File too large") as caught:
+        ssdr.save(sample, tmp_path / name)
+    assert caught.value.filename == str(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,1 @@
+"""How a garment on its body is shown."""

@@ -1,0 +1,129 @@
+"""The high-frequency module in few numbers: a basis of detail that turns with the cloth.
+
+Detail is written in the frame of the skinned surface: a pleat that swings round with the hem is
+the same detail there, in the moving frame of the body it is not.  Its principal components, found
+once from the training frames, are weighted by a GRU that reads the bones' motion.  In place of the
+10 V outputs of the paper's global features there are as many as components.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from .skinning import matrix_from_sixd
+
+__all__ = ["DetailBasis", "SurfaceTurns"]
+
+
+class SurfaceTurns(nn.Module):
+    """How far skinning turns the surface at some vertices: blended rotations, made orthonormal.
+
+    Parameters
+    ----------
+    joints, weights : (V, K) arrays
+        Of the virtual bones.
+    n_bones : int
+    vertices : (n,) int array
+
+    Examples
+    --------
+    >>> turns = SurfaceTurns([[0]], [[1.0]], 1, np.array([0]))
+    >>> turns(torch.eye(3, 4).expand(2, 1, 3, 4)).shape
+    torch.Size([2, 1, 3, 3])
+    """
+
+    blend: Tensor
+
+    def __init__(self, joints: Any, weights: Any, n_bones: int, vertices: NDArray[Any]) -> None:
+        super().__init__()
+        dense = np.zeros((len(vertices), n_bones))
+        rows = np.arange(len(vertices))[:, None]
+        np.add.at(dense, (rows, np.asarray(joints)[vertices]), np.asarray(weights)[vertices])
+        self.register_buffer("blend", torch.from_numpy(dense).float(), persistent=False)
+
+    def forward(self, transforms: Tensor) -> Tensor:
+        """Rotations ``(F, n, 3, 3)`` of transforms ``(F, B, 3, 4)``."""
+        # Two columns are enough: the third follows.
+        columns = transforms[..., :2].transpose(-1, -2).flatten(-2)
+        flat = columns.transpose(0, 1).flatten(1)
+        blended = (self.blend @ flat).view(len(self.blend), -1, 6).transpose(0, 1)
+        return matrix_from_sixd(blended)
+
+
+class DetailBasis(nn.Module):
+    """Mean detail and principal components in the surface's frame, weighted by a GRU.
+
+    Parameters
+    ----------
+    inputs : int
+        Numbers that the GRU reads in a frame: the motion of the bones.
+    n_vertices : int
+        Vertices whose detail is predicted.
+    hidden : int
+    rank : int
+        Components.
+
+    Examples
+    --------
+    >>> module = DetailBasis(6, 5, hidden=8, rank=2)
+    >>> numbers, state = module(torch.zeros(1, 4, 6))
+    >>> module.local(numbers[0]).shape
+    torch.Size([4, 5, 3])
+    """
+
+    mean: Tensor
+    basis: Tensor
+    deviation: Tensor
+
+    def __init__(self, inputs: int, n_vertices: int, *, hidden: int, rank: int) -> None:
+        super().__init__()
+        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.out = nn.Linear(hidden, rank)
+        self.register_buffer("mean", torch.zeros(n_vertices, 3))
+        self.register_buffer("basis", torch.zeros(rank, 3 * n_vertices))
+        self.register_buffer("deviation", torch.ones(rank))
+
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Weights of the components ``(N, T, rank)``, metres, and the state ``(1, N, H)``.
+
+        `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
+        """
+        h, state = self.gru(x, state)
+        if mask is not None:
+            h = h * mask
+        return self.out(h) * self.deviation, state
+
+    def local(self, numbers: Tensor) -> Tensor:
+        """Detail ``(F, n, 3)`` in the surface's frame, metres, of weights ``(F, rank)``."""
+        return (numbers @ self.basis).unflatten(-1, (-1, 3)) + self.mean
+
+    def code(self, local: Tensor) -> tuple[Tensor, Tensor]:
+        """Weights ``(F, rank)`` of detail ``(F, n, 3)``, and the squared rest ``(F,)``."""
+        flat = (local - self.mean).flatten(1)
+        numbers = flat @ self.basis.T
+        return numbers, (flat - numbers @ self.basis).square().sum(1)
+
+    @torch.no_grad()
+    def fit(self, local: Tensor) -> None:
+        """Mean, components and their deviations from frames ``(F, n, 3)``.
+
+        Components that the frames do not have are 0.
+        """
+        self.mean.copy_(local.mean(0))
+        flat = (local - self.mean).flatten(1).double()
+        values, vectors = torch.linalg.eigh(flat @ flat.T)
+        rank = min(len(self.basis), len(flat) - 1)
+        values, vectors = values.flip(0)[:rank], vectors.flip(1)[:, :rank]
+        there = values > 1e-12 * values[:1].clamp(min=1e-30)
+        scale = torch.where(there, values.clamp(min=1e-30).rsqrt(), torch.zeros_like(values))
+        self.basis.zero_()
+        self.basis[:rank] = ((flat.T @ vectors) * scale).T.float()
+        self.deviation.fill_(1.0)
+        self.deviation[:rank] = (values / len(flat)).sqrt().float().clamp(min=1e-7)

@@ -1,0 +1,64 @@
+"""Tensors and JSON documents in one safetensors file; nothing in it is executed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.atomic import atomic_path
+from ssdr.io.registry import reading, require
+
+from ..io.files import writing
+
+__all__ = ["load_tensors", "save_tensors"]
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
+    """Write tensors and JSON documents to one safetensors file, complete or not at all."""
+    safetensors = require("safetensors.torch", "garmentnet", "a checkpoint")
+    # One entry, because several are written in an order that changes from run to run.
+    text = json.dumps(documents, sort_keys=True)
+    # Tensors may share memory, which the format cannot express.
+    plain = {k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}
+    with writing(path), atomic_path(path) as temporary:
+        temporary.touch()
+        mode = temporary.stat().st_mode
+        safetensors.save_file(plain, str(temporary), metadata={"garmentnet": text})
+        # safetensors makes the file readable by its owner alone.
+        temporary.chmod(mode)
+    return path
+
+
+def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and JSON documents of a safetensors file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    FormatError
+        If the file is of another format, lacks a document or holds NaN or Inf.
+    """
+    safetensors = require("safetensors", "garmentnet", "a checkpoint")
+    if not path.is_file():
+        raise InputError("checkpoint", "a file", str(path))
+    with reading(path):
+        with safetensors.safe_open(str(path), framework="pt") as file:
+            text = (file.metadata() or {}).get("garmentnet")
+            if text is None:
+                raise FormatError("safetensors, but not of garmentnet")
+            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
+        documents = json.loads(text)
+        missing = [k for k in wanted if k not in documents]
+        if missing:
+            raise FormatError(f"no document {missing[0]!r}")
+        for key, value in tensors.items():
+            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
+                raise FormatError(f"NaN or Inf in {key}")
+    return tensors, documents

@@ -1,0 +1,76 @@
+"""Fingerprints of frames: whether those that are read are those that a state belongs to.
+
+One a frame, so that they do not depend on the blocks in which frames are read, and so that
+a walk over some of the frames can check these.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..parallel import chunk_bounds, run_chunks
+from ..sequence import MeshSequence
+from .executor import Executor, Frames, Local, Walk, spans_of
+
+__all__ = ["BYTES", "Digests", "check_same", "digests_of", "of_block", "of_frame"]
+
+BYTES = 16  # a frame
+Digests = NDArray[np.uint8]
+_AT_ONCE = 8  # frames
+
+
+def of_frame(frame: NDArray[np.floating]) -> Digests:
+    """(16,) digest of a frame's positions; float32 and float64 of equal numbers have the same."""
+    numbers = np.ascontiguousarray(frame, dtype=np.float64)
+    return np.frombuffer(hashlib.sha256(numbers.data).digest()[:BYTES], dtype=np.uint8)
+
+
+def of_block(block: NDArray[np.floating]) -> Digests:
+    """(n, 16) digests of some frames."""
+    out = np.empty((len(block), BYTES), dtype=np.uint8)
+
+    def work(_: int, i: int, k: int) -> None:
+        for t in range(i, k):
+            out[t] = of_frame(block[t])
+
+    run_chunks(work, chunk_bounds(len(block), _AT_ONCE))
+    return out
+
+
+def digests_of(sequences: Sequence[MeshSequence], executor: Executor | None = None) -> Digests:
+    """(F, 16) digests of all frames, by a walk over them."""
+    spans = spans_of(sum(len(s) for s in sequences))
+    parts: Iterable[Digests] = (executor or Local()).map(Walk(_of_span, sequences, spans))
+    return np.concatenate(list(parts))
+
+
+def _of_span(frames: Frames) -> Digests:
+    return np.concatenate([of_block(block) for _, block in frames.blocks()])
+
+
+def check_same(
+    seen: Digests, expected: Digests, frames: NDArray[np.int64] | range, *, resumed: bool
+) -> None:
+    """Whether frames are those that were seen before.
+
+    Raises
+    ------
+    InputError
+        If one is not: about `resume` where it was seen by the run that is resumed.
+    """
+    other = (seen != expected).any(axis=1)
+    if not other.any():
+        return
+    frame = frames[int(other.argmax())]
+    if resumed:
+        raise InputError(
+            "resume", "a state of a run on these very frames", f"one on another frame {frame}"
+        )
+    raise InputError(
+        "sequence", "frames that stay as they are during the run", f"a change in frame {frame}"
+    )

@@ -1,0 +1,264 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import ssdr
+from garmentnet.collision.push_out import INSIDE, PushOut, push_out
+from ssdr import Skinning
+from ssdr.errors import InputError
+
+FLAT = np.array([[[0, 1, 2]]])
+
+
+def rigid(vertices, faces, joints=None, count=1):
+    """A body whose vertices follow one joint each."""
+    j = np.zeros(len(vertices), int) if joints is None else np.asarray(joints)
+    still = np.tile(np.eye(3, 4), (1, count, 1, 1))
+    return Skinning(vertices, j[:, None], np.ones((len(j), 1)), still, faces=faces)
+
+
+def sphere(rings=12, columns=16, radius=1.0, centre=(0, 0, 0)):
+    angle = 2 * np.pi * np.arange(columns) / columns
+    tilt = np.pi * np.arange(1, rings) / rings
+    ring = [
+        np.stack(
+            [np.sin(t) * np.cos(angle), np.sin(t) * np.sin(angle), np.full(columns, np.cos(t))], -1
+        )
+        for t in tilt
+    ]
+    v = np.concatenate([*ring, [[0, 0, 1], [0, 0, -1]]])
+    top, bottom, faces = len(v) - 2, len(v) - 1, []
+    last = (rings - 2) * columns
+    for c in range(columns):
+        d = (c + 1) % columns
+        faces += [[top, c, d], [bottom, last + d, last + c]]
+        for r in range(rings - 2):
+            a, b = r * columns, (r + 1) * columns
+            faces += [[a + c, b + c, b + d], [a + c, b + d, a + d]]
+    return radius * v + np.array(centre), np.array(faces)
+
+
+def two_spheres(distance):
+    """Two unit spheres as one body, each with a joint; apart in the rest pose."""
+    v, f = sphere()
+    both = np.concatenate([v, v + np.array([3.0, 0, 0])])
+    body = rigid(both, np.concatenate([f, f + len(v)]), np.repeat([0, 1], len(v)), 2)
+    joints = np.tile(np.eye(3, 4), (1, 2, 1, 1))
+    joints[0, 1, 0, 3] = distance - 3.0
+    return body, joints
+
+
+def plane(n, size, z=0.0):
+    """A square sheet of cloth."""
+    x = np.linspace(-size, size, n)
+    v = np.stack([*np.meshgrid(x, x), np.full((n, n), z)], -1).reshape(-1, 3)
+    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = [np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)]
+    return v, np.concatenate(faces)
+
+
+def naive_signed_distance(points, vertices, faces):
+    """All pairs: closest point by every feature in turn, sign by the sum of solid angles."""
+    out = np.empty(len(points))
+    tri = vertices[faces]
+    for i, p in enumerate(points):
+        best = np.linalg.norm(tri - p, axis=2).min()
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            u = tri[:, b] - tri[:, a]
+            s = (((p - tri[:, a]) * u).sum(1) / (u * u).sum(1)).clip(0, 1)
+            best = min(best, np.linalg.norm(tri[:, a] + s[:, None] * u - p, axis=1).min())
+        n = np.cross(tri[:, 1] - tri[:, 0], tri[:, 2] - tri[:, 0])
+        n /= np.linalg.norm(n, axis=1)[:, None]
+        h = ((p - tri[:, 0]) * n).sum(1)
+        foot = p - h[:, None] * n
+        over = np.ones(len(tri), bool)
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            side = np.cross(tri[:, b] - tri[:, a], foot - tri[:, a])
+            over &= (side * n).sum(1) >= 0
+        if over.any():
+            best = min(best, np.abs(h[over]).min())
+        a, b, c = (tri[:, k] - p for k in range(3))
+        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+        det = (a * np.cross(b, c)).sum(1)
+        div = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+        winding = (2 * np.arctan2(det, div)).sum() / (4 * np.pi)
+        out[i] = -best if winding > 0.5 else best
+    return out
+
+
+@pytest.mark.parametrize("distance", [1.2, 1.9, 2.5])
+def test_distances_are_those_of_all_pairs(rng, distance):
+    body, joints = two_spheres(distance)
+    points = rng.uniform([-1.3, -1.3, -1.3], [distance + 1.3, 1.3, 1.3], (300, 3))
+    posed = ssdr.skin(body.rest, body.joints, body.weights, joints)[0]
+    expected = naive_signed_distance(points, np.asarray(posed, float), body.faces)
+    found = PushOut(body, FLAT[0]).signed_distance(points[None], joints)[0]
+    assert np.abs(found - expected).max() < 1e-9
+    assert (expected < 0).sum() > 50
+
+
+def test_rays_through_vertices_and_edges_count_once():
+    v, f = sphere()
+    lattice = np.concatenate([v * 0.5, v * 1.5, v * [1, 1, 0.3]])
+    found = PushOut(rigid(v, f), FLAT[0]).signed_distance(lattice[None], np.eye(3, 4)[None, None])
+    expected = naive_signed_distance(lattice, v, f)
+    clear = np.abs(expected) > 1e-9
+    assert np.array_equal(found[0, clear] < 0, expected[clear] < 0)
+
+
+def test_a_point_inside_goes_the_shortest_way():
+    v, f = sphere(24, 32)
+    cloth = np.array([[[0, 0, 0.9], [0, 0.7, 0], [0, 0, 3.0]]])
+    joints = np.eye(3, 4)[None, None]
+    out = PushOut(rigid(v, f), FLAT[0], margin=0.02, sweeps=0)(cloth, joints)
+    radius = np.linalg.norm(out.vertices[0], axis=1)
+    assert np.abs(radius[:2] - 1.02).max() < 0.01
+    assert np.array_equal(out.vertices[0, 2], cloth[0, 2])
+    assert out.inside_before[0].tolist() == [True, True, False]
+    assert not out.inside_after.any()
+    assert 0.3 < out.farthest < 0.33
+    assert out.moved == pytest.approx(2 / 3)
+
+
+def test_a_sheet_on_a_box_is_lifted_without_a_spike():
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 0)], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    box = rigid(corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]))
+    joints = np.eye(3, 4)[None, None]
+    sheet, faces = plane(21, 0.5, 0.02)
+    dent = sheet.copy()
+    dent[220, 2] = -0.03
+    hard = PushOut(box, faces, margin=0.01, sweeps=0)(dent[None], joints)
+    assert hard.vertices[0, 220, 2] == pytest.approx(0.01)
+    assert (hard.distance > 0).sum() == 1
+    soft = PushOut(box, faces, margin=0.01, sweeps=4)(dent[None], joints)
+    lift = (soft.vertices[0] - dent)[:, 2]
+    assert soft.vertices[0, 220, 2] == pytest.approx(0.01, abs=1e-4)
+    ring = lift[[219, 221, 199, 241]]
+    assert (0.1 * lift[220] < ring).all()
+    assert (ring < lift[220]).all()
+    # Four edges away is as far as four sweeps reach.
+    assert np.array_equal(soft.vertices[0, 225], dent[225])
+    assert (soft.distance > 0).sum() > 20
+
+
+def test_pinned_vertices_stay():
+    v, f = sphere()
+    cloth, faces = plane(5, 0.4)
+    pinned = np.zeros(25, bool)
+    pinned[[0, 12]] = True
+    joints = np.eye(3, 4)[None, None]
+    out = push_out(cloth[None], joints, rigid(v, f), faces, margin=0.01, pinned=pinned)
+    assert np.array_equal(out.vertices[0, pinned], cloth[pinned])
+    assert (out.distance[0, ~pinned] > 0).all()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    points=arrays(np.float64, (25, 3), elements=st.floats(-1.6, 2.6)),
+    distance=st.floats(0.3, 2.3),
+    sweeps=st.integers(0, 5),
+)
+def test_nothing_ends_deeper_and_a_second_time_moves_nothing(points, distance, sweeps):
+    body, joints = two_spheres(distance)
+    _, faces = plane(5, 1.0)
+    push = PushOut(body, faces, margin=0.01, sweeps=sweeps)
+    before = push.signed_distance(points[None], joints)
+    out = push(points[None], joints)
+    after = push.signed_distance(out.vertices, joints)
+    assert (after >= np.minimum(before, 0.01) - 2e-6).all()
+    assert not (out.inside_after & ~out.inside_before).any()
+    assert np.array_equal(out.inside_before, before < -INSIDE)
+    assert np.array_equal(out.inside_after, after < -INSIDE)
+    if distance > 2.1:
+        assert not out.inside_after.any()
+    if sweeps == 0:
+        assert (out.distance[before > 0.01 + 1e-6] == 0).all()
+    again = push(out.vertices, joints)
+    assert again.farthest < 1e-6
+
+
+def test_overlapping_parts_of_the_body_do_not_throw_a_vertex_away():
+    body, joints = two_spheres(1.2)
+    # Between the skins of both spheres, in the middle of the overlap: no way out nearby.
+    middle = np.array([[[0.6, 0, 0], [0.6, 0.05, 0], [0.65, 0, 0.05]]])
+    out = PushOut(body, FLAT[0])(middle, joints)
+    assert out.farthest < 0.021
+
+
+def test_near_the_seam_of_two_parts_the_free_skin_is_taken():
+    v, f = sphere(60, 80, 0.1)
+    both = rigid(np.concatenate([v, v + np.array([0.12, 0, 0])]), np.concatenate([f, f + len(v)]))
+    seam = np.array([[[0.058, 0.076, 0], [0.06, 0, 0.077], [0.062, 0, -0.076]]])
+    out = PushOut(both, FLAT[0])(seam, np.eye(3, 4)[None, None])
+    assert out.inside_before.all()
+    assert not out.inside_after.any()
+    assert out.farthest < 0.03
+
+
+def test_threads_and_frames_do_not_matter(rng):
+    body, _ = two_spheres(2.5)
+    cloth, faces = plane(9, 0.9)
+    v = cloth + rng.normal(0, 0.05, (20, *cloth.shape))
+    joints = np.tile(np.eye(3, 4), (20, 2, 1, 1))
+    joints[:, 0, 2, 3] = np.linspace(-0.9, 0.9, 20)
+    push = PushOut(body, faces)
+    before = ssdr.get_threads()
+    try:
+        ssdr.set_threads(1)
+        one = push(v, joints)
+        ssdr.set_threads(3)
+        assert np.array_equal(one.vertices, push(v, joints).vertices)
+    finally:
+        ssdr.set_threads(before)
+    assert push(v.astype(np.float32), joints).vertices.dtype == np.float32
+    assert one.moved > 0.05
+
+
+def test_what_is_refused():
+    v, f = sphere()
+    body, joints = rigid(v, f), np.eye(3, 4)[None, None]
+    cloth = np.ones((1, 3, 3))
+    push = PushOut(body, FLAT[0])
+    broken = cloth.copy()
+    broken[0, 1] = np.nan
+    with pytest.raises(InputError, match=r"vertices: .*frame 0"):
+        push(broken, joints)
+    with pytest.raises(InputError, match=r"joints: .*frame 0"):
+        push(cloth, joints * np.nan)
+    with pytest.raises(InputError, match=r"vertices: .*shape"):
+        push(cloth[0], joints)
+    with pytest.raises(InputError, match=r"joints: .*shape"):
+        push(cloth, joints[0])
+    with pytest.raises(InputError, match=r"body: .*closed"):
+        PushOut(rigid(v, f[1:]), FLAT[0])
+    with pytest.raises(InputError, match="margin"):
+        PushOut(body, FLAT[0], margin=float("nan"))
+    with pytest.raises(InputError, match="sweeps"):
+        PushOut(body, FLAT[0], sweeps=-1)
+    with pytest.raises(InputError, match="pinned"):
+        PushOut(body, FLAT[0], pinned=np.zeros(4, bool))
+    with pytest.raises(InputError, match="faces"):
+        PushOut(body, [[0, 1, -1]])
+
+
+def test_the_winding_number_of_the_simulator_agrees(rng):
+    """The measure of simulated clips is the witness: nothing is deeper than half a millimetre."""
+    pytest.importorskip("warp")
+    from garmentnet.scenes.quality import Depth
+
+    body, joints = two_spheres(2.5)
+    cloth, faces = plane(15, 0.9)
+    v = (cloth + rng.normal(0, 0.03, (4, *cloth.shape))).astype(np.float32)
+    joints = np.repeat(joints, 4, axis=0)
+    out = PushOut(body, faces)(v, joints)
+    depth = Depth(np.asarray(body.rest, np.float32), np.asarray(body.faces, np.int32))
+    posed = ssdr.skin(body.rest, body.joints, body.weights, joints).astype(np.float32)
+    deep = [
+        np.stack([depth(p, x) for p, x in zip(posed, y, strict=True)]) for y in (v, out.vertices)
+    ]
+    assert np.array_equal(deep[0] > INSIDE, out.inside_before)
+    assert (deep[0] > INSIDE).mean() > 0.3
+    assert not (deep[1] > INSIDE).any()

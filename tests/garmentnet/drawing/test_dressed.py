@@ -1,0 +1,107 @@
+"""Body and cloth as one mesh, the camera's path, and what is written beside them."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("zarr")
+
+from garmentnet.drawing.dressed import (
+    camera_track,
+    caption,
+    dressed,
+    facing_the_camera,
+    free_vertices,
+    outfit_parts,
+    outfit_regions,
+    spread_frames,
+)
+from garmentnet.evaluation.pictures import moments
+from ssdr.errors import InputError
+from ssdr.render.scene import Scene
+
+
+def test_the_exact_body_is_not_in_the_figure(toy_store):
+    # The body is exact and the cloth is off by 30 mm: so the error is 30 mm.
+    clip = toy_store.clip("base-test-0")
+    body, cloth = clip.body(slice(0, 3)), np.asarray(clip.sequence.frames(slice(0, 3)))
+    faces = toy_store.body.faces, toy_store.faces
+    truth = dressed(body, cloth, *faces, 30.0)
+    off = dressed(body, cloth + np.float32([0, 0.03, 0]), *faces, 30.0)
+    n, v = toy_store.body.n_vertices, toy_store.n_vertices
+    free = np.arange(v) >= v // 2
+    scene = Scene.of(off, truth, outfit_parts(n, v), outfit_regions(n, v, free))
+    assert scene.rmse() == pytest.approx(0.03, rel=1e-5)
+    assert scene.figures(None, ("mm", 1000.0)) == "all 30.0 mm, free 30.0 mm"
+    assert scene.measured.sum() == v
+    assert truth.faces.max() == n + v - 1
+
+
+def test_masks_that_do_not_fit_are_named():
+    assert list(outfit_regions(3, 4, None)) == ["all"]
+    assert list(outfit_regions(3, 4, np.ones(4, bool))) == ["all"]
+    regions = outfit_regions(3, 4, np.array([True, False, False, True]))
+    assert np.flatnonzero(regions["free"]).tolist() == [3, 6]
+    for wrong in (np.ones(7, bool), np.ones(4), np.zeros(4, bool), [0, 1]):
+        with pytest.raises(InputError) as caught:
+            outfit_regions(3, 4, wrong)
+        assert caught.value.argument == "free"
+
+
+def test_pinned_vertices_are_not_free(toy_store):
+    import dataclasses
+
+    assert free_vertices(toy_store) is None
+    pinned = np.arange(toy_store.n_vertices) < 16
+    outfit = dataclasses.replace(toy_store, pinned=pinned)
+    np.testing.assert_array_equal(free_vertices(outfit), ~pinned)
+
+
+def test_the_camera_walks_smoothly_and_stays_level():
+    time = np.arange(90) / 30
+    step = np.sin(12 * time)
+    root = np.stack([2 * time + 0.02 * step, 1 + 0.3 * step, -time], axis=1)
+    path = camera_track(root, 30.0)
+    assert (path[:, 1] == 0).all()
+    assert np.abs(path - root * [1, 0, 1])[30:60].max() < 0.03
+    assert np.abs(np.diff(path[30:60, 0], 2)).max() < 0.3 * np.abs(np.diff(root[30:60, 0], 2)).max()
+
+
+def test_every_pose_faces_the_camera_at_one_place(toy_store):
+    clip = toy_store.clip("base-test-0")
+    frames = slice(0, 90, 15)
+    joints, body = clip.joints[frames], clip.body(frames)
+    places = toy_store.skeleton.positions(joints)
+    turned = facing_the_camera(body, places[:, 0], joints)
+    root = facing_the_camera(places, places[:, 0], joints)[:, 0]
+    assert np.abs(root[:, [0, 2]]).max() < 1e-6
+    # Rigid, and level: heights stay.
+    np.testing.assert_allclose(turned[..., 1], body[..., 1], atol=1e-6)
+    lengths = [np.linalg.norm(v[:, 1:] - v[:, :1], axis=2) for v in (turned, body)]
+    np.testing.assert_allclose(*lengths, atol=1e-5)
+    forward = joints[:, 0, :, 2] + places[:, 0]
+    ahead = facing_the_camera(forward[:, None], places[:, 0], joints)[:, 0]
+    assert np.abs(ahead[:, 0]).max() < 1e-5
+    assert (ahead[:, 2] > 0).all()
+
+
+def test_a_body_that_looks_up_is_not_turned():
+    joints = np.tile(np.eye(3, 4), (1, 3, 1, 1))
+    joints[0, :, :, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    at = np.array([[[0.3, 1.0, 0.2]]])
+    turned = facing_the_camera(at, at[:, 0], joints)
+    assert np.isfinite(turned).all()
+
+
+def test_captions_and_frames():
+    assert caption(30, 30.0, np.full(40, 3)) == "spin  ·  1.00 s"
+    assert spread_frames(5, 3) == [0, 1, 2]
+    assert spread_frames(2, 100) == [25, 75]
+
+
+def test_moments_are_frames_of_their_class(toy_store):
+    from garmentnet.data.motion import CLASSES
+
+    found = moments(toy_store, ["base-test-0", "base-test-1"], ("walk", "sway", "spin"))
+    assert [label for label, _, _ in found] == ["walk", "sway", "spin"]
+    for label, name, frame in found:
+        assert toy_store.clip(name).classes[frame] == CLASSES.index(label)

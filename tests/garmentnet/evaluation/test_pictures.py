@@ -1,0 +1,87 @@
+"""Sheets of truth, prediction and error."""
+
+import types
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("zarr")
+
+from PIL import Image
+
+from garmentnet.evaluation import pictures
+from garmentnet.evaluation.scores import Answer
+from ssdr.errors import InputError
+
+
+@pytest.fixture
+def bones(toy_store):
+    """What pictures use of virtual bones: the truth, without a detail."""
+
+    def clip(name):
+        vertices = np.asarray(toy_store.clip(name).sequence.vertices[:])
+        return types.SimpleNamespace(
+            read=lambda part, at=slice(None): vertices[at] * (part == "low")
+        )
+
+    return types.SimpleNamespace(store=toy_store, clip=clip)
+
+
+def off_by_30_mm(clip):
+    low = np.asarray(clip.sequence.vertices[:]) + np.float32([0, 0.03, 0])
+    return Answer(low, np.zeros_like(low))
+
+
+@pytest.fixture
+def texts(monkeypatch):
+    """Texts of the sheet that is drawn."""
+    from ssdr.render import figures
+
+    seen = []
+    upright, write = figures.upright_text, figures.ImageDraw.ImageDraw.text
+
+    def note_upright(page, text, *rest):
+        seen.append(text)
+        upright(page, text, *rest)
+
+    def note(self, xy, text, *args, **kwargs):
+        seen.append(text)
+        write(self, xy, text, *args, **kwargs)
+
+    monkeypatch.setattr(figures, "upright_text", note_upright)
+    monkeypatch.setattr(figures.ImageDraw.ImageDraw, "text", note)
+    return seen
+
+
+def test_rows_are_named_and_the_exact_body_does_not_count(bones, toy_store, texts, tmp_path):
+    clip = toy_store.clip("base-test-0")
+    free = np.arange(toy_store.n_vertices) >= 16
+    path = pictures.draw_clip(
+        bones, clip, off_by_30_mm(clip), tmp_path / "a.png", frames=2, free=free
+    )
+    with Image.open(path) as sheet:
+        assert sheet.mode == "RGB"
+        assert len(sheet.getcolors(1 << 24)) > 4096
+    assert [t for t in texts if t in ("truth", "prediction", "error")] == [
+        *("truth", "truth", "prediction", "prediction", "error", "error")
+    ]
+    assert any(t.endswith("RMSE: all 30.0 mm, free 30.0 mm") for t in texts)
+    assert texts.count("all 30.0 mm, free 30.0 mm") == 2
+    assert "0.73 s" in texts
+    with pytest.raises(InputError) as caught:
+        pictures.draw_clip(
+            bones, clip, off_by_30_mm(clip), tmp_path / "b.png", free=np.ones(5, bool)
+        )
+    assert caught.value.argument == "free"
+    assert not (tmp_path / "b.png").exists()
+
+
+def test_moments_are_columns(bones, toy_store, texts, tmp_path, monkeypatch):
+    monkeypatch.setattr(pictures.moments, "__defaults__", (("walk", "spin"),))
+    found = pictures.draw_moments(bones, off_by_30_mm, ["base-test-0"], tmp_path / "m.png")
+    assert [label for label, _, _ in found] == ["walk", "spin"]
+    assert "walk, spin" in texts
+    for label, name, frame in found:
+        assert label in texts
+        assert f"{name}, {frame / 30:.2f} s" in texts

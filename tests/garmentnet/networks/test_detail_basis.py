@@ -1,0 +1,117 @@
+"""The detail basis: its algebra, its module in a network, and what it learns."""
+
+# ruff: noqa: E402
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from scipy.spatial.transform import Rotation
+
+from garmentnet.configs import Config, HighOptions
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
+from garmentnet.training.batches import batches, load_tracks
+from garmentnet.training.detail import DetailObjective
+from ssdr.errors import InputError
+
+
+def test_turns_are_the_bones_rotations_where_one_bone_rules():
+    rng = np.random.default_rng(0)
+    rotations = Rotation.random(6, random_state=0).as_matrix().reshape(2, 3, 3, 3)
+    transforms = np.concatenate([rotations, rng.normal(size=(2, 3, 3, 1))], axis=-1)
+    turns = SurfaceTurns([[0, 1], [2, 0], [1, 2]], [[1, 0], [1, 0], [0.5, 0.5]], 3, np.arange(3))
+    got = turns(torch.from_numpy(transforms).float()).numpy()
+    np.testing.assert_allclose(got[:, 0], rotations[:, 0], atol=1e-6)
+    np.testing.assert_allclose(got[:, 1], rotations[:, 2], atol=1e-6)
+    product = got @ got.swapaxes(-1, -2)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-5)
+    np.testing.assert_allclose(np.linalg.det(got), 1, atol=1e-5)
+
+
+def test_components_are_the_principal_ones():
+    rng = np.random.default_rng(0)
+    frames = rng.normal(size=(40, 5, 3)) * np.linspace(3, 0.1, 15).reshape(5, 3) + 7
+    module = DetailBasis(4, 5, hidden=3, rank=6)
+    module.fit(torch.from_numpy(frames).float())
+    flat = (frames - frames.mean(0)).reshape(40, -1)
+    values = np.linalg.svd(flat, compute_uv=False)
+    numbers, rest = module.code(torch.from_numpy(frames).float())
+    np.testing.assert_allclose(rest.sum(), (values[6:] ** 2).sum(), rtol=1e-4)
+    np.testing.assert_allclose(module.deviation.numpy(), values[:6] / np.sqrt(40), rtol=1e-4)
+    again = module.local(numbers).numpy()
+    np.testing.assert_allclose(((again - frames) ** 2).sum((1, 2)), rest.numpy(), atol=1e-3)
+    gram = module.basis @ module.basis.T
+    np.testing.assert_allclose(gram.numpy(), np.eye(6), atol=1e-5)
+
+
+def test_fewer_frames_than_components():
+    module = DetailBasis(4, 5, hidden=3, rank=20)
+    frames = torch.randn(4, 5, 3)
+    module.fit(frames)
+    numbers, rest = module.code(frames)
+    assert float(rest.max()) < 1e-8
+    assert float(numbers[:, 3:].abs().max()) < 1e-5
+
+
+@pytest.fixture(scope="module")
+def with_basis(toy_store, toy_config, tmp_path_factory):
+    from garmentnet.training.run import train
+
+    config = toy_config(epochs=6, high_epochs=25, learning_rate=3e-3)
+    high = HighOptions(kind="basis", hidden=32, rank=12, collision=0.0, dropout=0.1)
+    return load_checkpoint(
+        train(toy_store, dataclasses.replace(config, high=high), tmp_path_factory.mktemp("basis"))
+    )
+
+
+def test_frame_by_frame_and_some_frames(with_basis, toy_store):
+    network, joints = with_basis.networks[0], toy_store.clip("base-test-1").joints[:20]
+    whole = network.predict(joints)
+    assert np.abs(whole - network.predict(joints, detail=False)).max() > 1e-4
+    state, frames = None, []
+    for pose in joints:
+        state, vertices = network.step(state, pose)
+        frames.append(vertices)
+    assert np.abs(np.stack(frames) - whole).max() < 1e-5
+    some = network.predict(joints, frames=[3, 11])
+    assert np.abs(some - whole[[3, 11]]).max() < 1e-5
+
+
+@torch.no_grad()
+def test_the_loss_is_that_of_the_mesh(with_basis, toy_store, toy_bones):
+    network = with_basis.networks[0]
+    name = "base-train-0"
+    tracks = load_tracks(network, toy_bones, [name])
+    task = DetailObjective(network, tracks, tracks, start=True)
+    motion, _ = network.run(toy_store.clip(name).joints)
+    gap = (motion.high - tracks[0].target("high"))[:, network.free]
+    each = gap.square().sum(-1).mean(-1)
+    assert abs(task.validate() - float(each.mean().sqrt())) < 1e-5 * task.validate()
+    # Without dropout the loss is the mean of the frames' RMSE.
+    plain = dataclasses.replace(network.config.high, dropout=0.0)
+    network.config = dataclasses.replace(network.config, high=plain)
+    losses = []
+    state = None
+    for batch in batches(task.tracks, 1, 30, None):
+        loss, state = task.loss(batch, batch.forget(state), np.random.default_rng(0))
+        losses.append(float(loss) * int(batch.mask.sum()))
+    assert abs(sum(losses) / len(each) - float(each.sqrt().mean())) < 1e-6
+
+
+@torch.no_grad()
+def test_it_beats_the_mean_detail(with_basis, toy_bones):
+    network = with_basis.networks[0]
+    tracks = load_tracks(network, toy_bones, ["base-validation-0"])
+    task = DetailObjective(network, [], tracks, start=True)
+    learned = task.validate()
+    network.high.deviation.zero_()
+    assert learned < 0.9 * task.validate()
+
+
+def test_settings_that_contradict():
+    with pytest.raises(InputError, match=r"high\.collision.*basis"):
+        Config(high=HighOptions(kind="basis", collision=0.1))
