@@ -45,8 +45,8 @@ class Clip:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        if not isinstance(self.name, str):
-            raise InputError("clip.name", "a text", repr(self.name))
+        if not isinstance(self.name, str) or readable(self.name) != self.name:
+            raise InputError("clip.name", "a text that a file can hold", repr(self.name))
         if not (is_whole(self.start) and is_whole(self.stop) and 0 <= self.start < self.stop):
             raise InputError(
                 "clip", "frames from start >= 0 up to a later stop", f"{self.start} to {self.stop}"
@@ -91,7 +91,7 @@ def check_clips(
     if fps is not None and not (is_real(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
     if clips is None or isinstance(clips, OneClip):
-        old = clips[0] if clips else Clip(name, 0, n_frames)
+        old = clips[0] if clips else Clip(readable(name), 0, n_frames)
         rate = old.fps if fps is None else float(fps)
         return OneClip((Clip(old.name, 0, n_frames, rate),)), rate
     listed = tuple(clips) if isinstance(clips, Iterable) else (clips,)
@@ -138,7 +138,7 @@ def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
     several = len(sequences) > 1
     names = [s.clip or s.name or (f"clip_{k}" if several else "") for k, s in enumerate(sequences)]
     clips = in_order(
-        Clip(name, 0, len(s), s.fps)
+        Clip(readable(name), 0, len(s), s.fps)
         for name, s in zip(unique_names(names) if several else names, sequences, strict=True)
     )
     same = len({s.name for s in sequences}) == 1
@@ -164,6 +164,11 @@ def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
     if not 0 <= clip < len(names):
         raise InputError(argument, f"a number from 0 to {len(names) - 1}", clip)
     return int(clip)
+
+
+def readable(name: object) -> str:
+    """A name as text without what files cannot hold: zeros, halves of surrogate pairs."""
+    return str(name).replace("\0", "").encode("utf-8", "replace").decode()
 
 
 def unique_names(names: Sequence[str], default: str = "bone") -> tuple[str, ...]:

@@ -200,8 +200,8 @@ class Skinning:
         keyframes = self.keyframes
         if keyframes is not None:
             keyframes = keyframes.copy()
-            for clip in self.clips:  # what stood between keys must not lose one of them
-                keyframes[[clip.start, clip.stop - 1]] = True
+            for one in self.clips if len(self.clips) > 1 else ():
+                keyframes[[one.start, one.stop - 1]] = True  # each is played without the others
             keyframes = keyframes[index]
         return dataclasses.replace(
             self,

@@ -85,25 +85,19 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         pass
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/browser"))
-    parser.add_argument("--bones", type=int, default=24)
-    parser.add_argument("--show", type=int, default=36, help="frame of the picture")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
+def install(folder: Path) -> str:
+    """three.js into the folder; the browser that there is."""
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None or shutil.which("npm") is None:
         raise SystemExit("needs chromium and npm on PATH")
-    subprocess.run(["npm", "install", "--silent", "--prefix", args.out, "three"], check=True)
+    subprocess.run(["npm", "install", "--silent", "--prefix", folder, "three"], check=True)
+    return chromium
 
-    sequence = samples.load("dancer")
-    skinning = ssdr.decompose(sequence, bones=args.bones, effort="fast").skinning
-    ssdr.save(skinning, args.out / "model.glb")
-    page = PAGE.replace("FRAMES", str(skinning.n_frames)).replace("FPS", str(skinning.fps))
-    (args.out / "index.html").write_text(page.replace("SHOW", str(args.show)))
 
-    handler = functools.partial(Handler, directory=str(args.out))
+def played(folder: Path, chromium: str) -> dict[str, Any]:
+    """What the folder's page posts back."""
+    Handler.done.clear()
+    handler = functools.partial(Handler, directory=str(folder))
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     with tempfile.TemporaryDirectory() as profile:
@@ -123,7 +117,25 @@ def main() -> None:
             browser.terminate()
             browser.wait()
             server.shutdown()
-    answer = Handler.answer
+    return Handler.answer
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/browser"))
+    parser.add_argument("--bones", type=int, default=24)
+    parser.add_argument("--show", type=int, default=36, help="frame of the picture")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    chromium = install(args.out)
+
+    sequence = samples.load("dancer")
+    skinning = ssdr.decompose(sequence, bones=args.bones, effort="fast").skinning
+    ssdr.save(skinning, args.out / "model.glb")
+    page = PAGE.replace("FRAMES", str(skinning.n_frames)).replace("FPS", str(skinning.fps))
+    (args.out / "index.html").write_text(page.replace("SHOW", str(args.show)))
+
+    answer = played(args.out, chromium)
     seen = np.array(answer["frames"]).reshape(skinning.n_frames, -1, 3)
     index = np.array(answer["index"], dtype=int)
     truth = skinning.skin()[:, index]

@@ -39,7 +39,15 @@ from .output import (
     write_options,
 )
 from .progress import Reporter
-from .reading import ClipNames, clips_document, clips_text, join, options_for, read_clips
+from .reading import (
+    ClipNames,
+    check_rates,
+    clips_document,
+    clips_text,
+    join,
+    options_for,
+    read_clips,
+)
 
 
 class Effort(StrEnum):
@@ -206,6 +214,7 @@ def decompose(
         raise InputError(
             "IN", "an animation", f"one frame, {files} (no motion: did you mean a pattern?)"
         )
+    check_rates(outputs, shots)
     loading = time.perf_counter() - began
     for path in outputs:
         frames = sum(len(shot) for shot in shots)

@@ -101,6 +101,13 @@ def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...] | None:
     return list_clips(path, **{k: v for k, v in options.items() if k in target})
 
 
+def wanted_of(names: list[str] | None) -> list[str] | None:
+    """Names of ``--clip``, each once; none of them: all clips.  None: nothing was said."""
+    if names is None or "all" in names:
+        return None if names is None else []
+    return list(dict.fromkeys(names))
+
+
 def read_clips(
     paths: Sequence[Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[MeshSequence]:
@@ -123,6 +130,7 @@ def read_clips(
     """
     from ..io import load
 
+    names = wanted_of(names)
     found: list[tuple[Path, MeshSequence]] = []
     held: set[str] = set()
     for path, given in zip(paths, options, strict=True):
@@ -139,11 +147,11 @@ def read_clips(
             _warn_of_others(path, known)
             chosen = known[:1]
         else:
-            chosen = known if names == ["all"] else [name for name in names if name in known]
+            chosen = [name for name in names if name in known] if names else known
         if not chosen:
             raise InputError("--clip", f"a clip of {path}: {', '.join(known)}, or all", names)
         found += [(path, load(path, clip=name, **given)) for name in chosen]
-    missing = [name for name in names or () if name not in held and names != ["all"]]
+    missing = [name for name in names or () if name not in held]
     if missing:
         raise InputError("--clip", f"one of {', '.join(sorted(held))}, or all", missing[0])
     _check_one_mesh(found)
@@ -157,11 +165,11 @@ def read_model(
     """A skinning with the named clips (all by default), else a sequence of one clip."""
     thing = read_any(path, **options)
     if isinstance(thing, Skinning):
-        known = [clip.name for clip in thing.clips]
-        for name in names or ():
-            if name not in known and names != ["all"]:
+        known, wanted = [clip.name for clip in thing.clips], wanted_of(names)
+        for name in wanted or ():
+            if name not in known:
                 raise InputError("--clip", f"one of {', '.join(known)}, or all", name)
-        return thing if names is None or names == ["all"] else thing.select(*names)
+        return thing.select(*wanted) if wanted else thing
     several = clips_in(path, options) or ()
     if names is None and len(several) < 2:
         return thing
@@ -193,12 +201,16 @@ def read_pairs(
     for path, given, many in zip(paths, options, several, strict=True):
         chosen = (names or ["all"]) if many and "animation" not in given else None
         sides.append(read_clips([path], chosen, [given]))
-    if names and names != ["all"] and not any(several):
+    if not any(several):
         held = {shot.clip for side in sides for shot in side}
-        for name in names:
+        for name in wanted_of(names) or ():
             if name not in held:
                 raise InputError("--clip", f"one of {', '.join(sorted(held))}", name)
     a, b = sides
+    if len(a) != len(b) and 1 in (len(a), len(b)):
+        whole = join(a), join(b)  # a file without clips may hold the frames of all of them
+        if len(whole[0]) == len(whole[1]):
+            return [("", *whole)]
     if len(a) != len(b):
         raise InputError(
             "--clip",
@@ -212,6 +224,20 @@ def read_pairs(
                 raise InputError("B", f"the clips of A, {shot.clip} too", ", ".join(order))
         b = [order[shot.clip] for shot in a]
     return [(s.clip, s, t) for s, t in zip(a, b, strict=True)]
+
+
+def check_rates(outputs: Sequence[Path], shots: Sequence[MeshSequence]) -> None:
+    """Refuse before the work what a format without room for several rates would refuse after it."""
+    rates = {shot.fps for shot in shots}
+    for path in outputs:
+        format_ = format_of(path)[1]
+        vertices = format_.write_skinning is None
+        if len(rates) > 1 and (vertices or path.suffix.lower() == ".fbx"):
+            raise InputError(
+                "--output",
+                "a format that holds clips of several frame rates, such as .glb, or one --fps",
+                f"{path}, and {', '.join(f'{s.clip} at {s.fps:g}' for s in shots)}",
+            )
 
 
 def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:

@@ -35,6 +35,8 @@ def test_a_clip_is_a_range_with_a_name_and_a_rate():
     assert (clip.n_frames, clip.frames, clip.fps) == (5, slice(3, 8), 30.0)
     for wrong in (
         {"name": 3},
+        {"name": "zero\0"},
+        {"name": "half \ud800"},
         {"start": -1},
         {"start": 8},
         {"stop": 2.5},
@@ -143,7 +145,10 @@ def test_names_come_from_clip_then_sequence_then_number():
     assert (plain.name, plain.clips) == ("", (Clip("", 0, 9, 24.0),))
 
 
-def test_resume_refuses_other_clips():
+@pytest.mark.parametrize("streamed", [False, True])
+@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
+def test_resume_refuses_other_clips(monkeypatch, streamed):
+    monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: streamed)
     shots = three()
     options = {"bones": 2, "effort": "fast", "max_iterations": 1}
     state = ssdr.decompose(shots, **options).state

@@ -86,10 +86,16 @@ def cut(name: str) -> str:
 
 
 def takes(path: str) -> list[tuple[str, list[tuple[Any, Any]]]]:
-    """The animation stacks of an FBX file that was loaded: what acts on what."""
+    """The clips of an FBX or glTF file that was loaded: what acts on what."""
+    moved = [o for o in (*bpy.data.objects, *bpy.data.shape_keys) if o.animation_data]
+    if path.lower().endswith((".glb", ".gltf")):
+        tracks: dict[str, list[tuple[Any, Any]]] = {}
+        for item in moved:
+            for track in item.animation_data.nla_tracks:
+                tracks.setdefault(track.name, []).append((item, track.strips[0].action))
+        return list(tracks.items())
     if not path.lower().endswith(".fbx"):
         return []
-    moved = [o for o in (*bpy.data.objects, *bpy.data.shape_keys) if o.animation_data]
     found: list[tuple[str, list[tuple[Any, Any]]]] = []
     for name, layer in stacks(path):
         tail = name if layer == name else f"{name}|{layer}"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import pick, unique_names
+from ...clips import pick, readable, unique_names
 from ...rigid import matrix_from_quaternion
 from ..registry import reading
 from ..rig import MAX_BYTES, check_size, frame_rate, interpolate_quaternions
@@ -45,14 +45,14 @@ class Animation:
 
 def title(document: Document) -> str:
     """What the mesh is called: as the file's one mesh, else as the file."""
-    names = {str(mesh.get("name", "")) for mesh in document.items("meshes")}
+    names = {readable(mesh.get("name", "")) for mesh in document.items("meshes")}
     return (names.pop() if len(names) == 1 else "") or document.path.stem
 
 
 def names_of_clips(document: Document) -> tuple[str, ...]:
     """Names that differ; that of the mesh where nothing is animated."""
     clips = [document.item("animations", k) for k in range(len(document.items("animations")))]
-    names = [str(clip.get("name") or f"animation_{k}") for k, clip in enumerate(clips)]
+    names = [readable(clip.get("name") or "") or f"animation_{k}" for k, clip in enumerate(clips)]
     return unique_names(names or [title(document)])
 
 

@@ -78,7 +78,8 @@ def takes_of(path: Path) -> list[Take]:
         return [Take(name=title)]
     takes = []
     for prim in usable:
-        own = dict(prim.GetCustomDataByKey("ssdr") or {})
+        own = prim.GetCustomDataByKey("ssdr")
+        own = own if isinstance(own, dict) else {}
         fps, frames = own.get("fps"), own.get("frames")
         # The stage's own range is that of one clip alone.
         known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0

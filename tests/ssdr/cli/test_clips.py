@@ -86,6 +86,37 @@ def test_a_clip_is_chosen_by_name_and_others_are_told_of(run, rigged, tmp_path):
     assert "walk, jump" in err
 
 
+def test_clips_of_several_rates_are_refused_before_the_work(run, rigged, tmp_path, monkeypatch):
+    monkeypatch.setitem(vars(ssdr), "decompose", None)
+    for name in ("a.pc2", "a.npy"):
+        code, _, err = run(
+            "decompose", rigged, "--clip", "all", "-o", tmp_path / name, "--bones", 3
+        )
+        assert code == 2
+        assert "--output: expected a format that holds clips of several frame rates" in err
+        assert "walk at 24, jump at 60" in err
+
+
+def test_a_clip_named_twice_is_read_once(run, rigged, tmp_path):
+    flags = ("--clip", "jump", "--clip", "jump")
+    for command in (("convert", rigged), ("decompose", rigged, *FAST, "-o")):
+        out = tmp_path / f"{command[0]}.npz"
+        assert run(*command, out, *flags)[0] == 0
+        assert ssdr.list_clips(out) == (Clip("jump", 0, 10, 60.0),)
+    out = tmp_path / "b.npz"
+    assert run("convert", rigged, out, "--clip", "jump", "--clip", "all")[0] == 0
+    assert ssdr.list_clips(out) == CLIPS
+
+
+def test_compare_takes_the_frames_of_all_clips_in_one_file(run, rigged, tmp_path):
+    model = animated()
+    ssdr.save(MeshSequence(model.skin(), model.faces), tmp_path / "all.npz")
+    for pair in ((rigged, tmp_path / "all.npz"), (tmp_path / "all.npz", rigged)):
+        code, out, err = run("compare", *pair, "--json", "--no-hausdorff")
+        assert code == 0, err
+        assert json.loads(out)["rmse"] < 1e-6
+
+
 def test_clips_of_one_name_are_told_apart_by_their_files(run, tmp_path):
     paths = []
     for k, stem in enumerate(("trot", "run")):

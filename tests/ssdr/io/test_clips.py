@@ -229,6 +229,38 @@ def test_a_usd_file_whose_binding_was_changed(tmp_path):
     assert largest_distance(walk.vertices, model.skin(CLIPS[0].frames)) < 1e-6 * 4
 
 
+@pytest.mark.parametrize(
+    "stated", ["text", {"fps": -1.0}, {"fps": "24", "frames": 9}, {"fps": 24.0, "frames": 0}]
+)
+def test_usd_metadata_that_says_nothing_is_ignored(tmp_path, stated):
+    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+    from pxr import Usd, UsdSkel
+
+    ssdr.save(model_of(), tmp_path / "a.usda")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    for prim in stage.Traverse():
+        if prim.IsA(UsdSkel.Animation):
+            prim.ClearCustomData()
+            prim.SetCustomDataByKey("ssdr", stated)
+    stage.GetRootLayer().Save()
+    names = ["walk", "jump_high", "death"]
+    assert [c.name for c in ssdr.list_clips(tmp_path / "a.usda")] == names
+
+
+def test_a_usd_file_cannot_claim_more_frames_than_memory_holds(tmp_path):
+    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+    from pxr import Sdf
+
+    ssdr.save(model_of(), tmp_path / "a.usda")
+    layer = Sdf.Layer.FindOrOpen(str(tmp_path / "a.usda"))
+    prim = layer.GetPrimAtPath("/tube/Skeleton/jump_high")
+    prim.customData = {"ssdr": {"fps": 24.0, "frames": 2_000_000_000}}
+    layer.Save()
+    for read in (ssdr.list_clips, ssdr.load_skinning):
+        with pytest.raises(ssdr.FormatError, match="max_bytes"):
+            read(tmp_path / "a.usda")
+
+
 def test_between_frames_leaves_out_what_is_between_clips(tmp_path):
     model = tube(frames=40)
     whole = ssdr.save(model, tmp_path / "a.glb").between_frames
@@ -308,7 +340,7 @@ def test_a_format_without_clips_holds_one(tmp_path, wave):
 def test_names_of_animations_that_are_missing_or_twice_the_same(tmp_path):
     ssdr.save(model_of(), tmp_path / "a.gltf")
     document = json.loads((tmp_path / "a.gltf").read_text())
-    for animation, name in zip(document["animations"], ("x", None, "x"), strict=True):
+    for animation, name in zip(document["animations"], ("x", None, "x\0"), strict=True):
         animation["name"] = name
     (tmp_path / "a.gltf").write_text(json.dumps(document))
     names = [c.name for c in ssdr.list_clips(tmp_path / "a.gltf")]
