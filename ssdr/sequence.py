@@ -215,7 +215,11 @@ class MeshSequence:
         largest = 0.0
         for _, block in self.chunks():
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
-            largest = max(largest, float(np.sqrt((extent**2).sum(axis=1)).max()))
+            with np.errstate(over="ignore"):
+                length = np.sqrt((extent**2).sum(axis=1)).max()
+            if not np.isfinite(length):  # a square that is no number
+                length = np.hypot(np.hypot(extent[:, 0], extent[:, 1]), extent[:, 2]).max()
+            largest = max(largest, float(length))
         return largest
 
     def weld(self, tolerance: float = 1e-6) -> tuple[MeshSequence, WeldReport]:
