@@ -15,7 +15,7 @@ from ..parallel import serial_blas
 from ..search.problem import Problem
 from ..search.progress import Clock, Record, Reporter
 from ..search.solve import Outcome
-from ..search.state import SolverState, check_settings, check_size, taking_up
+from ..search.state import SolverState, check_settings, check_size, number, taking_up, whole
 from ..skinning import Skinning
 from ..solver.model import Fixed, Model, pad_influences
 from ..solver.trajectories import Array, Trajectories
@@ -339,8 +339,8 @@ class _Hunt:
         check_settings(state, self.settings)
         check_size(state.best, self.data.n_vertices, self.data.n_frames)
         with taking_up():
-            self.clock.before = float(state.progress["elapsed"])
-            self.search.iteration = int(state.progress["iteration"])
+            self.clock.before = number(state.progress, "elapsed")
+            self.search.iteration = whole(state.progress, "iteration")
             self.problem.rng.bit_generator.state = state.progress["rng"]
         return None if state.best is None else state.best.copy()
 
