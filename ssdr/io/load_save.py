@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import FormatError, InputError, is_real
 from ..sequence import MeshSequence
-from .registry import FORMATS, SaveReport, bake, call, format_of
+from .registry import FORMATS, SaveReport, bake, call, format_of, refuse_device
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -74,6 +74,7 @@ def load(
         suffix, format_ = format_of(source)
         if not _is_many(source) and not source.exists():
             raise FileNotFoundError(f"{source}: no such file")
+        refuse_device(source)
         if format_.read is None:
             raise FormatError(
                 f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights"
@@ -124,6 +125,7 @@ def load_skinning(path: str | os.PathLike[str], **options: Any) -> Skinning:
         raise FormatError(f"{source}: no skinning can be read from {suffix}; from {able} it can")
     if not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
+    refuse_device(source)
     skinning: Skinning = call(format_, format_.read_skinning, source, **options)
     return skinning
 

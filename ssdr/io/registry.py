@@ -6,9 +6,12 @@ import contextlib
 import dataclasses
 import importlib
 import inspect
+import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ..sequence import MeshSequence
@@ -25,6 +28,7 @@ __all__ = [
     "describe",
     "format_of",
     "reading",
+    "refuse_device",
     "require",
 ]
 
@@ -152,6 +156,11 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
         if unknown:
             wanted = ", ".join(known) or "no options"
             raise InputError("options", f"{wanted} (for {format_.title})", ", ".join(unknown))
+    for name, value in options.items():
+        # any text would count as true
+        flag = name in parameters and parameters[name].annotation in (bool, "bool")
+        if flag and not isinstance(value, (bool, np.bool_)):
+            raise InputError(name, "true or false", repr(value))
     return target(*args, **options)
 
 
@@ -176,6 +185,7 @@ def reading(path: Path) -> Iterator[None]:
     arguments of the caller are checked outside.
     """
     try:
+        refuse_device(path)
         yield
     except PermissionError:
         raise
@@ -197,6 +207,22 @@ def reading(path: Path) -> Iterator[None]:
         # Parsers of hostile bytes raise anything; every one of these means the same.
         what = str(error) or type(error).__name__
         raise FormatError(f"{path}: truncated or damaged ({what})") from error
+
+
+def refuse_device(path: Path) -> None:
+    """Refuse what may never end, before it is opened.
+
+    Raises
+    ------
+    FormatError
+        If a device, a pipe or a socket has that name.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # a pattern, or a name that is found missing later
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
 
 
 def require(module: str, extra: str, what: str) -> Any:
