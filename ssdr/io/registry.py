@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ..sequence import MeshSequence
@@ -30,6 +31,7 @@ __all__ = [
     "reading",
     "refuse_device",
     "require",
+    "seconds",
 ]
 
 
@@ -223,6 +225,21 @@ def refuse_device(path: Path) -> None:
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
+
+
+def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
+    """Times of frames, for formats that hold them as float32.
+
+    Raises
+    ------
+    InputError
+        If the rate is so low that float32 does not.
+    """
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        times = np.asarray(frames / np.float64(fps), dtype=np.float64)
+    if times.size and not times.max() <= np.finfo(np.float32).max:
+        raise InputError("fps", "a rate whose times float32 can hold", f"{fps:g}")
+    return times
 
 
 def require(module: str, extra: str, what: str) -> Any:

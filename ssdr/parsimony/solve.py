@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import parse_tolerance
-from ..errors import Cancelled
+from ..checks import LARGEST, parse_tolerance
+from ..errors import Cancelled, InputError
 from ..frames.executor import Executor, executor_for
 from ..parallel import serial_blas
 from ..search.problem import Problem
@@ -128,11 +128,14 @@ class _Hunt:
             input=f"tolerance {problem.fingerprint(data, digests)}",
         )
         largest = max(float(np.abs(data.centre).max()), data.scale)
+        if not largest < LARGEST:
+            expected = f"coordinates of less than {LARGEST:g} beside a tolerance"
+            raise InputError("sequence", expected, f"{largest:g}")
         count = data.n_frames * data.n_vertices
         # what no model misses bounds nothing, and its square need not be a number
         most = _LOOSE * data.scale * math.sqrt(count)
         self.tolerance = max(min(self.asked, most), _ROUNDING * largest)
-        allowed = (self.tolerance / data.scale) ** 2 * count
+        allowed = min(self.tolerance / data.scale, LARGEST) ** 2 * count
         self.least, exact = self._least_bones(data, allowed)
         self.data: Trajectories = reduced(data, allowed)
         self.fixed = Fixed(rest=problem.fixed.rest, bone_model=problem.fixed.bone_model)

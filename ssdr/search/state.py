@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import LARGEST, check_squarable
 from ..errors import FormatError, InputError, SsdrWarning, is_real, is_whole
 from ..solver.model import Model
 
@@ -309,7 +310,10 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
         if kind == "f":
             if not np.isfinite(array).all():
                 raise ValueError(f"{prefix}{name} holds NaN or Inf")
-            parts[name] = array.astype(np.float64, copy=False)
+            array = parts[name] = array.astype(np.float64, copy=False)
+            check_squarable(array, f"{prefix}{name}", f"numbers of less than {LARGEST:g}")
+            if name in ("error", "weights", "support_weights") and (array < 0).any():
+                raise ValueError(f"{prefix}{name} holds negative numbers")
         if kind == "i":
             least, most = least_and_most[name]
             if array.size and not (least <= array.min() and array.max() <= most):

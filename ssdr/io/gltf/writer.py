@@ -16,7 +16,7 @@ from ...sequence import Material
 from ...skinning import Skinning
 from ..atomic import write_bytes
 from ..corners import Corners, corner_normals, split_corners
-from ..registry import SaveReport
+from ..registry import SaveReport, seconds
 from ..rig import Rig, Up, WeightStorage, build_rig, check_up, quantise, turn_skinning_up
 
 __all__ = ["write_skinning"]
@@ -303,7 +303,7 @@ def _skeleton(document: _Writer, rig: Rig, title: str) -> None:
     for bone in range(count):
         keys = np.flatnonzero(rig.keys[:, bone])
         if keys.tobytes() not in stamps:
-            times = (keys / rig.fps).astype(np.float32)
+            times = seconds(keys, rig.fps).astype(np.float32)
             stamps[keys.tobytes()] = document.accessor(times, "SCALAR", bounds=True)
         tracks = [
             ("translation", rig.translations[keys, bone], "VEC3"),

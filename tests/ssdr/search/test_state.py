@@ -297,13 +297,16 @@ def put(name: str, value: Callable[[np.ndarray], object]) -> Callable[[dict], No
         put("current_count", lambda a: a * 0),
         put("current_count", lambda a: a + 100),
         put("best_rest", lambda a: a * np.nan),
+        put("best_transforms", lambda a: a + 1e200),
+        put("current_error", lambda a: -1 - a),
+        put("best_weights", lambda a: -a),
         put("best_rest", lambda a: a[:-1]),
         put("best_weights", lambda a: a.astype("U9")),
         put("best_transforms", lambda a: a[..., :3]),
         put("best_transforms", lambda a: a.ravel()),
         put("history", lambda a: a.ravel()[:-1]),
     ],
-    ids=range(23),
+    ids=range(26),
 )
 def test_damaged_state(edit: Callable[[dict], None], tmp_path: Path) -> None:
     path = damaged(tmp_path, edit)
