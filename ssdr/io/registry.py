@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError, InputError, MissingDependencyError, SsdrError
+from ..errors import (
+    FormatError,
+    InputError,
+    MissingDependencyError,
+    SsdrError,
+    is_real,
+    is_whole,
+)
 from ..sequence import MeshSequence
 
 if TYPE_CHECKING:
@@ -159,11 +166,27 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
             wanted = ", ".join(known) or "no options"
             raise InputError("options", f"{wanted} (for {format_.title})", ", ".join(unknown))
     for name, value in options.items():
-        # any text would count as true
-        flag = name in parameters and parameters[name].annotation in (bool, "bool")
-        if flag and not isinstance(value, (bool, np.bool_)):
-            raise InputError(name, "true or false", repr(value))
+        if name in parameters:
+            _check_option(name, value, str(parameters[name].annotation))
     return target(*args, **options)
+
+
+def _check_option(name: str, value: Any, annotation: str) -> None:
+    """Whether an option, which may come from a command line, is of the kind that is stated.
+
+    Raises
+    ------
+    InputError
+        If it is not: any text would count as true, and as a number be NumPy's error.
+    """
+    kind, _, rest = annotation.partition(" | ")
+    if value is None and rest == "None":
+        return
+    number = isinstance(value, float) or is_real(value)
+    fits = {"bool": isinstance(value, (bool, np.bool_)), "int": is_whole(value), "float": number}
+    words = {"bool": "true or false", "int": "an integer", "float": "a number"}
+    if not fits.get(kind, True):
+        raise InputError(name, words[kind], repr(value))
 
 
 def bake(skinning: Skinning) -> MeshSequence:

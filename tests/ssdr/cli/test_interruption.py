@@ -81,9 +81,13 @@ def test_a_full_disk_sends_the_state_to_another_folder(saved, run, clip, folders
     assert f"the result is lost: {full / 'a.state.npz'}: No space left on device" in err
 
 
-def test_an_interrupt_with_a_full_disk_loses_nothing(saved, run, clip, folders, monkeypatch):
+def test_an_interrupt_with_a_full_disk_loses_nothing(
+    saved, run, clip, folders, monkeypatch, request
+):
     full, working, *_ = folders
     fill(full, monkeypatch)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("ssdr.cli.progress.Reporter.update", lambda *_: os.kill(os.getpid(), 2))
     code, text, _ = run("decompose", clip, "-b", 2, "-o", full / "a.npz", "--json")
     document = json.loads(text)
