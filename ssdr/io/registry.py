@@ -180,7 +180,7 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
         If it is not: any text would count as true, and as a number be NumPy's error.
     """
     kind, _, rest = annotation.partition(" | ")
-    if value is None and rest == "None":
+    if rest not in ("", "None") or (value is None and rest):
         return
     number = isinstance(value, float) or is_real(value)
     fits = {"bool": isinstance(value, (bool, np.bool_)), "int": is_whole(value), "float": number}
