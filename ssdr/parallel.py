@@ -18,7 +18,7 @@ from typing import Any
 
 import threadpoolctl
 
-from .errors import InputError
+from .errors import InputError, is_whole
 
 __all__ = ["chunk_bounds", "get_threads", "run_chunks", "serial_blas", "set_threads"]
 
@@ -65,7 +65,7 @@ def set_threads(count: int | None) -> None:
     >>> ssdr.set_threads(before)
     """
     global _threads, _pool
-    if count is not None and (isinstance(count, bool) or int(count) != count or count < 1):
+    if count is not None and not (is_whole(count) and count >= 1):
         raise InputError("count", "a positive integer or None", repr(count))
     with _lock:
         _threads = None if count is None else int(count)

@@ -8,7 +8,6 @@ array (zarr, dask): they are read by chunks of frames.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -219,7 +218,11 @@ class MeshSequence:
         largest = 0.0
         for _, block in self.chunks():
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
-            largest = max(largest, float(np.sqrt((extent**2).sum(axis=1)).max()))
+            with np.errstate(over="ignore"):
+                length = np.sqrt((extent**2).sum(axis=1)).max()
+            if not np.isfinite(length):  # a square that is no number
+                length = np.hypot(np.hypot(extent[:, 0], extent[:, 1]), extent[:, 2]).max()
+            largest = max(largest, float(length))
         return largest
 
     def weld(self, tolerance: float = 1e-6) -> tuple[MeshSequence, WeldReport]:
@@ -243,8 +246,8 @@ class MeshSequence:
         InputError
             If `tolerance` is negative or not finite.
         """
-        if not (math.isfinite(tolerance) and tolerance >= 0):
-            raise InputError("tolerance", "a number >= 0", tolerance)
+        if not (is_real(tolerance) and tolerance >= 0):
+            raise InputError("tolerance", "a number >= 0", repr(tolerance))
         first = np.asarray(self.vertices[0], dtype=np.float64)
         diagonal = float(np.linalg.norm(first.max(axis=0) - first.min(axis=0)))
         distance = tolerance * diagonal
@@ -417,6 +420,8 @@ def _check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
 
 
 def _check_surface(surface: Surface, n_faces: int) -> Surface:
+    if not isinstance(surface, Surface):
+        raise InputError("surface", "a Surface or None", type(surface).__name__)
     for field, tail in (("uv", (3, 2)), ("normals", (3, 3)), ("material_index", ())):
         array = getattr(surface, field)
         if array is not None and np.shape(array) != (n_faces, *tail):

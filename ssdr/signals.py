@@ -61,7 +61,7 @@ def terminate_as_interrupt() -> contextlib.AbstractContextManager[None]:
 
 
 def quitting_at_once(line: str) -> contextlib.AbstractContextManager[None]:
-    """End the process at Ctrl-C, with a line on stderr: while nothing has been begun.
+    """End the process at a signal, with a line on stderr: while nothing has been begun.
 
     An interrupt raised inside an import would be a traceback, or be taken for an error of the
     package that is being imported.
@@ -72,4 +72,4 @@ def quitting_at_once(line: str) -> contextlib.AbstractContextManager[None]:
             os.write(2, line.encode() + b"\n")
         os._exit(130)
 
-    return handling(quit_, "SIGINT")
+    return handling(quit_, "SIGINT", "SIGTERM", "SIGHUP")

@@ -130,8 +130,11 @@ class Skinning:
         if self.vertex_map is not None:
             put(self, "vertex_map", _check_vertex_map(self.vertex_map, n_vertices))
         if self.bone_names is not None:
-            if len(self.bone_names) != n_bones:
-                raise InputError("bone_names", f"{n_bones} names", f"{len(self.bone_names)}")
+            named = self.bone_names
+            if not isinstance(named, (list, tuple, np.ndarray)) or np.ndim(named) != 1:
+                raise InputError("bone_names", f"a list of {n_bones} names", type(named).__name__)
+            if len(named) != n_bones:
+                raise InputError("bone_names", f"{n_bones} names", f"{len(named)}")
             put(self, "bone_names", tuple(str(name) for name in self.bone_names))
         put(self, "rest", rest)
         put(self, "joints", np.ascontiguousarray(joints, dtype=np.int32))

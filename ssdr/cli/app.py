@@ -6,6 +6,7 @@ read as what it claims to be, 4 a missing optional package, 130 interrupted.
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import sys
@@ -33,6 +34,8 @@ from .rendering import render
 from .streams import safe_streams
 
 __all__ = ["app", "run"]
+
+_BAD_NAMES = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 
 app = typer.Typer(
     name="ssdr",
@@ -103,7 +106,8 @@ def _called(given: list[str]) -> int:
         except BrokenPipeError:  # the reader of stdout has gone
             return 1
         except (SsdrError, OSError, MemoryError) as error:
-            return _fail(1, error, error_text(error), as_json)
+            code = 2 if getattr(error, "errno", None) in _BAD_NAMES else 1
+            return _fail(code, error, error_text(error), as_json)
         except Exception as error:
             if hasattr(error, "format_message"):  # what the parser of the command line raises
                 return _fail(2, error, error.format_message(), as_json, usage=error)

@@ -301,13 +301,13 @@ def rehearse(
         vertex_map=sequence.vertex_map,
         name=sequence.name,
     )
-    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they come again with the whole model
-        try:
+    try:
+        with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # they come again with the whole model
             io.save(model, Path(folder) / f"rehearsal{suffix}", **options)
-        except OSError as error:
-            # The folder of the output has been tried; this one says nothing about it.
-            logging.getLogger(__name__).debug("no rehearsal: %s", error)
+    except OSError as error:
+        # The folder of the output has been tried; this one says nothing about it.
+        logging.getLogger(__name__).debug("no rehearsal: %s", error)
 
 
 def saved_document(report: SaveReport) -> dict[str, Any]:

@@ -146,7 +146,7 @@ def fit_bones(
     if bones is not None:
         expected = f"an integer >= {count}, as joints and transforms name"
         asked = check_count(bones, "bones", expected)
-        if asked < count:
+        if not count <= asked <= np.iinfo(np.int32).max:
             raise InputError("bones", expected, asked)
         count = asked
     if joints.max() >= count:

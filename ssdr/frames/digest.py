@@ -25,9 +25,9 @@ _AT_ONCE = 8  # frames
 
 
 def of_frame(frame: NDArray[np.floating]) -> Digests:
-    """(16,) digest of a frame's positions; float32 and float64 of equal numbers have the same."""
-    numbers = np.ascontiguousarray(frame, dtype=np.float64)
-    return np.frombuffer(hashlib.sha256(numbers.data).digest()[:BYTES], dtype=np.uint8)
+    """(16,) digest of a frame's positions; equal numbers have the same, whatever their dtype."""
+    numbers = np.add(frame, 0.0, dtype=np.float64)  # -0.0 equals 0.0, but not its bytes
+    return np.frombuffer(hashlib.sha256(numbers.tobytes()).digest()[:BYTES], dtype=np.uint8)
 
 
 def of_block(block: NDArray[np.floating]) -> Digests:

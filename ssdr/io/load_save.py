@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ..clips import Clip, pick
 from ..errors import FormatError, InputError, is_real
 from ..sequence import MeshSequence
-from .registry import FORMATS, Format, SaveReport, bake, call, format_of
+from .registry import FORMATS, Format, SaveReport, bake, call, format_of, refuse_device
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -136,6 +136,7 @@ def _readable(source: Path) -> Format:
     suffix, format_ = format_of(source)
     if not _is_many(source) and not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
+    refuse_device(source)
     if format_.read is None:
         raise FormatError(f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights")
     return format_
@@ -185,6 +186,7 @@ def load_skinning(
         raise FormatError(f"{source}: no skinning can be read from {suffix}; from {able} it can")
     if not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
+    refuse_device(source)
     skinning: Skinning = call(format_, format_.read_skinning, source, **options)
     if clip is None:
         return skinning

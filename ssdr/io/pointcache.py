@@ -19,7 +19,7 @@ from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import find
-from .registry import SaveReport, describe, reading
+from .registry import SaveReport, describe, reading, seconds
 
 __all__ = ["read_mdd", "read_pc2", "write_mdd", "write_pc2"]
 
@@ -107,7 +107,7 @@ def write_mdd(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> Sa
     Parameters and errors as for :func:`write_pc2`.
     """
     head = _MDD.pack(sequence.n_frames, _n_points(sequence, unweld))
-    times = (np.arange(sequence.n_frames) / sequence.fps).astype(">f4")
+    times = seconds(np.arange(sequence.n_frames), sequence.fps).astype(">f4")
     return _write(sequence, path, head + times.tobytes(), ">f4", unweld)
 
 

@@ -6,12 +6,23 @@ import contextlib
 import dataclasses
 import importlib
 import inspect
+import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..clips import one_rate
-from ..errors import FormatError, InputError, MissingDependencyError, SsdrError
+from ..errors import (
+    FormatError,
+    InputError,
+    MissingDependencyError,
+    SsdrError,
+    is_real,
+    is_whole,
+)
 from ..sequence import MeshSequence
 
 if TYPE_CHECKING:
@@ -26,7 +37,9 @@ __all__ = [
     "describe",
     "format_of",
     "reading",
+    "refuse_device",
     "require",
+    "seconds",
 ]
 
 
@@ -171,7 +184,28 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
         if unknown:
             wanted = ", ".join(known) or "no options"
             raise InputError("options", f"{wanted} (for {format_.title})", ", ".join(unknown))
+    for name, value in options.items():
+        if name in parameters:
+            _check_option(name, value, str(parameters[name].annotation))
     return target(*args, **options)
+
+
+def _check_option(name: str, value: Any, annotation: str) -> None:
+    """Whether an option, which may come from a command line, is of the kind that is stated.
+
+    Raises
+    ------
+    InputError
+        If it is not: any text would count as true, and as a number be NumPy's error.
+    """
+    kind, _, rest = annotation.partition(" | ")
+    if rest not in ("", "None") or (value is None and rest):
+        return
+    number = isinstance(value, float) or is_real(value)
+    fits = {"bool": isinstance(value, (bool, np.bool_)), "int": is_whole(value), "float": number}
+    words = {"bool": "true or false", "int": "an integer", "float": "a number"}
+    if not fits.get(kind, True):
+        raise InputError(name, words[kind], repr(value))
 
 
 def bake(skinning: Skinning) -> MeshSequence:
@@ -209,6 +243,7 @@ def reading(path: Path) -> Iterator[None]:
     arguments of the caller are checked outside.
     """
     try:
+        refuse_device(path)
         yield
     except PermissionError:
         raise
@@ -230,6 +265,37 @@ def reading(path: Path) -> Iterator[None]:
         # Parsers of hostile bytes raise anything; every one of these means the same.
         what = str(error) or type(error).__name__
         raise FormatError(f"{path}: truncated or damaged ({what})") from error
+
+
+def refuse_device(path: Path) -> None:
+    """Refuse what may never end, before it is opened.
+
+    Raises
+    ------
+    FormatError
+        If a device, a pipe or a socket has that name.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # a pattern, or a name that is found missing later
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
+
+
+def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
+    """Times of frames, for formats that hold them as float32.
+
+    Raises
+    ------
+    InputError
+        If the rate is so low that float32 does not.
+    """
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        times = np.asarray(frames / np.float64(fps), dtype=np.float64)
+    if times.size and not times.max() <= np.finfo(np.float32).max:
+        raise InputError("fps", "a rate whose times float32 can hold", f"{fps:g}")
+    return times
 
 
 def require(module: str, extra: str, what: str) -> Any:

@@ -185,7 +185,7 @@ def _report(
             f"numbers the {skinning.n_vertices} welded vertices; unweld=True numbers the "
             f"{len(skinning.vertex_map)} of the mesh before"
         )
-    size = write_bytes(path, text.encode("utf-8"))
+    size = write_bytes(path, text.encode("utf-8", "replace"))
     return SaveReport(path=path, bytes=size, influences=joints.shape[1], note=note)
 
 

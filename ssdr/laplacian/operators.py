@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array, dia_array
 
+from ..checks import LARGEST, check_squarable
 from ..errors import InputError, check_choice, is_whole
 from ..sequence import _check_faces
 
@@ -31,6 +32,9 @@ _MASS_FLOOR = 1e-6
 
 # Both cotangents opposite to an edge of a regular triangulation are 1/sqrt(3).
 _REGULAR = 1 / math.sqrt(3)
+
+
+_MODERATE = 1e50  # coordinates up to which areas can be squared and summed
 
 
 def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
@@ -112,6 +116,7 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     ((3, 3), True)
     """
     points, triangles = _check_mesh(vertices, faces)
+    points, _ = _moderate(points)
     dots, double_area = _corners(points, triangles)
     cot = np.divide(
         dots, double_area[:, None], out=np.zeros_like(dots), where=double_area[:, None] > 0
@@ -147,7 +152,7 @@ def mass_matrix(
     Raises
     ------
     InputError
-        If a shape, a number, a face index or `kind` is not usable.
+        If a shape, a number (1e100 and more), a face index or `kind` is not usable.
 
     References
     ----------
@@ -163,6 +168,8 @@ def mass_matrix(
     """
     points, triangles = _check_mesh(vertices, faces)
     check_choice(kind, "kind", MassKind)
+    check_squarable(points, "vertices", f"numbers of less than {LARGEST:g}, for areas")
+    points, power = _moderate(points)
     edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
     squares = (edges**2).sum(axis=2)
     double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
@@ -177,8 +184,15 @@ def mass_matrix(
     unit = owners.mean() if owners.size else 0.0
     # A subnormal unit would vanish when multiplied by the floor.
     unit = unit if unit > 1e-290 else 1.0
-    mass = np.maximum(mass, _MASS_FLOOR * unit)
+    mass = np.ldexp(np.maximum(mass, _MASS_FLOOR * unit), 2 * power)
     return dia_array((mass[None], [0]), shape=(n, n))
+
+
+def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """Points whose fourth powers are numbers, and the power of two that leads back."""
+    largest = float(np.abs(points).max())
+    power = int(np.frexp(largest)[1]) if largest > _MODERATE else 0
+    return np.ldexp(points, -power), power
 
 
 def _corners(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csc_matrix
 
+from ..checks import LARGEST
 from ..errors import InputError, check_choice, is_real, is_whole
 from ..sequence import MeshSequence
 from .factor import Backend, factor_spd
@@ -112,7 +113,7 @@ class LaplacianSmoother:
     ) -> None:
         points, triangles = _check_mesh(vertices, faces)
         check_choice(kind, "kind", LaplacianKind)
-        if not (is_real(length) and length >= 0):
+        if not (is_real(length) and 0 <= length < LARGEST):
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
         self.length = float(length)
         self.kind: LaplacianKind = kind
@@ -176,7 +177,11 @@ class LaplacianSmoother:
             if not np.isfinite(part).all():
                 raise InputError("values", "finite numbers", "NaN or Inf")
             if part.size:
-                out[start : start + step] = self._smooth_block(part)
+                with np.errstate(over="ignore", invalid="ignore"):
+                    smoothed = self._smooth_block(part).astype(dtype)
+                if not np.isfinite(smoothed).all():
+                    raise InputError("values", "numbers whose sums are numbers", "larger ones")
+                out[start : start + step] = smoothed
         return out.reshape(x.shape)
 
     def _smooth_block(self, block: NDArray[np.float64]) -> NDArray[np.float64]:

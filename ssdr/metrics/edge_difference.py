@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
+from ..checks import LARGEST
 from ..errors import InputError, is_real, is_whole
 from ..parallel import run_chunks
 from ..sequence import MeshSequence
-from .inputs import Frames, as_pair, chunk_size, edges_of, read
+from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read, squares
 
 __all__ = ["Normaliser", "Sted", "sted"]
 
@@ -148,11 +149,15 @@ def sted(
         raise InputError("window", "an odd number", window)
     _check_number("dt", dt, positive=True)
     _check_number("c", c, positive=False)
-    scale = _normaliser(first, normaliser)
-    spatial, spatial_frames = _spatial(first, second, int(neighbourhood), bool(signed))
-    temporal, temporal_frames = _temporal(first, second, int(window), dt, scale, bool(signed))
+    with squares():
+        scale = _normaliser(first, normaliser)
+        check_finite(first, second, scale)
+        spatial, spatial_frames = _spatial(first, second, int(neighbourhood), bool(signed))
+        temporal, temporal_frames = _temporal(first, second, int(window), dt, scale, bool(signed))
+    value = math.hypot(spatial, c * temporal)
+    check_finite(first, second, value)
     return Sted(
-        value=math.hypot(spatial, c * temporal),
+        value=value,
         spatial=spatial,
         temporal=temporal,
         spatial_per_frame=spatial_frames,
@@ -272,6 +277,7 @@ def _bounds(count: int, step: int) -> list[tuple[int, int]]:
 
 
 def _check_number(argument: str, value: object, *, positive: bool) -> None:
-    if is_real(value) and (value > 0 if positive else value >= 0):
+    if is_real(value) and (value > 0 if positive else value >= 0) and value < LARGEST:
         return
-    raise InputError(argument, f"a number {'> 0' if positive else '>= 0'}", repr(value))
+    expected = f"a number {'> 0' if positive else '>= 0'}, less than {LARGEST:g}"
+    raise InputError(argument, expected, repr(value))

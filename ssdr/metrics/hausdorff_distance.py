@@ -14,7 +14,7 @@ from ..errors import InputError, is_whole
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
-from .inputs import Frames, as_sequence, read
+from .inputs import Frames, as_sequence, check_finite, read, squares
 
 __all__ = ["Hausdorff", "hausdorff"]
 
@@ -140,7 +140,9 @@ def hausdorff(
         for t, (a, b) in enumerate(pairs, start):
             vertex[t] = max(_one_way(a, b), _one_way(b, a))
 
-    run_chunks(compare_vertices, bounds)
+    with squares():
+        run_chunks(compare_vertices, bounds)
+    check_finite(first, second, vertex)
     if not (surface and len(first.faces) and len(second.faces)):
         return Hausdorff(
             vertex_per_frame=vertex, surface_per_frame=None, subdivisions=int(subdivisions)
@@ -154,7 +156,9 @@ def hausdorff(
         for t, (a, b) in enumerate(pairs, start):
             between[t] = max(forward.distance(a, b), backward.distance(b, a))
 
-    run_chunks(compare_surfaces, bounds)
+    with squares():
+        run_chunks(compare_surfaces, bounds)
+    check_finite(first, second, between)
     return Hausdorff(
         vertex_per_frame=vertex, surface_per_frame=between, subdivisions=int(subdivisions)
     )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..checks import LARGEST
 from ..errors import InputError
 from ..sequence import MeshSequence
 
@@ -41,6 +43,32 @@ def as_pair(
             f"shape {tuple(second.vertices.shape)}",
         )
     return first, second
+
+
+@contextlib.contextmanager
+def squares() -> Iterator[None]:
+    """Around sums of squares whose results :func:`check_finite` looks at."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        yield
+
+
+def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:
+    """Whether results are numbers; blames what is too large to be squared.
+
+    Raises
+    ------
+    InputError
+        If one is not.
+    """
+    if all(np.isfinite(result).all() for result in results):
+        return
+    expected = f"coordinates of less than {LARGEST:g}, which can be squared and summed"
+    for name, sequence in (("reference", first), ("other", second)):
+        for start, block in sequence.chunks():
+            size = np.abs(block).max(axis=(1, 2))
+            if not size.max() < LARGEST:
+                raise InputError(name, expected, f"larger ones in frame {start + size.argmax()}")
+    raise InputError("reference and other", "a result within float64", "parameters that give none")
 
 
 def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:

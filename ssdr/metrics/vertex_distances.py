@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .inputs import Frames, as_pair, blocks
+from .inputs import Frames, as_pair, blocks, check_finite, squares
 
 __all__ = ["Distances", "distances", "rmse"]
 
@@ -73,7 +73,7 @@ def distances(reference: Frames, other: Frames) -> Distances:
     Raises
     ------
     InputError
-        If shapes differ or a number is not finite.
+        If shapes differ, or a number is not finite or too large to be squared.
 
     Examples
     --------
@@ -88,15 +88,17 @@ def distances(reference: Frames, other: Frames) -> Distances:
     per_vertex = np.zeros(n_vertices)
     total, largest, where, diagonal = 0.0, -1.0, (0, 0), 0.0
     for start, a, b in blocks(first, second):
-        square = ((a - b) ** 2).sum(axis=2)
+        with squares():
+            square = ((a - b) ** 2).sum(axis=2)
+            extent = ((a.max(axis=1) - a.min(axis=1)) ** 2).sum(axis=1)
+        check_finite(first, second, square, extent)
         per_frame[start : start + len(a)] = square.mean(axis=1)
         per_vertex += square.sum(axis=0)
         total += float(np.sqrt(square).sum())
         t, i = np.unravel_index(int(square.argmax()), square.shape)
         if square[t, i] > largest:
             largest, where = float(square[t, i]), (start + int(t), int(i))
-        extent = a.max(axis=1) - a.min(axis=1)
-        diagonal = max(diagonal, float((extent**2).sum(axis=1).max()))
+        diagonal = max(diagonal, float(extent.max()))
     pooled = math.sqrt(per_vertex.sum() / (n_frames * n_vertices))
     diagonal = math.sqrt(diagonal)
     share = pooled / diagonal if diagonal > 0 else (0.0 if pooled == 0 else math.inf)
@@ -125,7 +127,7 @@ def rmse(reference: Frames, other: Frames) -> float:
     Raises
     ------
     InputError
-        If shapes differ or a number is not finite.
+        If shapes differ, or a number is not finite or too large to be squared.
 
     Examples
     --------
@@ -134,5 +136,7 @@ def rmse(reference: Frames, other: Frames) -> float:
     5.0
     """
     first, second = as_pair(reference, other)
-    total = sum(float(np.vdot(a - b, a - b)) for _, a, b in blocks(first, second))
+    with squares():
+        total = sum(float(np.vdot(a - b, a - b)) for _, a, b in blocks(first, second))
+    check_finite(first, second, total)
     return math.sqrt(total / (first.n_frames * first.n_vertices))

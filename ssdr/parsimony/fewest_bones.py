@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..checks import LARGEST
 from ..search.prescribed import Prescribed
 from ..search.problem import Measure
 from ..search.run import Run
@@ -131,7 +132,7 @@ class FewestBones:
         self.fraction = 0.0
         # the pooled error is at most the largest: what misses this misses either tolerance
         count = data.n_frames * data.n_vertices
-        self.allowed = (tolerance / data.scale) ** 2 * count
+        self.allowed = min(tolerance / data.scale, LARGEST) ** 2 * count
 
     def run(self, start: Model | None = None) -> None:
         """Find the fewest bones, from a model of another search where there is one."""

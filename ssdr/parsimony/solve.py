@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import parse_tolerance
+from ..checks import LARGEST, parse_tolerance
 from ..clips import names_of
-from ..errors import Cancelled
+from ..errors import Cancelled, InputError
 from ..frames.executor import Executor, executor_for
 from ..parallel import serial_blas
 from ..search.problem import Problem
 from ..search.progress import Clock, Record, Reporter
 from ..search.solve import Outcome
-from ..search.state import SolverState, check_settings, check_size, taking_up
+from ..search.state import SolverState, check_settings, check_size, number, taking_up, whole
 from ..skinning import Skinning
 from ..solver.model import Fixed, Model, pad_influences
 from ..solver.trajectories import Array, Trajectories
@@ -129,11 +129,14 @@ class _Hunt:
             input=f"tolerance {problem.fingerprint(data, digests)}",
         )
         largest = max(float(np.abs(data.centre).max()), data.scale)
+        if not largest < LARGEST:
+            expected = f"coordinates of less than {LARGEST:g} beside a tolerance"
+            raise InputError("sequence", expected, f"{largest:g}")
         count = data.n_frames * data.n_vertices
         # what no model misses bounds nothing, and its square need not be a number
         most = _LOOSE * data.scale * math.sqrt(count)
         self.tolerance = max(min(self.asked, most), _ROUNDING * largest)
-        allowed = (self.tolerance / data.scale) ** 2 * count
+        allowed = min(self.tolerance / data.scale, LARGEST) ** 2 * count
         self.least, exact = self._least_bones(data, allowed)
         self.data: Trajectories = reduced(data, allowed)
         self.fixed = Fixed(rest=problem.fixed.rest, bone_model=problem.fixed.bone_model)
@@ -339,8 +342,8 @@ class _Hunt:
         check_settings(state, self.settings)
         check_size(state.best, self.data.n_vertices, self.data.n_frames)
         with taking_up():
-            self.clock.before = float(state.progress["elapsed"])
-            self.search.iteration = int(state.progress["iteration"])
+            self.clock.before = number(state.progress, "elapsed")
+            self.search.iteration = whole(state.progress, "iteration")
             self.problem.rng.bit_generator.state = state.progress["rng"]
         return None if state.best is None else state.best.copy()
 

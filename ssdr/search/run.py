@@ -22,6 +22,7 @@ from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .prescribed import Prescribed
 from .progress import Clock
+from .state import number, numbers, whole
 
 __all__ = ["Memory", "Run", "Stage"]
 
@@ -47,6 +48,7 @@ class Stage(ABC):
     """
 
     phase: ClassVar[str]
+    changes: ClassVar[int] = 0  # kinds of change that it takes turns with
     steps: int = 1
     cost: float = 1.0
     branch: bool = False
@@ -318,27 +320,41 @@ class Run:
             If `progress` is damaged.
         """
         self.model, self.best, self.records = model, best, records
-        self.position = int(progress["position"])
-        lists = ("recent", "track", "turns", "misses")
-        self.memory = Memory(
-            count=int(progress["count"]),
-            failures=int(progress["failures"]),
-            damping=progress["damping"],
-            **{name: list(progress[name]) for name in lists},
-        )
-        if not 0 <= self.position <= len(self.schedule) or self.memory.count < 0:
-            raise ValueError(f"step {self.memory.count} of stage {self.position}")
-        self.iteration = int(progress["iteration"])
-        self.converged, self.leader = bool(progress["settled"]), list(progress["lead"])
-        self.best_value, self.clock.before = (
-            float(progress["best_value"]),
-            float(progress["elapsed"]),
-        )
+        self.position = whole(progress, "position")
+        if self.position > len(self.schedule):
+            raise ValueError(f"position is {self.position}")
+        self.memory = self._memory_of(progress)
+        begun = self.position > 0 or self.memory.count > 0
+        if (begun and model is None) or (self.finished and best is None):
+            raise ValueError("there is no model")
+        if best is not None and best.n_bones != self.bones:
+            raise ValueError(f"the best model has {best.n_bones} bones")
+        self.iteration = whole(progress, "iteration")
+        if not isinstance(progress["settled"], bool):
+            raise ValueError(f"settled is {progress['settled']!r}")
+        self.converged, self.leader = progress["settled"], numbers(progress, "lead")
+        self.best_value = np.inf if best is None else number(progress, "best_value")
+        self.clock.before = number(progress, "elapsed")
         self.branch_rng = copy.deepcopy(self.rng)
         self.branch_rng.bit_generator.state = progress["branch_rng"]
         self.rng.bit_generator.state = progress["rng"]
         if any(stage.phase == "compress" for stage in self.schedule[: self.position]):
             self.compress()
+
+    def _memory_of(self, progress: dict[str, Any]) -> Memory:
+        memory = Memory(
+            count=whole(progress, "count"),
+            failures=whole(progress, "failures"),
+            damping=None if progress["damping"] is None else number(progress, "damping"),
+            recent=numbers(progress, "recent"),
+            track=numbers(progress, "track"),
+            turns=[int(t) for t in numbers(progress, "turns", least=-np.inf)],
+            misses=[int(t) for t in numbers(progress, "misses")],
+        )
+        kinds = self.stage.changes if self.stage is not None and memory.track else 0
+        if not len(memory.turns) == len(memory.misses) == kinds:
+            raise ValueError(f"{len(memory.turns)} turns and {len(memory.misses)} misses")
+        return memory
 
     def _record(self, phase: str) -> None:
         model = self.model

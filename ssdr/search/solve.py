@@ -298,6 +298,8 @@ def restore(run: Run, state: SolverState) -> None:
     for model in (state.current, state.best):
         check_size(model, run.data.n_vertices, run.data.n_frames)
     with taking_up():
+        if not (np.isfinite(state.history).all() and (state.history >= 0).all()):
+            raise ValueError("history holds negative numbers, NaN or Inf")
         records = [
             (int(iteration), float(elapsed), float(value), phase)
             for (iteration, elapsed, value), phase in zip(state.history, state.phases, strict=True)

@@ -346,6 +346,7 @@ class Search(Stage):
     """
 
     phase: ClassVar[str] = "search"
+    changes: ClassVar[int] = len(_CHANGES)
     cost: float = 60
     patience: int
     gain: float = 1e-3

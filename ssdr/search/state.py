@@ -7,14 +7,15 @@ import dataclasses
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FormatError, InputError, SsdrWarning
+from ..checks import LARGEST, check_squarable
+from ..errors import FormatError, InputError, SsdrWarning, is_real, is_whole
 from ..solver.model import Model
 
 __all__ = [
@@ -23,8 +24,11 @@ __all__ = [
     "check_settings",
     "check_size",
     "model_of",
+    "number",
+    "numbers",
     "packed",
     "taking_up",
+    "whole",
 ]
 
 _VERSION = 4
@@ -133,11 +137,14 @@ class SolverState:
                     f"{path}: state of version {header['version']}, not {_VERSION}, which this "
                     "version of ssdr writes; begin anew, or go on with the ssdr that wrote it"
                 )
+            phases = header["phases"]
+            if not isinstance(phases, list) or not all(isinstance(p, str) for p in phases):
+                raise ValueError("phases are not names")
             return SolverState(
                 settings=dict(header["settings"]),
                 progress=dict(header["progress"]),
                 history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 3),
-                phases=tuple(header["phases"]),
+                phases=tuple(phases),
                 current=model_of(arrays, "current_"),
                 best=model_of(arrays, "best_"),
                 driver={
@@ -147,7 +154,7 @@ class SolverState:
                 },
                 source=str(path),
             )
-        except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError, RecursionError) as error:
             if isinstance(error, FormatError):
                 raise
             raise FormatError(f"{path}: not a saved state of ssdr.decompose ({error})") from error
@@ -181,8 +188,50 @@ def taking_up() -> Iterator[None]:
     """Around what reads a state's progress: damage in it is blamed on `resume`."""
     try:
         yield
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (LookupError, TypeError, ValueError, OverflowError, AttributeError) as error:
         raise InputError("resume", "a state as it was saved", f"a damaged one ({error})") from error
+
+
+def number(progress: Mapping[str, Any], name: str, *, least: float = 0.0) -> float:
+    """A finite number of a state's progress.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If there is none, or it is below `least`.
+    """
+    value = progress[name]
+    if not is_real(value) or value < least:
+        raise ValueError(f"{name} is {value!r}")
+    return float(value)
+
+
+def whole(progress: Mapping[str, Any], name: str) -> int:
+    """An integer >= 0 of a state's progress.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If there is none.
+    """
+    value = progress[name]
+    if not is_whole(value) or value < 0:
+        raise ValueError(f"{name} is {value!r}")
+    return int(value)
+
+
+def numbers(progress: Mapping[str, Any], name: str, *, least: float = 0.0) -> list[float]:
+    """A list of finite numbers of a state's progress.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If there is none, or one is below `least`.
+    """
+    values = progress[name]
+    if not isinstance(values, list) or not all(is_real(v) and v >= least for v in values):
+        raise ValueError(f"{name} is no list of numbers")
+    return values
 
 
 class Checkpoint:
@@ -263,7 +312,10 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
         if kind == "f":
             if not np.isfinite(array).all():
                 raise ValueError(f"{prefix}{name} holds NaN or Inf")
-            parts[name] = array.astype(np.float64, copy=False)
+            array = parts[name] = array.astype(np.float64, copy=False)
+            check_squarable(array, f"{prefix}{name}", f"numbers of less than {LARGEST:g}")
+            if name in ("error", "weights", "support_weights") and (array < 0).any():
+                raise ValueError(f"{prefix}{name} holds negative numbers")
         if kind == "i":
             least, most = least_and_most[name]
             if array.size and not (least <= array.min() and array.max() <= most):

@@ -78,6 +78,10 @@ class StreamedState:
             passes = [(int(i), float(t), float(value)) for i, t, value in numbers["passes"]]
             if not np.isfinite(np.array(passes, dtype=np.float64)).all():
                 raise ValueError("a pass without an error")
+            if any(iteration < 0 or elapsed < 0 for iteration, elapsed, _ in passes):
+                raise ValueError("a pass before the first")
+            if not all(isinstance(numbers[name], bool) for name in ("settling", "done")):
+                raise ValueError("settling and done are neither true nor false")
             streamed = StreamedState(
                 scan=scan,
                 settling=bool(numbers["settling"]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import subprocess
 import sys
 import textwrap
@@ -103,9 +104,17 @@ def start(arguments, *, environment=None, **options):
     variables = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | options
+    if os.name == "posix":
+        options.setdefault("preexec_fn", _as_from_a_terminal)
     return subprocess.Popen(
         [sys.executable, *map(str, arguments)], env=variables | (environment or {}), **options
     )
+
+
+def _as_from_a_terminal():
+    """Tests that run in the background or under nohup have signals ignored; the command has not."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def through_shell(redirections, arguments, **options):

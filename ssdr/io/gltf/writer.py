@@ -17,7 +17,7 @@ from ...sequence import Material
 from ...skinning import Skinning
 from ..atomic import write_bytes
 from ..corners import Corners, corner_normals, split_corners
-from ..registry import SaveReport
+from ..registry import SaveReport, seconds
 from ..rig import Rig, Up, WeightStorage, build_rig, check_up, quantise, turn_skinning_up
 
 __all__ = ["write_skinning"]
@@ -314,7 +314,7 @@ def _animation(document: _Writer, rig: Rig, clip: Clip, title: str) -> dict[str,
     for bone in range(rig.n_bones):
         keys = clip.start + np.flatnonzero(rig.keys[clip.frames, bone])
         if keys.tobytes() not in stamps:
-            times = ((keys - clip.start) / clip.fps).astype(np.float32)
+            times = seconds(keys - clip.start, clip.fps).astype(np.float32)
             stamps[keys.tobytes()] = document.accessor(times, "SCALAR", bounds=True)
         tracks = [
             ("translation", rig.translations[keys, bone], "VEC3"),

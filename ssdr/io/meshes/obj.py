@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ...sequence import Material, Surface
 from ..atomic import write_bytes
+from ..references import find_inside
 from ..registry import describe, reading
 from .polygons import Mesh, fan, vertex_rows
 
@@ -145,13 +146,10 @@ def _at_corners(
 def _materials(path: Path, libraries: list[str], names: list[str]) -> tuple[Material, ...]:
     known: dict[str, Material] = {}
     for library in libraries:
-        for spelled in (library, *library.split()):
-            file = path.parent / spelled.replace("\\", "/")
-            if file.is_file():
-                known.update(_parse_mtl(file))
-                break
-        else:
-            _log.warning("%s: its material library %s is not there", path, library)
+        spelled = [name.replace("\\", "/") for name in (library, *library.split())]
+        file = find_inside(path, "material library", spelled)
+        if file is not None:
+            known.update(_parse_mtl(file))
     return tuple(known.get(name, Material(name=name)) for name in names)
 
 
@@ -192,16 +190,13 @@ def _parse_mtl(path: Path) -> dict[str, Material]:
 def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
     value = value.replace("\\", "/")
     # Options such as "-s 1 1 1" come before the name, which may hold spaces itself.
-    for spelled in (value, value.split()[-1], Path(value).name):
-        file = path.parent / spelled
-        if file.is_file():
-            data = file.read_bytes()
-            for magic, kind in _IMAGES.items():
-                if data.startswith(magic):
-                    return data, kind
-            _log.warning("%s: the texture %s is neither PNG nor JPEG; left out", path, spelled)
-            return None, "image/png"
-    _log.warning("%s: its texture %s is not there", path, value)
+    file = find_inside(path, "texture", (value, value.split()[-1], Path(value).name))
+    if file is not None:
+        data = file.read_bytes()
+        for magic, kind in _IMAGES.items():
+            if data.startswith(magic):
+                return data, kind
+        _log.warning("%s: the texture %s is neither PNG nor JPEG; left out", path, file.name)
     return None, "image/png"
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from ...clips import unique_names
 from ...errors import FormatError, is_real, is_whole
+from ..references import is_inside
 
 __all__ = ["Take", "name_of", "open_stage", "takes_of"]
 
@@ -18,18 +19,49 @@ def open_stage(path: Path) -> Any:
     Raises
     ------
     FormatError
-        If it is none.
+        If it is none, or refers to a layer outside its folder.
     """
     from pxr import Tf, Usd
 
     try:
+        _check_references(path)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         raise FormatError(f"{path}: not a usable USD file ({_first_line(error)})") from error
     if not stage:
         raise FormatError(f"{path}: not a usable USD file")
     stage.Reload()  # layers are kept by name; the file may have been written anew
+    for layer in stage.GetUsedLayers():
+        if layer.realPath and not is_inside(Path(layer.realPath), path.parent):
+            raise FormatError(f"{path}: refers to {layer.realPath}, which lies outside its folder")
     return stage
+
+
+def _check_references(path: Path) -> None:
+    """Refuse layers outside the file's folder before any of them is opened.
+
+    Raises
+    ------
+    FormatError
+        If the file, or one that it refers to, refers to one.
+    """
+    from pxr import Sdf
+
+    folder, seen, waiting = path.parent, set(), [str(path)]
+    while waiting:
+        name = waiting.pop()
+        layer = Sdf.Layer.FindOrOpen(name)
+        if layer is None or layer.identifier in seen:
+            continue
+        seen.add(layer.identifier)
+        for asset in layer.GetCompositionAssetDependencies():
+            file = Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
+            if not is_inside(Path(file.partition("[")[0]), folder):
+                raise FormatError(
+                    f"{path}: refers to {asset}, which lies outside its folder; open a copy with "
+                    "all that it refers to in one folder (usdcat --flatten makes one)"
+                )
+            waiting.append(file)
 
 
 def _first_line(error: Exception) -> str:

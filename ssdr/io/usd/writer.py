@@ -203,24 +203,33 @@ def _system_errors(path: Path) -> Iterator[None]:
 
 
 def _root(name: str) -> str:
+    return "/" + _identifier(name)
+
+
+def _identifier(name: str) -> str:
     from pxr import Tf
 
-    return "/" + str(Tf.MakeValidIdentifier(name))
+    return str(Tf.MakeValidIdentifier(_text(name)))
+
+
+def _text(name: str) -> str:
+    """A name that UTF-8 can hold: glTF's may have halves of a character."""
+    return name.encode("utf-8", "replace").decode()
 
 
 def _skeleton(stage: Any, top: Any, rig: Rig, title: str) -> None:
-    from pxr import Gf, Tf, UsdSkel, Vt
+    from pxr import Gf, UsdSkel, Vt
 
-    tokens = unique_names([str(Tf.MakeValidIdentifier(bone)) for bone in rig.names])
+    tokens = unique_names([_identifier(bone) for bone in rig.names])
     skeleton = UsdSkel.Skeleton.Define(stage, top.AppendChild("Skeleton"))
     skeleton.CreateJointsAttr(tokens)
     if tokens != rig.names:
-        skeleton.CreateJointNamesAttr(rig.names)
+        skeleton.CreateJointNamesAttr([_text(name) for name in rig.names])
     rest = [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, c))) for c in rig.centers]
     skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(rest))
     skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
     alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
-    names = ["Animation" if alone else str(Tf.MakeValidIdentifier(c.name)) for c in rig.clips]
+    names = ["Animation" if alone else _identifier(c.name) for c in rig.clips]
     places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
     for place, clip in zip(places, rig.clips, strict=True):
         animation = UsdSkel.Animation.Define(stage, place)
@@ -290,10 +299,10 @@ def _primvar(mesh: Any, name: str, kind: Any, values: NDArray[np.float32]) -> No
 def _materials(
     stage: Any, top: Any, mesh: Any, surface: Surface, path: Path, notes: list[str]
 ) -> None:
-    from pxr import Gf, Sdf, Tf, UsdShade, Vt
+    from pxr import Gf, Sdf, UsdShade, Vt
 
     types = Sdf.ValueTypeNames
-    names = unique_names([str(Tf.MakeValidIdentifier(m.name)) for m in surface.materials])
+    names = unique_names([_identifier(m.name) for m in surface.materials])
     looks = []
     for name, material in zip(names, surface.materials, strict=True):
         place = top.AppendChild("Looks").AppendChild(name)

@@ -65,3 +65,10 @@ def test_a_process_of_its_own_without_a_display(clip, tmp_path):
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (2, "")
     assert "Traceback" not in err
+
+
+def test_a_name_that_no_file_can_have_is_wrong_input(run):
+    for command in (["info"], ["compare", ssdr.samples.path("dancer_small")]):
+        code, out, err = run(*command, "9" * 300 + ".npz")
+        assert (code, out) == (2, "")
+        assert "File name too long" in err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shlex
@@ -81,9 +82,13 @@ def test_a_full_disk_sends_the_state_to_another_folder(saved, run, clip, folders
     assert f"the result is lost: {full / 'a.state.npz'}: No space left on device" in err
 
 
-def test_an_interrupt_with_a_full_disk_loses_nothing(saved, run, clip, folders, monkeypatch):
+def test_an_interrupt_with_a_full_disk_loses_nothing(
+    saved, run, clip, folders, monkeypatch, request
+):
     full, working, *_ = folders
     fill(full, monkeypatch)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("ssdr.cli.progress.Reporter.update", lambda *_: os.kill(os.getpid(), 2))
     code, text, _ = run("decompose", clip, "-b", 2, "-o", full / "a.npz", "--json")
     document = json.loads(text)
@@ -179,3 +184,27 @@ def test_ctrl_c_while_loading_is_a_line(tmp_path):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=20)
     assert (process.returncode, err) == (130, "ssdr: interrupted\n")
+
+
+def test_without_a_temporary_folder_the_work_is_done(faked, run, clip, tmp_path, monkeypatch):
+    """The rehearsal needs one, the work does not."""
+
+    def none(*_, **__):
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.mkdtemp", none)
+    code, _, err = run("decompose", clip, "-b", 2, "-o", tmp_path / "a.npz", "-q")
+    assert (code, err) == (0, "")
+
+
+def test_a_folder_that_goes_during_the_work_sends_the_state_elsewhere(
+    saved, run, clip, folders, monkeypatch
+):
+    full, working, *_ = folders
+    monkeypatch.setattr(
+        "ssdr.cli.progress.Reporter.update", lambda *_: full.exists() and full.rmdir()
+    )
+    code, _, err = run("decompose", clip, "-b", 2, "-o", full / "a.npz")
+    assert code == 2
+    assert (working / "a.state.npz").read_bytes() == b"3 steps"
+    assert f"the result is kept in {working / 'a.state.npz'}" in err

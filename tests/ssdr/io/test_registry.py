@@ -72,3 +72,25 @@ def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
     for act in (lambda p: ssdr.load(p), lambda p: ssdr.save(wave, p)):
         with pytest.raises(ssdr.MissingDependencyError, match=r'pip install "ssdr\[zarr\]"'):
             act(tmp_path / "a.zarr")
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "words"),
+    [
+        ("a.glb", "influences", "an integer"),
+        ("a_%d.obj", "start", "an integer"),
+        ("a.usda", "meters_per_unit", "a number"),
+        ("a.pc2", "unweld", "true or false"),
+    ],
+)
+@pytest.mark.parametrize("value", ["", "nan", "٣", [], True], ids=str)
+def test_an_option_is_of_the_kind_that_is_stated(name, option, words, value, skinned, tmp_path):
+    """Text from a command line became an error of Python's."""
+    if name == "a.usda":
+        pytest.importorskip("pxr.UsdSkel")
+    if (option, value) == ("unweld", True):
+        value = 1
+    with pytest.raises(InputError, match=f"{option}: expected"):
+        ssdr.save(skinned, tmp_path / name, **{option: value})
+    with pytest.raises(InputError, match="max_bytes: expected an integer"):
+        ssdr.load(ssdr.samples.path("dancer_small"), max_bytes=str(value))

@@ -8,6 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import ssdr
 from helpers import naive
 from helpers.surfaces import grid, sphere
 from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix, uniform_laplacian
@@ -112,3 +113,38 @@ def test_slivers_keep_the_matrix_semi_definite():
         assert np.isfinite(matrix).all()
         assert np.linalg.eigvalsh(matrix).min() >= -1e-10 * np.abs(matrix).max()
         assert np.abs(matrix).max() <= 2e6
+
+
+@pytest.mark.parametrize("size", [1e60, 1e99, 1e150, 1e200, 1e307])
+def test_the_cotangent_laplacian_of_any_size_is_the_same(size: float) -> None:
+    dancer = ssdr.samples.load("dancer_small")
+    points = dancer.vertices[0].astype(np.float64)
+    plain = cotangent_laplacian(points, dancer.faces)
+    large = cotangent_laplacian(points * size, dancer.faces)
+    assert abs(large - plain).max() < 1e-9 * abs(plain).max()
+
+
+def test_masses_are_numbers_or_refused() -> None:
+    """They were infinite from 1e77 on."""
+    dancer = ssdr.samples.load("dancer_small")
+    points = dancer.vertices[0].astype(np.float64)
+    for kind in ("barycentric", "voronoi"):
+        plain = mass_matrix(points, dancer.faces, kind=kind).diagonal()
+        for size in (1e60, 1e98):
+            large = mass_matrix(points * size, dancer.faces, kind=kind).diagonal()
+            np.testing.assert_allclose(large / size**2, plain, rtol=1e-9)
+        for size in (1e101, 1e200):
+            with pytest.raises(ssdr.InputError, match="less than 1e"):
+                mass_matrix(points * size, dancer.faces, kind=kind)
+
+
+def test_smoothing_gives_numbers_or_is_refused() -> None:
+    dancer = ssdr.samples.load("dancer_small")
+    points = dancer.vertices[0].astype(np.float64)
+    for length in (1e100, 1e200):
+        with pytest.raises(ssdr.InputError, match="length"):
+            ssdr.laplacian.LaplacianSmoother(points, dancer.faces, length)
+    smoother = ssdr.laplacian.LaplacianSmoother(points, dancer.faces, 0.1)
+    with pytest.raises(ssdr.InputError, match="values"):
+        smoother.smooth(np.full(points.shape, 1.7e308))
+    assert np.isfinite(smoother.smooth(points * 1e200)).all()

@@ -139,3 +139,33 @@ def test_bad_input(function, change, argument):
     with pytest.raises(InputError) as error:
         function(**arguments)
     assert error.value.argument == argument
+
+
+@pytest.mark.parametrize("measure", ["compare", "distances", "rmse", "hausdorff", "sted"])
+@pytest.mark.parametrize("size", [1e160, 1e200, 1e307])
+def test_what_cannot_be_squared_is_refused_by_name(measure: str, size: float) -> None:
+    """Infinities came back, and NaN."""
+    dancer = ssdr.samples.load("dancer_small")
+    frames = dancer.vertices[:4].astype(np.float64)
+    call = getattr(ssdr.metrics, measure)
+    faces = () if measure in ("distances", "rmse") else (dancer.faces,)
+    for name, a, b in (
+        ("reference", frames * size, frames[::-1] * size),
+        ("other", frames, frames[::-1] * size),
+    ):
+        with pytest.raises(ssdr.InputError, match="squared and summed") as caught:
+            call(a, b, *faces)
+        assert caught.value.argument == name
+
+
+def test_parameters_of_the_edge_difference_give_numbers_or_are_refused() -> None:
+    frames = ssdr.samples.load("dancer_small").vertices[:4].astype(np.float64)
+    for change in ({"dt": 1e160}, {"c": 1e200}, {"normaliser": 1e-200}, {"normaliser": 1e160}):
+        with pytest.raises(ssdr.InputError, match="expected"):
+            ssdr.metrics.sted(frames, frames[::-1], **change)
+
+
+def test_a_diagonal_whose_square_is_no_number() -> None:
+    assert ssdr.MeshSequence(np.eye(3)[None] * 1e200).diagonal() == pytest.approx(
+        np.sqrt(3) * 1e200
+    )

@@ -121,7 +121,14 @@ def test_a_state_of_other_steps_is_refused() -> None:
 @pytest.mark.parametrize(
     "change",
     [{"rng": None}, {"lead": None}, {"turns": 3}, {"position": 99}, {"position": -1},
-     {"count": "x"}, {"best_value": []}],
+     {"count": "x"}, {"best_value": []}, {"best_value": -1.0}, {"best_value": float("nan")},
+     {"best_value": float("inf")}, {"best_value": "1"}, {"elapsed": float("nan")},
+     {"elapsed": -1.0}, {"iteration": -1}, {"iteration": 1.5}, {"iteration": True},
+     {"settled": 1}, {"damping": "x"}, {"damping": -1.0}, {"recent": ["x"]}, {"recent": [None]},
+     {"recent": "12"}, {"lead": [-1.0]}, {"track": [float("nan")]}, {"turns": [0, 1, 2]},
+     {"misses": [0]}, {"failures": -1}, {"count": 2.0},
+     {"rng": {"bit_generator": "PCG64", "state": {"state": -1, "inc": "x"}}},
+     {"rng": {"bit_generator": "MT19937"}}, {"branch_rng": []}],
     ids=str,
 )  # fmt: skip
 def test_a_state_whose_progress_is_damaged_is_refused(change: dict[str, object]) -> None:
@@ -277,6 +284,10 @@ def put(name: str, value: Callable[[np.ndarray], object]) -> Callable[[dict], No
         lambda arrays: arrays.pop("best_weights"),
         edit_header(version=99),
         edit_header(phases=None),
+        edit_header(phases="abc"),
+        edit_header(phases=[1, 2]),
+        put("ssdr_state", lambda _: np.frombuffer(b"[" * 100_000, dtype=np.uint8)),
+        put("ssdr_state", lambda _: np.frombuffer(b'{"a":' * 100_000, dtype=np.uint8)),
         put("ssdr_state", lambda a: a[:-9]),
         put("ssdr_state", lambda a: np.array([0xFF, 0xFE], dtype=np.uint8)),
         put("best_joints", lambda a: a - 1),
@@ -286,18 +297,61 @@ def put(name: str, value: Callable[[np.ndarray], object]) -> Callable[[dict], No
         put("current_count", lambda a: a * 0),
         put("current_count", lambda a: a + 100),
         put("best_rest", lambda a: a * np.nan),
+        put("best_transforms", lambda a: a + 1e200),
+        put("current_error", lambda a: -1 - a),
+        put("best_weights", lambda a: -a),
         put("best_rest", lambda a: a[:-1]),
         put("best_weights", lambda a: a.astype("U9")),
         put("best_transforms", lambda a: a[..., :3]),
         put("best_transforms", lambda a: a.ravel()),
         put("history", lambda a: a.ravel()[:-1]),
     ],
-    ids=range(19),
+    ids=range(26),
 )
 def test_damaged_state(edit: Callable[[dict], None], tmp_path: Path) -> None:
     path = damaged(tmp_path, edit)
     with pytest.raises(ssdr.FormatError, match=r"s\.npz"):
         ssdr.SolverState.load(path)
+
+
+@pytest.mark.parametrize(
+    "lists",
+    [
+        {"turns": [0], "misses": [0]},
+        {"turns": [-4, -3, -2, "x"], "misses": [0, 0, 0, 0]},
+        {"turns": [-4, -3, -2, -1], "misses": [0, 0, 0]},
+        {"turns": [-4, -3, -2, -1], "misses": [0, 0, 0, -1]},
+        {"track": [[1.0]]},
+    ],
+    ids=str,
+)
+def test_lists_of_a_search_have_its_lengths_and_kinds(lists: dict[str, object]) -> None:
+    """Others were found at the next step, by an IndexError."""
+    count = 0
+
+    def stop(progress: ssdr.search.progress.Progress) -> bool:
+        nonlocal count
+        count += progress.phase == "search"
+        return count == 2
+
+    options = OPTIONS | {"effort": "best"}
+    state = ssdr.decompose(frames(), rig().faces, callback=stop, **options).state
+    assert len(state.progress["turns"]) == 4
+    other = dataclasses.replace(state, progress=state.progress | lists)
+    with pytest.raises(ssdr.InputError, match="damaged"):
+        ssdr.decompose(frames(), rig().faces, resume=other, **options)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_a_history_of_what_is_no_error_is_refused(value: float) -> None:
+    state = stopped_after(30).state
+    history = state.history.copy()
+    assert len(history)
+    history[0, 2] = value
+    with pytest.raises(ssdr.InputError, match="damaged"):
+        ssdr.decompose(
+            frames(), rig().faces, resume=dataclasses.replace(state, history=history), **OPTIONS
+        )
 
 
 def test_truncated_state(tmp_path: Path) -> None:

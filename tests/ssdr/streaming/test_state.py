@@ -105,3 +105,23 @@ def test_frames_that_change_during_the_run_are_an_error() -> None:
 
     with pytest.raises(ssdr.InputError, match="stay as they are during the run"):
         ssdr.decompose(frames, bones=4, effort="fast", callback=spoil)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_the_same_numbers_from_elsewhere_are_the_same_frames(tmp_path: Path) -> None:
+    """Of another dtype, byte order or place, in other blocks, with zeros of the other sign."""
+    frames = motions.rippled().astype(np.float32)
+    frames[:, 0, 0] = 0.0
+    state = ssdr.decompose(frames, bones=4, effort="fast").state
+    np.save(tmp_path / "a.npy", frames)
+    minus = frames.astype(np.float64)
+    minus[:, 0, 0] = -0.0
+    for same in (
+        minus,
+        frames.astype(">f4"),
+        np.asfortranarray(frames),
+        np.load(tmp_path / "a.npy", mmap_mode="r"),
+        [ssdr.MeshSequence(frames[:7]), ssdr.MeshSequence(frames[7:].astype(np.float64))],
+    ):
+        again = ssdr.decompose(same, bones=4, effort="fast", resume=state)
+        assert again.skinning.n_frames == len(frames)

@@ -1,0 +1,50 @@
+"""Files that a file names: only those of its own folder are read.
+
+A model from elsewhere may name any path of the machine that reads it, and what is read may go
+on into an output.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+__all__ = ["find_inside", "is_inside"]
+
+_log = logging.getLogger(__name__)
+
+
+def is_inside(file: Path, folder: Path) -> bool:
+    """Whether a file lies in a folder or below it, wherever links lead."""
+    return file.resolve().is_relative_to(folder.resolve())
+
+
+def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
+    """The first of some names that is a file in the folder of `path`, or below it.
+
+    Warns where there is none, or only one that lies outside.
+
+    Parameters
+    ----------
+    path : Path
+        The file that names it.
+    what : str
+        What it is, for the warning.
+    spellings : iterable of str
+    """
+    names = list(spellings)
+    outside = False
+    for name in names:
+        try:
+            file = path.parent / name
+            if not file.is_file():
+                continue
+            if is_inside(file, path.parent):
+                return file
+            outside = True
+        except (OSError, ValueError, RuntimeError):  # a name that no file can have
+            continue
+    state = "lies outside its folder and is left out" if outside else "is not there"
+    _log.warning("%s: its %s %s %s", path, what, names[0][:200], state)
+    return None

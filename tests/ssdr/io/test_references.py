@@ -1,0 +1,139 @@
+"""What a file from elsewhere may make the reader open: nothing outside its folder, no device."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import pytest
+
+import ssdr
+from ssdr import FormatError, InputError
+
+PNG = b"\x89PNG\r\n\x1a\n secret"
+OBJ = "mtllib {library}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n"
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "{folder}/secret.png", "link.png", "deep/../../secret.png"]
+)
+def test_a_texture_of_an_mtl_outside_the_folder_is_left_out(name, tmp_path, caplog):
+    """It was read, and went on into what was written."""
+    (tmp_path / "secret.png").write_bytes(PNG)
+    inner = tmp_path / "model"
+    (inner / "deep").mkdir(parents=True)
+    (inner / "link.png").symlink_to(tmp_path / "secret.png")
+    (inner / "a.obj").write_text(OBJ.format(library="a.mtl"))
+    (inner / "a.mtl").write_text(f"newmtl a\nmap_Kd {name.format(folder=tmp_path)}\n")
+    assert ssdr.load(inner / "a.obj").surface.materials[0].texture is None
+    assert "lies outside its folder and is left out" in caplog.text
+    (inner / "secret.png").write_bytes(PNG)
+    texture = ssdr.load(inner / "a.obj").surface.materials[0].texture
+    assert texture == (None if name == "link.png" else PNG)  # by its name alone
+
+
+def test_a_material_library_outside_the_folder_is_left_out(tmp_path, caplog):
+    (tmp_path / "a.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    inner = tmp_path / "model"
+    inner.mkdir()
+    for library in ("../a.mtl", str(tmp_path / "a.mtl"), "n" * 300 + ".mtl", "a\0.mtl"):
+        (inner / "a.obj").write_text(OBJ.format(library=library.replace("\0", "")))
+        assert ssdr.load(inner / "a.obj").surface.materials[0].base_color[:3] == (0.8, 0.8, 0.8)
+    assert "material library ../a.mtl lies outside its folder" in caplog.text
+
+
+@pytest.mark.parametrize("kind", ["reference", "sublayer", "payload", "far reference"])
+def test_usd_layers_outside_the_folder_are_refused(kind, tmp_path):
+    pytest.importorskip("pxr.UsdSkel")
+    from pxr import Usd
+
+    secret = tmp_path / "secret.usda"
+    ssdr.save(ssdr.samples.load("dancer_small"), secret)
+    inner = tmp_path / "model"
+    inner.mkdir()
+    stage = Usd.Stage.CreateNew(str(inner / "a.usda"))
+    prim = stage.DefinePrim("/a")
+    if kind == "sublayer":
+        stage.GetRootLayer().subLayerPaths.append("../secret.usda")
+    elif kind == "payload":
+        prim.GetPayloads().AddPayload("../secret.usda")
+    elif kind == "far reference":
+        middle = Usd.Stage.CreateNew(str(inner / "b.usda"))
+        middle.SetDefaultPrim(middle.DefinePrim("/b"))
+        middle.GetDefaultPrim().GetReferences().AddReference(str(secret))
+        middle.GetRootLayer().Save()
+        prim.GetReferences().AddReference("./b.usda")
+    else:
+        prim.GetReferences().AddReference("../secret.usda")
+    stage.GetRootLayer().Save()
+    with pytest.raises(FormatError, match="lies outside its folder"):
+        ssdr.load(inner / "a.usda")
+
+
+def test_usd_layers_of_the_folder_are_read(tmp_path):
+    pytest.importorskip("pxr.UsdSkel")
+    from pxr import Usd
+
+    (tmp_path / "parts").mkdir()
+    ssdr.save(ssdr.samples.load("dancer_small"), tmp_path / "parts" / "body.usda")
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    stage.DefinePrim("/a").GetReferences().AddReference("./parts/body.usda")
+    stage.GetRootLayer().Save()
+    assert ssdr.load(tmp_path / "a.usda").n_vertices == 799
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+@pytest.mark.parametrize(
+    "suffix",
+    [
+        ".npz",
+        ".npy",
+        ".obj",
+        ".ply",
+        ".stl",
+        ".off",
+        ".pc2",
+        ".mdd",
+        ".glb",
+        ".gltf",
+        ".usda",
+        ".usdc",
+        ".abc",
+        ".fbx",
+    ],
+)
+def test_pipes_and_devices_are_refused_at_once(suffix, tmp_path):
+    """A link to an endless device was read until memory ended, a pipe for ever."""
+    pipe, link = tmp_path / f"pipe{suffix}", tmp_path / f"link{suffix}"
+    os.mkfifo(pipe)
+    link.symlink_to("/dev/zero")
+    for path in (pipe, link):
+        began = time.monotonic()
+        with pytest.raises(FormatError, match="a device, a pipe or a socket"):
+            ssdr.load(path)
+        if suffix in (".npz", ".glb", ".usda"):
+            with pytest.raises(FormatError, match="a device, a pipe or a socket"):
+                ssdr.load_skinning(path)
+        assert time.monotonic() - began < 5
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+def test_a_state_or_companion_that_is_a_pipe_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "s.npz")
+    with pytest.raises(FormatError, match="a device, a pipe or a socket"):
+        ssdr.SolverState.load(tmp_path / "s.npz")
+    ssdr.save(ssdr.samples.load("dancer_small"), tmp_path / "a.npy")
+    os.mkfifo(tmp_path / "f.npy")
+    with pytest.raises(FormatError, match="a device, a pipe or a socket"):
+        ssdr.load(tmp_path / "a.npy", faces=tmp_path / "f.npy")
+
+
+@pytest.mark.parametrize("value", ["banana", 1, 0, None, "true", [], 1.0])
+def test_an_option_that_is_true_or_false_is_nothing_else(value, tmp_path):
+    """`--read mmap=banana` was true."""
+    ssdr.save(ssdr.samples.load("dancer_small"), tmp_path / "a.npy")
+    with pytest.raises(InputError, match="mmap: expected true or false"):
+        ssdr.load(tmp_path / "a.npy", mmap=value)
+    with pytest.raises(InputError, match="unweld: expected true or false"):
+        ssdr.save(ssdr.samples.load("dancer_small"), tmp_path / "a.pc2", unweld=value)
+    assert ssdr.load(tmp_path / "a.npy", mmap=True).is_lazy
