@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
 from ..checks import LARGEST
-from ..errors import InputError, is_real, is_whole
+from ..errors import InputError, check_flag, is_real, is_whole
 from ..parallel import run_chunks
 from ..sequence import MeshSequence
 from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read, squares
@@ -149,6 +149,7 @@ def sted(
         raise InputError("window", "an odd number", window)
     _check_number("dt", dt, positive=True)
     _check_number("c", c, positive=False)
+    check_flag(signed, "signed")
     with squares():
         scale = _normaliser(first, normaliser)
         check_finite(first, second, scale)

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, is_whole
 from ..io.atomic import atomic_path
 from ..sequence import MeshSequence
 from .palette import heat, srgb_from_linear
@@ -377,10 +377,12 @@ def _spread(frames: int | Sequence[int], n_frames: int) -> list[int]:
 
 
 def _check_picture(size: tuple[int, int], supersample: int) -> None:
-    if len(size) != 2 or not all(_SIZES[0] <= n <= _SIZES[1] for n in size):
-        raise InputError("size", f"width and height of {_SIZES[0]} to {_SIZES[1]} pixels", size)
-    if supersample not in (1, 2, 3, 4):
-        raise InputError("supersample", "1, 2, 3 or 4", supersample)
+    pair = isinstance(size, (tuple, list, np.ndarray)) and len(size) == 2
+    if not pair or not all(is_whole(n) and _SIZES[0] <= n <= _SIZES[1] for n in size):
+        expected = f"width and height of {_SIZES[0]} to {_SIZES[1]} pixels"
+        raise InputError("size", expected, repr(size))
+    if not is_whole(supersample) or supersample not in (1, 2, 3, 4):
+        raise InputError("supersample", "1, 2, 3 or 4", repr(supersample))
 
 
 def _rounded(size: tuple[int, int], radius: int) -> Image.Image:
