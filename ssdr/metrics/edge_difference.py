@@ -278,7 +278,7 @@ def _bounds(count: int, step: int) -> list[tuple[int, int]]:
 
 
 def _check_number(argument: str, value: object, *, positive: bool) -> None:
-    if is_real(value) and (value > 0 if positive else value >= 0) and value < LARGEST:
+    if is_real(value) and 0 <= float(value) < LARGEST and (value > 0 or not positive):
         return
     expected = f"a number {'> 0' if positive else '>= 0'}, less than {LARGEST:g}"
     raise InputError(argument, expected, repr(value))
