@@ -125,6 +125,13 @@ def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
         return False
 
 
+def check_flag(value: object, argument: str) -> bool:
+    """True or False, and nothing that only counts as one of them."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(argument, "True or False", repr(value))
+    return bool(value)
+
+
 def check_choice(value: object, argument: str, choices: Any) -> None:
     """Whether it is one of the strings of a ``Literal``."""
     if not isinstance(value, str) or value not in get_args(choices):

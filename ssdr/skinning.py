@@ -329,7 +329,10 @@ def skin(
     for name, array in (("rest", p), ("weights", w), ("transforms", m)):
         if array.dtype.kind not in "fiu":
             raise InputError(name, "real numbers", f"dtype {array.dtype}")
-    kind = np.result_type(p, w, m) if dtype is None else np.dtype(dtype)
+    try:
+        kind = np.result_type(p, w, m) if dtype is None else np.dtype(dtype)
+    except (TypeError, ValueError) as error:
+        raise InputError("dtype", "float32, float64 or None", repr(dtype)) from error
     if kind not in (np.dtype(np.float32), np.dtype(np.float64)):
         kind = np.dtype(np.float64)
     p, w, m = (np.ascontiguousarray(a, dtype=kind) for a in (p, w, m))

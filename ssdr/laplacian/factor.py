@@ -64,7 +64,7 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> Factor:
     ----------
     Chen et al., "Algorithm 887: CHOLMOD", 2008.
     """
-    if backend is not None and backend not in get_args(Backend):
+    if backend is not None and not (isinstance(backend, str) and backend in get_args(Backend)):
         raise InputError("backend", f"one of {get_args(Backend)} or None", repr(backend))
     system = csc_matrix(matrix)
     if backend != "scipy":

@@ -248,6 +248,6 @@ def _check_mesh(
 
 
 def _check_count(n_vertices: int) -> int:
-    if not is_whole(n_vertices) or n_vertices < 1:
-        raise InputError("n_vertices", "an integer >= 1", repr(n_vertices))
+    if not is_whole(n_vertices) or not 1 <= n_vertices <= np.iinfo(np.int32).max:
+        raise InputError("n_vertices", "an integer from 1 to 2**31 - 1", repr(n_vertices))
     return int(n_vertices)

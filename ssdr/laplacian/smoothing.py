@@ -113,7 +113,7 @@ class LaplacianSmoother:
     ) -> None:
         points, triangles = _check_mesh(vertices, faces)
         check_choice(kind, "kind", LaplacianKind)
-        if not (is_real(length) and 0 <= length < LARGEST):
+        if not (is_real(length) and 0 <= float(length) < LARGEST):
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
         self.length = float(length)
         self.kind: LaplacianKind = kind

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import InputError, check_flag
 from .edge_difference import Sted
 from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
@@ -18,6 +20,8 @@ from .inputs import Frames, as_pair
 from .vertex_distances import Distances, distances
 
 __all__ = ["Comparison", "compare"]
+
+_NAMED = inspect.Parameter.KEYWORD_ONLY
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,6 +163,19 @@ def compare(
     (3.0, 3.0)
     """
     first, second = as_pair(reference, other, faces)
+    check_flag(hausdorff, "hausdorff")
+    check_flag(sted, "sted")
+    for name, function, options in (
+        ("hausdorff_options", _hausdorff, hausdorff_options),
+        ("sted_options", _sted, sted_options),
+    ):
+        known = [
+            p.name for p in inspect.signature(function).parameters.values() if p.kind is _NAMED
+        ]
+        if options is not None and not (
+            isinstance(options, Mapping) and set(options) <= set(known)
+        ):
+            raise InputError(name, f"a mapping of {', '.join(known)}", repr(options))
     return Comparison(
         n_frames=first.n_frames,
         n_vertices=first.n_vertices,

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
 from ..checks import LARGEST
-from ..errors import InputError, is_real, is_whole
+from ..errors import InputError, check_flag, is_real, is_whole
 from ..parallel import run_chunks
 from ..sequence import MeshSequence
 from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read, squares
@@ -149,6 +149,7 @@ def sted(
         raise InputError("window", "an odd number", window)
     _check_number("dt", dt, positive=True)
     _check_number("c", c, positive=False)
+    check_flag(signed, "signed")
     with squares():
         scale = _normaliser(first, normaliser)
         check_finite(first, second, scale)
@@ -277,7 +278,7 @@ def _bounds(count: int, step: int) -> list[tuple[int, int]]:
 
 
 def _check_number(argument: str, value: object, *, positive: bool) -> None:
-    if is_real(value) and (value > 0 if positive else value >= 0) and value < LARGEST:
+    if is_real(value) and 0 <= float(value) < LARGEST and (value > 0 or not positive):
         return
     expected = f"a number {'> 0' if positive else '>= 0'}, less than {LARGEST:g}"
     raise InputError(argument, expected, repr(value))

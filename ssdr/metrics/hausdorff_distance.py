@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..errors import InputError, is_whole
+from ..errors import InputError, check_flag, is_whole
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
@@ -132,6 +132,7 @@ def hausdorff(
         first = as_sequence(first, second.faces, "reference")
     if not is_whole(subdivisions) or subdivisions < 1:
         raise InputError("subdivisions", "an integer >= 1", repr(subdivisions))
+    check_flag(surface, "surface")
     bounds = chunk_bounds(first.n_frames, _FRAMES)
     vertex = np.empty(first.n_frames)
 

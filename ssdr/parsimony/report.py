@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..skinning import Skinning
 
 __all__ = [
@@ -165,6 +166,11 @@ def size(skinning: Skinning) -> Size:
     -------
     Size
 
+    Raises
+    ------
+    InputError
+        If it is no Skinning.
+
     Examples
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
@@ -172,6 +178,8 @@ def size(skinning: Skinning) -> Size:
     >>> size.rest == 12 * 799, size.joints == 12 * 4
     (True, True)
     """
+    if not isinstance(skinning, Skinning):
+        raise InputError("skinning", "a Skinning", type(skinning).__name__)
     frames, bones = skinning.transforms.shape[:2]
     keys = np.full(bones, frames)
     if skinning.keyframes is not None:

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ..errors import InputError
+from ..errors import InputError, is_whole
 from .palette import heat, srgb_from_linear
 from .scene import Scene, Style
 
@@ -80,10 +80,12 @@ def spread(frames: int | Sequence[int], n_frames: int) -> list[int]:
 
 
 def check_picture(size: tuple[int, int], supersample: int) -> None:
-    if len(size) != 2 or not all(_SIZES[0] <= n <= _SIZES[1] for n in size):
-        raise InputError("size", f"width and height of {_SIZES[0]} to {_SIZES[1]} pixels", size)
-    if supersample not in (1, 2, 3, 4):
-        raise InputError("supersample", "1, 2, 3 or 4", supersample)
+    pair = isinstance(size, (tuple, list, np.ndarray)) and len(size) == 2
+    if not pair or not all(is_whole(n) and _SIZES[0] <= n <= _SIZES[1] for n in size):
+        expected = f"width and height of {_SIZES[0]} to {_SIZES[1]} pixels"
+        raise InputError("size", expected, repr(size))
+    if not is_whole(supersample) or supersample not in (1, 2, 3, 4):
+        raise InputError("supersample", "1, 2, 3 or 4", repr(supersample))
 
 
 def rounded(size: tuple[int, int], radius: int) -> Image.Image:

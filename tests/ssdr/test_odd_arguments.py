@@ -10,9 +10,15 @@ import pytest
 
 import ssdr
 from ssdr import InputError
+from ssdr.render import render_frame
 
 ODD = [None, "x", b"x", [], {}, set(), 1j, True, -1, float("nan"), float("inf"), object(),
        np.array([1, 2]), np.array("a"), np.datetime64("2020"), np.ma.masked, Ellipsis]  # fmt: skip
+
+
+def named(value: Any) -> str:
+    """A name that is the same in every process, which an object's address is not."""
+    return "an object" if type(value) is object else repr(value)
 
 
 def small() -> tuple[np.ndarray, np.ndarray]:
@@ -20,19 +26,19 @@ def small() -> tuple[np.ndarray, np.ndarray]:
     return frames, np.array([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
 
 
-@pytest.mark.parametrize("odd", ODD, ids=repr)
+@pytest.mark.parametrize("odd", ODD, ids=named)
 def test_a_tolerance_of_welding_is_a_number(odd: Any) -> None:
     with pytest.raises(InputError, match="tolerance: expected a number >= 0"):
         ssdr.MeshSequence(*small()).weld(odd)
 
 
-@pytest.mark.parametrize("odd", [o for o in ODD if o is not None], ids=repr)
+@pytest.mark.parametrize("odd", [o for o in ODD if o is not None], ids=named)
 def test_a_number_of_threads_is_an_integer(odd: Any) -> None:
     with pytest.raises(InputError, match="count: expected"):
         ssdr.set_threads(odd)
 
 
-@pytest.mark.parametrize("odd", [o for o in ODD if o is not None], ids=repr)
+@pytest.mark.parametrize("odd", [o for o in ODD if o is not None], ids=named)
 def test_a_surface_and_names_are_of_their_kind(odd: Any) -> None:
     frames, faces = small()
     with pytest.raises(InputError, match="surface: expected a Surface"):
@@ -80,3 +86,39 @@ def test_a_rate_whose_times_are_no_numbers_is_refused(name: str, tmp_path: Any) 
     with pytest.raises(InputError, match="fps: expected"):
         ssdr.save(model, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("odd", [o for o in ODD if o is not True], ids=named)
+def test_flags_options_and_kinds_of_the_measures(odd: Any) -> None:
+    """Any text counted as true; the rest was NumPy's or Python's error."""
+    frames, faces = small()
+    for name in ("hausdorff", "sted"):
+        with pytest.raises(InputError, match=f"{name}: expected True or False"):
+            ssdr.metrics.compare(frames, frames, faces, **{name: odd})
+        if odd is not None and not isinstance(odd, dict):
+            with pytest.raises(InputError, match=f"{name}_options: expected a mapping"):
+                ssdr.metrics.compare(frames, frames, faces, **{f"{name}_options": odd})
+    with pytest.raises(InputError, match="surface: expected True or False"):
+        ssdr.metrics.hausdorff(frames, frames, faces, surface=odd)
+    with pytest.raises(InputError, match="signed: expected True or False"):
+        ssdr.metrics.sted(frames, frames, faces, signed=odd)
+    if odd is not None:
+        with pytest.raises(InputError, match="backend: expected"):
+            ssdr.laplacian.implicit_smooth(frames, frames[0], faces, length=0.1, backend=odd)
+    with pytest.raises(InputError, match="skinning: expected a Skinning"):
+        ssdr.parsimony.size(odd)
+
+
+def test_other_odd_arguments() -> None:
+    frames, faces = small()
+    model = ssdr.initialize(frames, bones=2)
+    for call in (
+        lambda: ssdr.metrics.compare(frames, frames, faces, sted_options={"windoww": 3}),
+        lambda: ssdr.laplacian.uniform_laplacian(faces, 10**30),
+        lambda: ssdr.skin(model.rest, model.joints, model.weights, model.transforms, dtype="x"),
+        lambda: render_frame(ssdr.MeshSequence(frames, faces), size=None),
+        lambda: render_frame(ssdr.MeshSequence(frames, faces), size=(64, 64.5)),
+        lambda: render_frame(ssdr.MeshSequence(frames, faces), supersample=np.array([1, 2])),
+    ):
+        with pytest.raises(InputError, match="expected"):
+            call()
