@@ -7,7 +7,7 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,24 +92,27 @@ def _folders(path: Path) -> list[Path]:
     return folders
 
 
-def rescue(error: Exception, state: Any, path: Path, output: Output) -> None:
-    """Keep what was computed when it could not be written, and say where it is."""
+def rescue(error: Exception, state: Any, path: Path, output: Output, files: Iterable[Path]) -> None:
+    """Keep what was computed when it could not be written, and say where it is.
+
+    `files` are those that the command writes.
+    """
     try:
         place = save_somewhere(state, path)
     except Exception as second:
         sys.stderr.write(f"ssdr: the result is lost: {error_text(second)}\n")
         return
-    command = _command(output, place)
+    command = _command(output, place, [*files, path])
     details = {"state": str(place), "resume": command}
     with contextlib.suppress(AttributeError):
         error.details = details  # type: ignore[attr-defined]
     sys.stderr.write(f"ssdr: the result is kept in {place}; write it with: {command}\n")
 
 
-def interrupted(result: Any, path: Path, output: Output) -> Interrupted:
+def interrupted(result: Any, path: Path, output: Output, files: Iterable[Path]) -> Interrupted:
     """The error that ends an interrupted run, once its state is saved."""
     place = save_somewhere(result.state, path)
-    command = _command(output, place)
+    command = _command(output, place, [*files, path])
     return Interrupted(
         f"interrupted at RMSE {result.rmse:.4g}; go on with: {command}",
         state=str(place),
@@ -118,8 +121,11 @@ def interrupted(result: Any, path: Path, output: Output) -> Interrupted:
     )
 
 
-def _command(output: Output, state: Path) -> str:
+def _command(output: Output, state: Path, files: Iterable[Path]) -> str:
     again = [*_without(output.arguments, "--resume"), "--resume", str(state)]
+    # what this run has written already is in the way of the next
+    if any(os.path.lexists(f) for f in files if f != state) and "--force" not in again:
+        again.append("--force")
     return shlex.join(["ssdr", *again])
 
 

@@ -208,3 +208,20 @@ def test_a_folder_that_goes_during_the_work_sends_the_state_elsewhere(
     assert code == 2
     assert (working / "a.state.npz").read_bytes() == b"3 steps"
     assert f"the result is kept in {working / 'a.state.npz'}" in err
+
+
+def test_the_command_that_goes_on_is_not_refused(saved, run, clip, folders, monkeypatch):
+    """What was written before the disk was full is in its way."""
+    full, working, *_ = folders
+    fill(full, monkeypatch)
+    good, state = working / "good.npz", working / "good.state.npz"
+    code, _, err = run("decompose", clip, "-b", 2, "-o", good, "-o", full / "a.npz", "-q")
+    assert code == 1
+    assert good.exists()
+    command = shlex.split(err.splitlines()[0].partition("write it with: ")[2])
+    assert command[-3:] == ["--resume", str(state), "--force"]
+    monkeypatch.undo()
+    monkeypatch.setitem(vars(ssdr), "decompose", fake_decompose)
+    monkeypatch.setitem(vars(ssdr), "SolverState", SimpleNamespace(load=lambda _: FakeState(3)))
+    assert run(*command[1:])[0] == 0
+    assert (full / "a.npz").exists()
