@@ -244,9 +244,9 @@ def decompose(
             )
         except Cancelled as error:
             raise Interrupted("interrupted before there was a model to save") from error
-    files = [*outputs, *([picture] if picture is not None else [])]
+    written = [*outputs, *([picture] if picture is not None else [])]
     if result.stop_reason == "cancelled":
-        raise interrupted(result, state_path, output, files)
+        raise interrupted(result, state_path, output, written)
     solving = time.perf_counter() - began - loading
 
     reports = []
@@ -261,10 +261,10 @@ def decompose(
             )
             write_picture(sheet, picture)
     except KeyboardInterrupt:
-        raise interrupted(result, state_path, output, files) from None
+        raise interrupted(result, state_path, output, written) from None
     except Exception as error:
         # What was computed must survive a full disk or a format's limits.
-        rescue(error, result.state, state_path, output, files)
+        rescue(error, result.state, state_path, output, written)
         raise
 
     diagonal = max(shot.diagonal() for shot in shots)
