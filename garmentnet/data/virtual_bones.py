@@ -8,6 +8,7 @@ store, one clip at a time, so that an interrupted run continues and nothing is c
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import io
 import json
@@ -72,19 +73,26 @@ class ClipBones:
     ----------
     low, high : (F, V, 3) float32, in world coordinates
         Memory maps of the clip that is not mirrored; see :meth:`read`.
-    transforms : (F, B, 3, 4) float32
-        Of the virtual bones, fitted to `low`; likewise not mirrored.
-    rmse : float
-        Of LBS against `low`, metres.
+    fit : callable
+        Gives `transforms` and `rmse`, at the first call by fitting: losses need neither.
     permutation : (V,) int32 or None
         The vertex on the other side of each: :meth:`read` reflects the clip.
     """
 
     low: NDArray[np.float32]
     high: NDArray[np.float32]
-    transforms: NDArray[np.float32]
-    rmse: float
+    fit: Callable[[], tuple[NDArray[np.float32], float]]
     permutation: NDArray[np.int32] | None = None
+
+    @property
+    def transforms(self) -> NDArray[np.float32]:
+        """Of the virtual bones ``(F, B, 3, 4)``, fitted to `low`; likewise not mirrored."""
+        return self.fit()[0]
+
+    @property
+    def rmse(self) -> float:
+        """Of LBS against `low`, metres."""
+        return self.fit()[1]
 
     def read(self, part: str, frames: Any = slice(None)) -> NDArray[np.float32]:
         """Frames of "low" or "high" in memory, reflected if the clip is mirrored."""
@@ -140,41 +148,54 @@ class VirtualBones:
         """
         clip = self.store.clip(name)
         original = clip if not clip.is_mirrored else self.store.clip(str(clip.mirrored_of))
-        base = self.folder / "clips"
-        files = {k: base / f"{original.name}.{k}.npy" for k in ("low", "high", "transforms")}
+        base, v = self.folder / "clips", self.store.n_vertices
+        files = {k: base / f"{original.name}.{k}.npy" for k in ("low", "high")}
         statement = base / f"{original.name}.json"
         if not all(f.is_file() for f in (*files.values(), statement)):
-            self._make(original, files)
-        v, b = self.store.n_vertices, self.skinning.n_bones
-        shapes = {"low": (v, 3), "high": (v, 3), "transforms": (b, 3, 4)}
-        record = self._record(original.name)
-        arrays = {
-            k: map_array(f, (original.n_frames, *shapes[k]), record.get("checksums", {}).get(k))
+            self._split(original, files, statement)
+        record = self._record(statement, original.name, "high_rms")
+        parts = {
+            k: map_array(f, (original.n_frames, v, 3), record.get("checksums", {}).get(k))
             for k, f in files.items()
         }
         return ClipBones(
-            **arrays,
-            rmse=record["rmse"],
+            **parts,
+            fit=functools.partial(self._fitted, original),
             permutation=self.store.mirror_vertices if clip.is_mirrored else None,
         )
 
-    def _record(self, name: str) -> dict[str, Any]:
-        record = _document(self.folder / "clips" / f"{name}.json", ("rmse", "high_rms"))
-        if record.get("source", "") not in ("", _digest(self.store, [name])):
+    def _fitted(self, clip: Clip) -> tuple[NDArray[np.float32], float]:
+        base = self.folder / "clips"
+        file, statement = base / f"{clip.name}.transforms.npy", base / f"{clip.name}.fit.json"
+        if not (file.is_file() and statement.is_file()):
+            self._fit(clip, file, statement)
+        record = self._record(statement, clip.name, "rmse")
+        shape = (clip.n_frames, self.skinning.n_bones, 3, 4)
+        transforms = map_array(file, shape, record.get("checksums", {}).get("transforms"))
+        return transforms, float(record["rmse"])
+
+    def _record(self, statement: Path, clip: str, number: str) -> dict[str, Any]:
+        record = _document(statement, (number,))
+        if record.get("source", "") not in ("", _digest(self.store, [clip])):
             raise InputError(
                 "store",
-                f"the clip {name} that its bones were fitted to (remove {self.folder} to fit them "
+                f"the clip {clip} that its bones were fitted to (remove {self.folder} to fit them "
                 "again)",
                 "another of that name",
             )
         return record
 
-    def _make(self, clip: Clip, files: dict[str, Path]) -> None:
+    def _split(self, clip: Clip, files: dict[str, Path], statement: Path) -> None:
         vertices = np.asarray(clip.sequence.frames(slice(None)), np.float32)
         low = np.asarray(self.smoother().smooth(vertices), np.float32)
+        high = vertices - low
+        sums = {k: _write_array(files[k], x) for k, x in (("low", low), ("high", high))}
+        self._state(statement, clip, {"high_rms": _rms(high), "checksums": sums})
+
+    def _fit(self, clip: Clip, file: Path, statement: Path) -> None:
         s = self.skinning
         fit = ssdr.fit_bones(
-            low,
+            np.asarray(self.clip(clip.name).low),
             self.store.faces,
             rest=s.rest,
             joints=s.joints,
@@ -183,40 +204,44 @@ class VirtualBones:
             tolerance=_TOLERANCE,
             max_sweeps=_SWEEPS,
         )
-        parts = {"low": low, "high": vertices - low, "transforms": fit.transforms}
-        record: dict[str, Any] = {
-            "rmse": fit.rmse,
-            "high_rms": _rms(parts["high"]),
-            "source": _digest(self.store, [clip.name]),
-            "checksums": {},
-        }
-        for key, values in parts.items():
-            packed = io.BytesIO()
-            np.save(packed, np.asarray(values, np.float32), allow_pickle=False)
-            record["checksums"][key] = zlib.crc32(packed.getbuffer())
-            write_file(files[key], packed.getvalue())
-        write_file(self.folder / "clips" / f"{clip.name}.json", json.dumps(record).encode())
+        sums = {"transforms": _write_array(file, np.asarray(fit.transforms, np.float32))}
+        self._state(statement, clip, {"rmse": fit.rmse, "checksums": sums})
 
-    def prepare(self, names: Sequence[str], progress: Progress | None = None) -> dict[str, Any]:
+    def _state(self, statement: Path, clip: Clip, record: dict[str, Any]) -> None:
+        record["source"] = _digest(self.store, [clip.name])
+        write_file(statement, json.dumps(record).encode())
+
+    def prepare(
+        self, names: Sequence[str], progress: Progress | None = None, *, fit: bool = False
+    ) -> dict[str, Any]:
         """Compute the parts of the named clips where they are missing.
+
+        Parameters
+        ----------
+        names : sequence of str
+        progress : callable, optional
+        fit : bool
+            Whether the bones are fitted, too, which takes much longer than the split.
 
         Returns
         -------
         dict
-            Pooled over them: ``high_rms`` and ``rmse`` of the bones, metres, and
-            the number of ``frames``.
+            Pooled over them: ``high_rms``, with `fit` the bones' ``rmse``, metres, and the number
+            of ``frames``.
         """
-        squares = {"rmse": 0.0, "high_rms": 0.0}
+        squares = {"high_rms": 0.0} | ({"rmse": 0.0} if fit else {})
         frames = 0
         for k, name in enumerate(names):
             plain = name.removesuffix(MIRRORED)
-            count = self.clip(plain).low.shape[0]
-            record = self._record(plain)
+            parts = self.clip(plain)
+            count = len(parts.low)
             frames += count
-            for key in squares:
-                squares[key] += count * float(record[key]) ** 2
+            record = self._record(self.folder / "clips" / f"{plain}.json", plain, "high_rms")
+            squares["high_rms"] += count * float(record["high_rms"]) ** 2
+            if fit:
+                squares["rmse"] += count * parts.rmse**2
             if progress:
-                progress("refitting the bones", (k + 1) / len(names))
+                progress("splitting the clips", (k + 1) / len(names))
         return {"frames": frames} | {
             key: float(np.sqrt(total / max(frames, 1))) for key, total in squares.items()
         }
@@ -353,6 +378,14 @@ def _decompose(
     }
     _logger.info("%d bones, RMSE %.3g m on %d frames", s.n_bones, result.rmse, len(frames))
     return skinning, report
+
+
+def _write_array(file: Path, values: NDArray[np.float32]) -> int:
+    """Write a ``.npy`` file; its CRC-32."""
+    packed = io.BytesIO()
+    np.save(packed, values, allow_pickle=False)
+    write_file(file, packed.getvalue())
+    return zlib.crc32(packed.getbuffer())
 
 
 def _rms(x: NDArray[np.floating]) -> float:

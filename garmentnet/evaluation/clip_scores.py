@@ -16,18 +16,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
 from ssdr.metrics import hausdorff, sted
 
+from ..collision.push_out import PushOut
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.subject import mesh_identity
 from ..data.virtual_bones import VirtualBones
 from ..io.tables import from_table
-from ..networks.losses import BodyShape, collision_depth
 
 __all__ = [
     "PARTS",
@@ -43,6 +42,8 @@ __all__ = [
     "Scorer",
 ]
 
+# Metres below the skin from which a vertex counts as inside, as for simulated clips.
+INSIDE = 5e-4
 # Frames that are compared at once.
 _FRAMES_AT_ONCE = 64
 _MM = 1e3  # from metres to millimetres
@@ -103,7 +104,7 @@ class Parts:
 
 @dataclasses.dataclass(frozen=True)
 class Inside:
-    """Vertices inside the body, counted over frames.
+    """Vertices more than half a millimetre inside the body, counted over frames.
 
     Attributes
     ----------
@@ -259,7 +260,7 @@ class Scorer:
     def __init__(self, bones: VirtualBones) -> None:
         store = bones.store
         self.bones = bones
-        self.body = BodyShape(store.body)
+        self.skin = PushOut(store.body, store.faces, n_vertices=store.n_vertices)
         self.surfaces = {"all": _Surface(slice(None), slice(None), store.faces)}
         self.free = ~np.asarray(store.pinned, bool)
         if not self.free.all():
@@ -342,16 +343,14 @@ class Scorer:
 
     def _penetration(self, clip: Clip, vertices: Array) -> tuple[Inside, Inside]:
         counts, sums, deepest = np.zeros(2, int), np.zeros(2), np.zeros(2)
-        with torch.no_grad():
-            for i in range(0, len(vertices), _FRAMES_AT_ONCE):
-                part = slice(i, i + _FRAMES_AT_ONCE)
-                joints = torch.from_numpy(np.asarray(clip.joints[part], np.float32))
-                body, normals = self.body(joints)
-                depth = collision_depth(torch.from_numpy(vertices[part]), body, normals)
-                for k, d in enumerate((depth, depth[:, torch.from_numpy(self.free)])):
-                    counts[k] += int((d > 0).sum())
-                    sums[k] += float(d.double().sum())
-                    deepest[k] = max(deepest[k], float(d.max()))
+        for i in range(0, len(vertices), _FRAMES_AT_ONCE):
+            part = slice(i, i + _FRAMES_AT_ONCE)
+            depth = -self.skin.signed_distance(vertices[part], clip.joints[part])
+            depth = np.where(depth > INSIDE, depth, 0.0)
+            for k, d in enumerate((depth, depth[:, self.free])):
+                counts[k] += int((d > 0).sum())
+                sums[k] += float(d.sum())
+                deepest[k] = max(deepest[k], float(d.max()))
         whole, free = (Inside(int(counts[k]), _MM * sums[k], _MM * deepest[k]) for k in (0, 1))
         return whole, free
 

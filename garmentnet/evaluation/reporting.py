@@ -141,7 +141,7 @@ def report(
     document: dict[str, Any] = {
         "parameters": dataclasses.asdict(base),
         "vertices": {"all": store.n_vertices, "free": n_free},
-        "bones": bones.report | {"test": bones.prepare(chosen["unseen_motions"])},
+        "bones": bones.report | {"test": bones.prepare(chosen["unseen_motions"], fit=True)},
     }
     lines: list[str] = [
         f"{name} is no test clip, but of the split {store.clip(name).split}"

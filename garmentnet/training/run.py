@@ -35,6 +35,9 @@ from .objectives import HighFrequencyObjective, LowFrequencyObjective
 
 __all__ = ["build_network", "choose_clips", "train"]
 
+# Frames from which the statistics of the bones' motion are found, about.
+_STATISTICS = 4000
+
 
 def choose_clips(
     store: ClipStore, config: Config, split: str = "train", *, needed: bool = True
@@ -106,10 +109,15 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
     subject = bones.subject
     features = PoseFeatures(subject.skeleton, config.features, subject.fps)
     inputs, transforms = [], []
+    plain = [n for n in names if not n.endswith(MIRRORED)]
+    length = sum(bones.store.clip(n).n_frames for n in plain)
+    # Evenly spread clips are enough for the mean and deviation of the bones' motion.
+    every = max(1, round(length / _STATISTICS))
+    chosen = set(plain[::every])
     for name in names:
         x, frame, _ = features(bones.store.clip(name).joints)
         inputs.append(x)
-        if not name.endswith(MIRRORED):
+        if name in chosen:
             transforms.append(transforms_in_frame(bones.clip(name).transforms, frame))
     o = config.features
     normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)

@@ -26,7 +26,7 @@ def copy(toy_store, toy_bones, tmp_path):
         shutil.copy(toy_bones.folder / name, home)
     bones = virtual_bones(store, toy_bones.options)
     assert bones.folder == home
-    bones.clip(NAME)
+    bones.clip(NAME).fit()
     return bones
 
 
@@ -42,7 +42,7 @@ def test_parts_add_up_and_are_kept(copy):
     )
     files = sorted((copy.folder / "clips").iterdir())
     before = [f.stat().st_mtime_ns for f in files]
-    again(copy).clip(NAME)
+    again(copy).clip(NAME).fit()
     assert [f.stat().st_mtime_ns for f in files] == before
 
 
@@ -53,17 +53,28 @@ def test_a_flipped_bit_is_found(copy, part):
     data[-5] ^= 1
     file.write_bytes(data)
     with pytest.raises(FormatError, match=rf"{NAME}\.{part}\.npy.*checksum"):
-        again(copy).clip(NAME)
+        again(copy).clip(NAME).fit()
     file.unlink()
-    again(copy).clip(NAME)
+    again(copy).clip(NAME).fit()
 
 
-@pytest.mark.parametrize("file", [f"clips/{NAME}.json", "bones.json"])
-@pytest.mark.parametrize("text", ["{", "[]", '{"rmse": "x"}'])
+def test_bones_are_fitted_when_they_are_asked_for(copy):
+    name = next(n for n in copy.store.names() if n != NAME)
+    fit = copy.folder / "clips" / f"{name}.fit.json"
+    parts = copy.clip(name)
+    assert copy.prepare([name]).keys() == {"frames", "high_rms"}
+    assert not fit.is_file()
+    assert parts.transforms.shape == (len(parts.low), copy.skinning.n_bones, 3, 4)
+    assert fit.is_file()
+    assert copy.prepare([name], fit=True)["rmse"] == pytest.approx(parts.rmse)
+
+
+@pytest.mark.parametrize("file", [f"clips/{NAME}.json", f"clips/{NAME}.fit.json", "bones.json"])
+@pytest.mark.parametrize("text", ["{", "[]", '{"rmse": "x", "high_rms": "x"}'])
 def test_a_damaged_statement_is_named(copy, file, text):
     (copy.folder / file).write_text(text)
     with pytest.raises(FormatError, match=r"\.json"):
-        again(copy).clip(NAME)
+        again(copy).clip(NAME).fit()
 
 
 def test_bones_of_other_clips_of_the_same_name(copy):

@@ -7,6 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+import ssdr
 from garmentnet.evaluation.clip_scores import ClipScore
 from garmentnet.evaluation.score_cache import ScoreCache
 from garmentnet.evaluation.scores import (
@@ -77,7 +78,13 @@ def test_bones_are_a_bound(toy_bones, toy_network):
     methods = {"bones": bones_themselves(toy_bones), "network": network_method(toy_network)}
     bones, network = evaluate(toy_bones, methods, [CLIP])
     assert bones.high.rmse < 1e-3
-    assert np.isclose(bones.low.rmse, 1e3 * toy_bones.clip(CLIP).rmse, rtol=1e-3)
+    # What the body carries is exact; the others are where the fitted bones put them.
+    s, fitted = toy_bones.skinning, toy_bones.clip(CLIP)
+    gap = ssdr.skin(s.rest, s.joints, s.weights, fitted.transforms) - fitted.read("low")
+    whole = np.sqrt((gap.astype(float) ** 2).sum(-1).mean())
+    assert np.isclose(whole, fitted.rmse, rtol=1e-3)
+    gap[:, toy_bones.bound.index] = 0
+    assert np.isclose(bones.low.rmse, 1e3 * np.sqrt((gap**2).sum(-1).mean()), rtol=1e-3)
     assert bones.overall.rmse < 0.5 * network.overall.rmse
 
 
