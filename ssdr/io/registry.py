@@ -54,6 +54,8 @@ class SaveReport:
         interpolates.
     note : str
         What else the user should know, in a sentence.
+    lost : tuple of str
+        What the file that was a template holds and the new one does not.
 
     Examples
     --------
@@ -71,6 +73,7 @@ class SaveReport:
     max_error: float | None = None
     between_frames: float | None = None
     note: str = ""
+    lost: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
