@@ -44,6 +44,8 @@ class Template:
         What the model replaces, with the first of its vertices.
     spread : (V0,) int array
         The model's vertex of each vertex that was read.
+    clip_names : dict
+        What the file's clips are called in the model, where that differs.
     lost, notes : list of str
         What cannot be kept, and what else the user should know.
     """
@@ -54,6 +56,7 @@ class Template:
     parts: list[Part]
     builder: Builder
     spread: NDArray[np.integer]
+    clip_names: dict[str, str] = dataclasses.field(default_factory=dict)
     lost: list[str] = dataclasses.field(default_factory=list)
     notes: list[str] = dataclasses.field(default_factory=list)
 
@@ -219,7 +222,7 @@ class Template:
         """Number and first time in seconds of the file's clip of that name."""
         if not self.document.items("animations"):
             return None
-        names = names_of_clips(self.document)
+        names = [self.clip_names.get(n, n) for n in names_of_clips(self.document)]
         if clip not in names:
             return None
         number = names.index(clip)

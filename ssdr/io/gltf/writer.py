@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ def write_skinning(
     name: str | None = None,
     template: str | os.PathLike[str] | None = None,
     meshes: str | Sequence[str] | None = None,
+    clip_names: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> SaveReport:
     """Write ``.glb``, or ``.gltf`` with a ``.bin`` of the same name beside it.
@@ -60,6 +61,8 @@ def write_skinning(
         and their animation.  Morph targets of the model's meshes are baked.
     meshes : str or several of them, optional
         The meshes of the template that the model is, as in :func:`read`.
+    clip_names : mapping of str to str, optional
+        What clips of the template are called in the model, where that differs.
     strict : bool
         Refuse, rather than report, what of the template cannot be kept.
 
@@ -96,6 +99,7 @@ def write_skinning(
         if up != "y":
             raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
         old = open_template(Path(template), skinning, meshes)
+        old.clip_names.update(clip_names or {})
         _put(old, rig, joints, stored, title)
         lost, notes = old.lost, old.notes
         if lost and strict:
@@ -171,6 +175,8 @@ def _put(
             continue
         found.add(place[0])
         theirs = json["animations"][place[0]]
+        if old.clip_names:
+            theirs["name"] = clip.name
         offset = len(theirs["samplers"])
         theirs["samplers"] += made["samplers"]
         theirs["channels"] += [{**c, "sampler": c["sampler"] + offset} for c in made["channels"]]
