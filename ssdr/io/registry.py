@@ -115,6 +115,9 @@ _USD = Format(
     read_skinning="read_skinning",
     write_skinning="write_skinning",
     list_clips="list_clips",
+    copy="copy",
+    left_out="left_out",
+    template_problem="template_problem",
     extra="usd",
 )
 
