@@ -9,6 +9,7 @@ import typer
 
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from .assets import of_one_format, options_with_template
 from .output import (
     Force,
     Fps,
@@ -16,15 +17,15 @@ from .output import (
     Output,
     Quiet,
     ReadOptions,
+    Strict,
     Verbose,
     Weld,
     WriteOptions,
     check_outputs,
     saved_document,
     saved_line,
-    write_options,
 )
-from .reading import ClipNames, clips_document, one_clip, options_for, read_model
+from .reading import ClipNames, clips_document, clips_text, one_clip, options_for, read_model
 
 
 def convert(
@@ -38,6 +39,7 @@ def convert(
     fps: Fps = None,
     read: ReadOptions = None,
     write: WriteOptions = None,
+    strict: Strict = False,
     force: Force = False,
     json: JsonFlag = False,
     quiet: Quiet = False,
@@ -45,7 +47,8 @@ def convert(
 ) -> None:
     """Turn one format into another; a skinning stays one where the format has room for it.
 
-    It keeps all clips unless --clip names some; vertices are those of one clip.
+    It keeps all clips unless --clip names some; vertices are those of one clip.  From glTF to
+    glTF and from USD to USD, without other options, the whole file passes through.
     """
     output = Output.start(json=json, quiet=quiet, verbose=verbose)
     import ssdr
@@ -53,11 +56,29 @@ def convert(
     (options,) = options_for([source], read, fps=fps, weld=weld)
     # A sequence can never be written where not even a skinning can.
     check_outputs([target], kind=Skinning, pairs=None, force=force, sources=[source])
+    if of_one_format(source, target) and source.is_file() and not (bake or options or write):
+        names = None if clip in (None, ["all"]) else clip
+        report = ssdr.io.copy(source, target, clips=names)
+        clips = ssdr.list_clips(target)
+        document = {
+            "command": "convert",
+            "input": source,
+            "kind": "file",
+            "frames": sum(one.n_frames for one in clips),
+            "clips": clips_document(clips),
+            "output": saved_document(report),
+        }
+        lines = [("read", f"{source}: {clips_text(clips)}"), ("wrote", saved_line(report))]
+        output.result(document, lines)
+        return
     thing: MeshSequence | Skinning
     take = one_clip if bake or weld else read_model
     thing = take(source, clip, options)
     check_outputs([target], kind=type(thing), pairs=write, force=force, sources=[source])
-    report = ssdr.save(thing, target, **write_options(write, target))
+    settings = options_with_template(
+        target, write, [source], [options], strict=strict, new_bones=not isinstance(thing, Skinning)
+    )
+    report = ssdr.save(thing, target, **settings)
     kind = "skinning" if isinstance(thing, Skinning) else "sequence"
     document = {
         "command": "convert",

@@ -17,6 +17,7 @@ from ..clips import names_of
 from ..errors import Cancelled, InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from .assets import options_with_template
 from .interruption import interrupted, rescue, state_beside, stopping
 from .output import (
     Force,
@@ -26,6 +27,7 @@ from .output import (
     Output,
     Quiet,
     ReadOptions,
+    Strict,
     Threads,
     Verbose,
     Weld,
@@ -143,6 +145,7 @@ def decompose(
     up: Annotated[str, typer.Option("--up", help="Up axis of the picture.")] = "y",
     read: ReadOptions = None,
     write: WriteOptions = None,
+    strict: Strict = False,
     threads: Threads = None,
     force: Force = False,
     json: JsonFlag = False,
@@ -153,6 +156,9 @@ def decompose(
 
     Several files of one mesh, or several clips of a file (--clip all), share rest pose
     and weights; each clip becomes an animation of its own.
+
+    glTF to glTF and USD to USD, the file comes out as itself with a new skin: what is not
+    the mesh's skin stays as it is.
 
     Ctrl-C stops at the next safe point and saves a state that --resume takes up;
     a second Ctrl-C quits at once.
@@ -216,9 +222,22 @@ def decompose(
         )
     check_rates(outputs, shots)
     loading = time.perf_counter() - began
+    clips = names_of(shots)["clips"]
+    settings = {
+        path: options_with_template(
+            path,
+            write,
+            inputs,
+            options,
+            strict=strict,
+            new_bones=True,
+            clips=[one.name for one in clips],
+        )
+        for path in outputs
+    }
     for path in outputs:
         frames = sum(len(shot) for shot in shots)
-        rehearse(shots[0], path, write_options(write, path), frames=frames)
+        rehearse(shots[0], path, settings[path], frames=frames, clips=clips)
 
     with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, stopping() as stop:
 
@@ -252,7 +271,7 @@ def decompose(
     reports = []
     try:
         for path in outputs:
-            reports.append(ssdr.save(result.skinning, path, **write_options(write, path)))
+            reports.append(ssdr.save(result.skinning, path, **settings[path]))
         if picture is not None:
             from ..render.figures import contact_sheet, write_picture
 
@@ -270,7 +289,6 @@ def decompose(
     diagonal = max(shot.diagonal() for shot in shots)
     e = 1000 * result.rmse / math.sqrt(3)
     share = result.rmse / diagonal if diagonal > 0 else math.nan
-    clips = names_of(shots)["clips"]
     document = {
         "command": "decompose",
         "version": ssdr.__version__,

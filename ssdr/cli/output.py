@@ -16,13 +16,14 @@ import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import typer
 
+from ..clips import Clip
 from ..errors import FormatError, InputError, MissingDependencyError
 from ..io.atomic import check_writable
 from ..io.registry import FORMATS, Format, SaveReport, format_of
@@ -56,6 +57,11 @@ WriteOptions = Annotated[
         metavar="[SUFFIX:]KEY=VALUE",
         help="Option of an output's format, as in glb:weights=uint16; repeatable.",
     ),
+]
+
+
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse what of the input the output cannot keep.")
 ]
 
 
@@ -267,9 +273,14 @@ def _beside(path: Path) -> list[Path]:
 
 
 def rehearse(
-    sequence: MeshSequence, path: Path, options: Mapping[str, Any], *, frames: int
+    sequence: MeshSequence,
+    path: Path,
+    options: Mapping[str, Any],
+    *,
+    frames: int,
+    clips: Sequence[Clip] = (),
 ) -> None:
-    """Write a model of one bone and one frame to a folder that goes away; `frames` will come.
+    """Write a model of one bone and a frame a clip to a folder that goes away; `frames` will come.
 
     What a format refuses (an option's value, one file for many frames) is refused before the
     work, not after it.
@@ -294,9 +305,10 @@ def rehearse(
         frame[0],
         np.zeros((n, 1), dtype=np.int32),
         np.ones((n, 1)),
-        np.eye(3, 4)[None, None],
+        np.tile(np.eye(3, 4), (max(1, len(clips)), 1, 1, 1)),
         faces=sequence.faces,
-        fps=sequence.fps,
+        fps=None if clips else sequence.fps,  # type: ignore[arg-type]
+        clips=tuple(Clip(c.name, k, k + 1, c.fps) for k, c in enumerate(clips)) or None,  # type: ignore[arg-type]
         surface=sequence.surface,
         vertex_map=sequence.vertex_map,
         name=sequence.name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .load_save import list_clips, load, load_skinning, save
+from .load_save import copy, left_out, list_clips, load, load_skinning, save
 from .registry import FORMATS, SaveReport
 from .tables import SkinWeights, read_weights
 
@@ -10,6 +10,8 @@ __all__ = [
     "FORMATS",
     "SaveReport",
     "SkinWeights",
+    "copy",
+    "left_out",
     "list_clips",
     "load",
     "load_skinning",

@@ -5,19 +5,20 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..clips import Clip, pick
-from ..errors import FormatError, InputError, is_real
+from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
 from .registry import FORMATS, Format, SaveReport, bake, call, format_of, refuse_device
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["list_clips", "load", "load_skinning", "save"]
+__all__ = ["copy", "left_out", "list_clips", "load", "load_skinning", "save"]
 
 _log = logging.getLogger(__name__)
 
@@ -255,8 +256,66 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
         )
     report: SaveReport = call(format_, writer, thing, target, **options)
+    if report.lost:
+        warnings.warn(_not_kept(target, report.lost), SsdrWarning, stacklevel=2)
     notes = [note for note in (report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
+
+
+def copy(
+    path: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    *,
+    clips: Sequence[str | int] | None = None,
+) -> SaveReport:
+    """Write a glTF or USD file again, in another variant of its format, with all that is in it.
+
+    Parameters
+    ----------
+    path, target : path
+    clips : names or numbers, optional
+        The clips to keep; all by default.
+
+    Raises
+    ------
+    InputError
+        If the two suffixes are not of one format, this one is not glTF or USD, or there is no
+        such clip.
+    FormatError, MissingDependencyError, FileNotFoundError
+        As in :func:`load`.
+    """
+    source, to = _as_path(path), _as_path(target)
+    format_ = format_of(source)[1]
+    if format_.copy is None or format_of(to)[1] is not format_:
+        raise InputError("target", f"a file of the format of {source}", str(to))
+    if not source.exists():
+        raise FileNotFoundError(f"{source}: no such file")
+    report: SaveReport = call(format_, format_.copy, source, to, clips=clips)
+    return report
+
+
+def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
+    """What a file has and :func:`load` or :func:`load_skinning` leave out, in words.
+
+    Known of glTF and USD; of other formats nothing is said.
+
+    Parameters
+    ----------
+    path : path
+    **options
+        Of :func:`load`; those that choose meshes count.
+    """
+    source = _as_path(path)
+    format_ = FORMATS.get(source.suffix.lower())
+    if format_ is None or format_.left_out is None:
+        return ()
+    chosen = {k: v for k, v in options.items() if k == "meshes"}
+    found: tuple[str, ...] = call(format_, format_.left_out, source, **chosen)
+    return found
+
+
+def _not_kept(target: Path, lost: Sequence[str]) -> str:
+    return f"{target}: not kept: {', '.join(lost)}"
 
 
 def _writable(kind: type | None = None) -> list[str]:

@@ -67,6 +67,8 @@ class SaveReport:
         interpolates.
     note : str
         What else the user should know, in a sentence.
+    lost : tuple of str
+        What the file that was a template holds and the new one does not.
 
     Examples
     --------
@@ -84,6 +86,7 @@ class SaveReport:
     max_error: float | None = None
     between_frames: float | None = None
     note: str = ""
+    lost: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,6 +94,8 @@ class Format:
     """The functions of one suffix: names in ``ssdr.io.<module>``, None where it has none.
 
     Where there is a `list_clips`, a file may have several, and `read` takes the option `clip`.
+    Where there is a `copy`, `write_skinning` takes the option `template`: a file of the format
+    passes through, and `template_problem` says of one why it cannot.
     """
 
     module: str
@@ -100,6 +105,9 @@ class Format:
     read_skinning: str | None = None
     write_skinning: str | None = None
     list_clips: str | None = None
+    copy: str | None = None
+    left_out: str | None = None
+    template_problem: str | None = None
     extra: str | None = None
 
 
@@ -109,6 +117,9 @@ _GLTF = Format(
     read_skinning="read_skinning",
     write_skinning="write_skinning",
     list_clips="list_clips",
+    copy="copy",
+    left_out="left_out",
+    template_problem="template_problem",
 )
 _USD = Format(
     "usd",
@@ -117,6 +128,9 @@ _USD = Format(
     read_skinning="read_skinning",
     write_skinning="write_skinning",
     list_clips="list_clips",
+    copy="copy",
+    left_out="left_out",
+    template_problem="template_problem",
     extra="usd",
 )
 

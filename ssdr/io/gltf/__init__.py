@@ -1,6 +1,15 @@
 """glTF 2.0 (``.glb``, ``.gltf``): skins, morph targets and moving nodes."""
 
+from .passing import copy, left_out, template_problem
 from .reader import list_clips, read, read_skinning
 from .writer import write_skinning
 
-__all__ = ["list_clips", "read", "read_skinning", "write_skinning"]
+__all__ = [
+    "copy",
+    "left_out",
+    "list_clips",
+    "read",
+    "read_skinning",
+    "template_problem",
+    "write_skinning",
+]

@@ -101,7 +101,7 @@ def _framed(
         if stated <= 0:
             raise document.error(f"fps is {stated}")
         if fps is None or fps == stated:
-            rate, first = stated, 0.0
+            rate, first = stated, document.number(own.get("start", 0.0), "start")
             count = document.integer(own["frames"], "frames", least=1)
     if rate is None:
         rate = frame_rate(stamps) or 24.0

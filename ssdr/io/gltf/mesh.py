@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import InputError
 from ...sequence import Material, Surface
+from ..registry import reading
 from .animation import World
 from .document import Document
 
-__all__ = ["Part", "join_surface", "read_parts"]
+__all__ = ["Part", "check_meshes", "join_surface", "read_parts"]
 
 _log = logging.getLogger(__name__)
 
@@ -30,6 +33,8 @@ class Part:
     joints: NDArray[np.int32]
     weights: NDArray[np.float64]
     vertex: NDArray[np.int64]  # the file's vertex that stands for each of ours
+    label: NDArray[np.int64]  # which of ours each of the file's vertices is
+    primitives: tuple[int, ...]  # in the mesh
     faces: NDArray[np.int64]
     uv: NDArray[np.float32] | None
     normals: NDArray[np.float32] | None
@@ -74,13 +79,19 @@ class Part:
             result[:, k] = (world.matrices(joint) @ inverse[k])[:, :3]
         return result
 
+    @staticmethod
+    def triangles(document: Document, primitive: dict[str, Any]) -> NDArray[np.int64]:
+        """Triangles (T, 3) of a primitive, over the file's vertices."""
+        position = document.item("accessors", primitive["attributes"]["POSITION"])
+        return _triangles(document, primitive, int(position["count"]))
+
     def bone_names(self, document: Document) -> list[str]:
         nodes = [self.node] if self.skin is None else _skin(document, self.skin)[0]
         return [str(document.item("nodes", k).get("name", f"node_{k}")) for k in nodes]
 
 
-def read_parts(document: Document, world: World) -> list[Part]:
-    """All triangles and points of the scene.
+def read_parts(document: Document, world: World, meshes: Sequence[str] | None = None) -> list[Part]:
+    """All triangles and points of the scene, or of the named meshes alone.
 
     Raises
     ------
@@ -93,11 +104,15 @@ def read_parts(document: Document, world: World) -> list[Part]:
         if "mesh" not in item:
             continue
         mesh = document.integer(item["mesh"], "a mesh", len(document.items("meshes")))
+        if meshes is not None and not _called(document, node) & set(meshes):
+            continue
         skin = None
         if "skin" in item:
             skin = document.integer(item["skin"], "a skin", len(document.items("skins")))
-        groups: dict[str, list[dict[str, Any]]] = {}
-        for primitive in document.array(document.item("meshes", mesh), "primitives"):
+        groups: dict[str, dict[int, dict[str, Any]]] = {}
+        for place, primitive in enumerate(
+            document.array(document.item("meshes", mesh), "primitives")
+        ):
             if "KHR_draco_mesh_compression" in document.dictionary(primitive, "extensions"):
                 raise document.error("its geometry is compressed with Draco; save it without")
             if primitive.get("mode", 4) in (1, 2, 3):
@@ -105,11 +120,37 @@ def read_parts(document: Document, world: World) -> list[Part]:
                 continue
             # Primitives over the same vertices, one a material, are one mesh.
             key = repr((_attributes(document, primitive), document.array(primitive, "targets")))
-            groups.setdefault(key, []).append(primitive)
+            groups.setdefault(key, {})[place] = primitive
         parts += [_part(document, world, node, mesh, skin, group) for group in groups.values()]
     if not parts:
         raise document.error("the scene holds no mesh")
     return parts
+
+
+def _called(document: Document, node: int) -> set[str]:
+    """What the mesh of a node is called: the mesh's name and the node's."""
+    item = document.item("nodes", node)
+    return {str(x["name"]) for x in (document.item("meshes", item["mesh"]), item) if x.get("name")}
+
+
+def check_meshes(document: Document, meshes: Any, argument: str = "meshes") -> list[str] | None:
+    """Names of meshes as a list.
+
+    Raises
+    ------
+    InputError
+        If no mesh of the file is called so.
+    """
+    if meshes is None:
+        return None
+    wanted = [meshes] if isinstance(meshes, str) else list(meshes)
+    with reading(document.path):
+        nodes = [k for k, n in enumerate(document.items("nodes")) if "mesh" in n]
+        known = set().union(*(_called(document, k) for k in nodes))
+    for name in wanted:
+        if name not in known:
+            raise InputError(argument, f"one of {sorted(known)}", repr(name))
+    return wanted
 
 
 def _attributes(document: Document, primitive: dict[str, Any]) -> list[tuple[str, Any]]:
@@ -125,8 +166,9 @@ def _part(
     node: int,
     mesh: int,
     skin: int | None,
-    group: list[dict[str, Any]],
+    primitives: dict[int, dict[str, Any]],
 ) -> Part:
+    group = list(primitives.values())
     attributes = group[0]["attributes"]
     positions = document.accessor(attributes["POSITION"], ("VEC3",), "POSITION")
     count = len(positions)
@@ -187,6 +229,8 @@ def _part(
         joints=joints[vertex],
         weights=weights[vertex],
         vertex=vertex,
+        label=label,
+        primitives=tuple(primitives),
         faces=label[faces],
         uv=None if uv is None else uv[faces].astype(np.float32),
         normals=None if normals is None else normals[faces].astype(np.float32),

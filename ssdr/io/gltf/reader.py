@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from ..registry import reading
 from ..rig import MAX_BYTES, check_size, model_of, unique_names
 from .animation import Animation, World, choose, every, title
 from .document import Document
-from .mesh import Part, join_surface, read_parts
+from .mesh import Part, check_meshes, join_surface, read_parts
 from .writer import write_skinning
 
 __all__ = ["list_clips", "read", "read_skinning", "write_skinning"]
@@ -32,6 +33,7 @@ def read(
     fps: float | None = None,
     clip: int | str | None = None,
     animation: int | str | None = None,
+    meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
     """Read all meshes of the scene, every animation channel baked to vertices.
@@ -47,6 +49,8 @@ def read(
         lists them all.
     animation : int or str, optional
         The same by glTF's word.
+    meshes : str or several of them, optional
+        Names of meshes, or of nodes that have one; the others are left out.
     max_bytes : int, optional
         Largest size of the vertices; 16 GiB by default.
 
@@ -67,9 +71,10 @@ def read(
     with reading(path):
         document = Document(path)
     chosen = _chosen(document, clip, animation, fps)
+    wanted = check_meshes(document, meshes)
     with reading(path):
         world = World(document, chosen)
-        parts = read_parts(document, world)
+        parts = read_parts(document, world, wanted)
         count = sum(len(part.vertex) for part in parts)
         check_size(chosen.n_frames, count, MAX_BYTES if max_bytes is None else max_bytes)
         frames = np.empty((chosen.n_frames, count, 3), dtype=np.float32)
@@ -110,7 +115,12 @@ def _chosen(
     return choose(document, animation, fps, "animation")
 
 
-def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning:
+def read_skinning(
+    path: Path,
+    *,
+    animation: int | str | None = None,
+    meshes: str | Sequence[str] | None = None,
+) -> Skinning:
     """Read skins as they are; a mesh without a skin becomes one bone that carries it.
 
     Parameters
@@ -118,6 +128,8 @@ def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning
     path : Path
     animation : int or str, optional
         One animation alone, by number or name; all of them by default.
+    meshes : str or several of them, optional
+        As in :func:`read`.
 
     Raises
     ------
@@ -129,11 +141,12 @@ def read_skinning(path: Path, *, animation: int | str | None = None) -> Skinning
     with reading(path):
         document = Document(path)
     alone = None if animation is None else choose(document, animation, None, "animation")
+    wanted = check_meshes(document, meshes)
     with reading(path):
         chosen = every(document) if alone is None else [alone]
         worlds = [World(document, one) for one in chosen]
         world = worlds[0]
-        parts = read_parts(document, world)
+        parts = read_parts(document, world, wanted)
         if any(part.morphs(w) for part in parts for w in worlds):
             raise FormatError(
                 f"{path}: morph targets move the mesh, which no skinning holds; "

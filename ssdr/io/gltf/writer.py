@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import struct
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +14,13 @@ from ...clips import Clip
 from ...errors import InputError
 from ...sequence import Material
 from ...skinning import Skinning
-from ..atomic import write_bytes
 from ..corners import Corners, corner_normals, split_corners
 from ..registry import SaveReport, seconds
 from ..rig import Rig, Up, WeightStorage, build_rig, check_up, quantise, turn_skinning_up
+from .builder import ARRAY, ELEMENTS, Builder
+from .template import Template, open_template
 
 __all__ = ["write_skinning"]
-
-_COMPONENT = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
-_ARRAY, _ELEMENTS = 34962, 34963
 
 
 def write_skinning(
@@ -34,6 +31,10 @@ def write_skinning(
     weights: WeightStorage = "float32",
     up: Up = "y",
     name: str | None = None,
+    template: str | os.PathLike[str] | None = None,
+    meshes: str | Sequence[str] | None = None,
+    clip_names: Mapping[str, str] | None = None,
+    strict: bool = False,
 ) -> SaveReport:
     """Write ``.glb``, or ``.gltf`` with a ``.bin`` of the same name beside it.
 
@@ -53,6 +54,17 @@ def write_skinning(
         Of scene and mesh; that of the skinning, else of the file, by default.
         Animations are called as the clips, one without a name of its own as
         the mesh.
+    template : path, optional
+        The glTF file that the model was made of, or one with the same vertices and
+        triangles.  It is written again with the model's skin and clips; all else in
+        it stays as it is: names, materials, pictures, vertex colours, other meshes
+        and their animation.  Morph targets of the model's meshes are baked.
+    meshes : str or several of them, optional
+        The meshes of the template that the model is, as in :func:`read`.
+    clip_names : mapping of str to str, optional
+        What clips of the template are called in the model, where that differs.
+    strict : bool
+        Refuse, rather than report, what of the template cannot be kept.
 
     Returns
     -------
@@ -80,21 +92,19 @@ def write_skinning(
     between = rig.error(model, weights=values, between=True)
     title = name or skinning.name or path.stem
     notes = ["glTF takes the unit for metres"]
-    document = _Writer()
-    corners = split_corners(
-        model.faces,
-        model.n_vertices,
-        None if model.surface is None else model.surface.uv,
-        corner_normals(rig.rest, model.faces, model.surface) if len(model.faces) else None,
-    )
-    _mesh(document, model, rig, corners, joints, stored, title, notes)
-    _skeleton(document, rig, title)
-    unnamed = ("", skinning.name) if len(rig.clips) == 1 else ()
-    document.json["animations"] = [
-        _animation(document, rig, clip, title if clip.name in unnamed else clip.name)
-        for clip in rig.clips
-    ]
-    size = document.save(path)
+    lost: list[str] = []
+    if template is None:
+        size = _plain(model, rig, joints, stored, title, notes).save(path)
+    else:
+        if up != "y":
+            raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
+        old = open_template(Path(template), skinning, meshes)
+        old.clip_names.update(clip_names or {})
+        _put(old, rig, joints, stored, title)
+        lost, notes = old.lost, old.notes
+        if lost and strict:
+            raise InputError("template", "a file all of which can be kept", "; ".join(lost))
+        size = old.builder.save(path)
     if stored.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
     return SaveReport(
@@ -105,81 +115,105 @@ def write_skinning(
         max_error=error.largest,
         between_frames=between.rmse,
         note="; ".join(notes),
+        lost=tuple(lost),
     )
 
 
-class _Writer:
-    """A glTF document whose buffer grows with each accessor."""
+def _plain(
+    model: Skinning,
+    rig: Rig,
+    joints: NDArray[np.int32],
+    stored: NDArray[Any],
+    title: str,
+    notes: list[str],
+) -> Builder:
+    """A file of the model alone."""
+    document = Builder()
+    corners = split_corners(
+        model.faces,
+        model.n_vertices,
+        None if model.surface is None else model.surface.uv,
+        corner_normals(rig.rest, model.faces, model.surface) if len(model.faces) else None,
+    )
+    _mesh(document, model, rig, corners, joints, stored, title, notes)
+    # The mesh stands at the top of the scene: glTF ignores the transform of a
+    # skinned mesh's node, and importers disagree about its parents.
+    bones = _bones(rig)
+    document.json["nodes"] = [
+        {"name": title, "mesh": 0, "skin": 0},
+        {"name": f"{title}_skeleton", "children": list(range(2, 2 + len(bones)))},
+        *bones,
+    ]
+    document.json["scenes"] = [{"name": title, "nodes": [0, 1]}]
+    document.json["skins"] = [_skin(document, rig, title, 2)]
+    document.json["animations"] = [
+        _animation(document, rig, clip, _name(rig, clip, model, title), 2, 0.0)
+        for clip in rig.clips
+    ]
+    return document
 
-    def __init__(self) -> None:
-        self.json: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "ssdr"},
-            "scene": 0,
-            "accessors": [],
-            "bufferViews": [],
-        }
-        self.blocks: list[bytes] = []
-        self.length = 0
 
-    def view(self, data: bytes, **fields: Any) -> int:
-        padding = -len(data) % 4
-        views: list[Any] = self.json["bufferViews"]
-        views.append(
-            {"buffer": 0, "byteOffset": self.length, "byteLength": len(data)}
-            | {k: v for k, v in fields.items() if v is not None}
+def _put(
+    old: Template, rig: Rig, joints: NDArray[np.int32], stored: NDArray[Any], title: str
+) -> None:
+    """The model in the place of the template's meshes."""
+    document, json = old.builder, old.json
+    old.put_meshes(
+        rig.rest, lambda index: _influences(document, joints[index], stored[index], rig.n_bones)
+    )
+    skins = json.setdefault("skins", [])
+    first = old.put_nodes(len(skins), {"name": f"{title}_skeleton"}, _bones(rig))
+    skins.append(_skin(document, rig, title, first))
+    found: set[int] = set()
+    added = []
+    for clip in rig.clips:
+        place = old.start_of(clip.name)
+        start = 0.0 if place is None else place[1]
+        made = _animation(document, rig, clip, clip.name or title, first, start)
+        if place is None:
+            added.append(made)
+            continue
+        found.add(place[0])
+        theirs = json["animations"][place[0]]
+        if old.clip_names:
+            theirs["name"] = clip.name
+        offset = len(theirs["samplers"])
+        theirs["samplers"] += made["samplers"]
+        theirs["channels"] += [{**c, "sampler": c["sampler"] + offset} for c in made["channels"]]
+        extras = theirs.get("extras", {})
+        if isinstance(extras, dict):
+            theirs["extras"] = {**extras, **made["extras"]}
+    if added:
+        json.setdefault("animations", []).extend(added)
+    old.finish(found)
+
+
+def _name(rig: Rig, clip: Clip, model: Skinning, title: str) -> str:
+    unnamed = ("", model.name) if len(rig.clips) == 1 else ()
+    return title if clip.name in unnamed else clip.name
+
+
+def _influences(
+    document: Builder, joints: NDArray[np.int32], stored: NDArray[Any], n_bones: int
+) -> dict[str, int]:
+    """Attributes of the skin weights, four of them in each."""
+    narrow = np.uint8 if n_bones <= 256 else np.uint16
+    attributes = {}
+    for k in range(0, stored.shape[1], 4):
+        four_joints = np.zeros((len(joints), 4), dtype=narrow)
+        four_weights = np.zeros((len(joints), 4), dtype=stored.dtype)
+        width = min(4, stored.shape[1] - k)
+        four_joints[:, :width] = joints[:, k : k + width]
+        four_weights[:, :width] = stored[:, k : k + width]
+        attributes[f"JOINTS_{k // 4}"] = document.accessor(four_joints, "VEC4", target=ARRAY)
+        attributes[f"WEIGHTS_{k // 4}"] = document.accessor(
+            four_weights, "VEC4", target=ARRAY, normalized=stored.dtype.kind == "u"
         )
-        self.blocks.append(data + b"\0" * padding)
-        self.length += len(data) + padding
-        return len(views) - 1
-
-    def accessor(
-        self,
-        array: NDArray[Any],
-        kind: str,
-        *,
-        target: int | None = None,
-        normalized: bool = False,
-        bounds: bool = False,
-    ) -> int:
-        item: dict[str, Any] = {
-            "bufferView": self.view(np.ascontiguousarray(array).tobytes(), target=target),
-            "componentType": _COMPONENT[array.dtype.name],
-            "count": len(array),
-            "type": kind,
-        }
-        if normalized:
-            item["normalized"] = True
-        if bounds:
-            # float() of a float32 keeps its value in JSON; validators compare exactly.
-            flat = array.reshape(len(array), -1)
-            item["min"] = [float(x) for x in flat.min(axis=0)]
-            item["max"] = [float(x) for x in flat.max(axis=0)]
-        accessors: list[Any] = self.json["accessors"]
-        accessors.append(item)
-        return len(accessors) - 1
-
-    def save(self, path: Path) -> int:
-        binary = b"".join(self.blocks)
-        buffer: dict[str, Any] = {"byteLength": len(binary)}
-        self.json["buffers"] = [buffer]
-        if path.suffix.lower() == ".gltf":
-            sidecar = path.with_suffix(".bin")
-            buffer["uri"] = quote(sidecar.name)
-            text = json.dumps(self.json, indent=1, allow_nan=False).encode()
-            return write_bytes(sidecar, binary) + write_bytes(path, text)
-        text = json.dumps(self.json, separators=(",", ":"), allow_nan=False).encode()
-        text += b" " * (-len(text) % 4)
-        total = 12 + 8 + len(text) + 8 + len(binary)
-        if total > 0xFFFFFFFF:
-            raise InputError("path", "a .gltf for more than 4 GiB", str(path))
-        head = struct.pack("<4sII", b"glTF", 2, total)
-        first = struct.pack("<I4s", len(text), b"JSON") + text
-        second = struct.pack("<I4s", len(binary), b"BIN\0") + binary
-        return write_bytes(path, head + first + second)
+    return attributes
 
 
 def _mesh(
-    document: _Writer,
+    document: Builder,
     model: Skinning,
     rig: Rig,
     corners: Corners,
@@ -189,7 +223,7 @@ def _mesh(
     notes: list[str],
 ) -> None:
     def put(array: NDArray[Any], kind: str, **fields: Any) -> int:
-        return document.accessor(array, kind, target=_ARRAY, **fields)
+        return document.accessor(array, kind, target=ARRAY, **fields)
 
     vertex = corners.vertex
     attributes = {"POSITION": put(rig.rest[vertex], "VEC3", bounds=True)}
@@ -198,17 +232,7 @@ def _mesh(
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
-    narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
-    for k in range(0, stored.shape[1], 4):
-        four_joints = np.zeros((len(vertex), 4), dtype=narrow)
-        four_weights = np.zeros((len(vertex), 4), dtype=stored.dtype)
-        width = min(4, stored.shape[1] - k)
-        four_joints[:, :width] = joints[vertex, k : k + width]
-        four_weights[:, :width] = stored[vertex, k : k + width]
-        attributes[f"JOINTS_{k // 4}"] = put(four_joints, "VEC4")
-        attributes[f"WEIGHTS_{k // 4}"] = put(
-            four_weights, "VEC4", normalized=stored.dtype.kind == "u"
-        )
+    attributes |= _influences(document, joints[vertex], stored[vertex], rig.n_bones)
     # Which of the model's vertices this is, so that seams can be closed on reading;
     # float32 as attributes may not be uint32, exact up to 2^24.
     if model.n_vertices <= 1 << 24:
@@ -219,7 +243,7 @@ def _mesh(
 
 
 def _primitives(
-    document: _Writer,
+    document: Builder,
     model: Skinning,
     corners: Corners,
     attributes: dict[str, int],
@@ -240,7 +264,7 @@ def _primitives(
         part = corners.faces[index == k].reshape(-1).astype(wide)
         primitive: dict[str, Any] = {
             "attributes": attributes,
-            "indices": document.accessor(part, "SCALAR", target=_ELEMENTS),
+            "indices": document.accessor(part, "SCALAR", target=ELEMENTS),
             "mode": 4,
             "material": int(k),
         }
@@ -248,7 +272,7 @@ def _primitives(
     return result
 
 
-def _material(document: _Writer, material: Material, notes: list[str]) -> dict[str, Any]:
+def _material(document: Builder, material: Material, notes: list[str]) -> dict[str, Any]:
     look: dict[str, Any] = {
         "baseColorFactor": [float(c) for c in material.base_color],
         "metallicFactor": float(material.metallic),
@@ -280,41 +304,37 @@ def _material(document: _Writer, material: Material, notes: list[str]) -> dict[s
     return item
 
 
-def _skeleton(document: _Writer, rig: Rig, title: str) -> None:
-    count = rig.n_bones
-    bones = [
+def _bones(rig: Rig) -> list[dict[str, Any]]:
+    return [
         {"name": bone, "translation": [float(x) for x in center]}
         for bone, center in zip(rig.names, rig.centers, strict=True)
     ]
-    # The mesh stands at the top of the scene: glTF ignores the transform of a
-    # skinned mesh's node, and importers disagree about its parents.
-    document.json["nodes"] = [
-        {"name": title, "mesh": 0, "skin": 0},
-        {"name": f"{title}_skeleton", "children": list(range(2, 2 + count))},
-        *bones,
-    ]
-    document.json["scenes"] = [{"name": title, "nodes": [0, 1]}]
+
+
+def _skin(document: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
+    """The skin of joints from node `first` on, which follow the node of the skeleton."""
+    count = rig.n_bones
     inverse = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
     inverse[:, 3, :3] = -rig.centers  # column-major: the translation is the last row here
-    document.json["skins"] = [
-        {
-            "name": title,
-            "inverseBindMatrices": document.accessor(inverse.reshape(count, 16), "MAT4"),
-            "skeleton": 1,
-            "joints": list(range(2, 2 + count)),
-        }
-    ]
+    return {
+        "name": title,
+        "inverseBindMatrices": document.accessor(inverse.reshape(count, 16), "MAT4"),
+        "skeleton": first - 1,
+        "joints": list(range(first, first + count)),
+    }
 
 
-def _animation(document: _Writer, rig: Rig, clip: Clip, title: str) -> dict[str, Any]:
-    """The keys of a clip, its first frame at 0 s."""
+def _animation(
+    document: Builder, rig: Rig, clip: Clip, title: str, first: int, start: float
+) -> dict[str, Any]:
+    """The keys of a clip for joints from node `first` on, its first frame at `start` seconds."""
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     stamps: dict[bytes, int] = {}
     for bone in range(rig.n_bones):
         keys = clip.start + np.flatnonzero(rig.keys[clip.frames, bone])
         if keys.tobytes() not in stamps:
-            times = seconds(keys - clip.start, clip.fps).astype(np.float32)
+            times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)
             stamps[keys.tobytes()] = document.accessor(times, "SCALAR", bounds=True)
         tracks = [
             ("translation", rig.translations[keys, bone], "VEC3"),
@@ -323,7 +343,9 @@ def _animation(document: _Writer, rig: Rig, clip: Clip, title: str) -> dict[str,
         if rig.scales is not None:
             tracks.append(("scale", np.repeat(rig.scales[keys, bone][:, None], 3, axis=1), "VEC3"))
         for track, values, kind in tracks:
-            channels.append({"sampler": len(samplers), "target": {"node": 2 + bone, "path": track}})
+            channels.append(
+                {"sampler": len(samplers), "target": {"node": first + bone, "path": track}}
+            )
             samplers.append(
                 {
                     "input": stamps[keys.tobytes()],
@@ -331,9 +353,12 @@ def _animation(document: _Writer, rig: Rig, clip: Clip, title: str) -> dict[str,
                     "interpolation": "LINEAR",
                 }
             )
+    stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
+    if start:
+        stated["start"] = start
     return {
         "name": title,
         "samplers": samplers,
         "channels": channels,
-        "extras": {"ssdr": {"fps": clip.fps, "frames": clip.n_frames}},
+        "extras": {"ssdr": stated},
     }

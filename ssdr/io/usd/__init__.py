@@ -1,6 +1,16 @@
 """USD (``.usd``, ``.usda``, ``.usdc``): point caches and UsdSkel characters."""
 
 from .reader import list_clips, read, read_skinning
+from .template import copy, left_out, template_problem
 from .writer import write_sequence, write_skinning
 
-__all__ = ["list_clips", "read", "read_skinning", "write_sequence", "write_skinning"]
+__all__ = [
+    "copy",
+    "left_out",
+    "list_clips",
+    "read",
+    "read_skinning",
+    "template_problem",
+    "write_sequence",
+    "write_skinning",
+]

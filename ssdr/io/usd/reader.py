@@ -244,7 +244,8 @@ def _clock(stage: Any, meshes: list[_Mesh], fps: float | None, take: Take) -> _C
     stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
     if take.fps is not None and take.frames is not None and fps in (None, take.fps):
         check_size(take.frames, 1, MAX_BYTES)
-        return take.fps, np.arange(take.frames, dtype=np.float64) * (tempo / take.fps)
+        ticks = np.arange(take.frames, dtype=np.float64)
+        return take.fps, take.start + ticks * (tempo / take.fps)
     if take.bound and stage.HasAuthoredTimeCodeRange():
         first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
     elif len(stamps):
@@ -259,8 +260,8 @@ def _clock(stage: Any, meshes: list[_Mesh], fps: float | None, take: Take) -> _C
         rate = tempo if on_codes else frame_rate([stamps / tempo]) or tempo
     need = (last - first) / tempo * rate
     check_size(int(min(need, 1e15)), 1, MAX_BYTES)
-    ticks = np.arange(math.floor(need + 1e-3) + 1, dtype=np.float64)
-    return rate, np.asarray(first + ticks * (tempo / rate), dtype=np.float64)
+    count = np.arange(math.floor(need + 1e-3) + 1, dtype=np.float64)
+    return rate, np.asarray(first + count * (tempo / rate), dtype=np.float64)
 
 
 class _Mesh:

@@ -85,6 +85,7 @@ class Take:
     bound: bool = True
     fps: float | None = None  # as our own files of several clips state them
     frames: int | None = None
+    start: float = 0.0  # time code of the first frame, where these two are stated
 
 
 def takes_of(path: Path) -> list[Take]:
@@ -124,6 +125,7 @@ def takes_of(path: Path) -> list[Take]:
                 bound=prim == bound,
                 fps=float(own["fps"]) if known else None,
                 frames=int(own["frames"]) if known else None,
+                start=float(own["start"]) if is_real(own.get("start")) else 0.0,
             )
         )
     names = unique_names([take.name for take in takes])

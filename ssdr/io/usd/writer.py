@@ -7,7 +7,7 @@ import dataclasses
 import errno
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from ...skinning import Skinning
 from ..atomic import atomic_path, write_bytes
 from ..corners import corner_normals
 from ..registry import SaveReport, require
-from ..rig import Rig, Up, build_rig, check_up, unique_names
+from ..rig import Error, Rig, Up, build_rig, check_up, unique_names
 
 __all__ = ["write_sequence", "write_skinning"]
 
@@ -34,6 +34,9 @@ def write_skinning(
     up: Up = "y",
     meters_per_unit: float = 1.0,
     name: str | None = None,
+    template: str | os.PathLike[str] | None = None,
+    clip_names: Mapping[str, str] | None = None,
+    strict: bool = False,
 ) -> SaveReport:
     """Write a UsdSkel character: skeleton, an animation a clip, skin weights, surface.
 
@@ -54,6 +57,15 @@ def write_skinning(
         The model's unit, stated in the file.
     name : str, optional
         Of the root prim; that of the skinning, else of the file, by default.
+    template : path, optional
+        The USD file that the model was made of, or one with the same points and
+        triangles.  Its root layer is written again with the model's skin and clips; all
+        else stays: materials and bindings, primvars, other prims.  The unit, the up
+        axis and the time codes are the template's.
+    clip_names : mapping of str to str, optional
+        What clips of the template are called in the model, where that differs.
+    strict : bool
+        Refuse, rather than report, what of the template cannot be kept.
 
     Returns
     -------
@@ -85,13 +97,22 @@ def write_skinning(
     if halves is not None:
         notes.append("UsdSkel holds scales in half precision")
     first = rig.clips[0]
+    lost: list[str] = []
+    width = rig.joints.shape[1]
+    if template is not None:
+        from .template import put
+
+        notes = notes[1:]
+        with atomic_path(path) as temporary, _system_errors(path):
+            lost += put(Path(template), temporary, path, skinning, rig, clip_names or {}, strict)
+        return _report(path, width, error, between, notes, lost)
     with _stage(path, first.fps, first.n_frames, up, meters_per_unit) as stage:
         from pxr import Gf, Sdf, UsdSkel, Vt
 
         root = UsdSkel.Root.Define(stage, _root(name or skinning.name or path.stem))
         stage.SetDefaultPrim(root.GetPrim())
         top = root.GetPath()
-        _skeleton(stage, top, rig, skinning.name)
+        put_skeleton(stage, top.AppendChild("Skeleton"), rig, skinning.name, first.fps)
         mesh = _mesh(stage, top, skinning.faces, skinning.surface, path, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         extent = np.stack([rig.rest.min(axis=0), rig.rest.max(axis=0)])
@@ -99,16 +120,13 @@ def write_skinning(
         if len(skinning.faces):
             normals = corner_normals(rig.rest, skinning.faces, skinning.surface)
             _primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals.reshape(-1, 3))
-        binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
-        width = rig.joints.shape[1]
-        binding.CreateJointIndicesPrimvar(False, width).Set(
-            Vt.IntArray.FromNumpy(rig.joints.reshape(-1))
-        )
-        binding.CreateJointWeightsPrimvar(False, width).Set(
-            Vt.FloatArray.FromNumpy(rig.weights.astype(np.float32).reshape(-1))
-        )
-        binding.CreateSkeletonRel().SetTargets([top.AppendChild("Skeleton")])
-        binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1.0))
+        bind(mesh.GetPrim(), rig.joints, rig.weights, top.AppendChild("Skeleton"), Gf.Matrix4d(1.0))
+    return _report(path, width, error, between, notes, lost)
+
+
+def _report(
+    path: Path, width: int, error: Error, between: Error, notes: list[str], lost: list[str]
+) -> SaveReport:
     return SaveReport(
         path=path,
         bytes=path.stat().st_size,
@@ -117,7 +135,24 @@ def write_skinning(
         max_error=error.largest,
         between_frames=between.rmse,
         note="; ".join(notes),
+        lost=tuple(lost),
     )
+
+
+def bind(
+    prim: Any, joints: NDArray[np.int32], weights: NDArray[np.float64], skeleton: Any, place: Any
+) -> None:
+    """Skin weights of a mesh, its skeleton's path, and where its points stand in the bind pose."""
+    from pxr import UsdSkel, Vt
+
+    binding = UsdSkel.BindingAPI.Apply(prim)
+    width = joints.shape[1]
+    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints.reshape(-1)))
+    binding.CreateJointWeightsPrimvar(False, width).Set(
+        Vt.FloatArray.FromNumpy(weights.astype(np.float32).reshape(-1))
+    )
+    binding.CreateSkeletonRel().SetTargets([skeleton])
+    binding.CreateGeomBindTransformAttr(place)
 
 
 def write_sequence(
@@ -217,11 +252,19 @@ def _text(name: str) -> str:
     return name.encode("utf-8", "replace").decode()
 
 
-def _skeleton(stage: Any, top: Any, rig: Rig, title: str) -> None:
+def put_skeleton(
+    stage: Any,
+    place: Any,
+    rig: Rig,
+    title: str,
+    tempo: float,
+    starts: Mapping[str, float] | None = None,
+) -> None:
+    """Skeleton and animations at a path; clips begin at time code 0 where `starts` says nothing."""
     from pxr import Gf, UsdSkel, Vt
 
     tokens = unique_names([_identifier(bone) for bone in rig.names])
-    skeleton = UsdSkel.Skeleton.Define(stage, top.AppendChild("Skeleton"))
+    skeleton = UsdSkel.Skeleton.Define(stage, place)
     skeleton.CreateJointsAttr(tokens)
     if tokens != rig.names:
         skeleton.CreateJointNamesAttr([_text(name) for name in rig.names])
@@ -231,11 +274,14 @@ def _skeleton(stage: Any, top: Any, rig: Rig, title: str) -> None:
     alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
     names = ["Animation" if alone else _identifier(c.name) for c in rig.clips]
     places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
-    for place, clip in zip(places, rig.clips, strict=True):
-        animation = UsdSkel.Animation.Define(stage, place)
+    for where, clip in zip(places, rig.clips, strict=True):
+        animation = UsdSkel.Animation.Define(stage, where)
         animation.CreateJointsAttr(tokens)
-        _keys(animation, rig, clip, rig.clips[0].fps)
+        start = (starts or {}).get(clip.name, 0.0)
+        _keys(animation, rig, clip, tempo, start)
         stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
+        if start:
+            stated["start"] = start
         if not alone:
             stated["name"] = clip.name
         animation.GetPrim().SetCustomDataByKey("ssdr", stated)
@@ -243,8 +289,8 @@ def _skeleton(stage: Any, top: Any, rig: Rig, title: str) -> None:
     binding.CreateAnimationSourceRel().SetTargets([places[0]])
 
 
-def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float) -> None:
-    """The keys of a clip, its first frame at time code 0."""
+def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float, start: float) -> None:
+    """The keys of a clip, its first frame at time code `start`."""
     from pxr import Vt
 
     moved, turned = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
@@ -253,7 +299,7 @@ def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float) -> None:
     if rig.scales is None:
         scaled.Set(Vt.Vec3hArray.FromNumpy(ones))
     for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
-        code = float(frame - clip.start) * (tempo / clip.fps)
+        code = start + float(frame - clip.start) * (tempo / clip.fps)
         moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame]), code)
         turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame]), code)
         if rig.scales is not None:

@@ -180,7 +180,7 @@ def test_a_mistyped_option_of_the_format_is_refused(run, rigged, tmp_path, comma
     }[command]
     code, _, err = run(command, rigged, *rest, "--read", "anim=1")
     assert code == 2
-    assert "--read: expected one of animation, fps, max_bytes, weld" in err
+    assert "--read: expected one of animation, fps, max_bytes, meshes, weld" in err
     assert "got anim" in err
     assert not list(tmp_path.glob("o.*"))
 

@@ -1,0 +1,148 @@
+"""Where two glTF files differ: their trees with every number of an accessor, node, ... looked up.
+
+python -m helpers.gltf_difference BEFORE AFTER
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import sys
+from pathlib import Path
+
+from ssdr.io.gltf.document import _COMPONENTS, _WIDTHS, Document
+
+# What a new skin on the meshes of a file is allowed to change.
+NEW_SKIN = re.compile(
+    r"(scenes/\d+|.*/children)/nodes?/\+\S*_skeleton$"
+    r"|.*/[+-]?(skin|weights|mesh/[+-]?weights)$"
+    r"|.*/mesh/primitives/\d+/[+-]?targets$"
+    r"|.*/mesh/primitives/\d+/attributes/[+-]?(POSITION|NORMAL|TANGENT|(JOINTS|WEIGHTS)_\d)(/.*)?$"
+    r"|.*/mesh/extras/-targetNames$"
+    r"|[+-]?skins$"
+)
+
+
+def tree(path):
+    """The file as nested dictionaries without a number that refers to something."""
+    document = Document(Path(path))
+    json = document.json
+
+    def accessor(number):
+        item = dict(json["accessors"][number])
+        for key in ("bufferView", "byteOffset", "sparse"):
+            item.pop(key, None)
+        code = json["accessors"][number]["componentType"]
+        exact = _COMPONENTS[code].kind == "u"
+        values = document.accessor(number, tuple(_WIDTHS), "it", integers=exact)
+        item["values"] = hashlib.sha256(values.tobytes()).hexdigest()
+        return item
+
+    def mesh(number):
+        item = dict(json["meshes"][number])
+        item["primitives"] = {
+            str(k): {
+                **p,
+                "attributes": {a: accessor(v) for a, v in p["attributes"].items()},
+                **({"indices": accessor(p["indices"])} if "indices" in p else {}),
+                **(
+                    {"targets": [{a: accessor(v) for a, v in t.items()} for t in p["targets"]]}
+                    if "targets" in p
+                    else {}
+                ),
+                **(
+                    {"material": json["materials"][p["material"]].get("name")}
+                    if "material" in p
+                    else {}
+                ),
+            }
+            for k, p in enumerate(item["primitives"])
+        }
+        return item
+
+    places = {}
+
+    def node(number, above):
+        item = dict(json["nodes"][number])
+        place = f"{above}/{item.get('name', number)}"
+        places[number] = place
+        if "mesh" in item:
+            item["mesh"] = mesh(item["mesh"])
+        if "camera" in item:
+            item["camera"] = json["cameras"][item["camera"]]
+        if "children" in item:
+            item["children"] = {"node": nodes(item["children"], place)}
+        return item
+
+    def nodes(numbers, above):
+        return {str(json["nodes"][k].get("name", k)): node(k, above) for k in numbers}
+
+    result = {k: v for k, v in json.items() if k not in ("accessors", "bufferViews", "nodes")}
+    result.pop("buffers", None)
+    result["scenes"] = {
+        str(k): {**s, "nodes": nodes(s.get("nodes", []), "")}
+        for k, s in enumerate(json.get("scenes", []))
+    }
+    # By their nodes; a mesh may have become two.
+    result.pop("meshes", None)
+    skins = [
+        {
+            **s,
+            "inverseBindMatrices": accessor(s["inverseBindMatrices"]),
+            "joints": [places.get(k) for k in s["joints"]],
+            "skeleton": places.get(s.get("skeleton")),
+        }
+        for s in json.get("skins", [])
+    ]
+    result["skins"] = skins
+    result["images"] = [
+        {k: v for k, v in image.items() if k not in ("uri", "bufferView", "mimeType")}
+        | {"sha256": hashlib.sha256(_picture(document, image)).hexdigest()}
+        for image in json.get("images", [])
+    ]
+    result["animations"] = {
+        str(a.get("name", k)): {
+            **{key: v for key, v in a.items() if key not in ("samplers", "channels")},
+            "channels": {
+                f"{places.get(c['target'].get('node'))}:{c['target'].get('path')}": {
+                    "how": a["samplers"][c["sampler"]].get("interpolation"),
+                    "input": accessor(a["samplers"][c["sampler"]]["input"]),
+                    "output": accessor(a["samplers"][c["sampler"]]["output"]),
+                }
+                for c in a["channels"]
+            },
+        }
+        for k, a in enumerate(json.get("animations", []))
+    }
+    return result
+
+
+def _picture(document, image):
+    if "bufferView" in image:
+        return bytes(document.view(image["bufferView"])[0])
+    return document.uri(image["uri"], "an image")
+
+
+def difference(before, after):
+    """Places where the two files differ, ``+`` for what is new and ``-`` for what is gone."""
+    found = []
+
+    def walk(a, b, place):
+        if isinstance(a, dict) and isinstance(b, dict):
+            for key in [*a, *(k for k in b if k not in a)]:
+                if key not in b:
+                    found.append(f"{place}/-{key}")
+                elif key not in a:
+                    found.append(f"{place}/+{key}")
+                else:
+                    walk(a[key], b[key], f"{place}/{key}")
+        elif a != b:
+            found.append(place)
+
+    walk(tree(before), tree(after), "")
+    return [place.lstrip("/") for place in found]
+
+
+if __name__ == "__main__":
+    for line in difference(*sys.argv[1:]):
+        print(line)

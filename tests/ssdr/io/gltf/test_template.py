@@ -1,0 +1,185 @@
+"""A glTF file with a new skin is the file that it was, but for the skin."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ssdr
+from helpers.gltf_asset import make_asset
+from helpers.gltf_difference import NEW_SKIN, difference, tree
+from ssdr.io.gltf.document import Document
+
+OURS = ["Body", "Coat"]
+
+
+def model_for(sequence, bones=5, frames=7, seed=3, clips=None):
+    """Any skinning over the vertices of a sequence."""
+    rng = np.random.default_rng(seed)
+    rest = sequence.vertices[0].astype(np.float64)
+    size = sequence.diagonal()
+    joints = np.argsort(rng.random((len(rest), bones)), axis=1)[:, :3]
+    weights = rng.dirichlet(np.ones(3), len(rest))
+    if sequence.vertex_map is None:  # copies at seams move together
+        _, first, back = np.unique(rest, axis=0, return_index=True, return_inverse=True)
+        joints, weights = joints[first][back.ravel()], weights[first][back.ravel()]
+    steps = np.cumsum(rng.normal(0, 0.1, (frames, bones, 3)), axis=0)
+    turns = Rotation.from_rotvec(steps.reshape(-1, 3)).as_matrix().reshape(frames, bones, 3, 3)
+    middle = rest.mean(axis=0)
+    moved = middle - turns @ middle + 0.05 * size * steps
+    transforms = np.concatenate([turns, moved[..., None]], axis=-1)
+    clips = clips or (ssdr.Clip(sequence.clip or sequence.name, 0, frames, sequence.fps),)
+    return ssdr.Skinning(
+        rest,
+        joints,
+        weights,
+        transforms,
+        faces=sequence.faces,
+        clips=clips,
+        surface=sequence.surface,
+        vertex_map=sequence.vertex_map,
+        name=sequence.name,
+    )
+
+
+def unexpected(before, after, *also):
+    places = [p for p in difference(before, after) if not NEW_SKIN.match(p)]
+    tracks = r"animations/[^/]+/channels/(\+/\S+_skeleton/.*|-/Root/(Body|Coat)Node:\w+)"
+    allowed = re.compile("|".join([*also, tracks]))
+    return [p for p in places if not allowed.match(p)]
+
+
+@pytest.mark.parametrize("ending", ["gltf", "glb"])
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_file_with_everything_comes_out_as_itself(tmp_path, ending, elsewhere):
+    source = make_asset(tmp_path / "all.gltf")
+    folder = tmp_path / "there" if elsewhere else tmp_path
+    folder.mkdir(exist_ok=True)
+    target = folder / f"out.{ending}"
+    sequence = ssdr.load(source, meshes=OURS)
+    model = model_for(sequence)
+    report = ssdr.save(model, target, template=source, meshes=OURS, strict=True)
+    assert report.lost == ()
+    found = difference(source, target)
+    assert unexpected(source, target, r"animations/Dance/extras/\+ssdr") == []
+    assert any("TANGENT" in place for place in found)
+    again = ssdr.load(target, meshes=OURS)
+    assert again.n_frames == model.n_frames
+    error = np.abs(again.vertices - model.skin()).max() / sequence.diagonal()
+    assert error < 1e-6
+    # The clip starts where it did, so that the camera keeps its time.
+    times = json.loads(json.dumps(tree(target)["animations"]["Dance"]["channels"]))
+    starts = {c["input"]["min"][0] for c in times.values()}
+    assert starts == {0.25}
+    # What is not replaced is there to the last bit, in the other scene too.
+    prop = ssdr.load(target, meshes="Prop", clip="Spin").vertices
+    np.testing.assert_array_equal(prop, ssdr.load(source, meshes="Prop", clip="Spin").vertices)
+    document = Document(target)
+    names = [mesh["name"] for mesh in document.items("meshes")]
+    assert names == ["Body", "Coat", "Prop", "Body"]
+    if ending == "glb":
+        assert not any(i.get("uri", "data:")[:5] != "data:" for i in document.items("images"))
+
+
+def test_bytes_that_nothing_needs_are_left_out(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    sequence = ssdr.load(source)
+    model = dataclasses.replace(model_for(sequence), name="all")
+    with pytest.warns(ssdr.SsdrWarning, match="not kept: the clip Spin"):
+        report = ssdr.save(model, tmp_path / "out.glb", template=source)
+    # Not even the clip of the prop, which is one of the replaced meshes now.
+    assert report.lost == ("the clip Spin, which the model does not have",)
+    document = Document(tmp_path / "out.glb")
+    # The other scene still has its Body with morph targets.
+    morphing = [m["name"] for m in document.items("meshes") if "targets" in m["primitives"][0]]
+    assert morphing == ["Body"]
+    with pytest.raises(ssdr.InputError, match="Spin"):
+        ssdr.save(model, tmp_path / "no.glb", template=source, strict=True)
+    assert not (tmp_path / "no.glb").exists()
+
+
+def test_normals_keep_the_artists_choice_and_tangents_follow(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    sequence = ssdr.load(source, meshes=OURS)
+    model = model_for(sequence)
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    ours = Document(source)
+    body = ours.items("meshes")[0]["primitives"][0]["attributes"]
+    points = ours.accessor(body["POSITION"], ("VEC3",), "p")
+    rest = np.asarray(model.rest).copy()
+    rest[: len(points)] = points @ turn.T
+    ssdr.save(
+        dataclasses.replace(model, rest=rest), tmp_path / "o.glb", template=source, meshes=OURS
+    )
+    new = Document(tmp_path / "o.glb")
+    attributes = new.items("meshes")[3]["primitives"][0]["attributes"]
+    if "JOINTS_0" not in attributes:
+        attributes = new.items("meshes")[0]["primitives"][0]["attributes"]
+    for name, kind in (("NORMAL", "VEC3"), ("TANGENT", "VEC4")):
+        before = ours.accessor(body[name], (kind,), name)
+        after = new.accessor(attributes[name], (kind,), name)
+        np.testing.assert_allclose(after[:, :3], before[:, :3] @ turn.T, atol=2e-6)
+        np.testing.assert_array_equal(after[:, 3:], before[:, 3:])
+
+
+def test_a_welded_model_is_written_at_the_seams_again(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    sequence = ssdr.load(source, meshes=OURS)
+    doubled = dataclasses.replace(sequence, vertices=sequence.vertices.copy())
+    doubled.vertices[:, 7] = doubled.vertices[:, 3]
+    welded, _ = doubled.weld()
+    assert welded.n_vertices == sequence.n_vertices - 1
+    model = model_for(welded)
+    ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS)
+    seen = ssdr.load(tmp_path / "out.glb", meshes=OURS).vertices
+    expected = model.skin()[:, welded.vertex_map]
+    assert np.abs(seen - expected).max() < 1e-6 * sequence.diagonal()
+
+
+def test_a_template_of_another_mesh_is_refused(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    model = model_for(ssdr.load(source, meshes=OURS))
+    with pytest.raises(ssdr.InputError, match="vertices"):
+        ssdr.save(model, tmp_path / "out.glb", template=source)
+    with pytest.raises(ssdr.InputError, match="Hat"):
+        ssdr.save(model, tmp_path / "out.glb", template=source, meshes="Hat")
+    turned = dataclasses.replace(model, faces=model.faces[::-1], surface=None)
+    with pytest.raises(ssdr.InputError, match="triangles"):
+        ssdr.save(turned, tmp_path / "out.glb", template=source, meshes=OURS)
+    with pytest.raises(ssdr.InputError, match="up"):
+        ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS, up="z")
+
+
+def test_a_mirrored_node_leaves_its_mirror(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    document = json.loads(source.read_text())
+    document["nodes"][2]["scale"] = [-1, 1, 1]
+    source.write_text(json.dumps(document))
+    sequence = ssdr.load(source, meshes="Coat")
+    ssdr.save(model_for(sequence), tmp_path / "out.glb", template=source, meshes="Coat")
+    again = ssdr.load(tmp_path / "out.glb", meshes="Coat")
+    np.testing.assert_array_equal(again.faces, sequence.faces)
+    new = Document(tmp_path / "out.glb")
+    (place,) = [k for k, n in enumerate(new.items("nodes")) if n.get("name") == "CoatNode"]
+    assert place in new.items("scenes")[0]["nodes"]
+    assert "scale" not in new.items("nodes")[place]
+
+
+def test_an_unknown_extension_keeps_all_that_it_may_refer_to(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    document = json.loads(source.read_text())
+    document["extensionsUsed"].append("ACME_hair")
+    document["extensions"]["ACME_hair"] = {"node": 3, "accessor": 9}
+    source.write_text(json.dumps(document))
+    model = model_for(ssdr.load(source, meshes=OURS))
+    report = ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS)
+    assert "ACME_hair" in report.note
+    new = Document(tmp_path / "out.glb")
+    assert new.items("nodes")[3]["name"] == "PropNode"
+    before = Document(source).accessor(9, ("VEC3",), "x")
+    np.testing.assert_array_equal(new.accessor(9, ("VEC3",), "x"), before)
