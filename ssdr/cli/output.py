@@ -25,7 +25,7 @@ import typer
 
 from ..errors import FormatError, InputError, MissingDependencyError
 from ..io.atomic import check_writable
-from ..io.registry import FORMATS, Format, SaveReport, format_of
+from ..io.registry import FORMATS, Format, SaveReport, format_of, format_to_read
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
@@ -144,8 +144,8 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
 
     format_ = None
     with contextlib.suppress(FormatError):
-        format_ = format_of(path)[1]
-    if format_ is not None and format_.read_skinning and not path.is_dir():
+        format_ = format_to_read(path)
+    if format_ is not None and format_.read_skinning:
         known = _keywords(format_, format_.read_skinning)
         fitting = {k: v for k, v in options.items() if k in known}
         try:

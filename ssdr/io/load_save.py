@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any
 from ..clips import Clip, pick
 from ..errors import FormatError, InputError, is_real
 from ..sequence import MeshSequence
-from .registry import FORMATS, Format, SaveReport, bake, call, format_of
+from .registry import (
+    FORMATS,
+    Format,
+    SaveReport,
+    bake,
+    call,
+    format_of,
+    format_to_read,
+    is_many,
+)
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -38,7 +47,7 @@ def load(
     ----------
     path : path
         A file, a folder of numbered meshes or a pattern of them
-        (``frame_%04d.obj``, ``frame_*.ply``).
+        (``frame_%04d.obj``, ``frame_*.ply``, ``mesh_*.glb``).
     clip : str or int, optional
         Name or number of the clip, the first by default; the log lists them
         where there are several.
@@ -131,13 +140,13 @@ def list_clips(
 
 def _readable(source: Path) -> Format:
     """The format of what can be loaded and is there."""
-    if source.suffix.lower() not in FORMATS and _is_many(source):
-        return FORMATS[".obj"]  # the module of numbered meshes, whatever their suffix
-    suffix, format_ = format_of(source)
-    if not _is_many(source) and not source.exists():
+    format_ = format_to_read(source)
+    if not is_many(source) and not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
     if format_.read is None:
-        raise FormatError(f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights")
+        raise FormatError(
+            f"{source}: {source.suffix} holds skin weights alone, see ssdr.io.read_weights"
+        )
     return format_
 
 
@@ -263,12 +272,6 @@ def _writable(kind: type | None = None) -> list[str]:
         for suffix, format_ in FORMATS.items()
         if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
     )
-
-
-def _is_many(path: Path) -> bool:
-    if path.suffix.lower() == ".zarr":
-        return False
-    return path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
 
 
 def _as_path(path: Any) -> Path:
