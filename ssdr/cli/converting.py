@@ -16,6 +16,7 @@ from .output import (
     Output,
     Quiet,
     ReadOptions,
+    Scale,
     Verbose,
     Weld,
     WriteOptions,
@@ -36,6 +37,7 @@ def convert(
     clip: ClipNames = None,
     weld: Weld = False,
     fps: Fps = None,
+    scale: Scale = None,
     read: ReadOptions = None,
     write: WriteOptions = None,
     force: Force = False,
@@ -50,7 +52,7 @@ def convert(
     output = Output.start(json=json, quiet=quiet, verbose=verbose)
     import ssdr
 
-    (options,) = options_for([source], read, fps=fps, weld=weld)
+    (options,) = options_for([source], read, fps=fps, weld=weld, scale=scale)
     # A sequence can never be written where not even a skinning can.
     check_outputs([target], kind=Skinning, pairs=None, force=force, sources=[source])
     thing: MeshSequence | Skinning

@@ -26,6 +26,7 @@ from .output import (
     Output,
     Quiet,
     ReadOptions,
+    Scale,
     Threads,
     Verbose,
     Weld,
@@ -117,6 +118,7 @@ def decompose(
     clip: ClipNames = None,
     weld: Weld = False,
     fps: Fps = None,
+    scale: Scale = None,
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="STATE", help="Go on from a saved state.")
     ] = None,
@@ -155,7 +157,7 @@ def decompose(
     if bones is None and tolerance is None:
         raise InputError("--bones", "a number of bones, or --tolerance", "neither")
     wanted = _tolerance(tolerance, tolerance_of)
-    options = options_for(inputs, read, fps=fps, weld=weld)
+    options = options_for(inputs, read, fps=fps, weld=weld, scale=scale)
     sources = inputs if resume is None else [*inputs, resume]
     check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
     for path in outputs:

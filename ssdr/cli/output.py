@@ -41,6 +41,10 @@ Threads = Annotated[
     int | None, typer.Option("--threads", min=1, help="Threads; all cores by default.")
 ]
 Fps = Annotated[float | None, typer.Option("--fps", help="Frames per second of the input.")]
+Scale = Annotated[
+    float | None,
+    typer.Option("--scale", metavar="FACTOR", help="Of the input's lengths: 0.01 turns cm into m."),
+]
 Weld = Annotated[
     bool,
     typer.Option("--weld", help="Merge vertices that coincide in every frame, as UV seams do."),
@@ -147,7 +151,7 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
         format_ = format_to_read(path)
     if format_ is not None and format_.read_skinning:
         known = _keywords(format_, format_.read_skinning)
-        fitting = {k: v for k, v in options.items() if k in known}
+        fitting = {k: v for k, v in options.items() if k in known | {"scale"}}
         try:
             return io.load_skinning(path, **fitting)
         except FormatError as error:
@@ -161,12 +165,20 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
 
 
 def read_options(
-    pairs: list[str] | None, *, fps: float | None, weld: bool = False
+    pairs: list[str] | None,
+    *,
+    fps: float | None,
+    weld: bool = False,
+    scale: float | None = None,
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`ssdr.load` from the command line."""
     options: dict[str, Any] = {"fps": fps} if fps is not None else {}
     if weld:
         options["weld"] = True
+    if scale is not None:
+        if not (math.isfinite(scale) and scale > 0):
+            raise InputError("--scale", "a positive number", scale)
+        options["scale"] = scale
     for pair in pairs or ():
         key, value = _pair("--read", pair)
         options[key] = value

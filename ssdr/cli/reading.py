@@ -31,6 +31,7 @@ def options_for(
     *,
     fps: float | None = None,
     weld: bool = False,
+    scale: float | None = None,
     roles: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Keyword arguments of :func:`ssdr.load` for each file.
@@ -44,7 +45,7 @@ def options_for(
         If no file knows a key, or none is meant by what stands before the colon.
     """
     known = [_known(path) for path in paths]
-    result = [read_options(None, fps=fps, weld=weld) for _ in paths]
+    result = [read_options(None, fps=fps, weld=weld, scale=scale) for _ in paths]
     for pair in pairs or ():
         match = _PREFIX.match(pair)
         key, value = _pair("--read", pair[match.end() :] if match else pair)

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..clips import Clip, pick
 from ..errors import FormatError, InputError, is_real
 from ..sequence import MeshSequence
@@ -37,6 +39,7 @@ def load(
     clip: str | int | None = None,
     weld: bool = False,
     fps: float | None = None,
+    scale: float = 1.0,
     **options: Any,
 ) -> MeshSequence:
     """Read an animated mesh; a file that holds a skinning is baked to vertices.
@@ -58,6 +61,9 @@ def load(
     fps : float, optional
         Frames per second, instead of what the file says; where it says nothing,
         24.
+    scale : float
+        Factor of all lengths: 0.01 reads centimetres as metres.  Other than 1,
+        all frames are read into memory.
     **options
         Options of the format, see the page on formats.
 
@@ -86,6 +92,7 @@ def load(
     """
     if fps is not None and not (is_real(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
+    check_scale(scale)
     source = _as_path(path)
     format_ = _readable(source)
     assert format_.read is not None
@@ -94,6 +101,8 @@ def load(
     sequence: MeshSequence = call(format_, format_.read, source, fps=fps, **options)
     if format_.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
+    if scale != 1:
+        sequence = _scaled(sequence, scale)
     if weld:
         sequence, report = sequence.weld()
         _log.info(
@@ -159,6 +168,7 @@ def load_skinning(
     path: str | os.PathLike[str],
     *,
     clip: str | int | Sequence[str | int] | None = None,
+    scale: float = 1.0,
     **options: Any,
 ) -> Skinning:
     """Read rest pose, skin weights and bone transforms.
@@ -169,6 +179,8 @@ def load_skinning(
         ``.npz``, ``.glb``, ``.gltf`` or USD.
     clip : str, int or several of them, optional
         Names or numbers of the clips; all by default.
+    scale : float
+        Factor of all lengths, of the rest pose and of how far bones move.
 
     Raises
     ------
@@ -187,6 +199,7 @@ def load_skinning(
     >>> again.n_bones
     4
     """
+    check_scale(scale)
     source = _as_path(path)
     suffix, format_ = format_of(source)
     if format_.read_skinning is None:
@@ -195,9 +208,31 @@ def load_skinning(
     if not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
     skinning: Skinning = call(format_, format_.read_skinning, source, **options)
+    if scale != 1:
+        transforms = skinning.transforms.copy()
+        transforms[..., 3] *= scale
+        rest = skinning.rest * skinning.rest.dtype.type(scale)
+        skinning = dataclasses.replace(skinning, rest=rest, transforms=transforms)
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
+
+
+def check_scale(scale: float) -> None:
+    """Refuse what is no factor of lengths.
+
+    Raises
+    ------
+    InputError
+        If `scale` is not positive and finite.
+    """
+    if not (is_real(scale) and scale > 0):
+        raise InputError("scale", "a positive number", repr(scale))
+
+
+def _scaled(sequence: MeshSequence, scale: float) -> MeshSequence:
+    blocks = [block * block.dtype.type(scale) for _, block in sequence.chunks()]
+    return dataclasses.replace(sequence, vertices=np.concatenate(blocks))
 
 
 def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
