@@ -340,6 +340,7 @@ def _pruned_document(result: Any) -> dict[str, Any]:
         "held": found.held,
         "least_bones": found.least_bones,
         "bytes": found.size.total,
+        "bytes_of": dataclasses.asdict(found.size),
         "prunings": [dataclasses.asdict(pruning) for pruning in found.prunings],
     }
 
@@ -353,10 +354,16 @@ def _pruned_rows(result: Any, diagonal: float) -> list[tuple[str, str]]:
         return f"{value:.3g}" + (f" ({100 * value / diagonal:.2g} %)" if diagonal > 0 else "")
 
     word = "held" if found.held else "not held"
+    size = found.size
     kind = {"rmse": "RMSE", "max": "largest error"}[found.tolerance_of]
     rows = [
         ("tolerance", f"{word}: {kind} {share(found.error)} of {share(found.tolerance)}"),
-        ("size", f"{found.size.total:,} bytes"),
+        (
+            "size",
+            f"{size.total:,} bytes in an engine: rest pose {size.rest:,}, weights "
+            f"{size.weights:,}, joints {size.joints:,}, keys {size.keys:,}; "
+            "files hold more, such as triangles, UVs and textures",
+        ),
     ]
     for p in found.prunings:
         saved = p.bytes_before - p.bytes_after
