@@ -47,13 +47,17 @@ def compare(
 
     options = options_for((reference, other), read, fps=fps, roles=("A", "B"))
     options[1] |= read_options(None, fps=None, scale=scale)
-    pairs = [(name, *_alike(a, b)) for name, a, b in read_pairs((reference, other), clip, options)]
+    with output.waiting(f"loading {reference}, {other}"):
+        found = read_pairs((reference, other), clip, options)
+        pairs = [(name, *_alike(a, b)) for name, a, b in found]
     hint = _other_units(pairs[0][1], pairs[0][2], scale)
     if hint:
         output.warn(hint)
-    results = [
-        (name, ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)) for name, a, b in pairs
-    ]
+    with output.waiting("measuring"):
+        results = [
+            (name, ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted))
+            for name, a, b in pairs
+        ]
     document = {"command": "compare", "reference": reference, "other": other}
     if len(pairs) == 1:
         document |= results[0][1].as_dict()

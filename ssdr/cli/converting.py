@@ -57,9 +57,11 @@ def convert(
     check_outputs([target], kind=Skinning, pairs=None, force=force, sources=[source])
     thing: MeshSequence | Skinning
     take = one_clip if bake or weld else read_model
-    thing = take(source, clip, options)
+    with output.waiting(f"loading {source}"):
+        thing = take(source, clip, options)
     check_outputs([target], kind=type(thing), pairs=write, force=force, sources=[source])
-    report = ssdr.save(thing, target, **write_options(write, target))
+    with output.waiting(f"saving {target}"):
+        report = ssdr.save(thing, target, **write_options(write, target))
     kind = "skinning" if isinstance(thing, Skinning) else "sequence"
     document = {
         "command": "convert",

@@ -34,13 +34,13 @@ from .output import (
     check_file,
     check_outputs,
     length_text,
-    rehearse,
     saved_document,
     saved_line,
     write_options,
 )
 from .progress import Reporter
 from .reading import ClipNames, clips_document, clips_text, join, options_for, read_clips
+from .timing import prepare, times_text
 
 
 class Effort(StrEnum):
@@ -107,7 +107,12 @@ def decompose(
         int, typer.Option("--rng", "--seed", min=0, help="Seed; the same seed, the same result.")
     ] = 0,
     time_limit: Annotated[
-        float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long.")
+        float | None,
+        typer.Option(
+            "--time-limit",
+            metavar="SECONDS",
+            help="Finish within so long, loading and saving included.",
+        ),
     ] = None,
     max_iterations: Annotated[
         int | None, typer.Option("--max-iterations", min=0, help="Stop after so many iterations.")
@@ -151,6 +156,7 @@ def decompose(
     Ctrl-C stops at the next safe point and saves a state that --resume takes up;
     a second Ctrl-C quits at once.
     """
+    began = time.perf_counter()
     output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
     if time_limit is not None and not (math.isfinite(time_limit) and time_limit > 0):
         raise InputError("--time-limit", "seconds > 0", time_limit)
@@ -201,17 +207,19 @@ def decompose(
         if not resume.is_file():
             raise FileNotFoundError(f"{resume}: no such file")
         start = ssdr.SolverState.load(resume)
-    began = time.perf_counter()
-    shots = read_clips(inputs, clip, options)
+    loaded = time.perf_counter()
+    with output.waiting(f"loading {', '.join(map(str, inputs))}"):
+        shots = read_clips(inputs, clip, options)
     if sum(len(shot) for shot in shots) == 1:
         files = ", ".join(map(str, inputs))
         raise InputError(
             "IN", "an animation", f"one frame, {files} (no motion: did you mean a pattern?)"
         )
-    loading = time.perf_counter() - began
-    for path in outputs:
-        frames = sum(len(shot) for shot in shots)
-        rehearse(shots[0], path, write_options(write, path), frames=frames)
+    loading = time.perf_counter() - loaded
+    left, compiling = prepare(
+        shots, outputs, write, bones=bones, time_limit=time_limit, began=began, output=output
+    )
+    solved = time.perf_counter()
 
     with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, stopping() as stop:
 
@@ -227,7 +235,7 @@ def decompose(
                 effort=effort.value,
                 bone_model=bone_model.value,
                 rng=rng,
-                time_limit=time_limit,
+                time_limit=left,
                 max_iterations=max_iterations,
                 smoothness=smoothness,
                 resume=start,
@@ -239,19 +247,22 @@ def decompose(
             raise Interrupted("interrupted before there was a model to save") from error
     if result.stop_reason == "cancelled":
         raise interrupted(result, state_path, output)
-    solving = time.perf_counter() - began - loading
+    solving = time.perf_counter() - solved
+    saving = time.perf_counter()
 
     reports = []
     try:
         for path in outputs:
-            reports.append(ssdr.save(result.skinning, path, **write_options(write, path)))
+            with output.waiting(f"saving {path}"):
+                reports.append(ssdr.save(result.skinning, path, **write_options(write, path)))
         if picture is not None:
             from ..render.figures import contact_sheet, write_picture
 
-            sheet = contact_sheet(
-                result.skinning, reference=join(shots), title=inputs[0].stem, up=up
-            )
-            write_picture(sheet, picture)
+            with output.waiting(f"drawing {picture}"):
+                sheet = contact_sheet(
+                    result.skinning, reference=join(shots), title=inputs[0].stem, up=up
+                )
+                write_picture(sheet, picture)
     except KeyboardInterrupt:
         raise interrupted(result, state_path, output) from None
     except Exception as error:
@@ -259,6 +270,8 @@ def decompose(
         rescue(error, result.state, state_path, output)
         raise
 
+    saving = time.perf_counter() - saving
+    compiling += result.compile_seconds
     diagonal = max(shot.diagonal() for shot in shots)
     e = 1000 * result.rmse / math.sqrt(3)
     share = result.rmse / diagonal if diagonal > 0 else math.nan
@@ -281,7 +294,9 @@ def decompose(
         "diagonal": diagonal,
         "seconds": solving,
         "load_seconds": loading,
-        "compile_seconds": result.compile_seconds,
+        "save_seconds": saving,
+        "compile_seconds": compiling,
+        "total_seconds": time.perf_counter() - began,
         **_pruned_document(result),
         "converged": result.converged,
         "stop_reason": result.stop_reason,
@@ -290,8 +305,7 @@ def decompose(
         "picture": picture,
         "state": checkpoint,
     }
-    compiled = result.compile_seconds
-    waited = f", of which {compiled:.1f} s compiling" if compiled > 0.05 else ""
+    total = time.perf_counter() - began
     rows = [
         ("input", f"{', '.join(map(str, inputs))}: {_counts(shots, diagonal)}"),
         ("clips", clips_text(clips) if len(clips) > 1 else ""),
@@ -299,7 +313,7 @@ def decompose(
         ("RMSE", f"{result.rmse:.4g} in the mesh's units, {100 * share:.3g} % of the diagonal"),
         ("E", f"{e:.4g} = 1000 · RMSE / √3"),
         *_pruned_rows(result, diagonal),
-        ("time", f"{solving:.1f} s{waited}; loading {loading:.1f} s"),
+        ("time", times_text(total, loading, compiling, solving, saving)),
         ("stopped", f"{result.stop_reason}{'' if result.converged else ' (not converged)'}"),
         *[("wrote", saved_line(report, diagonal)) for report in reports],
         ("picture", str(picture or "")),

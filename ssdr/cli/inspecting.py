@@ -42,7 +42,8 @@ def info(
     """
     output = Output.start(json=json, verbose=verbose)
     (options,) = options_for([source], read, fps=fps)
-    thing = read_any(source, **options) if clip is None else read_model(source, clip, options)
+    with output.waiting(f"loading {source}"):
+        thing = read_any(source, **options) if clip is None else read_model(source, clip, options)
     if isinstance(thing, Skinning):
         listed = thing.clips
     else:

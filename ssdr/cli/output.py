@@ -108,6 +108,12 @@ class Output:
         output.json, output.quiet = json, quiet
         return output
 
+    def waiting(self, text: str) -> contextlib.AbstractContextManager[None]:
+        """Says on stderr what a wait of more than a second is for."""
+        from .progress import waiting
+
+        return waiting(text, show=not (self.json or self.quiet), stream=sys.stderr)
+
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
         """Stands in for ``warnings.showwarning``."""
         text = " ".join(str(message).split())
@@ -276,12 +282,23 @@ def _beside(path: Path) -> list[Path]:
 
 
 def rehearse(
-    sequence: MeshSequence, path: Path, options: Mapping[str, Any], *, frames: int
+    sequence: MeshSequence,
+    path: Path,
+    options: Mapping[str, Any],
+    *,
+    frames: int,
+    bones: int = 1,
+    stored: int = 1,
 ) -> None:
-    """Write a model of one bone and one frame to a folder that goes away; `frames` will come.
+    """Write a model of a few frames to a folder that goes away; `frames` will come.
 
     What a format refuses (an option's value, one file for many frames) is refused before the
     work, not after it.
+
+    Parameters
+    ----------
+    bones, stored : int
+        Of the model that is written, frames all alike.
 
     Raises
     ------
@@ -303,7 +320,7 @@ def rehearse(
         frame[0],
         np.zeros((n, 1), dtype=np.int32),
         np.ones((n, 1)),
-        np.eye(3, 4)[None, None],
+        np.tile(np.eye(3, 4), (stored, bones, 1, 1)),
         faces=sequence.faces,
         fps=sequence.fps,
         surface=sequence.surface,
@@ -313,7 +330,8 @@ def rehearse(
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they come again with the whole model
         try:
-            io.save(model, Path(folder) / f"rehearsal{suffix}", **options)
+            name = f"rehearsal%d{suffix}" if format_.module == "meshes" else f"rehearsal{suffix}"
+            io.save(model, Path(folder) / name, **options)
         except OSError as error:
             # The folder of the output has been tried; this one says nothing about it.
             logging.getLogger(__name__).debug("no rehearsal: %s", error)
