@@ -217,7 +217,14 @@ def decompose(
         )
     loading = time.perf_counter() - loaded
     left, compiling = prepare(
-        shots, outputs, write, bones=bones, time_limit=time_limit, began=began, output=output
+        shots,
+        outputs,
+        write,
+        bones=bones,
+        picture=picture,
+        time_limit=time_limit,
+        began=began,
+        output=output,
     )
     solved = time.perf_counter()
 

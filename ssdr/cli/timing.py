@@ -15,6 +15,7 @@ __all__ = ["prepare", "times_text"]
 
 _FEW = 8  # frames of a small model whose writing is timed
 _BLENDER = 20.0  # seconds, which starting it twice and exporting usually need
+_PANELS, _PANEL = 30, (300, 300)  # of a contact sheet: how many, pixels of each
 _USUAL_BONES = 24  # where a tolerance will decide
 _LEAST = 0.05  # of the time limit, for the solver: one model is made in any case
 
@@ -25,6 +26,7 @@ def prepare(
     write: list[str] | None,
     *,
     bones: int | None,
+    picture: Path | None,
     time_limit: float | None,
     began: float,
     output: Output,
@@ -41,6 +43,8 @@ def prepare(
             if time_limit is not None:
                 count = bones or _USUAL_BONES
                 needed += _seconds_to_save(shots[0], path, options, frames=frames, bones=count)
+        if picture is not None and time_limit is not None:
+            needed += _seconds_to_draw(shots[0])
     with output.waiting("compiling"):
         from ..solver.warmup import compile_kernels
 
@@ -67,6 +71,16 @@ def _seconds_to_save(
         times.append(time.perf_counter() - began)
     slope = max(0.0, times[1] - times[0]) / max(1, few - 1)
     return max(times) + slope * (frames - few)
+
+
+def _seconds_to_draw(sequence: MeshSequence) -> float:
+    """About how long a contact sheet will take, from the time of one of its panels."""
+    from ..render.figures import render_frame
+
+    render_frame(sequence, 0, size=_PANEL)  # compiles
+    began = time.perf_counter()
+    render_frame(sequence, 0, size=_PANEL)
+    return _PANELS * (time.perf_counter() - began)
 
 
 def times_text(
