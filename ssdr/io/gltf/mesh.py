@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...sequence import Material, Surface
 from .animation import World
+from .compression import DRACO, decode_primitive
 from .document import Document
 
 __all__ = ["Part", "join_surface", "read_parts"]
@@ -98,8 +99,8 @@ def read_parts(document: Document, world: World) -> list[Part]:
             skin = document.integer(item["skin"], "a skin", len(document.items("skins")))
         groups: dict[str, list[dict[str, Any]]] = {}
         for primitive in document.array(document.item("meshes", mesh), "primitives"):
-            if "KHR_draco_mesh_compression" in document.dictionary(primitive, "extensions"):
-                raise document.error("its geometry is compressed with Draco; save it without")
+            if DRACO in document.dictionary(primitive, "extensions"):
+                decode_primitive(document, primitive)
             if primitive.get("mode", 4) in (1, 2, 3):
                 _log.warning("%s: lines in mesh %d are left out", document.path, mesh)
                 continue
