@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +12,10 @@ import typer
 
 from ..errors import InputError
 from ..sequence import MeshSequence
-from .output import Fps, JsonFlag, Output, ReadOptions, Threads, Verbose
+from .output import Fps, JsonFlag, Output, ReadOptions, Threads, Verbose, read_options
 from .reading import ClipNames, join, options_for, read_pairs
+
+_ABOUT = 0.02  # of log10, 5 %: how far a model's diagonal may be off that of its reference
 
 
 def compare(
@@ -24,6 +27,10 @@ def compare(
     sted: Annotated[bool, typer.Option(help="Spatio-temporal edge difference.")] = True,
     clip: ClipNames = None,
     fps: Fps = None,
+    scale: Annotated[
+        float,
+        typer.Option("--scale", metavar="FACTOR", help="Of B's lengths: 0.01 turns cm into m."),
+    ] = 1.0,
     read: ReadOptions = None,
     threads: Threads = None,
     json: JsonFlag = False,
@@ -39,10 +46,18 @@ def compare(
     import ssdr
 
     options = options_for((reference, other), read, fps=fps, roles=("A", "B"))
-    pairs = [(name, *_alike(a, b)) for name, a, b in read_pairs((reference, other), clip, options)]
-    results = [
-        (name, ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted)) for name, a, b in pairs
-    ]
+    options[1] |= read_options(None, fps=None, scale=scale)
+    with output.waiting(f"loading {reference}, {other}"):
+        found = read_pairs((reference, other), clip, options)
+        pairs = [(name, *_alike(a, b)) for name, a, b in found]
+    hint = _other_units(pairs[0][1], pairs[0][2], scale)
+    if hint:
+        output.warn(hint)
+    with output.waiting("measuring"):
+        results = [
+            (name, ssdr.metrics.compare(a, b, hausdorff=hausdorff, sted=sted))
+            for name, a, b in pairs
+        ]
     document = {"command": "compare", "reference": reference, "other": other}
     if len(pairs) == 1:
         document |= results[0][1].as_dict()
@@ -57,6 +72,23 @@ def compare(
         output.result(document, [])
     else:
         typer.echo(text)
+
+
+def _other_units(a: MeshSequence, b: MeshSequence, scale: float) -> str:
+    """What to say of two meshes whose sizes differ by a power of ten, else nothing."""
+    sizes = a.diagonal(), b.diagonal()
+    if min(sizes) <= 0:
+        return ""
+    tens = math.log10(sizes[1] / sizes[0])
+    power = round(tens)
+    if power == 0 or abs(tens - power) > _ABOUT:
+        return ""
+    times = f"{10.0 ** abs(power):,.0f} times"
+    larger, smaller = ("B", "A") if power > 0 else ("A", "B")
+    return (
+        f"the diagonal of {larger} is about {times} that of {smaller}: are they in different "
+        f"units, such as metres and centimetres? --scale {scale * 10.0**-power:g} brings B to A"
+    )
 
 
 def _alike(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequence, MeshSequence]:

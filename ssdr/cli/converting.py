@@ -17,6 +17,7 @@ from .output import (
     Output,
     Quiet,
     ReadOptions,
+    Scale,
     Strict,
     Verbose,
     Weld,
@@ -37,6 +38,7 @@ def convert(
     clip: ClipNames = None,
     weld: Weld = False,
     fps: Fps = None,
+    scale: Scale = None,
     read: ReadOptions = None,
     write: WriteOptions = None,
     strict: Strict = False,
@@ -53,7 +55,7 @@ def convert(
     output = Output.start(json=json, quiet=quiet, verbose=verbose)
     import ssdr
 
-    (options,) = options_for([source], read, fps=fps, weld=weld)
+    (options,) = options_for([source], read, fps=fps, weld=weld, scale=scale)
     # A sequence can never be written where not even a skinning can.
     check_outputs([target], kind=Skinning, pairs=None, force=force, sources=[source])
     if of_one_format(source, target) and source.is_file() and not (bake or options or write):
@@ -73,12 +75,14 @@ def convert(
         return
     thing: MeshSequence | Skinning
     take = one_clip if bake or weld else read_model
-    thing = take(source, clip, options)
+    with output.waiting(f"loading {source}"):
+        thing = take(source, clip, options)
     check_outputs([target], kind=type(thing), pairs=write, force=force, sources=[source])
     settings = options_with_template(
         target, write, [source], [options], strict=strict, new_bones=not isinstance(thing, Skinning)
     )
-    report = ssdr.save(thing, target, **settings)
+    with output.waiting(f"saving {target}"):
+        report = ssdr.save(thing, target, **settings)
     kind = "skinning" if isinstance(thing, Skinning) else "sequence"
     document = {
         "command": "convert",

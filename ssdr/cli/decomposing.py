@@ -27,6 +27,7 @@ from .output import (
     Output,
     Quiet,
     ReadOptions,
+    Scale,
     Strict,
     Threads,
     Verbose,
@@ -35,7 +36,6 @@ from .output import (
     check_file,
     check_outputs,
     length_text,
-    rehearse,
     saved_document,
     saved_line,
     write_options,
@@ -50,6 +50,7 @@ from .reading import (
     options_for,
     read_clips,
 )
+from .timing import prepare, times_text
 
 
 class Effort(StrEnum):
@@ -116,7 +117,12 @@ def decompose(
         int, typer.Option("--rng", "--seed", min=0, help="Seed; the same seed, the same result.")
     ] = 0,
     time_limit: Annotated[
-        float | None, typer.Option("--time-limit", metavar="SECONDS", help="Stop after so long.")
+        float | None,
+        typer.Option(
+            "--time-limit",
+            metavar="SECONDS",
+            help="Finish within so long, loading and saving included.",
+        ),
     ] = None,
     max_iterations: Annotated[
         int | None, typer.Option("--max-iterations", min=0, help="Stop after so many iterations.")
@@ -127,6 +133,7 @@ def decompose(
     clip: ClipNames = None,
     weld: Weld = False,
     fps: Fps = None,
+    scale: Scale = None,
     resume: Annotated[
         Path | None, typer.Option("--resume", metavar="STATE", help="Go on from a saved state.")
     ] = None,
@@ -163,13 +170,14 @@ def decompose(
     Ctrl-C stops at the next safe point and saves a state that --resume takes up;
     a second Ctrl-C quits at once.
     """
+    began = time.perf_counter()
     output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
     if time_limit is not None and not (math.isfinite(time_limit) and time_limit > 0):
         raise InputError("--time-limit", "seconds > 0", time_limit)
     if bones is None and tolerance is None:
         raise InputError("--bones", "a number of bones, or --tolerance", "neither")
     wanted = _tolerance(tolerance, tolerance_of)
-    options = options_for(inputs, read, fps=fps, weld=weld)
+    options = options_for(inputs, read, fps=fps, weld=weld, scale=scale)
     sources = inputs if resume is None else [*inputs, resume]
     check_outputs(outputs, kind=Skinning, pairs=write, force=force, sources=sources)
     for path in outputs:
@@ -213,15 +221,16 @@ def decompose(
         if not resume.is_file():
             raise FileNotFoundError(f"{resume}: no such file")
         start = ssdr.SolverState.load(resume)
-    began = time.perf_counter()
-    shots = read_clips(inputs, clip, options)
+    loaded = time.perf_counter()
+    with output.waiting(f"loading {', '.join(map(str, inputs))}"):
+        shots = read_clips(inputs, clip, options)
     if sum(len(shot) for shot in shots) == 1:
         files = ", ".join(map(str, inputs))
         raise InputError(
             "IN", "an animation", f"one frame, {files} (no motion: did you mean a pattern?)"
         )
     check_rates(outputs, shots)
-    loading = time.perf_counter() - began
+    loading = time.perf_counter() - loaded
     clips = names_of(shots)["clips"]
     settings = {
         path: options_with_template(
@@ -235,9 +244,17 @@ def decompose(
         )
         for path in outputs
     }
-    for path in outputs:
-        frames = sum(len(shot) for shot in shots)
-        rehearse(shots[0], path, settings[path], frames=frames, clips=clips)
+    left, compiling = prepare(
+        shots,
+        settings,
+        clips=clips,
+        bones=bones,
+        picture=picture,
+        time_limit=time_limit,
+        began=began,
+        output=output,
+    )
+    solved = time.perf_counter()
 
     with Reporter(show=not (quiet or json), stream=sys.stderr) as reporter, stopping() as stop:
 
@@ -253,7 +270,7 @@ def decompose(
                 effort=effort.value,
                 bone_model=bone_model.value,
                 rng=rng,
-                time_limit=time_limit,
+                time_limit=left,
                 max_iterations=max_iterations,
                 smoothness=smoothness,
                 resume=start,
@@ -266,19 +283,22 @@ def decompose(
     written = [*outputs, *([picture] if picture is not None else [])]
     if result.stop_reason == "cancelled":
         raise interrupted(result, state_path, output, written)
-    solving = time.perf_counter() - began - loading
+    solving = time.perf_counter() - solved
+    saving = time.perf_counter()
 
     reports = []
     try:
         for path in outputs:
-            reports.append(ssdr.save(result.skinning, path, **settings[path]))
+            with output.waiting(f"saving {path}"):
+                reports.append(ssdr.save(result.skinning, path, **settings[path]))
         if picture is not None:
             from ..render.figures import contact_sheet, write_picture
 
-            sheet = contact_sheet(
-                result.skinning, reference=join(shots), title=inputs[0].stem, up=up
-            )
-            write_picture(sheet, picture)
+            with output.waiting(f"drawing {picture}"):
+                sheet = contact_sheet(
+                    result.skinning, reference=join(shots), title=inputs[0].stem, up=up
+                )
+                write_picture(sheet, picture)
     except KeyboardInterrupt:
         raise interrupted(result, state_path, output, written) from None
     except Exception as error:
@@ -286,6 +306,8 @@ def decompose(
         rescue(error, result.state, state_path, output, written)
         raise
 
+    saving = time.perf_counter() - saving
+    compiling += result.compile_seconds
     diagonal = max(shot.diagonal() for shot in shots)
     e = 1000 * result.rmse / math.sqrt(3)
     share = result.rmse / diagonal if diagonal > 0 else math.nan
@@ -307,7 +329,9 @@ def decompose(
         "diagonal": diagonal,
         "seconds": solving,
         "load_seconds": loading,
-        "compile_seconds": result.compile_seconds,
+        "save_seconds": saving,
+        "compile_seconds": compiling,
+        "total_seconds": time.perf_counter() - began,
         **_pruned_document(result),
         "converged": result.converged,
         "stop_reason": result.stop_reason,
@@ -316,8 +340,7 @@ def decompose(
         "picture": picture,
         "state": checkpoint,
     }
-    compiled = result.compile_seconds
-    waited = f", of which {compiled:.1f} s compiling" if compiled > 0.05 else ""
+    total = time.perf_counter() - began
     rows = [
         ("input", f"{', '.join(map(str, inputs))}: {_counts(shots, diagonal)}"),
         ("clips", clips_text(clips) if len(clips) > 1 else ""),
@@ -325,7 +348,7 @@ def decompose(
         ("RMSE", f"{result.rmse:.4g} in the mesh's units, {100 * share:.3g} % of the diagonal"),
         ("E", f"{e:.4g} = 1000 · RMSE / √3"),
         *_pruned_rows(result, diagonal),
-        ("time", f"{solving:.1f} s{waited}; loading {loading:.1f} s"),
+        ("time", times_text(total, loading, compiling, solving, saving)),
         ("stopped", f"{result.stop_reason}{'' if result.converged else ' (not converged)'}"),
         *[("wrote", saved_line(report, diagonal)) for report in reports],
         ("picture", str(picture or "")),
@@ -366,6 +389,7 @@ def _pruned_document(result: Any) -> dict[str, Any]:
         "held": found.held,
         "least_bones": found.least_bones,
         "bytes": found.size.total,
+        "bytes_of": dataclasses.asdict(found.size),
         "prunings": [dataclasses.asdict(pruning) for pruning in found.prunings],
     }
 
@@ -379,10 +403,16 @@ def _pruned_rows(result: Any, diagonal: float) -> list[tuple[str, str]]:
         return f"{value:.3g}" + (f" ({100 * value / diagonal:.2g} %)" if diagonal > 0 else "")
 
     word = "held" if found.held else "not held"
+    size = found.size
     kind = {"rmse": "RMSE", "max": "largest error"}[found.tolerance_of]
     rows = [
         ("tolerance", f"{word}: {kind} {share(found.error)} of {share(found.tolerance)}"),
-        ("size", f"{found.size.total:,} bytes"),
+        (
+            "size",
+            f"{size.total:,} bytes in an engine: rest pose {size.rest:,}, weights "
+            f"{size.weights:,}, joints {size.joints:,}, keys {size.keys:,}; "
+            "files hold more, such as triangles, UVs and textures",
+        ),
     ]
     for p in found.prunings:
         saved = p.bytes_before - p.bytes_after

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,7 +42,8 @@ def info(
     """
     output = Output.start(json=json, verbose=verbose)
     (options,) = options_for([source], read, fps=fps)
-    thing = read_any(source, **options) if clip is None else read_model(source, clip, options)
+    with output.waiting(f"loading {source}"):
+        thing = read_any(source, **options) if clip is None else read_model(source, clip, options)
     if isinstance(thing, Skinning):
         listed = thing.clips
     else:
@@ -84,8 +86,6 @@ def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:
 
 
 def _about_skinning(skinning: Skinning) -> dict[str, Any]:
-    turn = skinning.transforms[..., :3].astype(np.float64)
-    off = np.swapaxes(turn, -1, -2) @ turn - np.eye(3)
     used = (skinning.weights > 0).sum(axis=1)
     share = np.bincount(
         skinning.joints.ravel(), skinning.weights.ravel(), minlength=skinning.n_bones
@@ -108,11 +108,41 @@ def _about_skinning(skinning: Skinning) -> dict[str, Any]:
         "influence_histogram": np.bincount(used, minlength=skinning.n_influences + 1)[1:],
         "bones_without_vertices": int((share == 0).sum()),
         "weight_sum_error": float(np.abs(skinning.weights.sum(axis=1, dtype=np.float64) - 1).max()),
-        "orthonormality_error": float(np.abs(off).max()),
-        "smallest_determinant": float(np.linalg.det(turn).min()),
+        "seams": _seams(skinning),
+        **_about_bones(skinning),
         **_about_surface(skinning),
         **_about_faces(skinning.faces, rest),
     }
+
+
+def _about_bones(skinning: Skinning) -> dict[str, Any]:
+    """How far bones are from turning alone; growth, which a similarity may have, apart."""
+    linear = skinning.transforms[..., :3].astype(np.float64)
+    determinant = np.linalg.det(linear)
+    stretch = np.linalg.svd(linear, compute_uv=False)
+    turn = linear
+    if skinning.bone_model != "rigid":
+        scale = np.cbrt(np.abs(determinant))
+        turn = linear / np.where(scale > 0, scale, 1)[..., None, None]
+    off = np.swapaxes(turn, -1, -2) @ turn - np.eye(3)
+    return {
+        "orthonormality_error": float(np.abs(off).max()),
+        "smallest_determinant": float(determinant.min()),
+        "smallest_stretch": float(stretch.min()),
+        "largest_stretch": float(stretch.max()),
+    }
+
+
+def _seams(skinning: Skinning) -> int:
+    """Vertices at the place of others at rest, with their weights: they coincide in every frame."""
+    rest = skinning.rest.astype(np.float64)
+    size = float(np.linalg.norm(rest.max(axis=0) - rest.min(axis=0)))
+    weights = skinning.dense_weights().astype(np.float64) * (size or 1.0)
+    columns = np.concatenate([rest, weights], axis=1)
+    columns = np.pad(columns, ((0, 0), (0, -columns.shape[1] % 3)))
+    frames = np.swapaxes(columns.reshape(len(rest), -1, 3), 0, 1)
+    _, weld = MeshSequence(frames, validate=False).weld()
+    return weld.before - weld.after
 
 
 def _about_surface(thing: MeshSequence | Skinning) -> dict[str, Any]:
@@ -151,11 +181,10 @@ def _about_faces(faces: NDArray[np.int32], points: NDArray[np.float64]) -> dict[
 def _sequence_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
     where = "" if d["in_memory"] else ", read by chunks"
     box = " × ".join(f"{x:.4g}" for x in d["high"] - d["low"])
-    seams = f"{d['seams']:,} vertices coincide with others in every frame (--weld merges them)"
     return [
         *_time_rows(d),
         *_mesh_rows(d),
-        ("seams", seams if d["seams"] else "none"),
+        _seams_row(d),
         ("size", f"diagonal {length_text(d['diagonal'], None)}, frame 0 {box}"),
         ("memory", f"{size_text(d['memory'])}, {d['dtype']}{where}"),
     ]
@@ -169,15 +198,29 @@ def _skinning_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
         ("bones", f"{d['bones']} ({d['bone_model']})" + (f", {idle} move nothing" * bool(idle))),
         ("influences", f"at most {d['influences']}; vertices by number: {', '.join(counts)}"),
         ("weights", f"sums off 1 by at most {d['weight_sum_error']:.2g}"),
-        (
-            "rotations",
-            f"off orthonormal by at most {d['orthonormality_error']:.2g}, "
-            f"determinant from {d['smallest_determinant']:.6g}",
-        ),
+        _bones_row(d),
         *_mesh_rows(d),
+        _seams_row(d),
         ("size", f"diagonal of the rest pose {length_text(d['rest_diagonal'], None)}"),
         ("memory", f"{size_text(d['memory'])}, {d['dtype']}"),
     ]
+
+
+def _seams_row(d: dict[str, Any]) -> tuple[str, str]:
+    seams = f"{d['seams']:,} vertices coincide with others in every frame (--weld merges them)"
+    return "seams", seams if d["seams"] else "none"
+
+
+def _bones_row(d: dict[str, Any]) -> tuple[str, str]:
+    off = f"off orthonormal by at most {d['orthonormality_error']:.2g}"
+    determinant = f"determinant from {d['smallest_determinant']:.6g}"
+    low, high = d["smallest_stretch"], d["largest_stretch"]
+    scales = f"{low:.4g}" if math.isclose(low, high, rel_tol=1e-4) else f"{low:.4g} to {high:.4g}"
+    if d["bone_model"] == "rigid":
+        return "rotations", f"{off}, {determinant}"
+    if d["bone_model"] == "similarity":
+        return "rotations", f"scaled by {scales}; apart from that {off}"
+    return "transforms", f"stretch by {scales}, {determinant}"
 
 
 def _time_rows(d: dict[str, Any]) -> list[tuple[str, str]]:

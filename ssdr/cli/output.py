@@ -26,7 +26,7 @@ import typer
 from ..clips import Clip
 from ..errors import FormatError, InputError, MissingDependencyError
 from ..io.atomic import check_writable
-from ..io.registry import FORMATS, Format, SaveReport, format_of
+from ..io.registry import FORMATS, Format, SaveReport, format_of, format_to_read
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 
@@ -42,6 +42,10 @@ Threads = Annotated[
     int | None, typer.Option("--threads", min=1, help="Threads; all cores by default.")
 ]
 Fps = Annotated[float | None, typer.Option("--fps", help="Frames per second of the input.")]
+Scale = Annotated[
+    float | None,
+    typer.Option("--scale", metavar="FACTOR", help="Of the input's lengths: 0.01 turns cm into m."),
+]
 Weld = Annotated[
     bool,
     typer.Option("--weld", help="Merge vertices that coincide in every frame, as UV seams do."),
@@ -110,6 +114,12 @@ class Output:
         output.json, output.quiet = json, quiet
         return output
 
+    def waiting(self, text: str) -> contextlib.AbstractContextManager[None]:
+        """Says on stderr what a wait of more than a second is for."""
+        from .progress import waiting
+
+        return waiting(text, show=not (self.json or self.quiet), stream=sys.stderr)
+
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
         """Stands in for ``warnings.showwarning``."""
         text = " ".join(str(message).split())
@@ -150,10 +160,10 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
 
     format_ = None
     with contextlib.suppress(FormatError):
-        format_ = format_of(path)[1]
-    if format_ is not None and format_.read_skinning and not path.is_dir():
+        format_ = format_to_read(path)
+    if format_ is not None and format_.read_skinning:
         known = _keywords(format_, format_.read_skinning)
-        fitting = {k: v for k, v in options.items() if k in known}
+        fitting = {k: v for k, v in options.items() if k in known | {"scale"}}
         try:
             return io.load_skinning(path, **fitting)
         except FormatError as error:
@@ -167,12 +177,20 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
 
 
 def read_options(
-    pairs: list[str] | None, *, fps: float | None, weld: bool = False
+    pairs: list[str] | None,
+    *,
+    fps: float | None,
+    weld: bool = False,
+    scale: float | None = None,
 ) -> dict[str, Any]:
     """Keyword arguments of :func:`ssdr.load` from the command line."""
     options: dict[str, Any] = {"fps": fps} if fps is not None else {}
     if weld:
         options["weld"] = True
+    if scale is not None:
+        if not (math.isfinite(scale) and scale > 0):
+            raise InputError("--scale", "a positive number", scale)
+        options["scale"] = scale
     for pair in pairs or ():
         key, value = _pair("--read", pair)
         options[key] = value
@@ -279,11 +297,18 @@ def rehearse(
     *,
     frames: int,
     clips: Sequence[Clip] = (),
+    bones: int = 1,
+    stored: int = 1,
 ) -> None:
-    """Write a model of one bone and a frame a clip to a folder that goes away; `frames` will come.
+    """Write a model of few frames, one a clip, to a folder that goes away; `frames` will come.
 
     What a format refuses (an option's value, one file for many frames) is refused before the
     work, not after it.
+
+    Parameters
+    ----------
+    bones, stored : int
+        Of the model that is written, frames all alike.
 
     Raises
     ------
@@ -305,7 +330,7 @@ def rehearse(
         frame[0],
         np.zeros((n, 1), dtype=np.int32),
         np.ones((n, 1)),
-        np.tile(np.eye(3, 4), (max(1, len(clips)), 1, 1, 1)),
+        np.tile(np.eye(3, 4), (max(stored, len(clips)), bones, 1, 1)),
         faces=sequence.faces,
         fps=None if clips else sequence.fps,  # type: ignore[arg-type]
         clips=tuple(Clip(c.name, k, k + 1, c.fps) for k, c in enumerate(clips)) or None,  # type: ignore[arg-type]
@@ -316,7 +341,8 @@ def rehearse(
     try:
         with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they come again with the whole model
-            io.save(model, Path(folder) / f"rehearsal{suffix}", **options)
+            name = f"rehearsal%d{suffix}" if format_.module == "meshes" else f"rehearsal{suffix}"
+            io.save(model, Path(folder) / name, **options)
     except OSError as error:
         # The folder of the output has been tried; this one says nothing about it.
         logging.getLogger(__name__).debug("no rehearsal: %s", error)

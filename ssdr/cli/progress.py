@@ -2,12 +2,47 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
 import time
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, TextIO
 
 _EVERY = 5.0  # seconds between plain lines
+_PATIENCE = 1.0  # seconds before a wait is worth a line
+
+
+@contextlib.contextmanager
+def waiting(text: str, *, show: bool, stream: TextIO) -> Iterator[None]:
+    """Say what is being waited for, and for how long, where the block needs a second or more."""
+    if not show or stream.closed:
+        yield
+        return
+    done, live = threading.Event(), stream.isatty()
+    began = time.monotonic()
+
+    def tell() -> None:
+        pause, told = _PATIENCE, False
+        while not done.wait(pause):
+            spent = _span(math.floor(time.monotonic() - began))
+            with contextlib.suppress(OSError, ValueError):  # a stream that was closed meanwhile
+                stream.write(f"\r{text}, {spent}\x1b[K" if live else f"{text}, {spent}\n")
+                stream.flush()
+            pause, told = (_PATIENCE if live else _EVERY), True
+        if told and live:
+            with contextlib.suppress(OSError, ValueError):
+                stream.write("\r\x1b[K")
+                stream.flush()
+
+    teller = threading.Thread(target=tell, name="ssdr-waiting", daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()
 
 
 class Reporter:

@@ -13,7 +13,7 @@ import typer
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError
-from ..io.registry import FORMATS, Format, format_of
+from ..io.registry import Format, format_of, format_to_read
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .output import Output, _keywords, _pair, read_any, read_options
@@ -31,6 +31,7 @@ def options_for(
     *,
     fps: float | None = None,
     weld: bool = False,
+    scale: float | None = None,
     roles: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Keyword arguments of :func:`ssdr.load` for each file.
@@ -44,7 +45,7 @@ def options_for(
         If no file knows a key, or none is meant by what stands before the colon.
     """
     known = [_known(path) for path in paths]
-    result = [read_options(None, fps=fps, weld=weld) for _ in paths]
+    result = [read_options(None, fps=fps, weld=weld, scale=scale) for _ in paths]
     for pair in pairs or ():
         match = _PREFIX.match(pair)
         key, value = _pair("--read", pair[match.end() :] if match else pair)
@@ -71,9 +72,9 @@ def options_for(
 
 def _format(path: Path) -> Format | None:
     try:
-        return format_of(path)[1]
+        return format_to_read(path)
     except FormatError:
-        return FORMATS[".obj"] if path.is_dir() else None
+        return None
 
 
 def _known(path: Path) -> set[str] | None:
@@ -95,7 +96,7 @@ def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...] | None:
     from ..io import list_clips
 
     format_ = _format(path)
-    if format_ is None or format_.list_clips is None or path.is_dir() or not path.exists():
+    if format_ is None or format_.list_clips is None or not path.exists():
         return None
     target = _keywords(format_, format_.list_clips)
     return list_clips(path, **{k: v for k, v in options.items() if k in target})

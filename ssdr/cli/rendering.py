@@ -93,7 +93,8 @@ def render(
     check_file(target, "--output", force=force, sources=sources)
     columns = _frames(frames)
     options = options_for(sources, read, fps=fps)
-    subject = read_model(source, clip, options[0])
+    with output.waiting(f"loading {source}"):
+        subject = read_model(source, clip, options[0])
     clips = subject.clips if isinstance(subject, Skinning) else ()
     if film and clips and not one_rate(clips):
         rates = ", ".join(f"{c.name} at {c.fps:g}" for c in clips)
@@ -128,12 +129,15 @@ def render(
     elif frame is not None:
         side = width or 1000
         style: Any = chosen[0] if chosen else ("error" if truth is not None else None)
-        write_picture(render_frame(subject, frame, style=style, size=(side, side), **look), target)
+        with output.waiting(f"drawing {target}"):
+            shot = render_frame(subject, frame, style=style, size=(side, side), **look)
+            write_picture(shot, target)
     else:
-        sheet = contact_sheet(
-            subject, frames=columns, styles=chosen, width=width or 1600, title=title, **look
-        )
-        write_picture(sheet, target)
+        with output.waiting(f"drawing {target}"):
+            sheet = contact_sheet(
+                subject, frames=columns, styles=chosen, width=width or 1600, title=title, **look
+            )
+            write_picture(sheet, target)
     document = {"command": "render", "input": source, "output": target}
     output.result(document, [("wrote", str(target))])
 

@@ -10,10 +10,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..clips import Clip, pick
 from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
-from .registry import FORMATS, Format, SaveReport, bake, call, format_of, refuse_device
+from .registry import (
+    FORMATS,
+    Format,
+    SaveReport,
+    bake,
+    call,
+    format_of,
+    format_to_read,
+    is_many,
+    refuse_device,
+)
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -29,6 +41,7 @@ def load(
     clip: str | int | None = None,
     weld: bool = False,
     fps: float | None = None,
+    scale: float = 1.0,
     **options: Any,
 ) -> MeshSequence:
     """Read an animated mesh; a file that holds a skinning is baked to vertices.
@@ -39,7 +52,7 @@ def load(
     ----------
     path : path
         A file, a folder of numbered meshes or a pattern of them
-        (``frame_%04d.obj``, ``frame_*.ply``).
+        (``frame_%04d.obj``, ``frame_*.ply``, ``mesh_*.glb``).
     clip : str or int, optional
         Name or number of the clip, the first by default; the log lists them
         where there are several.
@@ -50,6 +63,9 @@ def load(
     fps : float, optional
         Frames per second, instead of what the file says; where it says nothing,
         24.
+    scale : float
+        Factor of all lengths: 0.01 reads centimetres as metres.  Other than 1,
+        all frames are read into memory.
     **options
         Options of the format, see the page on formats.
 
@@ -78,6 +94,7 @@ def load(
     """
     if fps is not None and not (is_real(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
+    check_scale(scale)
     source = _as_path(path)
     format_ = _readable(source)
     assert format_.read is not None
@@ -86,6 +103,8 @@ def load(
     sequence: MeshSequence = call(format_, format_.read, source, fps=fps, **options)
     if format_.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
+    if scale != 1:
+        sequence = _scaled(sequence, scale)
     if weld:
         sequence, report = sequence.weld()
         _log.info(
@@ -132,14 +151,14 @@ def list_clips(
 
 def _readable(source: Path) -> Format:
     """The format of what can be loaded and is there."""
-    if source.suffix.lower() not in FORMATS and _is_many(source):
-        return FORMATS[".obj"]  # the module of numbered meshes, whatever their suffix
-    suffix, format_ = format_of(source)
-    if not _is_many(source) and not source.exists():
+    format_ = format_to_read(source)
+    if not is_many(source) and not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
     refuse_device(source)
     if format_.read is None:
-        raise FormatError(f"{source}: {suffix} holds skin weights alone, see ssdr.io.read_weights")
+        raise FormatError(
+            f"{source}: {source.suffix} holds skin weights alone, see ssdr.io.read_weights"
+        )
     return format_
 
 
@@ -152,6 +171,7 @@ def load_skinning(
     path: str | os.PathLike[str],
     *,
     clip: str | int | Sequence[str | int] | None = None,
+    scale: float = 1.0,
     **options: Any,
 ) -> Skinning:
     """Read rest pose, skin weights and bone transforms.
@@ -162,6 +182,8 @@ def load_skinning(
         ``.npz``, ``.glb``, ``.gltf`` or USD.
     clip : str, int or several of them, optional
         Names or numbers of the clips; all by default.
+    scale : float
+        Factor of all lengths, of the rest pose and of how far bones move.
 
     Raises
     ------
@@ -180,6 +202,7 @@ def load_skinning(
     >>> again.n_bones
     4
     """
+    check_scale(scale)
     source = _as_path(path)
     suffix, format_ = format_of(source)
     if format_.read_skinning is None:
@@ -189,9 +212,31 @@ def load_skinning(
         raise FileNotFoundError(f"{source}: no such file")
     refuse_device(source)
     skinning: Skinning = call(format_, format_.read_skinning, source, **options)
+    if scale != 1:
+        transforms = skinning.transforms.copy()
+        transforms[..., 3] *= scale
+        rest = skinning.rest * skinning.rest.dtype.type(scale)
+        skinning = dataclasses.replace(skinning, rest=rest, transforms=transforms)
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
+
+
+def check_scale(scale: float) -> None:
+    """Refuse what is no factor of lengths.
+
+    Raises
+    ------
+    InputError
+        If `scale` is not positive and finite.
+    """
+    if not (is_real(scale) and scale > 0):
+        raise InputError("scale", "a positive number", repr(scale))
+
+
+def _scaled(sequence: MeshSequence, scale: float) -> MeshSequence:
+    blocks = [block * block.dtype.type(scale) for _, block in sequence.chunks()]
+    return dataclasses.replace(sequence, vertices=np.concatenate(blocks))
 
 
 def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
@@ -324,12 +369,6 @@ def _writable(kind: type | None = None) -> list[str]:
         for suffix, format_ in FORMATS.items()
         if format_.write_sequence or (format_.write_skinning and kind is not MeshSequence)
     )
-
-
-def _is_many(path: Path) -> bool:
-    if path.suffix.lower() == ".zarr":
-        return False
-    return path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
 
 
 def _as_path(path: Any) -> Path:

@@ -36,6 +36,8 @@ __all__ = [
     "call",
     "describe",
     "format_of",
+    "format_to_read",
+    "is_many",
     "reading",
     "refuse_device",
     "require",
@@ -121,6 +123,7 @@ _GLTF = Format(
     left_out="left_out",
     template_problem="template_problem",
 )
+_NUMBERED = Format("meshes", "numbered meshes")
 _USD = Format(
     "usd",
     "Universal Scene Description",
@@ -184,6 +187,27 @@ def format_of(path: Path) -> tuple[str, Format]:
         kind = f"the suffix {suffix!r}" if suffix else "a name without suffix"
         raise FormatError(f"{path}: {kind} is none of {', '.join(sorted(FORMATS))}")
     return suffix, FORMATS[suffix]
+
+
+def is_many(path: Path) -> bool:
+    """Whether a path stands for a folder of numbered files or a pattern of their names."""
+    if path.suffix.lower() == ".zarr":
+        return False
+    return path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
+
+
+def format_to_read(path: Path) -> Format:
+    """Format of what is to be read, which may be a folder or a pattern of numbered files.
+
+    Raises
+    ------
+    FormatError
+        If the suffix is not in the table.
+    """
+    stated = FORMATS.get(path.suffix.lower(), _NUMBERED)
+    if is_many(path) and stated.module in (_NUMBERED.module, _GLTF.module):
+        return _NUMBERED
+    return format_of(path)[1]
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:

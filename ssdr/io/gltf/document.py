@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...errors import FormatError
 from ..registry import describe
+from .compression import DRACO, MESHOPT, decode_view, meshopt_of
 
 __all__ = ["Document"]
 
@@ -30,11 +31,12 @@ _COMPONENTS: dict[int, np.dtype[Any]] = {
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # bytes (1 GiB) of an accessor without a buffer: the file needs no data to claim any size
 _ZEROS_LIMIT = 1 << 30
-_KNOWN = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual"}
-_CURES = {
-    "KHR_draco_mesh_compression": "its geometry is compressed with Draco",
-    "EXT_meshopt_compression": "its buffers are compressed with meshopt",
-    "KHR_meshopt_compression": "its buffers are compressed with meshopt",
+_KNOWN = {
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    DRACO,
+    *MESHOPT,
 }
 
 
@@ -46,6 +48,8 @@ class Document:
         self._folder = path.parent.resolve()
         self._buffers: dict[int, memoryview] = {}
         self._binary: memoryview | None = None
+        self._decoded_views: dict[int, memoryview] = {}
+        self._decoded: dict[int, NDArray[Any]] = {}  # of accessors
         data = path.read_bytes()
         if data[:4] == b"glTF":
             text, self._binary = self._chunks(data)
@@ -64,8 +68,10 @@ class Document:
             raise self.error(f"glTF version {version or 'missing'}; 2.0 is read")
         for extension in self.array(self.json, "extensionsRequired"):
             if extension not in _KNOWN and not str(extension).startswith("KHR_materials_"):
-                why = _CURES.get(str(extension), "that extension is not supported")
-                raise self.error(f"requires {extension}: {why}; save it without, with Blender say")
+                raise self.error(
+                    f"requires {extension}: that extension is not supported; save it without, "
+                    "with Blender say"
+                )
 
     def error(self, what: str) -> FormatError:
         return FormatError(f"{self.path}: {what}")
@@ -172,8 +178,14 @@ class Document:
     def view(self, index: Any) -> tuple[memoryview, int | None]:
         """Bytes of a buffer view and its stride."""
         item = self.item("bufferViews", index)
-        if any(key in _CURES for key in self.dictionary(item, "extensions")):
-            raise self.error("its buffers are compressed with meshopt; save it without")
+        stride = item.get("byteStride")
+        if stride is not None:
+            stride = self.integer(stride, "byteStride", 253, least=4)
+        packed = meshopt_of(self, item)
+        if packed is not None:
+            if index not in self._decoded_views:
+                self._decoded_views[index] = decode_view(self, packed)
+            return self._decoded_views[index], stride
         data = self.buffer(self.integer(item.get("buffer"), "buffer of a view"))
         start = self.integer(item.get("byteOffset", 0), "byteOffset of a view")
         length = self.integer(item.get("byteLength"), "byteLength of a view", least=1)
@@ -181,9 +193,6 @@ class Document:
             raise self.error(
                 f"bufferView {index} ends at byte {start + length} of a buffer of {len(data)}"
             )
-        stride = item.get("byteStride")
-        if stride is not None:
-            stride = self.integer(stride, "byteStride", 253, least=4)
         return data[start : start + length], stride
 
     def accessor(
@@ -205,7 +214,9 @@ class Document:
         if integers and dtype.kind != "u":
             raise self.error(f"{what} holds {dtype}, not unsigned integers")
         count = self.integer(item.get("count"), f"count of {what}", least=1)
-        if "bufferView" in item:
+        if index in self._decoded:
+            values = self._fitting(self._decoded[index], dtype, width, count, what)
+        elif "bufferView" in item:
             offset = self.integer(item.get("byteOffset", 0), f"byteOffset of {what}")
             values = self._strided(item["bufferView"], offset, dtype, width, count, what)
         else:
@@ -222,6 +233,24 @@ class Document:
             if not np.isfinite(values).all():
                 raise self.error(f"{what} holds NaN or Inf")
         return values[:, 0] if width == 1 else values
+
+    def replace(self, index: Any, values: NDArray[Any], what: str) -> None:
+        """Set the numbers of an accessor that another part of the file holds."""
+        self.item("accessors", index)
+        if index in self._decoded and not np.array_equal(self._decoded[index], values):
+            raise self.error(f"{what}: two compressed meshes share one accessor")
+        self._decoded[index] = values
+
+    def _fitting(
+        self, found: NDArray[Any], dtype: np.dtype[Any], width: int, count: int, what: str
+    ) -> NDArray[Any]:
+        values = found.reshape(len(found), -1)
+        if values.shape != (count, width):
+            raise self.error(f"{what}: decoded to {values.shape}, stated is {(count, width)}")
+        plain = values.astype(dtype)
+        if (values.dtype.kind == "f") != (dtype.kind == "f") or (plain != values).any():
+            raise self.error(f"{what}: decoded to {values.dtype}, which {dtype} does not hold")
+        return plain
 
     def _strided(
         self, view: Any, offset: int, dtype: np.dtype[Any], width: int, count: int, what: str

@@ -14,6 +14,7 @@ from ...errors import InputError
 from ...sequence import Material, Surface
 from ..registry import reading
 from .animation import World
+from .compression import DRACO, decode_primitive
 from .document import Document
 
 __all__ = ["Part", "check_meshes", "join_surface", "read_parts"]
@@ -113,8 +114,8 @@ def read_parts(document: Document, world: World, meshes: Sequence[str] | None = 
         for place, primitive in enumerate(
             document.array(document.item("meshes", mesh), "primitives")
         ):
-            if "KHR_draco_mesh_compression" in document.dictionary(primitive, "extensions"):
-                raise document.error("its geometry is compressed with Draco; save it without")
+            if DRACO in document.dictionary(primitive, "extensions"):
+                decode_primitive(document, primitive)
             if primitive.get("mode", 4) in (1, 2, 3):
                 _log.warning("%s: lines in mesh %d are left out", document.path, mesh)
                 continue

@@ -1,4 +1,4 @@
-"""Sequences of numbered mesh files: OBJ, PLY, OFF and STL."""
+"""Sequences of numbered mesh files: OBJ, PLY, OFF, STL and glTF."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     Files come in the natural order of their names (2 before 10).  Polygons are
     cut into fans of triangles.  STL has no shared vertices: corners that
     coincide in every frame become one vertex and `vertex_map` (3T,) keeps which.
+    Of glTF files, each a frame, UVs, materials and textures of the first are kept.
 
     Parameters
     ----------
     path : Path
         A file, a folder, a glob (``frame_*.ply``) or a printf pattern
-        (``frame_%04d.obj``).
+        (``frame_%04d.obj``, ``mesh_*.glb``).
     fps : float, optional
         24 by default: such files say nothing.
 
@@ -268,9 +269,22 @@ def _parse_stl(path: Path, _like: Mesh | None = None) -> Mesh:
         return Mesh(vertices=vertices, faces=np.arange(len(vertices)).reshape(-1, 3))
 
 
+def _parse_gltf(path: Path, _like: Mesh | None = None) -> Mesh:
+    from .. import gltf
+
+    frame = gltf.read(path)
+    if len(frame) > 1:
+        raise FormatError(
+            f"{path}: an animation of {len(frame)} frames, where each file is one frame"
+        )
+    return Mesh(vertices=frame.vertices[0], faces=frame.faces, surface=frame.surface)
+
+
 _PARSERS: dict[str, Callable[[Path, Mesh | None], Mesh]] = {
     ".obj": parse_obj,
     ".ply": parse_ply,
     ".off": _parse_off,
     ".stl": _parse_stl,
+    ".glb": _parse_gltf,
+    ".gltf": _parse_gltf,
 }

@@ -58,11 +58,14 @@ def test_decompose_writes_all_outputs_and_tells_json(faked, run, clip, wave, tmp
     assert document["stop_reason"] == "converged"
     assert [o["path"] for o in document["outputs"]] == [str(o) for o in outputs]
     assert all(o["bytes"] == Path(o["path"]).stat().st_size for o in document["outputs"])
+    # loading is over, and saving is still to come
+    left = fake_decompose.options["time_limit"]
+    assert 0 < left < 9.0
     assert fake_decompose.options == {
         "effort": "fast",
         "bone_model": "rigid",
         "rng": 5,
-        "time_limit": 9.0,
+        "time_limit": left,
         "max_iterations": None,
         "smoothness": 0.0,
         "checkpoint": state,

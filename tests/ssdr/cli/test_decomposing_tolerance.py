@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import ssdr
+from helpers.command import model_of
 from helpers.measures import small, wavy
 from ssdr import cli, parsimony
+from ssdr.cli.decomposing import _pruned_rows
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
@@ -66,3 +70,21 @@ def test_command_refuses(
     assert code == 2
     assert text in err
     assert not (tmp_path / "out.npz").exists()
+
+
+def test_the_size_says_what_it_is_of(wave: ssdr.MeshSequence) -> None:
+    # "size 49,875 bytes" stood above "wrote 183 kB" without a word
+    model = model_of(wave)
+    found = SimpleNamespace(
+        held=True,
+        tolerance_of="rmse",
+        error=0.1,
+        tolerance=0.2,
+        size=parsimony.size(model),
+        prunings=[],
+    )
+    text = dict(_pruned_rows(SimpleNamespace(parsimony=found), 1.0))["size"]
+    numbers = [int(n.replace(",", "")) for n in re.findall(r"[0-9][0-9,]*[0-9]", text)]
+    assert numbers[0] == sum(numbers[1:]) == found.size.total
+    assert "in an engine" in text
+    assert "files hold more" in text

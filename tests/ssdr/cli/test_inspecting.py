@@ -46,3 +46,38 @@ def test_info_of_a_skinning(run, wave, tmp_path):
     assert d["bones_without_vertices"] == 1
     assert d["orthonormality_error"] == 0
     assert "move nothing" in run("info", tmp_path / "m.npz")[1]
+
+
+def test_info_of_a_scaled_static_node_says_scale_not_off_orthonormal(run, wave, tmp_path):
+    model = model_of(wave, bones=1)
+    model.transforms[..., :3] *= 0.01
+    model = dataclasses.replace(model, bone_model="similarity")
+    ssdr.save(model, tmp_path / "m.npz")
+    d = json.loads(run("info", tmp_path / "m.npz", "--json")[1])
+    assert d["orthonormality_error"] < 1e-12
+    assert d["smallest_stretch"] == pytest.approx(0.01)
+    assert d["largest_stretch"] == pytest.approx(0.01)
+    out = run("info", tmp_path / "m.npz")[1]
+    assert "scaled by 0.01; apart from that off orthonormal by at most" in out
+    model.transforms[1:, :, 0] *= 3
+    ssdr.save(dataclasses.replace(model, bone_model="affine"), tmp_path / "a.npz")
+    assert "stretch by 0.01 to 0.03, determinant from 1e-06" in run("info", tmp_path / "a.npz")[1]
+
+
+def test_info_of_a_skinning_counts_seams(run, seam, tmp_path):
+    model = model_of(seam)
+    ssdr.save(model, tmp_path / "m.npz")
+    welded, report = ssdr.MeshSequence(model.skin(), model.faces).weld()
+    assert report.before > report.after
+    d = json.loads(run("info", tmp_path / "m.npz", "--json")[1])
+    assert d["seams"] == report.before - report.after
+    assert "--weld merges them" in run("info", tmp_path / "m.npz")[1]
+    # Vertices at one place that bones pull apart are no seam.
+    rest = model.rest
+    same = [np.flatnonzero((rest == point).all(axis=1)) for point in rest]
+    joints = model.joints.copy()
+    joints[next(k for k in same if len(k) > 1)[0], 0] = 1
+    ssdr.save(dataclasses.replace(model, joints=joints), tmp_path / "m.npz")
+    assert json.loads(run("info", tmp_path / "m.npz", "--json")[1])["seams"] == d["seams"] - 1
+    ssdr.save(model_of(welded), tmp_path / "w.npz")
+    assert json.loads(run("info", tmp_path / "w.npz", "--json")[1])["seams"] == 0

@@ -237,8 +237,8 @@ HOSTILE = {
     "no joints": (_put("skins", 0, joints=[]), "no joints"),
     "a missing mesh": (_put("nodes", 0, mesh=7), "a mesh is 7"),
     "an unknown extension": (
-        lambda d, _: d.update(extensionsRequired=["KHR_draco_mesh_compression"]),
-        "compressed with Draco",
+        lambda d, _: d.update(extensionsRequired=["KHR_texture_basisu"]),
+        "requires KHR_texture_basisu",
     ),
     "version 1": (lambda d, _: d.update(asset={"version": "1.0"}), "version 1.0"),
     "no mesh": (lambda d, _: d["nodes"][0].pop("mesh"), "holds no mesh"),

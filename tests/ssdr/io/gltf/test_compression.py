@@ -1,0 +1,226 @@
+"""Draco and meshopt: what is compressed reads as what was compressed; damage is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import struct
+import sys
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.rig_model import tube
+from ssdr import FormatError, MissingDependencyError
+
+KINDS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+@pytest.fixture
+def plain(tmp_path):
+    path = tmp_path / "plain.glb"
+    ssdr.save(dataclasses.replace(tube(), surface=None), path)
+    return path
+
+
+def opened(path):
+    data = path.read_bytes()
+    length = struct.unpack_from("<I", data, 12)[0]
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def packed(path, document, blobs):
+    """A .glb of these buffer views, one behind the other."""
+    binary = b""
+    for item, blob in zip(document["bufferViews"], blobs, strict=True):
+        item["byteOffset"], item["byteLength"] = len(binary), len(blob)
+        binary += blob + b"\0" * (-len(blob) % 4)
+    document["buffers"] = [{"byteLength": len(binary)}]
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    path.write_bytes(
+        struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(binary), len(text), b"JSON")
+        + text
+        + struct.pack("<I4s", len(binary), b"BIN\0")
+        + binary
+    )
+    return path
+
+
+def values_of(document, binary, number):
+    item = document["accessors"][number]
+    view = document["bufferViews"][item["bufferView"]]
+    kind, width = np.dtype(KINDS[item["componentType"]]), WIDTHS[item["type"]]
+    start = view.get("byteOffset", 0) + item.get("byteOffset", 0)
+    step = view.get("byteStride", kind.itemsize * width)
+    return np.ndarray((item["count"], width), kind, binary, start, (step, kind.itemsize)).copy()
+
+
+def with_draco(source, target, *, change=None):
+    draco = pytest.importorskip("DracoPy", reason="DracoPy is not installed")
+    document, binary = opened(source)
+    blobs = [binary[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    (primitive,) = document["meshes"][0]["primitives"]
+    names = primitive["attributes"]
+    # Draco would change the order of vertices and faces otherwise, and round positions.
+    data = draco.encode(
+        values_of(document, binary, names["POSITION"]),
+        values_of(document, binary, primitive["indices"]).reshape(-1, 3).astype(np.uint32),
+        quantization_bits=0,
+        preserve_order=True,
+        generic_attributes={
+            name: values_of(document, binary, k) for name, k in names.items() if name != "POSITION"
+        },
+    )
+    known = {
+        (entry["name"] or "POSITION"): entry["unique_id"] for entry in draco.decode(data).attributes
+    }
+    for number in [*names.values(), primitive["indices"]]:
+        document["accessors"][number].pop("bufferView")
+    document["bufferViews"].append({"buffer": 0})
+    primitive["extensions"] = {
+        "KHR_draco_mesh_compression": {"bufferView": len(blobs), "attributes": known}
+    }
+    document["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    blobs.append(data)
+    if change:
+        change(document, blobs)
+    return packed(target, document, blobs)
+
+
+def with_meshopt(source, target, *, change=None, name="EXT_meshopt_compression"):
+    library = pytest.importorskip("meshoptimizer", reason="meshoptimizer is not installed")
+    document, binary = opened(source)
+    blobs = [binary[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    (primitive,) = document["meshes"][0]["primitives"]
+    count = document["accessors"][primitive["attributes"]["POSITION"]]["count"]
+    for number in [*primitive["attributes"].values(), primitive["indices"]]:
+        item = document["accessors"][number]
+        view = document["bufferViews"][item["bufferView"]]
+        values = values_of(document, binary, number)
+        assert not item.get("byteOffset")
+        state = {"buffer": 0, "count": item["count"]}
+        if number == primitive["indices"]:
+            index = values.reshape(-1).astype(np.uint32)
+            mode = "TRIANGLES"
+            blob = library.encode_index_buffer(index, len(index), count)
+            state |= {"mode": mode, "byteStride": values.dtype.itemsize}
+        else:
+            rows = values.view(np.uint8).reshape(len(values), -1)
+            rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
+            words = np.ascontiguousarray(rows).view(np.float32)
+            blob = library.encode_vertex_buffer(words, len(words), rows.shape[1])
+            state |= {"mode": "ATTRIBUTES", "byteStride": rows.shape[1]}
+            view["byteStride"] = rows.shape[1]
+        state["byteLength"] = len(blob)
+        blobs[item["bufferView"]] = blob
+        view["extensions"] = {name: state}
+    document["extensionsRequired"] = [name]
+    offset = 0
+    for view, blob in zip(document["bufferViews"], blobs, strict=True):
+        if "extensions" in view:
+            view["extensions"][name]["byteOffset"] = offset
+        offset += len(blob) + -len(blob) % 4
+    if change:
+        change(document, blobs)
+    return packed(target, document, blobs)
+
+
+@pytest.mark.parametrize("compress", [with_draco, with_meshopt])
+def test_compressed_reads_as_it_was(plain, tmp_path, compress):
+    target = compress(plain, tmp_path / "small.glb")
+    truth, found = ssdr.load_skinning(plain), ssdr.load_skinning(target)
+    for name in ("rest", "joints", "weights", "transforms"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(truth, name), err_msg=name)
+    order = np.lexsort(np.sort(found.faces, axis=1).T), np.lexsort(np.sort(truth.faces, axis=1).T)
+    np.testing.assert_array_equal(
+        np.sort(found.faces, axis=1)[order[0]], np.sort(truth.faces, axis=1)[order[1]]
+    )
+    sequence = ssdr.load(target)
+    np.testing.assert_array_equal(sequence.vertices, ssdr.load(plain).vertices)
+
+
+def test_meshopt_by_its_other_name_and_filters(plain, tmp_path):
+    target = with_meshopt(plain, tmp_path / "a.glb", name="KHR_meshopt_compression")
+    assert ssdr.load(target).n_vertices == ssdr.load(plain).n_vertices
+    library = pytest.importorskip("meshoptimizer")
+    # mantissa in 24 bits, exponent in 8: 3 · 2^-1 is 1.5
+    words = np.full((4, 3), (255 << 24) | 3, dtype=np.uint32)
+    blob = library.encode_vertex_buffer(words.view(np.float32), 4, 12)
+    from ssdr.io.gltf.compression import decode_view
+    from ssdr.io.gltf.document import Document
+
+    document = Document(plain)
+    document.buffer = lambda _: memoryview(blob)
+    item = {
+        "buffer": 0,
+        "byteLength": len(blob),
+        "byteStride": 12,
+        "count": 4,
+        "mode": "ATTRIBUTES",
+        "filter": "EXPONENTIAL",
+    }
+    values = np.frombuffer(decode_view(document, item), dtype=np.float32)
+    np.testing.assert_array_equal(values, 1.5)
+    with pytest.raises(FormatError, match="the filter 'OCTAHEDRAL' on elements of 12"):
+        decode_view(document, item | {"filter": "OCTAHEDRAL"})
+    with pytest.raises(FormatError, match="mode 'POINTS'"):
+        decode_view(document, item | {"mode": "POINTS"})
+    with pytest.raises(FormatError, match="compressed data state"):
+        decode_view(document, item | {"count": 1 << 40})
+    index = library.encode_index_sequence(np.array([5, 3, 1], np.uint32), 3, 6)
+    document.buffer = lambda _: memoryview(index)
+    item = {"buffer": 0, "byteLength": len(index), "count": 3, "mode": "INDICES"}
+    found = np.frombuffer(decode_view(document, item | {"byteStride": 2}), dtype="<u2")
+    assert found.tolist() == [5, 3, 1]
+
+
+@pytest.mark.parametrize(
+    ("compress", "package"), [(with_draco, "DracoPy"), (with_meshopt, "meshoptimizer")]
+)
+def test_without_the_library_the_extra_is_named(plain, tmp_path, monkeypatch, compress, package):
+    target = compress(plain, tmp_path / "small.glb")
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingDependencyError, match=rf"small\.glb.*{package}.*ssdr\[gltf\]"):
+        ssdr.load(target)
+    with pytest.raises(MissingDependencyError, match=r"ssdr\[gltf\]"):
+        ssdr.load_skinning(target)
+
+
+@pytest.mark.parametrize("compress", [with_draco, with_meshopt])
+def test_damage_is_refused(plain, tmp_path, compress):
+    def cut(document, blobs):
+        for view, blob in zip(document["bufferViews"], blobs, strict=True):
+            if "extensions" in view:
+                blobs[document["bufferViews"].index(view)] = bytes(len(blob))
+        if compress is with_draco:
+            blobs[-1] = blobs[-1][:30]
+
+    target = compress(plain, tmp_path / "cut.glb", change=cut)
+    with pytest.raises(FormatError, match=r"cut\.glb.*cannot be decoded"):
+        ssdr.load(target)
+
+
+def test_draco_that_states_another_size_is_refused(plain, tmp_path):
+    def more(document, _):
+        number = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+        document["accessors"][number]["count"] += 1
+
+    with pytest.raises(FormatError, match="POSITION: decoded to"):
+        ssdr.load(with_draco(plain, tmp_path / "a.glb", change=more))
+
+
+def test_what_is_there_without_compression_too_needs_no_library(plain, tmp_path, monkeypatch):
+    document, binary = opened(plain)
+    blobs = [binary[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    document["meshes"][0]["primitives"][0]["extensions"] = {
+        "KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {}}
+    }
+    document["bufferViews"][0]["extensions"] = {"EXT_meshopt_compression": {}}
+    document["extensionsUsed"] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression"]
+    monkeypatch.setitem(sys.modules, "DracoPy", None)
+    monkeypatch.setitem(sys.modules, "meshoptimizer", None)
+    both = packed(tmp_path / "both.glb", document, blobs)
+    np.testing.assert_array_equal(ssdr.load(both).vertices, ssdr.load(plain).vertices)

@@ -1,0 +1,132 @@
+"""Folders of numbered glTF files, as generators of animated meshes write them, are one sequence."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import ssdr
+from ssdr import FormatError, InputError, cli
+
+
+def texture():
+    colors = np.arange(16 * 16 * 3, dtype=np.uint8).reshape(16, 16, 3)
+    return Image.fromarray(colors)
+
+
+def uv_of(points):
+    return np.ascontiguousarray((points[:, :2] * 0.25 + 0.5).astype(np.float32))
+
+
+def write(path, points, faces, uv):
+    look = trimesh.visual.TextureVisuals(
+        uv=uv, material=trimesh.visual.material.PBRMaterial(baseColorTexture=texture())
+    )
+    mesh = trimesh.Trimesh(points, faces, visual=look, process=False)
+    path.write_bytes(mesh.export(file_type="glb"))
+
+
+def pose(points, faces, *, frames=1, surface=None):
+    return ssdr.Skinning(
+        points,
+        np.zeros((len(points), 1), dtype=np.int32),
+        np.ones((len(points), 1)),
+        np.tile(np.eye(3, 4), (frames, 1, 1, 1)),
+        faces=faces,
+        surface=surface,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("generated")
+    sample = ssdr.samples.load()
+    uv = uv_of(sample.vertices[0])
+    for t, points in enumerate(sample.vertices):
+        write(path / f"mesh_{t:03d}.glb", points, sample.faces, uv)
+    return path
+
+
+def test_72_glb_files_are_the_sample_to_the_bit(folder):
+    sample = ssdr.samples.load()
+    for name in ("", "mesh_%03d.glb", "mesh_*.glb"):
+        found = ssdr.load(folder / name)
+        assert found.vertices.dtype == np.float32
+        assert found.vertices.tobytes() == sample.vertices.tobytes()
+        np.testing.assert_array_equal(found.faces, sample.faces)
+        assert found.fps == 24
+    uv = uv_of(sample.vertices[0])[sample.faces]
+    np.testing.assert_allclose(found.surface.uv, uv, atol=1e-7)  # v is flipped there and back
+    picture = io.BytesIO()
+    texture().save(picture, format="PNG")
+    (material,) = found.surface.materials
+    assert material.texture in (folder / "mesh_000.glb").read_bytes()
+    with Image.open(io.BytesIO(material.texture)) as back:
+        np.testing.assert_array_equal(np.asarray(back), np.asarray(texture()))
+    assert ssdr.load(folder, fps=8).fps == 8
+    assert ssdr.load(folder / "mesh_003.glb").n_frames == 1
+
+
+def test_seams_split_by_this_package_close_again(folder, tmp_path):
+    sample = ssdr.samples.load("dancer_small")
+    rng = np.random.default_rng(0)
+    uv = rng.uniform(0.0, 1.0, (len(sample.faces), 3, 2)).astype(np.float32)
+    surface = ssdr.Surface(uv=uv)
+    for t in range(3):
+        ssdr.save(pose(sample.vertices[t], sample.faces, surface=surface), tmp_path / f"m{t}.glb")
+    back = ssdr.load(tmp_path)
+    np.testing.assert_array_equal(back.vertices, sample.vertices[:3])
+    np.testing.assert_allclose(back.surface.uv, uv, atol=1e-7)
+
+
+def test_gltf_with_buffers_beside_it(tmp_path):
+    sample = ssdr.samples.load("dancer_small")
+    for t in range(2):
+        ssdr.save(pose(sample.vertices[t], sample.faces), tmp_path / f"frame_{t}.gltf")
+    back = ssdr.load(tmp_path / "frame_%d.gltf")
+    np.testing.assert_allclose(back.vertices, sample.vertices[:2], atol=1e-6)
+
+
+def test_another_topology_is_refused_by_name(folder, tmp_path):
+    sample = ssdr.samples.load()
+    points, uv = sample.vertices[1], uv_of(sample.vertices[0])
+    cut, swapped = sample.faces[:-1], sample.faces.copy()
+    swapped[7] = swapped[7][::-1]
+    more = np.concatenate([points, points[:1]])
+    for vertices, faces, mapping, says in (
+        (points, cut, uv, r"mesh_001\.glb: 8391 triangles, but mesh_000\.glb has 8392"),
+        (points, swapped, uv, r"mesh_001\.glb: triangle 7 is .*, in mesh_000\.glb it is"),
+        (more, sample.faces, uv_of(more), r"mesh_001\.glb: 4203 vertices, but mesh_000\.glb"),
+    ):
+        shutil.copy(folder / "mesh_000.glb", tmp_path)
+        write(tmp_path / "mesh_001.glb", vertices, faces, mapping)
+        with pytest.raises(FormatError, match=says):
+            ssdr.load(tmp_path)
+
+
+def test_each_file_is_one_frame(tmp_path):
+    sample = ssdr.samples.load("dancer_small")
+    for t in range(2):
+        walk = pose(sample.vertices[t], sample.faces, frames=24)
+        walk.transforms[5:, :, 0, 3] = 1.0
+        ssdr.save(walk, tmp_path / f"walk_{t}.glb")
+    with pytest.raises(FormatError, match=r"walk_0\.glb: an animation of 24 frames, where each"):
+        ssdr.load(tmp_path)
+    with pytest.raises(InputError, match=r"numbered meshes\).*animation"):
+        ssdr.load(tmp_path, animation=0)
+    with pytest.raises(FileNotFoundError, match="no mesh files"):
+        ssdr.load(tmp_path / "run_*.glb")
+
+
+def test_the_command_reads_a_pattern_of_glb(folder, capsys):
+    for name in ("", "mesh_*.glb", "mesh_%03d.glb"):
+        assert cli.main(["info", str(folder / name), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert (found["kind"], found["frames"], found["vertices"]) == ("sequence", 72, 4202)
+        assert found["uv"] is True
