@@ -295,7 +295,10 @@ class _Hunt:
     def _named(self, rest: Array, model: Model, transforms: Array) -> Skinning:
         most = max(1, int((model.weights > 0).sum(axis=1).max()))
         joints, weights = pad_influences(model, self.problem.influences)
-        first = self.problem.sequences[0]
+        first, names = self.problem.sequences[0], names_of(self.problem.sequences)
+        if len(transforms) != names["clips"][-1].stop:
+            # Representative frames alone, of which no clip is whole.
+            names = {"name": names["name"], "fps": names["fps"]}
         return Skinning(
             rest,
             joints[:, :most],
@@ -304,7 +307,7 @@ class _Hunt:
             faces=first.faces,
             surface=first.surface,
             vertex_map=first.vertex_map,
-            **names_of(self.problem.sequences),
+            **names,
             bone_model=self.problem.fixed.bone_model,
         )
 

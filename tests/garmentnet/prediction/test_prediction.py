@@ -78,7 +78,9 @@ def test_vertices_inside_the_body_are_pushed_out(toy_network, joints):
         network.subject = before
     measure = PushOut(wide, p.cloth.faces, n_vertices=p.cloth.n_vertices)
     assert (measure.signed_distance(plain.cloth.vertices, joints) < -5e-4).mean() > 0.02
-    assert (measure.signed_distance(p.cloth.vertices, joints) >= -5e-4).all()
+    # What the body carries stays where it is.
+    outside = measure.signed_distance(p.cloth.vertices, joints) >= -5e-4
+    assert outside[:, network.free].all()
     way = np.linalg.norm(p.cloth.vertices - plain.cloth.vertices, axis=2)
     assert p.moved > 0.02
     assert p.farthest == pytest.approx(float(way.max()), abs=1e-6)

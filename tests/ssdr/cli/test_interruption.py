@@ -169,9 +169,7 @@ _FIRST = (
 )
 
 
-def test_ctrl_c_while_loading_is_a_line(tmp_path):
-    fifo = tmp_path / "a.npz"
-    os.mkfifo(fifo)
+def test_ctrl_c_while_loading_is_a_line(tmp_path, clip):
     code = (
         "import sys, time, ssdr, ssdr.cli\n"
         "def load(*a, **k):\n"
@@ -179,7 +177,7 @@ def test_ctrl_c_while_loading_is_a_line(tmp_path):
         "ssdr.load = load\n"
         "sys.exit(ssdr.cli.main())\n"
     )
-    process = start(["-c", code, "decompose", fifo, "-o", tmp_path / "b.npz", "-b", 2])
+    process = start(["-c", code, "decompose", clip, "-o", tmp_path / "b.npz", "-b", 2])
     wait_for(process, "loading")
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=20)

@@ -121,7 +121,10 @@ def test_the_same_numbers_from_elsewhere_are_the_same_frames(tmp_path: Path) -> 
         frames.astype(">f4"),
         np.asfortranarray(frames),
         np.load(tmp_path / "a.npy", mmap_mode="r"),
-        [ssdr.MeshSequence(frames[:7]), ssdr.MeshSequence(frames[7:].astype(np.float64))],
     ):
         again = ssdr.decompose(same, bones=4, effort="fast", resume=state)
         assert again.skinning.n_frames == len(frames)
+    # Other boundaries of clips make another model.
+    shots = [ssdr.MeshSequence(frames[:7]), ssdr.MeshSequence(frames[7:].astype(np.float64))]
+    with pytest.raises(ssdr.InputError, match=r"clips of \[7, 113\] frames"):
+        ssdr.decompose(shots, bones=4, effort="fast", resume=state)
