@@ -39,7 +39,7 @@ def decode_primitive(document: Document, primitive: dict[str, Any]) -> None:
     names = document.dictionary(primitive, "attributes")
     if "bufferView" in document.item("accessors", names.get("POSITION")):
         return
-    draco = require("DracoPy", "gltf", f"{document.path}: geometry compressed with Draco")
+    draco = require("DracoPy", "draco", f"{document.path}: geometry compressed with Draco")
     try:
         mesh = draco.decode(bytes(document.view(item.get("bufferView"))[0]))
     except (draco.FileTypeException, RuntimeError, ValueError) as error:
@@ -77,7 +77,9 @@ def decode_view(document: Document, item: dict[str, Any]) -> memoryview:
     FormatError
         If the data are damaged or state what cannot be.
     """
-    library = require("meshoptimizer", "gltf", f"{document.path}: buffers compressed with meshopt")
+    library = require(
+        "meshoptimizer", "meshopt", f"{document.path}: buffers compressed with meshopt"
+    )
     data = document.buffer(document.integer(item.get("buffer"), "buffer of a view"))
     start = document.integer(item.get("byteOffset", 0), "byteOffset of a view")
     length = document.integer(item.get("byteLength"), "byteLength of a view", least=1)

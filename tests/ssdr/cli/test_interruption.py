@@ -171,10 +171,10 @@ _FIRST = (
 
 def test_ctrl_c_while_loading_is_a_line(tmp_path, clip):
     code = (
-        "import sys, time, ssdr, ssdr.cli\n"
+        "import sys, time, ssdr.io.load_save, ssdr.io, ssdr.cli\n"
         "def load(*a, **k):\n"
         "    sys.stderr.write('loading\\n'); sys.stderr.flush(); time.sleep(60)\n"
-        "ssdr.load = load\n"
+        "ssdr.io.load_save.load = ssdr.io.load = load\n"
         "sys.exit(ssdr.cli.main())\n"
     )
     process = start(["-c", code, "decompose", clip, "-o", tmp_path / "b.npz", "-b", 2])

@@ -178,14 +178,17 @@ def test_meshopt_by_its_other_name_and_filters(plain, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("compress", "package"), [(with_draco, "DracoPy"), (with_meshopt, "meshoptimizer")]
+    ("compress", "package", "extra"),
+    [(with_draco, "DracoPy", "draco"), (with_meshopt, "meshoptimizer", "meshopt")],
 )
-def test_without_the_library_the_extra_is_named(plain, tmp_path, monkeypatch, compress, package):
+def test_without_the_library_the_extra_is_named(
+    plain, tmp_path, monkeypatch, compress, package, extra
+):
     target = compress(plain, tmp_path / "small.glb")
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingDependencyError, match=rf"small\.glb.*{package}.*ssdr\[gltf\]"):
+    with pytest.raises(MissingDependencyError, match=rf"small\.glb.*{package}.*ssdr\[{extra}\]"):
         ssdr.load(target)
-    with pytest.raises(MissingDependencyError, match=r"ssdr\[gltf\]"):
+    with pytest.raises(MissingDependencyError, match=rf"ssdr\[{extra}\]"):
         ssdr.load_skinning(target)
 
 
