@@ -328,6 +328,15 @@ def copy(
         such clip.
     FormatError, MissingDependencyError, FileNotFoundError
         As in :func:`load`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> start = ssdr.initialize(ssdr.samples.load("dancer_small"), bones=4)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = ssdr.save(start, f"{folder}/dance.glb")
+    ...     ssdr.io.copy(f"{folder}/dance.glb", f"{folder}/dance.gltf").lost
+    ()
     """
     source, to = _as_path(path), _as_path(target)
     format_ = format_of(source)[1]
@@ -349,6 +358,15 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     path : path
     **options
         Of :func:`load`; those that choose meshes count.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> start = ssdr.initialize(ssdr.samples.load("dancer_small"), bones=4)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = ssdr.save(start, f"{folder}/dance.glb")
+    ...     ssdr.io.left_out(f"{folder}/dance.glb")
+    ('hierarchy of the joints',)
     """
     source = _as_path(path)
     format_ = FORMATS.get(source.suffix.lower())
