@@ -13,7 +13,7 @@ from ..networks.detail_basis import DetailBasis
 from ..networks.losses import EXACT
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
-from .objectives import dropout_mask
+from .objectives import dropout_mask, extra_of
 
 __all__ = ["DetailObjective"]
 
@@ -98,7 +98,7 @@ class DetailObjective:
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
         device, options = self.network.device, self.network.config.high
-        rows = batch.stack([w and _extra(w.track)[w.frames] for w in batch.windows]).to(device)
+        rows = batch.stack([w and extra_of(w.track)[w.frames] for w in batch.windows]).to(device)
         z, numbers, rest = self._parts(rows)
         mask = dropout_mask(rng, (*z.shape[:2], options.hidden), options.dropout)
         x = self.network.high_inputs(batch.inputs().to(device), z)
@@ -110,13 +110,8 @@ class DetailObjective:
         """RMSE of the detail, of the vertices that the module predicts, metres."""
         square, count = 0.0, 0
         for track in self.validation:
-            z, numbers, rest = self._parts(_extra(track)[None].to(self.network.device))
+            z, numbers, rest = self._parts(extra_of(track)[None].to(self.network.device))
             x = self.network.high_inputs(track.inputs[None].to(z.device), z)
             square += float(self._squares(self.module(x)[0], numbers, rest).double().sum())
             count += track.n_frames
         return math.sqrt(square / count) if count else math.nan
-
-
-def _extra(track: Track) -> Tensor:
-    assert track.extra is not None
-    return track.extra

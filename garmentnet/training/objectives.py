@@ -15,7 +15,13 @@ from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm, mes
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 
-__all__ = ["LEAST_DEVIATION", "HighFrequencyObjective", "LowFrequencyObjective", "dropout_mask"]
+__all__ = [
+    "LEAST_DEVIATION",
+    "HighFrequencyObjective",
+    "LowFrequencyObjective",
+    "dropout_mask",
+    "extra_of",
+]
 
 # Metres; the smallest deviation by which the output of a module is scaled.
 LEAST_DEVIATION = 1e-4
@@ -111,7 +117,7 @@ class LowFrequencyObjective:
         mask = dropout_mask(rng, (*x.shape[:2], hidden), self.network.config.low.dropout)
         mask = None if mask is None else mask.to(self.network.device)
         z, state = self.module(x.to(self.network.device), state, mask)
-        code = torch.cat([_extra(w.track)[w.frames] for w in batch.windows if w])
+        code = torch.cat([extra_of(w.track)[w.frames] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
         loss = (position + EXACT).sqrt().mean()
         if self.weight:
@@ -132,7 +138,7 @@ class LowFrequencyObjective:
         square, count = 0.0, 0
         for track in self.validation:
             z = self.module(track.inputs[None].to(self.network.device))[0][0]
-            position, _ = self._norms(z, _extra(track))
+            position, _ = self._norms(z, extra_of(track))
             square += float(position.double().sum())
             count += track.n_frames
         return math.sqrt(square / count) if count else math.nan
@@ -174,7 +180,7 @@ class HighFrequencyObjective:
         device, options = self.network.device, self.network.config.high
         lanes, frames, chosen = _some_frames(batch, options.frames, rng)
         windows = [w for w in batch.windows if w]
-        z = batch.stack([w and _extra(w.track)[w.frames] for w in batch.windows])
+        z = batch.stack([w and extra_of(w.track)[w.frames] for w in batch.windows])
         joints = torch.zeros(*chosen.shape, *windows[0].track.joints([0]).shape[1:])
         for k, w, f in zip(lanes, windows, frames, strict=True):
             joints[k] = w.track.joints(f)
@@ -209,7 +215,7 @@ class HighFrequencyObjective:
         """
         square, count, free = 0.0, 0, self.network.free
         for track in self.validation:
-            state, z = None, _extra(track)
+            state, z = None, extra_of(track)
             for i in range(0, track.n_frames, _FRAMES_AT_ONCE):
                 part = slice(i, min(i + _FRAMES_AT_ONCE, track.n_frames))
                 joints = track.joints(part)[None].to(self.network.device)
@@ -232,7 +238,7 @@ class HighFrequencyObjective:
             frames += len(high)
         mean = total / frames
         variance = square / (3 * len(free) * frames) - float(mean[free].square().mean())
-        low = self.network.mesh(_extra(self.tracks[0])[:1].to(self.network.device))
+        low = self.network.mesh(extra_of(self.tracks[0])[:1].to(self.network.device))
         self.module.mean.copy_(mean)
         self.module.deviation.fill_(max(math.sqrt(max(variance, 0.0)), LEAST_DEVIATION))
         self.module.centre.copy_(low[0].mean(0))
@@ -274,6 +280,7 @@ def _some_frames(
     return lanes, frames, chosen
 
 
-def _extra(track: Track) -> Tensor:
+def extra_of(track: Track) -> Tensor:
+    """What the objective computed beforehand for every frame of a track."""
     assert track.extra is not None
     return track.extra

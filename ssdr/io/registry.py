@@ -337,7 +337,20 @@ def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
 
 
 def require(module: str, extra: str, what: str) -> Any:
-    """Import an optional package.
+    """Import a package that an extra of ssdr brings; errors as of :func:`import_optional`."""
+    return import_optional(module, f"ssdr[{extra}]", what)
+
+
+def import_optional(module: str, requirement: str, what: str) -> Any:
+    """Import a package that may be missing.
+
+    Parameters
+    ----------
+    module : str
+    requirement : str
+        What brings it, as pip knows it.
+    what : str
+        What needs it, at the start of the message.
 
     Raises
     ------
@@ -348,7 +361,7 @@ def require(module: str, extra: str, what: str) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise MissingDependencyError(
-            f'{what} needs the package {module}: pip install "ssdr[{extra}]"'
+            f'{what} needs the package {module}: pip install "{requirement}"'
         ) from error
 
 
