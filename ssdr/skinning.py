@@ -1,4 +1,4 @@
-"""The model that a decomposition returns, and forward linear blend skinning (LBS)."""
+"""The model that a decomposition returns."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from scipy.sparse import csr_array
 
 from .clips import Clip, check_clips, in_order, pick
 from .errors import InputError, check_choice, is_whole
-from .kernels.lbs import skin_range
-from .parallel import chunk_bounds, run_chunks
+from .hierarchy import check_parents, from_local, joint_gaps, local_of_pose, to_local
+from .lbs import skin
 from .sequence import Surface
 
 __all__ = ["BoneModel", "Skinning", "skin"]
 
 BoneModel = Literal["rigid", "similarity", "affine"]
-_VERTEX_CHUNK = 1024  # vertices in a task: fewer cost more calls, more balance threads worse
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,13 +54,20 @@ class Skinning:
     clips : tuple of Clip, optional
         Ranges of frames that play apart, each at its own rate; one behind the
         other they cover all frames.  One clip over all frames by default.
+    parents : (B,) int array, optional
+        The bone that each hangs on, -1 at a root.  None: bones without a
+        hierarchy.
+    joint_positions : (B, 3) array, optional
+        With `parents`: in the rest pose the point by which a bone hangs on its
+        parent, and about which a root turns.
 
     Raises
     ------
     InputError
         If shapes do not match, an index is out of range, a number is not
         finite, a weight is negative, a row of weights does not sum to 1
-        within 1e-4, or clips do not cover the frames.
+        within 1e-4, clips do not cover the frames, parents go round in a
+        circle, or one of `parents` and `joint_positions` is missing.
 
     Examples
     --------
@@ -86,6 +92,8 @@ class Skinning:
     bone_names: tuple[str, ...] | None = None
     name: str = ""
     clips: tuple[Clip, ...] = None  # type: ignore[assignment]  # one over all frames
+    parents: Any = None
+    joint_positions: Any = None
 
     def __post_init__(self) -> None:
         from .sequence import _check_faces, _check_surface, _check_vertex_map
@@ -136,6 +144,13 @@ class Skinning:
             if len(named) != n_bones:
                 raise InputError("bone_names", f"{n_bones} names", f"{len(named)}")
             put(self, "bone_names", tuple(str(name) for name in self.bone_names))
+        if (self.parents is None) != (self.joint_positions is None):
+            missing = "parents" if self.parents is None else "joint_positions"
+            raise InputError(missing, "parents and joint_positions together", "one of them")
+        if self.parents is not None:
+            put(self, "parents", check_parents(self.parents, n_bones))
+            positions = _floats(self.joint_positions, "joint_positions", (n_bones, 3))
+            put(self, "joint_positions", positions)
         put(self, "rest", rest)
         put(self, "joints", np.ascontiguousarray(joints, dtype=np.int32))
         put(self, "weights", weights)
@@ -169,6 +184,116 @@ class Skinning:
     def names(self) -> tuple[str, ...]:
         """Names of the bones."""
         return self.bone_names or tuple(f"bone_{j}" for j in range(self.n_bones))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, which are those of the bones that hang on them."""
+        return self.names()
+
+    def local_transforms(self) -> NDArray[np.float64]:
+        """``(F, B, 3, 4)`` transforms of the joints relative to their parents'.
+
+        A joint's frame has its origin at the joint and, in the rest pose, the
+        axes of the world; that of a root is relative to the world.
+
+        Raises
+        ------
+        InputError
+            If the bones have no hierarchy.
+
+        Examples
+        --------
+        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
+        >>> arm = ssdr.Skinning(
+        ...     rest,
+        ...     joints,
+        ...     weights,
+        ...     transforms,
+        ...     parents=[-1, 0],
+        ...     joint_positions=[[0, 0, 0], [0, 1, 0]],
+        ... )
+        >>> arm.local_transforms()[0, 1, :, 3]
+        array([0., 1., 0.])
+        """
+        parents, positions = self._hierarchy("local_transforms")
+        return to_local(self.transforms, parents, positions)
+
+    def joint_gaps(self) -> NDArray[np.float64]:
+        """``(F, B)`` distances between where a bone and its parent put their joint.
+
+        0 at roots, and everywhere but for rounding where the joints are rigid.
+
+        Raises
+        ------
+        InputError
+            If the bones have no hierarchy.
+
+        Examples
+        --------
+        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> apart = np.array(np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)))
+        >>> apart[4, 1, :, 3] = [0, 0.5, 0]
+        >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
+        >>> ssdr.Skinning(rest, joints, weights, apart, **tree).joint_gaps().max()
+        0.5
+        """
+        parents, positions = self._hierarchy("joint_gaps")
+        return joint_gaps(self.transforms, parents, positions)
+
+    def pose(self, local_rotations: ArrayLike, root: ArrayLike | None = None) -> Skinning:
+        """The same model in a new motion, given as rotations of its joints.
+
+        Parameters
+        ----------
+        local_rotations : (f, B, 3, 3) or (f, B, 4) array
+            Rotation of each joint relative to its parent's frame, as a matrix
+            or a quaternion xyzw of length 1; those of one frame without f.
+        root : (f, R, 3) array, optional
+            Positions of the joints of the R roots, in the order of the bones;
+            those of the rest pose by default.
+
+        Returns
+        -------
+        Skinning
+            With f frames, all of them keys of one clip.
+
+        Raises
+        ------
+        InputError
+            If the bones have no hierarchy, shapes do not match or a matrix or
+            quaternion is no rotation.
+
+        Examples
+        --------
+        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> arm = ssdr.Skinning(
+        ...     rest,
+        ...     joints,
+        ...     weights,
+        ...     np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)),
+        ...     parents=[-1, 0],
+        ...     joint_positions=[[0, 0, 0], [0, 1, 0]],
+        ... )
+        >>> half = np.sqrt(0.5)
+        >>> bent = arm.pose([[0, 0, 0, 1], [half, 0, 0, half]])
+        >>> bent.skin()[0, 2].round(3)
+        array([0., 0., -1.])
+        """
+        parents, positions = self._hierarchy("pose")
+        local = local_of_pose(parents, positions, local_rotations, root)
+        moved = from_local(local, parents, positions).astype(self.transforms.dtype)
+        one = (Clip(self.name, 0, len(moved), self.fps),)
+        return dataclasses.replace(self, transforms=moved, keyframes=None, clips=one)
+
+    def _hierarchy(self, what: str) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
+        if self.parents is None:
+            raise InputError(
+                "parents",
+                f"a hierarchy for {what}: decompose(..., hierarchy=...) finds one",
+                "bones without one",
+            )
+        return self.parents, self.joint_positions
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
         """Positions ``(f, V, 3)`` of the named frames; all of them by default."""
@@ -268,83 +393,6 @@ class Skinning:
             joints=np.where(weights > 0, joints, 0).astype(np.int32),
             weights=weights.astype(self.weights.dtype),
         )
-
-
-def skin(
-    rest: ArrayLike,
-    joints: ArrayLike,
-    weights: ArrayLike,
-    transforms: ArrayLike,
-    *,
-    dtype: Any = None,
-) -> NDArray[np.floating]:
-    """Linear blend skinning: v_i^t = Σ_k w_ik M_{j_ik}^t (p_i, 1).
-
-    Parameters
-    ----------
-    rest : (V, 3) array
-    joints : (V, K) int array
-    weights : (V, K) array
-    transforms : (F, B, 3, 4) or (B, 3, 4) array
-    dtype : float32 or float64, optional
-        Precision of the computation and of the result; the widest of the
-        inputs by default.
-
-    Returns
-    -------
-    (F, V, 3) array, or (V, 3) for a single frame.
-
-    Raises
-    ------
-    InputError
-        If shapes do not match or an index is out of range.
-
-    References
-    ----------
-    Magnenat-Thalmann et al., "Joint-dependent local deformations", 1988.
-
-    Examples
-    --------
-    >>> move = np.eye(3, 4)[None]
-    >>> move[0, :, 3] = [1, 2, 3]
-    >>> posed = ssdr.skin(np.zeros((2, 3)), np.zeros((2, 1), int), np.ones((2, 1)), move)
-    >>> np.allclose(posed, [1, 2, 3])
-    True
-    """
-    p, w, m = np.asarray(rest), np.asarray(weights), np.asarray(transforms)
-    j = np.asarray(joints)
-    if p.ndim != 2 or p.shape[1] != 3:
-        raise InputError("rest", "shape (V, 3)", f"shape {p.shape}")
-    if j.ndim != 2 or len(j) != len(p) or j.shape[1] < 1 or j.dtype.kind not in "iu":
-        raise InputError("joints", f"integers of shape ({len(p)}, K)", f"{j.dtype} {j.shape}")
-    if w.shape != j.shape:
-        raise InputError("weights", f"shape {j.shape}", f"shape {w.shape}")
-    single = m.ndim == 3
-    if m.ndim not in (3, 4) or m.shape[-2:] != (3, 4):
-        raise InputError("transforms", "shape (F, B, 3, 4) or (B, 3, 4)", f"shape {m.shape}")
-    if j.size and (j.min() < 0 or j.max() >= m.shape[-3]):
-        raise InputError(
-            "joints", f"indices from 0 to {m.shape[-3] - 1}", f"{j.min()} to {j.max()}"
-        )
-    for name, array in (("rest", p), ("weights", w), ("transforms", m)):
-        if array.dtype.kind not in "fiu":
-            raise InputError(name, "real numbers", f"dtype {array.dtype}")
-    try:
-        kind = np.result_type(p, w, m) if dtype is None else np.dtype(dtype)
-    except (TypeError, ValueError) as error:
-        raise InputError("dtype", "float32, float64 or None", repr(dtype)) from error
-    if kind not in (np.dtype(np.float32), np.dtype(np.float64)):
-        kind = np.dtype(np.float64)
-    p, w, m = (np.ascontiguousarray(a, dtype=kind) for a in (p, w, m))
-    j = np.ascontiguousarray(j, dtype=np.int32)
-    frames = m[None] if single else m
-    out = np.empty((len(frames), len(p), 3), dtype=kind)
-
-    def work(_: int, first: int, last: int) -> None:
-        skin_range(p, j, w, frames, out, first, last)
-
-    run_chunks(work, chunk_bounds(len(p), _VERTEX_CHUNK))
-    return out[0] if single else out
 
 
 def _frame_index(frames: Any, n_frames: int) -> Any:
