@@ -179,7 +179,7 @@ def load_skinning(
     Parameters
     ----------
     path : path
-        ``.npz``, ``.glb``, ``.gltf`` or USD.
+        ``.npz``, ``.glb``, ``.gltf``, ``.fbx`` or USD.
     clip : str, int or several of them, optional
         Names or numbers of the clips; all by default.
     scale : float

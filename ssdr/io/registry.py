@@ -167,6 +167,7 @@ FORMATS: dict[str, Format] = {
     ".fbx": Format(
         "blender",
         "FBX",
+        read_skinning="read_skinning",
         write_skinning="write_skinning",
         list_clips="list_clips",
         extra="blender",
