@@ -351,7 +351,7 @@ def copy(
 def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     """What a file has and :func:`load` or :func:`load_skinning` leave out, in words.
 
-    Known of glTF and USD; of other formats nothing is said.
+    Known of glTF, USD and FBX; of other formats nothing is said.
 
     Parameters
     ----------

@@ -170,6 +170,7 @@ FORMATS: dict[str, Format] = {
         read_skinning="read_skinning",
         write_skinning="write_skinning",
         list_clips="list_clips",
+        left_out="left_out",
         extra="blender",
     ),
 }

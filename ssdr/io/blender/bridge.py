@@ -29,7 +29,7 @@ from ..registry import SaveReport, describe, reading
 from ..rig import MAX_BYTES, Up, check_up, model_of, turn_skinning_up, turn_up
 from .finder import command
 
-__all__ = ["list_clips", "read", "read_skinning", "run", "write_skinning"]
+__all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
 
 _log = logging.getLogger(__name__)
 _IMPORT_FPS = 24.0
@@ -117,6 +117,13 @@ def list_clips(
     arrays = _read_by_blender({"action": "list"}, path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)
+
+
+def left_out(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+    """What a file has and a sequence or skinning that is read from it has not."""
+    _check_limit(time_limit)
+    arrays = _read_by_blender({"action": "list"}, path, None, time_limit)
+    return tuple(json.loads(str(arrays["left_out"])))
 
 
 def read_skinning(
@@ -210,7 +217,10 @@ def _read_by_blender(
         "resample": fps is not None,
     }
     try:
-        return run(job, time_limit=time_limit)
+        arrays = run(job, time_limit=time_limit)
+        for name in arrays.get("outside", ()):
+            _log.warning("%s: texture %s lies outside its folder and is left out", path, name)
+        return arrays
     except MissingDependencyError:
         raise
     except SsdrError as error:

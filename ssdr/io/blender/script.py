@@ -16,6 +16,7 @@ import numpy as np
 # Blender puts neither this folder nor the package on the path.
 sys.path.append(os.path.dirname(os.path.abspath(__file__)))
 skins: Any = importlib.import_module("skins")
+surfaces: Any = importlib.import_module("surfaces")
 takes: Any = importlib.import_module("takes")
 
 
@@ -34,9 +35,12 @@ def load(path: str) -> None:
     elif path.lower().endswith((".glb", ".gltf")):
         bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False)
     else:
-        bpy.ops.wm.usd_import(
-            filepath=path, set_frame_range=True, apply_unit_conversion_scale=False
-        )
+        known = bpy.ops.wm.usd_import.get_rna_type().properties.keys()
+        as_is = {
+            "apply_unit_conversion_scale": False
+        }  # Blender 4.2 does not know it: it never does
+        as_is = {key: value for key, value in as_is.items() if key in known}
+        bpy.ops.wm.usd_import(filepath=path, set_frame_range=True, **as_is)
 
 
 def list_takes(job: dict[str, Any]) -> None:
@@ -49,6 +53,7 @@ def list_takes(job: dict[str, Any]) -> None:
         names=np.array(json.dumps([name for name, _ in found])),
         frames=np.array([clock.count for clock in clocks]),
         fps=np.array([clock.fps for clock in clocks]),
+        left_out=np.array(json.dumps(surfaces.left_out(meshes()))),
     )
 
 
@@ -56,9 +61,8 @@ def meshes() -> list[Any]:
     """The meshes that are shown, in the order of their names."""
     objects = list(bpy.context.scene.objects)
     found = [o for o in objects if o.type == "MESH" and not (o.hide_render or o.hide_viewport)]
-    if any(o.type == "ARMATURE" for o in objects):
-        found = [o for o in found if not is_bone_shape(o)]
     found = [o for o in found if len(o.data.vertices)]
+    found = [o for o in found if not is_bone_shape(o)] or found
     if not found:
         raise ValueError("no mesh that is shown, one at least was expected")
     return sorted(found, key=lambda o: o.name)
@@ -66,7 +70,8 @@ def meshes() -> list[Any]:
 
 def is_bone_shape(item: Any) -> bool:
     """Whether it is the ball by which Blender's glTF importer draws bones, and then exports."""
-    alone = not (item.parent or item.modifiers or item.animation_data or item.material_slots)
+    held = item.parent or item.modifiers or item.constraints
+    alone = not (held or item.animation_data or item.material_slots)
     return item.name.startswith("Icosphere") and len(item.data.vertices) == 42 and alone
 
 
@@ -78,93 +83,6 @@ def world_points(item: Any, graph: Any) -> Any:
     shown.to_mesh_clear()
     matrix = np.array(shown.matrix_world, dtype=np.float64)
     return points.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-
-
-def surface_of(items: list[Any], arrays: dict[str, Any]) -> None:
-    faces: list[Any] = []
-    uv: list[Any] = []
-    normals: list[Any] = []
-    index: list[Any] = []
-    materials: list[Any] = []
-    start = 0
-    for item in items:
-        mesh = item.data
-        mesh.calc_loop_triangles()
-        count = len(mesh.loop_triangles)
-        loops = np.empty(count * 3, dtype=np.int32)
-        mesh.loop_triangles.foreach_get("loops", loops)
-        corner = np.empty(len(mesh.loops), dtype=np.int32)
-        mesh.loops.foreach_get("vertex_index", corner)
-        faces.append(corner[loops].reshape(-1, 3) + start)
-        start += len(mesh.vertices)
-        if mesh.uv_layers.active:
-            flat = np.empty(len(mesh.loops) * 2, dtype=np.float32)
-            mesh.uv_layers.active.data.foreach_get("uv", flat)
-            uv.append(flat.reshape(-1, 2)[loops].reshape(-1, 3, 2))
-        if mesh.corner_normals:
-            flat = np.empty(len(mesh.loops) * 3, dtype=np.float32)
-            mesh.corner_normals.foreach_get("vector", flat)
-            matrix = np.array(item.matrix_world, dtype=np.float64)[:3, :3]
-            turned = flat.reshape(-1, 3)[loops] @ np.linalg.pinv(matrix)
-            length = np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30)
-            normals.append((turned / length).reshape(-1, 3, 3))
-        slots = np.empty(count, dtype=np.int32)
-        mesh.loop_triangles.foreach_get("material_index", slots)
-        numbers = [number_of(slot.material, materials) for slot in item.material_slots]
-        index.append(np.array(numbers or [number_of(None, materials)])[slots * bool(numbers)])
-    arrays["faces"] = np.concatenate(faces)
-    if uv and len(uv) == len(items):
-        arrays["uv"] = np.concatenate(uv)
-    if normals and len(normals) == len(items):
-        arrays["normals"] = np.concatenate(normals)
-    if any(m is not None for m in materials):
-        arrays["material_index"] = np.concatenate(index)
-        arrays["materials"] = np.array(json.dumps([describe(m, arrays) for m in materials]))
-
-
-def number_of(material: Any, materials: list[Any]) -> int:
-    if material not in materials:
-        materials.append(material)
-    return materials.index(material)
-
-
-def describe(material: Any, arrays: dict[str, Any]) -> dict[str, Any]:
-    if material is None:
-        return {"name": "default"}
-    record: dict[str, Any] = {
-        "name": material.name,
-        "base_color": [float(c) for c in material.diffuse_color],
-    }
-    record["double_sided"] = not material.use_backface_culling
-    nodes = material.node_tree.nodes if material.node_tree else []
-    for node in nodes:
-        if node.type == "BSDF_PRINCIPLED":
-            color = node.inputs["Base Color"]
-            record["base_color"] = [float(c) for c in color.default_value]
-            record["metallic"] = float(node.inputs["Metallic"].default_value)
-            record["roughness"] = float(node.inputs["Roughness"].default_value)
-            if color.is_linked:
-                attach(color.links[0].from_node, record, arrays)
-    return record
-
-
-def attach(node: Any, record: dict[str, Any], arrays: dict[str, Any]) -> None:
-    image = getattr(node, "image", None)
-    if image is None:
-        return
-    data = bytes(image.packed_file.data) if image.packed_file else b""
-    if not data:
-        try:
-            with open(bpy.path.abspath(image.filepath), "rb") as stream:
-                data = stream.read()
-        except OSError:
-            return
-    kinds = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-    for magic, kind in kinds.items():
-        if data.startswith(magic):
-            key = f"texture_{sum(k.startswith('texture_') for k in arrays)}"
-            arrays[key] = np.frombuffer(data, dtype=np.uint8)
-            record.update(texture=key, texture_type=kind, base_color=[1.0, 1.0, 1.0, 1.0])
 
 
 def read(job: dict[str, Any]) -> None:
@@ -194,7 +112,7 @@ def read(job: dict[str, Any]) -> None:
             frames[k, start : start + size] = points
             start += size
         if k == 0:
-            surface_of(items, arrays)
+            surfaces.join(items, arrays, job["path"])
     if all("_VERTEX" in item.data.attributes for item in items):
         arrays["vertex"] = vertex_numbers(items)
     np.savez(job["out"], vertices=frames, fps=np.float64(clock.fps), **arrays)
@@ -221,7 +139,7 @@ def read_skinning(job: dict[str, Any]) -> None:
         if not clocks:
             model.show(False)
             model.read_rest(clock.go(0))
-            surface_of(items, arrays)
+            surfaces.join(items, arrays, job["path"])
             model.show(True)
         for k in range(clock.count):
             model.sample(clock.go(k))

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 import ssdr
 from helpers.blender_scene import export
-from helpers.rig_model import largest_distance, tube
+from helpers.rig_model import checker, largest_distance, tube
 from ssdr import cli
 from ssdr.io.blender import command
 from ssdr.io.rig import build_rig, quantise
@@ -293,6 +293,77 @@ def test_units_are_metres(tmp_path):
         np.testing.assert_allclose(np.ptp(model.rest, axis=0), [0.6, 3, 0.4], atol=1e-6)
     z_up = export(tmp_path / "z.fbx", code + "save(axis_forward='Y', axis_up='Z')")
     np.testing.assert_allclose(as_blender_shows(z_up).skin(), models[0].skin(), atol=1e-5)
+
+
+def test_hidden_meshes_and_balls_that_draw_bones_are_left_out(tmp_path):
+    path = export(
+        tmp_path / "a.fbx",
+        """
+r = rig()
+strip("a", r)
+strip("hidden", r).hide_viewport = True
+bpy.ops.mesh.primitive_ico_sphere_add()
+bpy.ops.mesh.primitive_ico_sphere_add()
+bpy.context.object.parent = r
+turn(r, "wave", (0, 1))
+save()
+""",
+    )
+    model = as_blender_shows(path)
+    assert model.names() == ("Icosphere.001", "bone_0", "bone_1", "bone_2")
+    assert model.n_vertices == 42 + 18
+
+
+def test_what_is_not_read_is_listed(tmp_path, capsys):
+    path = export(
+        tmp_path / "a.fbx",
+        """
+r = rig()
+for name in ("a", "b"):
+    mesh = strip(name, r).data
+    for layer in ("first", "second"):
+        mesh.uv_layers.new(name=layer)
+mesh.color_attributes.new("paint", "FLOAT_COLOR", "CORNER")
+for data in (bpy.data.cameras.new("eye"), bpy.data.lights.new("sun", "SUN")):
+    scene.collection.objects.link(bpy.data.objects.new(data.name, data))
+turn(r, "wave", (0, 1))
+save()
+""",
+    )
+    assert ssdr.io.left_out(path) == (
+        "names and number of the meshes",
+        "hierarchy of the joints",
+        "further sets of UVs",
+        "vertex colours",
+        "cameras",
+        "lights",
+    )
+    assert "hierarchy" in str(run(capsys, "convert", path, tmp_path / "b.glb")["warnings"])
+
+
+def test_textures_outside_the_folder_are_left_out(tmp_path, caplog):
+    (tmp_path / "in").mkdir()
+    scene = """
+mesh = strip("a", None)
+mesh.data.uv_layers.new(name="uv")
+material = bpy.data.materials.new("paint")
+material.use_nodes = True
+image = material.node_tree.nodes.new("ShaderNodeTexImage")
+image.image = bpy.data.images.load({picture!r})
+shader = next(n for n in material.node_tree.nodes if n.type == "BSDF_PRINCIPLED")
+material.node_tree.links.new(image.outputs[0], shader.inputs["Base Color"])
+mesh.data.materials.append(material)
+save(path_mode="RELATIVE")
+"""
+    for folder, read in ((tmp_path / "in", True), (tmp_path, False)):
+        picture = folder / "picture.png"
+        picture.write_bytes(checker())
+        path = export(tmp_path / "in" / "a.fbx", scene.format(picture=str(picture)))
+        material = ssdr.load_skinning(path).surface.materials[0]
+        assert material.texture == (checker() if read else None)
+        assert ("lies outside its folder" in caplog.text) is not read
+        path.unlink()
+        picture.unlink()
 
 
 def test_a_mesh_that_leaves_its_armature(tmp_path):
