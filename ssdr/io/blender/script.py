@@ -180,12 +180,17 @@ def lay_out(clips: list[dict[str, Any]]) -> None:
             continue
         motion = item.animation_data
         motion.action = None
+        # What the importer calls its actions differs between releases, its tracks do not.
+        found = {track.name: track.strips[0] for track in motion.nla_tracks}
+        held = {n: (s.action, getattr(s, "action_slot", None)) for n, s in found.items()}
         for track in list(motion.nla_tracks):
             motion.nla_tracks.remove(track)
         for clip in clips:
-            name = takes.cut(f"{clip['action']}_{item.name}")
+            action, slot = held[clip["action"]]
             track = motion.nla_tracks.new()
-            strip = track.strips.new(clip["name"], 0, bpy.data.actions[name])
+            strip = track.strips.new(clip["name"], 0, action)
+            if slot is not None:
+                strip.action_slot = slot
             strip.name = clip["name"]
             strip.action_frame_start, strip.action_frame_end = 0, clip["frames"] - 1
             strip.frame_start, strip.frame_end = 0, clip["frames"] - 1

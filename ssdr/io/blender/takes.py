@@ -11,7 +11,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-_LONGEST_NAME = 63  # bytes, of anything in Blender
+_LONGEST_NAME = 255 if bpy.app.version >= (5, 0, 0) else 63  # bytes, of an object or action
+_LONGEST_BONE = 63
 _LARGEST_RATE = 32767  # what Blender's integer holds
 _USUAL = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 Pairs = list[tuple[Any, Any]]
@@ -145,8 +146,8 @@ def restore(values: list[tuple[Any, Any]]) -> None:
             item.matrix_basis = value
 
 
-def cut(name: str) -> str:
-    return name.encode()[:_LONGEST_NAME].decode("utf-8", "ignore")
+def cut(name: str, most: int = _LONGEST_NAME) -> str:
+    return name.encode()[:most].decode("utf-8", "ignore")
 
 
 def listed(path: str) -> list[tuple[str, Pairs]]:
@@ -216,4 +217,4 @@ def clustered(path: str) -> set[str]:
     objects, links = parts_of(path)
     models = {e.props[0]: called(e) for e in objects if e.id == b"Model"}
     clusters = {e.props[0] for e in objects if e.id == b"Deformer" and e.props[-1] == b"Cluster"}
-    return {cut(models[a]) for a, b in links if a in models and b in clusters}
+    return {cut(models[a], _LONGEST_BONE) for a, b in links if a in models and b in clusters}

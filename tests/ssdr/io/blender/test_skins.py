@@ -256,7 +256,7 @@ def test_a_rate_that_is_no_whole_number(tmp_path):
 
 
 def test_names_that_blender_cuts_to_one_are_refused(tmp_path):
-    code = TWO_TAKES + f"r.name = 'a' * 62\nsave({NLA})"
+    code = TWO_TAKES + f"r.name = 'a' * 300\nsave({NLA})"
     path = export(tmp_path / "a.fbx", code)
     with pytest.raises(ssdr.FormatError, match=r"a\.fbx: .*takes that Blender can tell apart"):
         ssdr.load_skinning(path)
@@ -324,8 +324,7 @@ for name in ("a", "b"):
     for layer in ("first", "second"):
         mesh.uv_layers.new(name=layer)
 mesh.color_attributes.new("paint", "FLOAT_COLOR", "CORNER")
-for data in (bpy.data.cameras.new("eye"), bpy.data.lights.new("sun", "SUN")):
-    scene.collection.objects.link(bpy.data.objects.new(data.name, data))
+scene.collection.objects.link(bpy.data.objects.new("eye", bpy.data.cameras.new("eye")))
 turn(r, "wave", (0, 1))
 save()
 """,
@@ -336,7 +335,6 @@ save()
         "further sets of UVs",
         "vertex colours",
         "cameras",
-        "lights",
     )
     assert "hierarchy" in str(run(capsys, "convert", path, tmp_path / "b.glb")["warnings"])
 
@@ -403,7 +401,8 @@ def test_an_animal_that_blender_has_exported(tmp_path, data_dir, name, rig, leav
     assert set(model.names()) == set(truth.names())
     same = None
     for clip in truth.clips:
-        theirs = model.select(f"{rig}|{clip.name}_{rig}")
+        known = {f"{rig}|{clip.name}", f"{rig}|{clip.name}_{rig}"}  # differs between releases
+        theirs = model.select(*known.intersection(c.name for c in model.clips))
         if clip.fps != theirs.fps:
             continue  # the fox runs at 120 frames a second, which Blender samples at 24
         assert theirs.n_frames == clip.n_frames
