@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from .errors import SsdrWarning
+from .errors import InputError, SsdrWarning
 from .parsimony.solve import SmallestModel
 from .parsimony.solve import solve as solve_within_tolerance
 from .result import Decomposition
 from .search.problem import Measure, check_problem
 from .search.progress import Callback
-from .search.schedule import Effort
+from .search.schedule import Effort, HierarchyKind
 from .search.solve import Outcome
 from .search.solve import solve as solve_in_memory
 from .search.state import SolverState
@@ -35,6 +35,7 @@ def decompose(
     influences: int = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
+    hierarchy: HierarchyKind = "none",
     rng: int | np.random.Generator = 0,
     max_iterations: int | None = None,
     time_limit: float | None = None,
@@ -78,6 +79,12 @@ def decompose(
     bone_model : {"rigid", "similarity", "affine"}
         What a bone may do: turn and move, also grow and shrink uniformly, or
         stretch and shear as well (det > 0 always).
+    hierarchy : {"none", "loose", "rigid"}
+        Which bone hangs on which, by which point.  "loose": a tree over the bones
+        that are found without one, whose joints may come apart; its parents are
+        those of least gaps.  "rigid": every joint is one point under the bone and
+        its parent in every frame, so that the model can be posed; a root alone
+        moves about.  In memory only; not beside a tolerance.
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     max_iterations : int, optional
@@ -147,7 +154,8 @@ def decompose(
 
     References
     ----------
-    Le and Deng, "Smooth skinning decomposition with rigid bones", 2012; the
+    Le and Deng, "Smooth skinning decomposition with rigid bones", 2012, and, for
+    joints, "Robust and accurate skeletal rigging from mesh sequences", 2014; the
     polish is variable projection (Golub and Pereyra 1973).
 
     Examples
@@ -166,6 +174,7 @@ def decompose(
         influences=influences,
         effort=effort,
         bone_model=bone_model,
+        hierarchy=hierarchy,
         rng=rng,
         max_iterations=max_iterations,
         time_limit=time_limit,
@@ -186,6 +195,8 @@ def decompose(
         tolerance_of=tolerance_of,
     )
     streamed = needs_streaming(problem.sequences)
+    if streamed and problem.hierarchy != "none":
+        raise InputError("hierarchy", "'none' for frames that are streamed", repr(hierarchy))
     if problem.callback is not None and not streamed:
         problem = problem.detached()
     compile_seconds = compile_kernels()

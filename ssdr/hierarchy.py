@@ -8,7 +8,7 @@ frame, M_b c_b = M_a c_b, its translation is that of the rest pose and only its 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +17,10 @@ from .errors import InputError
 from .rigid import matrix_from_quaternion
 
 __all__ = [
+    "Freedom",
     "check_parents",
     "from_local",
+    "joint_freedom",
     "joint_gaps",
     "local_of_pose",
     "parents_first",
@@ -26,6 +28,7 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+Freedom = Literal["root", "point", "line", "nothing"]
 
 
 def check_parents(parents: ArrayLike, n_bones: int) -> NDArray[np.int32]:
@@ -101,6 +104,26 @@ def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLik
     apart = m - m[..., above, :, :]
     gap = np.einsum("...bij,bj->...bi", apart[..., :3], np.asarray(positions, dtype=np.float64))
     return np.asarray(np.linalg.norm(gap + apart[..., 3], axis=-1))
+
+
+def joint_freedom(
+    transforms: ArrayLike, parents: NDArray[Any], least_turn: float
+) -> tuple[Freedom, ...]:
+    """What the motion says of each joint's place.
+
+    A joint at c_b in its bone and c_a in its parent satisfies R_b c_b + T_b = R_a c_a + T_a in
+    all frames; with S = R_aᵀ R_b and c_a eliminated, the matrix of c_b is the mean of
+    (S − S̄)ᵀ (S − S̄), whose eigenvalues are squares of turns.
+    """
+    turn = np.asarray(transforms, dtype=np.float64)[..., :3]
+    hung = np.asarray(parents) >= 0
+    above = np.where(hung, parents, np.arange(len(parents)))
+    relative = np.swapaxes(turn[:, above], -1, -2) @ turn
+    off = relative - relative.mean(axis=0)
+    matrix = np.einsum("tbca,tbcd->bad", off, off) / len(off)
+    told = (np.linalg.eigvalsh(matrix) > np.radians(least_turn) ** 2).sum(axis=-1)
+    kinds: tuple[Freedom, ...] = ("nothing", "nothing", "line", "point")
+    return tuple(kinds[n] if h else "root" for n, h in zip(told, hung, strict=True))
 
 
 def local_of_pose(

@@ -10,10 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from .clips import Clip, check_clips, in_order, pick
-from .errors import InputError, check_choice, is_whole
-from .hierarchy import check_parents, from_local, joint_gaps, local_of_pose, to_local
+from .errors import InputError, check_choice, is_real, is_whole
+from .hierarchy import (
+    Freedom,
+    check_parents,
+    from_local,
+    joint_freedom,
+    joint_gaps,
+    local_of_pose,
+    to_local,
+)
 from .lbs import skin
 from .sequence import Surface
+from .shapes import floats_of, frame_index
 
 __all__ = ["BoneModel", "Skinning", "skin"]
 
@@ -99,15 +108,15 @@ class Skinning:
         from .sequence import _check_faces, _check_surface, _check_vertex_map
 
         put = object.__setattr__
-        rest = _floats(self.rest, "rest", ("V", 3))
+        rest = floats_of(self.rest, "rest", ("V", 3))
         n_vertices = len(rest)
         joints = np.asarray(self.joints)
         if joints.ndim != 2 or len(joints) != n_vertices or joints.shape[1] < 1:
             raise InputError("joints", f"shape ({n_vertices}, K)", f"shape {joints.shape}")
         if joints.dtype.kind not in "iu":
             raise InputError("joints", "integers", f"dtype {joints.dtype}")
-        weights = _floats(self.weights, "weights", joints.shape)
-        transforms = _floats(self.transforms, "transforms", ("F", "B", 3, 4))
+        weights = floats_of(self.weights, "weights", joints.shape)
+        transforms = floats_of(self.transforms, "transforms", ("F", "B", 3, 4))
         n_bones = transforms.shape[1]
         if joints.min() < 0 or joints.max() >= n_bones:
             raise InputError(
@@ -149,7 +158,7 @@ class Skinning:
             raise InputError(missing, "parents and joint_positions together", "one of them")
         if self.parents is not None:
             put(self, "parents", check_parents(self.parents, n_bones))
-            positions = _floats(self.joint_positions, "joint_positions", (n_bones, 3))
+            positions = floats_of(self.joint_positions, "joint_positions", (n_bones, 3))
             put(self, "joint_positions", positions)
         put(self, "rest", rest)
         put(self, "joints", np.ascontiguousarray(joints, dtype=np.int32))
@@ -241,6 +250,36 @@ class Skinning:
         parents, positions = self._hierarchy("joint_gaps")
         return joint_gaps(self.transforms, parents, positions)
 
+    def joint_freedom(self, least_turn: float = 1.0) -> tuple[Freedom, ...]:
+        """What the motion says of each joint's place: "point", "line", "nothing" or "root".
+
+        Where a bone turns about one axis of its parent alone, its joint may be anywhere on a
+        line; where it does not turn, anywhere.  What motion leaves open lies where the skin of
+        the two bones meets.
+
+        Parameters
+        ----------
+        least_turn : float
+            Degrees, root mean square over the frames, below which a turn says nothing.
+
+        Raises
+        ------
+        InputError
+            If the bones have no hierarchy, or `least_turn` is not positive.
+
+        Examples
+        --------
+        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
+        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
+        >>> ssdr.Skinning(rest, joints, weights, still, **tree).joint_freedom()
+        ('root', 'nothing')
+        """
+        parents, _ = self._hierarchy("joint_freedom")
+        if not is_real(least_turn) or least_turn <= 0:
+            raise InputError("least_turn", "a number of degrees > 0", repr(least_turn))
+        return joint_freedom(self.transforms, parents, least_turn)
+
     def pose(self, local_rotations: ArrayLike, root: ArrayLike | None = None) -> Skinning:
         """The same model in a new motion, given as rotations of its joints.
 
@@ -299,7 +338,7 @@ class Skinning:
         """Positions ``(f, V, 3)`` of the named frames; all of them by default."""
         chosen = self.transforms
         if frames is not None:
-            chosen = chosen[_frame_index(frames, self.n_frames)]
+            chosen = chosen[frame_index(frames, self.n_frames)]
         return skin(self.rest, self.joints, self.weights, chosen, dtype=dtype)
 
     def select(self, *clips: str | int) -> Skinning:
@@ -393,33 +432,3 @@ class Skinning:
             joints=np.where(weights > 0, joints, 0).astype(np.int32),
             weights=weights.astype(self.weights.dtype),
         )
-
-
-def _frame_index(frames: Any, n_frames: int) -> Any:
-    if isinstance(frames, slice):
-        return frames
-    index = np.atleast_1d(np.asarray(frames))
-    if index.dtype == bool and index.shape == (n_frames,):
-        return index
-    usable = index.ndim == 1 and (index.dtype.kind in "iu" or index.size == 0)
-    if not usable or (index.size and not -n_frames <= index.min() <= index.max() < n_frames):
-        raise InputError("frames", f"indices below {n_frames}, a slice or a mask", frames)
-    return index.astype(np.intp)
-
-
-def _floats(value: Any, argument: str, shape: tuple[Any, ...]) -> NDArray[np.floating]:
-    array = np.asarray(value)
-    wanted = f"shape ({', '.join(str(s) for s in shape)})"
-    if array.ndim != len(shape) or any(
-        isinstance(s, int) and s != n for s, n in zip(shape, array.shape, strict=True)
-    ):
-        raise InputError(argument, wanted, f"shape {array.shape}")
-    if array.size == 0:
-        raise InputError(argument, f"{wanted}, none of them 0", f"shape {array.shape}")
-    if array.dtype.kind not in "fiu":
-        raise InputError(argument, "real numbers", f"dtype {array.dtype}")
-    if array.dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
-        array = array.astype(np.float64)
-    if not np.isfinite(array).all():
-        raise InputError(argument, "finite numbers", "NaN or Inf")
-    return np.ascontiguousarray(array)

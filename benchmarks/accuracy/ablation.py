@@ -106,24 +106,24 @@ PROBLEMS = SMALL | LARGE
 
 # -- the variants: all that knows the solver's insides ------------------------------------------
 
-_CHANGES = stages._CHANGES
+_CHANGES = stages.Search.kinds
 _behind, _best = stages.Search._behind, schedule.best
 
 
 def _plain_turns(run: Any) -> int:
-    return int(run.memory.count % len(stages._CHANGES))
+    return int(run.memory.count % len(stages.Search.kinds))
 
 
 def _without(name: str) -> AbstractContextManager[Any]:
     """The search without one of its changes; what a race takes for a round stays four tries."""
 
     def behind(search: Any, run: Any) -> bool:
-        with mock.patch.object(stages, "_CHANGES", _CHANGES):
+        with mock.patch.object(stages.Search, "kinds", _CHANGES):
             return _behind(search, run)
 
     stack = contextlib.ExitStack()
     fewer = tuple(c for c in _CHANGES if c.__name__ != name)
-    stack.enter_context(mock.patch.object(stages, "_CHANGES", fewer))
+    stack.enter_context(mock.patch.object(stages.Search, "kinds", fewer))
     stack.enter_context(mock.patch.object(stages.Search, "_behind", behind))
     return stack
 

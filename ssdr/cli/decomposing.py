@@ -69,6 +69,14 @@ class BoneModel(StrEnum):
     affine = "affine"
 
 
+class Hierarchy(StrEnum):
+    """Which bone hangs on which: none on any; by joints that come apart; by rigid joints."""
+
+    none = "none"
+    loose = "loose"
+    rigid = "rigid"
+
+
 _NO_SHEAR = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx")
 
 
@@ -113,6 +121,9 @@ def decompose(
     bone_model: Annotated[
         BoneModel, typer.Option("--bone-model", help="What bones may do.")
     ] = BoneModel.rigid,
+    hierarchy: Annotated[
+        Hierarchy, typer.Option("--hierarchy", help="Joints: none, loose or rigid ones.")
+    ] = Hierarchy.none,
     rng: Annotated[
         int, typer.Option("--rng", "--seed", min=0, help="Seed; the same seed, the same result.")
     ] = 0,
@@ -269,6 +280,7 @@ def decompose(
                 influences=influences,
                 effort=effort.value,
                 bone_model=bone_model.value,
+                hierarchy=hierarchy.value,
                 rng=rng,
                 time_limit=left,
                 max_iterations=max_iterations,

@@ -29,6 +29,7 @@ __all__ = [
     "reseed_step",
     "shed_influence",
     "thin",
+    "worst_patch",
 ]
 
 # Vertices, drawn by their error, around which a new bone may come: comparing their neighbourhoods
@@ -88,7 +89,7 @@ def reseed_step(
     if len(free) == 0:
         return None
     drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
-    members = _worst_patch(data, model, rng, _PATCH_SIZE)
+    members = worst_patch(data, model, rng, _PATCH_SIZE)
     smaller = model.without(np.array([drop]))
     grown = _with_patch(data, smaller, members, fixed)
     vertex_step(data, grown, fixed=fixed)
@@ -264,13 +265,13 @@ def _with_bones(
 ) -> Model:
     """A copy with so many bones more, one after the other where the error is."""
     for _ in range(count):
-        members = _worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
+        members = worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
         model = _with_patch(data, model, members, fixed)
         vertex_step(data, model, fixed=fixed)
     return model
 
 
-def _worst_patch(
+def worst_patch(
     data: Trajectories, model: Model, rng: np.random.Generator, fraction: float
 ) -> NDArray[np.intp]:
     """Of some neighbourhoods of `fraction`·V/B vertices, drawn by error, the one with most."""

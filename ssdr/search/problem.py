@@ -31,7 +31,7 @@ from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
 from .prescribed import Prescribed, check_prescribed
 from .progress import Callback
-from .schedule import Effort
+from .schedule import Effort, HierarchyKind
 from .state import Checkpoint, SolverState
 
 __all__ = ["MOST_BONES", "Measure", "Problem", "check_problem"]
@@ -58,6 +58,7 @@ class Problem:
     effort : {"fast", "balanced", "best"}
     fixed : Fixed
         What stays as it is, and what bones may do.
+    hierarchy : {"none", "loose", "rigid"}
     rng : numpy.random.Generator
     prescribed : Prescribed
         In the input's space, of all frames.
@@ -81,6 +82,7 @@ class Problem:
     influences: int
     effort: Effort
     fixed: Fixed
+    hierarchy: HierarchyKind
     rng: np.random.Generator
     prescribed: Prescribed
     smoothness: float
@@ -150,14 +152,20 @@ class Problem:
 
     def settings(self, **more: Any) -> dict[str, Any]:
         """What a state has to agree with, so that a run may go on from it."""
-        return {
-            "bones": self.bones,
-            "influences": self.influences,
-            "effort": self.effort,
-            "bone_model": self.fixed.bone_model,
-            "rest_frame": self.prescribed.rest_frame,
-            "clips": [len(s) for s in self.sequences],
-        } | more
+        # left out where there is none: states saved before this setting was know nothing of it
+        joints = {} if self.hierarchy == "none" else {"hierarchy": self.hierarchy}
+        return (
+            {
+                "bones": self.bones,
+                "influences": self.influences,
+                "effort": self.effort,
+                "bone_model": self.fixed.bone_model,
+                "rest_frame": self.prescribed.rest_frame,
+                "clips": [len(s) for s in self.sequences],
+            }
+            | joints
+            | more
+        )
 
 
 def check_problem(
@@ -168,6 +176,7 @@ def check_problem(
     influences: Any,
     effort: Any,
     bone_model: Any,
+    hierarchy: Any,
     rng: Any,
     max_iterations: Any,
     time_limit: Any,
@@ -202,6 +211,7 @@ def check_problem(
     influences = check_influences(influences)
     check_choice(effort, "effort", Effort)
     bone_model = check_bone_model(bone_model)
+    check_choice(hierarchy, "hierarchy", HierarchyKind)
     check_choice(tolerance_of, "tolerance_of", Measure)
     if max_iterations is not None:
         max_iterations = check_count(max_iterations, "max_iterations", "an integer >= 1 or None")
@@ -246,6 +256,7 @@ def check_problem(
         influences=influences,
         effort=effort,
         fixed=fixed,
+        hierarchy=hierarchy,
         rng=generator,
         prescribed=prescribed,
         smoothness=float(smoothness),
@@ -260,6 +271,7 @@ def check_problem(
         checkpoint=None if checkpoint is None else Checkpoint(checkpoint),
     )
     _check_tolerance(problem)
+    _check_hierarchy(problem)
     return problem
 
 
@@ -305,6 +317,24 @@ def _check_tolerance(problem: Problem) -> None:
             "which bounds the plain error",
             f"{importance.min():.3g} of the largest",
         )
+
+
+def _check_hierarchy(problem: Problem) -> None:
+    """Whether what is asked for goes together with bones that hang on joints."""
+    if problem.hierarchy == "none":
+        return
+    beside = f"beside hierarchy={problem.hierarchy!r}"
+    if problem.fixed.bone_model != "rigid":
+        raise InputError("bone_model", f"'rigid' {beside}", repr(problem.fixed.bone_model))
+    if problem.tolerance is not None:
+        raise InputError("tolerance", f"None {beside}", repr(problem.tolerance))
+    if problem.hierarchy == "loose":
+        return
+    for name in ("weights", "transforms"):
+        if getattr(problem.prescribed, name) is not None:
+            raise InputError(name, f"None {beside}", "an array")
+    if problem.smoothness > 0:
+        raise InputError("smoothness", f"0 {beside}", problem.smoothness)
 
 
 def _check_time_limit(seconds: Any) -> None:

@@ -109,6 +109,8 @@ class Run:
     smoothness : WeightSmoothness or None
         Penalty on the weights.
     clock : Clock, optional
+    rigid_joints : bool
+        Whether only models whose bones hang on joints count.
 
     Attributes
     ----------
@@ -142,7 +144,9 @@ class Run:
         prescribed: Prescribed,
         smoothness: WeightSmoothness | None = None,
         clock: Clock | None = None,
+        rigid_joints: bool = False,
     ) -> None:
+        self.rigid_joints = rigid_joints
         self.data, self.schedule = data, tuple(schedule)
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.prescribed, self.smoothness = fixed, prescribed, smoothness
@@ -287,6 +291,7 @@ class Run:
             prescribed=prescribed,
             smoothness=smoothness,
             clock=self.clock,
+            rigid_joints=self.rigid_joints,
         )
         run.iteration = self.iteration
         return run
@@ -359,6 +364,8 @@ class Run:
     def _record(self, phase: str) -> None:
         model = self.model
         if model is None or model.n_bones != self.bones or model.n_influences > self.influences:
+            return
+        if self.rigid_joints and (model.tree is None or not model.tree.rigid):
             return
         value = self.value(model)
         if value < self.best_value:

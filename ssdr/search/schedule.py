@@ -31,10 +31,19 @@ from .stages import (
     Spread,
     Start,
 )
+from .tree_stages import Hang, SearchTrees
 
-__all__ = ["Effort", "Schedule", "fingerprint", "schedule_for", "settling_schedule"]
+__all__ = [
+    "Effort",
+    "HierarchyKind",
+    "Schedule",
+    "fingerprint",
+    "schedule_for",
+    "settling_schedule",
+]
 
 Effort = Literal["fast", "balanced", "best"]
+HierarchyKind = Literal["none", "loose", "rigid"]
 Schedule = tuple[Stage, ...]
 
 # On the frames as they are and without a bone too many: a usable model early, which now and then
@@ -47,14 +56,20 @@ RELAXED: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=40, gain=0.01)
 
 
 def merged_start(
-    factor: float, before: int, after: int, *, branch: bool = False, rigid: bool = False
+    factor: float,
+    before: int,
+    after: int,
+    *,
+    branch: bool = False,
+    rigid: bool = False,
+    influences: int | None = None,
 ) -> Schedule:
     """Start with `factor` times the bones asked for and merge them down.
 
     `before` and `after` are the most alternations on either side of the merge.
     """
     return (
-        Start(factor=factor, branch=branch, rigid=rigid),
+        Start(factor=factor, branch=branch, rigid=rigid, influences=influences),
         Alternate(steps=before, branch=branch, rigid=rigid),
         Merge(branch=branch, rigid=rigid),
         Alternate(steps=after, branch=branch, rigid=rigid),
@@ -242,11 +257,57 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
     )
 
 
+# --- bones that hang on joints ------------------------------------------------------------------
+
+# Bones of one influence are compact: a tree over them is close to the one that is looked for,
+# and what they cannot move alone the other influences take up once they hang.
+_FIRST_TREE: Schedule = (
+    QuickStart(influences=1),
+    Alternate(steps=20, gain=0.01),
+    Compress(),
+    Hang(),
+    Polish(steps=8),
+)
+
+
+def tree_start(*, branch: bool = False) -> Schedule:
+    """Compact bones, merged and moved about, then hung and relaxed."""
+    return (
+        *merged_start(1.6, 12, 6, branch=branch, influences=1),
+        Reseed(branch=branch),
+        Hang(branch=branch),
+        Polish(steps=20, gain=0.01, branch=branch),
+    )
+
+
+def rigid_joints(effort: Effort) -> Schedule:
+    """A tree early, then a better one; searched, as long as the effort allows."""
+    if effort == "fast":
+        return (*_FIRST_TREE, *tree_start())
+    tries = {"balanced": 10, "best": 40}[effort]
+    return (
+        *_FIRST_TREE,
+        *tree_start(),
+        Recall(),
+        Relax(polish_steps=6, cost=30),
+        Polish(steps=24, gain=0.01),
+        SearchTrees(steps=tries, patience=tries),
+        Polish(steps=40, gain=0.002),
+    )
+
+
 # --- which of them -----------------------------------------------------------------------------
 
 
 def schedule_for(
-    effort: Effort, *, fixed: Fixed, bones: int, prescribed: Prescribed, smoothed: bool, size: float
+    effort: Effort,
+    *,
+    fixed: Fixed,
+    bones: int,
+    prescribed: Prescribed,
+    smoothed: bool,
+    size: float,
+    hierarchy: HierarchyKind = "none",
 ) -> Schedule:
     """The schedule of a call.
 
@@ -260,7 +321,10 @@ def schedule_for(
         Whether there is a penalty on weights.
     size : float
         Vertices × frames × bones.
+    hierarchy : {"none", "loose", "rigid"}
     """
+    if hierarchy == "rigid":
+        return rigid_joints(effort)
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     placed = prescribed.weights is not None or all_bones
     if smoothed:

@@ -21,14 +21,17 @@ from ..frames.executor import Executor
 from ..skinning import Skinning
 from ..solver.alternation import bone_costs
 from ..solver.bone_models import normalise_gauge
+from ..solver.joints import spanning_tree
 from ..solver.model import Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
+from ..solver.tree import Tree
 from .prescribed import Prescribed
 from .problem import Problem
 from .progress import Clock, Record, Reporter
 from .run import Run
 from .schedule import fingerprint, schedule_for
 from .state import SolverState, check_settings, check_size, taking_up
+from .tree_moves import loss_of_bones
 
 __all__ = ["Outcome", "begin", "idle_bones", "outcome_of", "restore", "solve", "state_of", "walk"]
 
@@ -124,6 +127,7 @@ def begin(
         prescribed=prescribed,
         smoothed=smoothness is not None,
         size=float(data.n_vertices) * data.n_frames * problem.bones,
+        hierarchy=problem.hierarchy,
     )
     run = Run(
         data,
@@ -135,6 +139,7 @@ def begin(
         prescribed=prescribed,
         smoothness=smoothness,
         clock=clock,
+        rigid_joints=problem.hierarchy == "rigid",
     )
     settings = problem.settings(
         smoothness=problem.smoothness,
@@ -199,7 +204,11 @@ def idle_bones(run: Run) -> int:
     """How many bones could each go at no loss."""
     wide = run.best_model.with_restarted_support()
     energy = float(run.data.importance @ run.data.x2)
-    return int((bone_costs(run.data, wide) <= _NO_LOSS * energy).sum())
+    if wide.tree is None:
+        costs = bone_costs(run.data, wide)
+    else:
+        costs = np.array([loss.cost for loss in loss_of_bones(run.data, wide)])
+    return int((costs <= _NO_LOSS * energy).sum())
 
 
 def outcome_of(
@@ -228,6 +237,7 @@ def outcome_of(
     count = alignment.n_frames * len(rest)
     rmse = math.sqrt(float(squared.sum()) / count)
     first = problem.sequences[0]
+    tree = spanning_tree(model, by_gap=True) if problem.hierarchy == "loose" else model.tree
     skinning = Skinning(
         rest,
         joints,
@@ -239,6 +249,8 @@ def outcome_of(
         vertex_map=first.vertex_map,
         **names_of(problem.sequences),
     )
+    if tree is not None:
+        skinning = with_tree(skinning, tree, alignment)
     values = np.array([value for _, _, value, _ in records])
     hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
     return Outcome(
@@ -248,6 +260,20 @@ def outcome_of(
         history=_history(records, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
         state=state,
         warnings=(hint,) if idle else (),
+    )
+
+
+def with_tree(skinning: Skinning, tree: Tree, alignment: Alignment) -> Skinning:
+    """A skinning whose bones hang on the joints of a tree in the solver's space."""
+    positions, _ = alignment.to_world(tree.points, np.zeros((alignment.n_frames, 0, 3, 4)))
+    roots = tree.roots
+    positions[roots] = skinning.centroids()[roots]
+    digits = len(str(skinning.n_bones - 1))
+    return dataclasses.replace(
+        skinning,
+        parents=tree.parents,
+        joint_positions=positions,
+        bone_names=tuple(f"joint_{k:0{digits}d}" for k in range(skinning.n_bones)),
     )
 
 

@@ -6,6 +6,7 @@ Thresholds are chosen by hand unless an experiment is named; those are in ``docs
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -13,7 +14,8 @@ import numpy as np
 from ..solver.alternation import alternate, bone_step, vertex_step
 from ..solver.bone_models import normalise_gauge, polish_of
 from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
-from ..solver.model import Model
+from ..solver.model import Fixed, Model
+from ..solver.trajectories import Trajectories
 from .moves import (
     entering_at,
     grow_and_shed,
@@ -56,7 +58,8 @@ _PLATEAU_ALTERNATIONS = 3  # in a row: fewer end on a pause that is followed by 
 _POLISH_WINDOW = 8  # polish steps over which the stopping test looks
 POLISH_STEPS_OF_A_TRY = 8  # after which a try of a search is judged
 _CLOSE = 1.02  # ratio of objectives at which a try gets as many polish steps again
-_CHANGES = (loosen, grow_and_shed, kick, thin)  # the kinds of change that a search tries
+# makes a changed copy of a model
+Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
 _MOST_MISSES = 8  # failures that count against a kind of change: none is given up for good
 
 
@@ -68,12 +71,15 @@ class Start(Stage):
     ----------
     factor : float
         Bones to start with, relative to those asked for; a merge brings them down again.
+    influences : int or None
+        Of the start; None: those asked for.
     """
 
     phase: ClassVar[str] = "start"
     quick: ClassVar[bool] = False
     cost: float = 8
     factor: float = 1.0
+    influences: int | None = None
 
     def step(self, run: Run) -> bool:
         if self.branch:
@@ -83,7 +89,7 @@ class Start(Stage):
         return True
 
     def _model(self, run: Run) -> Model:
-        data, prescribed, influences = run.data, run.prescribed, run.influences
+        data, prescribed, influences = run.data, run.prescribed, self.influences or run.influences
         rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
         bones, joints, weights = prescribed.transforms, prescribed.joints, prescribed.weights
         if joints is not None and weights is not None:
@@ -132,7 +138,7 @@ class QuickStart(Start):
             few,
             rest,
             run.bones,
-            run.influences,
+            self.influences or run.influences,
             run.rng,
             None,
             run.fixed.bone_model,
@@ -346,7 +352,8 @@ class Search(Stage):
     """
 
     phase: ClassVar[str] = "search"
-    changes: ClassVar[int] = len(_CHANGES)
+    kinds: ClassVar[tuple[Change, ...]] = (loosen, grow_and_shed, kick, thin)
+    changes: ClassVar[int] = len(kinds)
     cost: float = 60
     patience: int
     gain: float = 1e-3
@@ -357,17 +364,13 @@ class Search(Stage):
         base = run.value(model)
         if not memory.track:
             memory.track = [base]
-            memory.turns = list(range(-len(_CHANGES), 0))
-            memory.misses = [0] * len(_CHANGES)
+            memory.turns = list(range(-len(self.kinds), 0))
+            memory.misses = [0] * len(self.kinds)
             if self._behind(run):
                 return True
         kind = self.next_change(run)
-        trial = _CHANGES[kind](data, model, run.generator, run.fixed)
-        polish_steps(data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
-        value = run.value(trial)
-        if base <= value < _CLOSE * base:
-            polish_steps(data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
-            value = run.value(trial)
+        trial = self.kinds[kind](data, model, run.generator, run.fixed)
+        value = self.settle(run, trial, base)
         run.iteration += POLISH_STEPS_OF_A_TRY
         if value < base:
             run.model = trial
@@ -379,11 +382,20 @@ class Search(Stage):
         run.converged = memory.failures >= self.patience
         return run.converged or self._behind(run)
 
+    def settle(self, run: Run, trial: Model, base: float) -> float:
+        """Polish a trial (in place) before it is judged; its objective."""
+        polish_steps(run.data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
+        value = run.value(trial)
+        if base <= value < _CLOSE * base:
+            polish_steps(run.data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
+            value = run.value(trial)
+        return value
+
     def _behind(self, run: Run) -> bool:
         """Whether the search that ended lowest was well ahead after as many tries."""
         track, leader = run.memory.track, run.leader
         tries = len(track) - 1
-        if 0 < tries < len(_CHANGES) or tries >= len(leader):
+        if 0 < tries < len(self.kinds) or tries >= len(leader):
             return False
         ratio = self.race[min(tries, 1)]
         return 0 < ratio * leader[tries] < track[-1]

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from ..checks import LARGEST, check_squarable
 from ..errors import FormatError, InputError, SsdrWarning, is_real, is_whole
-from ..solver.model import Model
+from ..hierarchy import check_parents
+from ..solver.model import ARRAYS, Model
+from ..solver.tree import Tree
 
 __all__ = [
     "Checkpoint",
@@ -263,7 +265,6 @@ class Checkpoint:
 
 # --- models as arrays --------------------------------------------------------------------------
 
-_FIELDS = tuple(f.name for f in dataclasses.fields(Model))
 # name: kind of numbers, shape in terms of the sizes below, where an integer lies
 _ARRAYS: dict[str, tuple[str, str]] = {
     "transforms": ("f", "FB34"),
@@ -279,7 +280,14 @@ _ARRAYS: dict[str, tuple[str, str]] = {
 
 def packed(prefix: str, model: Model | None) -> dict[str, Any]:
     """The arrays of a model by name."""
-    return {} if model is None else {prefix + name: getattr(model, name) for name in _FIELDS}
+    if model is None:
+        return {}
+    arrays = {prefix + name: getattr(model, name) for name in ARRAYS}
+    if model.tree is not None:
+        arrays[prefix + "parents"] = model.tree.parents
+        arrays[prefix + "points"] = model.tree.points
+        arrays[prefix + "rigid"] = np.array([model.tree.rigid])
+    return arrays
 
 
 def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
@@ -292,7 +300,7 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
     """
     if f"{prefix}rest" not in arrays:
         return None
-    parts = {name: np.ascontiguousarray(arrays[prefix + name]) for name in _FIELDS}
+    parts = {name: np.ascontiguousarray(arrays[prefix + name]) for name in ARRAYS}
     for name, (_, shape) in _ARRAYS.items():
         if parts[name].ndim != len(shape):
             raise ValueError(f"{prefix}{name} has shape {parts[name].shape}")
@@ -321,4 +329,16 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
             if array.size and not (least <= array.min() and array.max() <= most):
                 raise ValueError(f"{prefix}{name} is out of range")
             parts[name] = array.astype(np.int32)
-    return Model(**parts)
+    return Model(**parts, tree=_tree_of(arrays, prefix, bones))
+
+
+def _tree_of(arrays: dict[str, Any], prefix: str, bones: int) -> Tree | None:
+    if f"{prefix}parents" not in arrays:
+        return None
+    parents = check_parents(arrays[f"{prefix}parents"], bones)
+    points, rigid = arrays[f"{prefix}points"], arrays[f"{prefix}rigid"]
+    if points.shape != (bones, 3) or points.dtype.kind != "f" or not np.isfinite(points).all():
+        raise ValueError(f"{prefix}points has shape {points.shape}, or holds NaN or Inf")
+    if rigid.shape != (1,) or rigid.dtype != bool:
+        raise ValueError(f"{prefix}rigid is {rigid!r}")
+    return Tree(parents.astype(np.int64), points.astype(np.float64), bool(rigid[0]))

@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..kernels.bones import LARGEST, SMALLEST
 from .affine import admissible, flat_blocks, ridge_blocks
+from .chain_polish import ChainPolish
 from .model import FREE, Fixed, Model
 from .polish import Polish
 from .trajectories import Array, Trajectories
@@ -155,6 +156,8 @@ def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
 def polish_of(
     data: Trajectories, model: Model, *, fixed: Fixed = FREE, damping: float | None = None
 ) -> Polish:
-    """The polish of the bones that `fixed` allows."""
+    """The polish of the bones that `fixed` allows, or of those that hang on joints."""
+    if model.tree is not None:
+        return ChainPolish(data, model, fixed=fixed, damping=damping)
     kinds = {"rigid": Polish, "similarity": SimilarityPolish, "affine": AffinePolish}
     return kinds[fixed.bone_model](data, model, fixed=fixed, damping=damping)

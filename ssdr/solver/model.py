@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
+from .tree import Tree
 
 __all__ = [
     "Fixed",
@@ -34,6 +35,7 @@ class Model:
     joints: NDArray[np.int32]  # (V, K)
     weights: Array  # (V, K)
     error: Array  # (V,) squared error of joints, weights, rest, transforms
+    tree: Tree | None = None  # the hierarchy of the bones
 
     @property
     def n_bones(self) -> int:
@@ -44,7 +46,8 @@ class Model:
         return int(self.joints.shape[1])
 
     def copy(self) -> Model:
-        return Model(**{f.name: getattr(self, f.name).copy() for f in dataclasses.fields(self)})
+        arrays = {name: getattr(self, name).copy() for name in ARRAYS}
+        return Model(**arrays, tree=self.tree)
 
     @staticmethod
     def start(
@@ -114,12 +117,16 @@ class Model:
             joints=np.ascontiguousarray(np.pad(joints, padding)),
             weights=np.ascontiguousarray(np.pad(weights, padding)),
             error=self.error.copy(),
+            tree=self.tree,
         )
         model.restart_support()
         return model
 
     def without(self, bones: NDArray[np.intp]) -> Model:
-        """A copy that has lost some bones; vertices keep what is left of their support."""
+        """A copy that has lost some bones; vertices keep what is left of their support.
+
+        It has no tree.
+        """
         keep = np.setdiff1d(np.arange(self.n_bones), bones)
         rank = np.full(self.n_bones, -1, dtype=np.int32)
         rank[keep] = np.arange(len(keep))
@@ -150,12 +157,15 @@ class Model:
         )
 
     def with_bone(self, transform: Array) -> Model:
-        """A copy with one bone more, (F, 3, 4), that nothing uses yet."""
-        grown = self.copy()
+        """A copy with one bone more, (F, 3, 4), that nothing uses yet, and without a tree."""
+        grown = dataclasses.replace(self.copy(), tree=None)
         grown.transforms = np.ascontiguousarray(
             np.concatenate([self.transforms, transform[:, None]], axis=1)
         )
         return grown
+
+
+ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -226,7 +226,7 @@ class Polish:
     def _solve(self) -> tuple[Array, float]:
         """Tangents (F, B, n) of the damped step and the decrease that they promise."""
         data, model = self.data, self.model
-        n_frames, n_bones = model.transforms.shape[:2]
+        n_bones = model.n_bones
         u, c = bone_sums(data, model.joints, model.weights, model.rest, n_bones)
         scale = data.frame_scale
         hat = self._left.hat
@@ -237,7 +237,7 @@ class Polish:
         no_cross = np.zeros((n_bones, n_bones, 4, 4))
         _, total = self._eliminate(no_cross, 1.0)
         rhs = -(gradient - self._pullback(hat @ flat_blocks(total)))
-        rhs[:, self._locked] = 0.0
+        self._hold(rhs)
 
         precondition, damp = self._preconditioner(u)
 
@@ -247,10 +247,10 @@ class Polish:
             _, total = self._eliminate(np.ascontiguousarray(cross), 0.0)
             out = self._pullback(image @ u_flat - hat @ flat_blocks(total))
             out += damp(x)
-            out[:, self._locked] = 0.0
+            self._hold(out)
             return out
 
-        x = np.zeros((n_frames, n_bones, self.generators.shape[2]))
+        x = np.zeros_like(rhs)
         residual = rhs.copy()
         z = precondition(residual)
         direction = z.copy()
@@ -321,6 +321,9 @@ class Polish:
 
         damped = self.damping * (frame_weight[:, None, None] * own)
         return precondition, lambda x: damped * x
+
+    def _hold(self, x: Array) -> None:
+        x[:, self._locked] = 0.0
 
     def _move(self, transforms: Array, x: Array) -> None:
         run_chunks(

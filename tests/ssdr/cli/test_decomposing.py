@@ -64,6 +64,7 @@ def test_decompose_writes_all_outputs_and_tells_json(faked, run, clip, wave, tmp
     assert fake_decompose.options == {
         "effort": "fast",
         "bone_model": "rigid",
+        "hierarchy": "none",
         "rng": 5,
         "time_limit": left,
         "max_iterations": None,

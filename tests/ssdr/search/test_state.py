@@ -16,7 +16,7 @@ import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.solver.model import Model
+from ssdr.solver.model import ARRAYS, Model
 
 OPTIONS = {"bones": 4, "influences": 3, "rng": 5}
 
@@ -238,8 +238,9 @@ def test_round_trip(tmp_path: Path) -> None:
     assert back.phases == state.phases
     assert np.array_equal(back.history, state.history)
     for name in ("current", "best"):
-        for field, value in vars(getattr(state, name)).items():
-            other = getattr(getattr(back, name), field)
+        assert getattr(back, name).tree is None
+        for field in ARRAYS:
+            value, other = (getattr(getattr(s, name), field) for s in (state, back))
             assert np.array_equal(value, other), field
             assert value.dtype == other.dtype
 
@@ -376,7 +377,7 @@ def test_nothing_is_unpickled(tmp_path: Path) -> None:
 def test_models_are_plain_arrays() -> None:
     state = whole()[0].state
     assert isinstance(state.best, Model)
-    assert {type(v) for v in vars(state.best).values()} == {np.ndarray}
+    assert {type(getattr(state.best, name)) for name in ARRAYS} == {np.ndarray}
 
 
 def test_a_result_shares_no_memory_with_its_state() -> None:

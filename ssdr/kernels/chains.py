@@ -1,0 +1,250 @@
+"""Kernels of bones that hang on joints: tangents along the tree, its matrices, its poses.
+
+A tree lists parents before children.  A bone j that hangs on bone k by the rest point c_j
+satisfies M_j c_j = M_k c_j in every frame; a root is free.  The unknowns of a frame are a
+rotation ω_j of every bone, in its own axes, and a translation of every root; those that all
+frames share are the changes δc_j of the joints.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .bones import quaternion_matrix
+from .policy import kernel
+
+
+@kernel
+def chain_image(transforms, order, parents, points, turns, shifts, moved, out, first, last):
+    """Tangents (ω, τ) of the bones of frames first..last under a change of the chain.
+
+    transforms  (F, B, 3, 4)  float64  bones, in
+    order       (B,)          int64    bones, parents before children, in
+    parents     (B,)          int64    parent of each bone, −1 of a root, in
+    points      (B, 3)        float64  joints in the rest pose, in
+    turns       (F, B, 3)     float64  ω, in
+    shifts      (F, B, 3)     float64  τ of the roots; others are not read, in
+    moved       (B, 3)        float64  δc, in
+    out         (F, B, 6)     float64  tangents, out
+    """
+    n_bones = len(parents)
+    a = np.empty(3)
+    for t in range(first, last):
+        for i in range(n_bones):
+            j = order[i]
+            k = parents[j]
+            o = out[t, j]
+            w = turns[t, j]
+            for d in range(3):
+                o[d] = w[d]
+            if k < 0:
+                for d in range(3):
+                    o[3 + d] = shifts[t, j, d]
+                continue
+            c = points[j]
+            p = out[t, k]
+            m, n = transforms[t, k], transforms[t, j]
+            # the velocity of the joint as the parent carries it, in the world's axes
+            b0 = p[1] * c[2] - p[2] * c[1] + p[3] + moved[j, 0]
+            b1 = p[2] * c[0] - p[0] * c[2] + p[4] + moved[j, 1]
+            b2 = p[0] * c[1] - p[1] * c[0] + p[5] + moved[j, 2]
+            for d in range(3):
+                a[d] = m[d, 0] * b0 + m[d, 1] * b1 + m[d, 2] * b2
+            for d in range(3):
+                o[3 + d] = n[0, d] * a[0] + n[1, d] * a[1] + n[2, d] * a[2] - moved[j, d]
+            o[3] -= w[1] * c[2] - w[2] * c[1]
+            o[4] -= w[2] * c[0] - w[0] * c[2]
+            o[5] -= w[0] * c[1] - w[1] * c[0]
+
+
+@kernel
+def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, first, last):
+    """Transpose of :func:`chain_image`; g is overwritten.
+
+    g       (F, B, 6)  float64  gradient in the tangents, in
+    turns   (F, B, 3)  float64  gradient in ω, out
+    shifts  (F, B, 3)  float64  gradient in τ of the roots, 0 elsewhere, out
+    moved   (B, 3)     float64  gradient in δc, added to
+    """
+    n_bones = len(parents)
+    a = np.empty(3)
+    for t in range(first, last):
+        for i in range(n_bones - 1, -1, -1):
+            j = order[i]
+            k = parents[j]
+            o = g[t, j]
+            if k < 0:
+                for d in range(3):
+                    turns[t, j, d] = o[d]
+                    shifts[t, j, d] = o[3 + d]
+                continue
+            c = points[j]
+            m, n = transforms[t, k], transforms[t, j]
+            turns[t, j, 0] = o[0] + o[4] * c[2] - o[5] * c[1]
+            turns[t, j, 1] = o[1] + o[5] * c[0] - o[3] * c[2]
+            turns[t, j, 2] = o[2] + o[3] * c[1] - o[4] * c[0]
+            for d in range(3):
+                shifts[t, j, d] = 0.0
+                a[d] = n[d, 0] * o[3] + n[d, 1] * o[4] + n[d, 2] * o[5]
+            h0 = m[0, 0] * a[0] + m[1, 0] * a[1] + m[2, 0] * a[2]
+            h1 = m[0, 1] * a[0] + m[1, 1] * a[1] + m[2, 1] * a[2]
+            h2 = m[0, 2] * a[0] + m[1, 2] * a[1] + m[2, 2] * a[2]
+            p = g[t, k]
+            p[0] += c[1] * h2 - c[2] * h1
+            p[1] += c[2] * h0 - c[0] * h2
+            p[2] += c[0] * h1 - c[1] * h0
+            p[3] += h0
+            p[4] += h1
+            p[5] += h2
+            moved[j, 0] += h0 - o[3]
+            moved[j, 1] += h1 - o[4]
+            moved[j, 2] += h2 - o[5]
+
+
+@kernel
+def chain_matrix(transforms, order, parents, points, u, scale, out, first, last):
+    """Add the Gauss–Newton matrices, in the chain's unknowns, of frames first..last.
+
+    u      (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
+    scale  (F,)          float64  importance of each frame, in
+    out    (B, 6, B, 6)  float64  added to; entries 3.. of bone j are τ of a root, δc_j of others
+    """
+    n_bones = len(parents)
+    a = np.empty((n_bones, 6, n_bones, 6))
+    r = np.empty((3, 3))
+    turn = np.empty((3, 3))
+    old = np.empty(3)
+    for t in range(first, last):
+        for j in range(n_bones):
+            for k in range(j, n_bones):
+                v = u[j, k]
+                if v[3, 3] == 0.0:
+                    for d in range(6):
+                        for e in range(6):
+                            a[j, d, k, e] = 0.0
+                            a[k, e, j, d] = 0.0
+                    continue
+                for d in range(3):
+                    for e in range(3):
+                        s = 0.0
+                        for f in range(3):
+                            s += transforms[t, j, f, d] * transforms[t, k, f, e]
+                        r[d, e] = s * scale[t]
+                # δ(M p) = R (ω × p + τ): the block is Σ (p̃'s generators)ᵀ RᵀR (the same)
+                for d in range(3):
+                    for e in range(3):
+                        a[j, 3 + d, k, 3 + e] = r[d, e] * v[3, 3]
+                    for e in range(3):
+                        f, h = (e + 1) % 3, (e + 2) % 3
+                        # column of ω_e: e_e × p = p_f-term: (ω×p)_f = −ω_e p_h… in cyclic order
+                        a[j, 3 + d, k, e] = r[d, h] * v[3, f] - r[d, f] * v[3, h]
+                        a[j, e, k, 3 + d] = r[h, d] * v[f, 3] - r[f, d] * v[h, 3]
+                for d in range(3):
+                    d1, d2 = (d + 1) % 3, (d + 2) % 3
+                    for e in range(3):
+                        e1, e2 = (e + 1) % 3, (e + 2) % 3
+                        a[j, d, k, e] = (
+                            r[d2, e2] * v[d1, e1]
+                            - r[d2, e1] * v[d1, e2]
+                            - r[d1, e2] * v[d2, e1]
+                            + r[d1, e1] * v[d2, e2]
+                        )
+                if k > j:
+                    for d in range(6):
+                        for e in range(6):
+                            a[k, e, j, d] = a[j, d, k, e]
+        for i in range(n_bones - 1, -1, -1):
+            j = order[i]
+            p = parents[j]
+            if p < 0:
+                continue
+            c = points[j]
+            for d in range(3):
+                for e in range(3):
+                    s = 0.0
+                    for f in range(3):
+                        s += transforms[t, j, f, d] * transforms[t, p, f, e]
+                    turn[d, e] = s
+            # columns, then rows: τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc, P = R_jᵀR_p
+            for side in range(2):
+                for k in range(n_bones):
+                    for g in range(6):
+                        for d in range(3):
+                            old[d] = a[k, g, j, 3 + d] if side == 0 else a[j, 3 + d, k, g]
+                        h0 = turn[0, 0] * old[0] + turn[1, 0] * old[1] + turn[2, 0] * old[2]
+                        h1 = turn[0, 1] * old[0] + turn[1, 1] * old[1] + turn[2, 1] * old[2]
+                        h2 = turn[0, 2] * old[0] + turn[1, 2] * old[1] + turn[2, 2] * old[2]
+                        w0 = old[1] * c[2] - old[2] * c[1]
+                        w1 = old[2] * c[0] - old[0] * c[2]
+                        w2 = old[0] * c[1] - old[1] * c[0]
+                        q0 = c[1] * h2 - c[2] * h1
+                        q1 = c[2] * h0 - c[0] * h2
+                        q2 = c[0] * h1 - c[1] * h0
+                        if side == 0:
+                            a[k, g, j, 0] += w0
+                            a[k, g, j, 1] += w1
+                            a[k, g, j, 2] += w2
+                            a[k, g, p, 0] += q0
+                            a[k, g, p, 1] += q1
+                            a[k, g, p, 2] += q2
+                            a[k, g, p, 3] += h0
+                            a[k, g, p, 4] += h1
+                            a[k, g, p, 5] += h2
+                            a[k, g, j, 3] = h0 - old[0]
+                            a[k, g, j, 4] = h1 - old[1]
+                            a[k, g, j, 5] = h2 - old[2]
+                        else:
+                            a[j, 0, k, g] += w0
+                            a[j, 1, k, g] += w1
+                            a[j, 2, k, g] += w2
+                            a[p, 0, k, g] += q0
+                            a[p, 1, k, g] += q1
+                            a[p, 2, k, g] += q2
+                            a[p, 3, k, g] += h0
+                            a[p, 4, k, g] += h1
+                            a[p, 5, k, g] += h2
+                            a[j, 3, k, g] = h0 - old[0]
+                            a[j, 4, k, g] = h1 - old[1]
+                            a[j, 5, k, g] = h2 - old[2]
+        for j in range(n_bones):
+            for d in range(6):
+                for k in range(n_bones):
+                    for e in range(6):
+                        out[j, d, k, e] += a[j, d, k, e]
+
+
+@kernel
+def chain_move(transforms, order, parents, points, turns, shifts, first, last):
+    """Turn every bone by exp(ω), shift the roots, and hang the others on their joints again.
+
+    transforms  (F, B, 3, 4)  float64  bones, updated
+    points      (B, 3)        float64  joints in the rest pose, moved already, in
+    """
+    n_bones = len(parents)
+    turn = np.empty((3, 3))
+    old = np.empty(3)
+    for t in range(first, last):
+        for i in range(n_bones):
+            j = order[i]
+            k = parents[j]
+            m = transforms[t, j]
+            quaternion_matrix(
+                1.0, 0.5 * turns[t, j, 0], 0.5 * turns[t, j, 1], 0.5 * turns[t, j, 2], turn
+            )
+            for c in range(3):
+                if k < 0:
+                    for d in range(3):
+                        m[c, 3] += m[c, d] * shifts[t, j, d]
+                for d in range(3):
+                    old[d] = m[c, d]
+                for d in range(3):
+                    m[c, d] = 0.0
+                    for e in range(3):
+                        m[c, d] += old[e] * turn[e, d]
+            if k >= 0:
+                p = points[j]
+                n = transforms[t, k]
+                for c in range(3):
+                    m[c, 3] = n[c, 3]
+                    for d in range(3):
+                        m[c, 3] += (n[c, d] - m[c, d]) * p[d]
