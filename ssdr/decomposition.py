@@ -19,7 +19,7 @@ from .search.solve import Outcome
 from .search.solve import solve as solve_in_memory
 from .search.state import SolverState
 from .sequence import MeshSequence
-from .skinning import BoneModel
+from .skinning import BoneModel, Skinning
 from .solver.warmup import compile_kernels
 from .streaming.scan import needs_streaming
 from .streaming.solve import solve as solve_streamed
@@ -35,7 +35,9 @@ def decompose(
     influences: int = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
-    hierarchy: HierarchyKind = "none",
+    hierarchy: HierarchyKind | None = None,
+    skeleton: Skinning | None = None,
+    extra_bones: int = 0,
     rng: int | np.random.Generator = 0,
     max_iterations: int | None = None,
     time_limit: float | None = None,
@@ -80,11 +82,19 @@ def decompose(
         What a bone may do: turn and move, also grow and shrink uniformly, or
         stretch and shear as well (det > 0 always).
     hierarchy : {"none", "loose", "rigid"}
-        Which bone hangs on which, by which point.  "loose": a tree over the bones
-        that are found without one, whose joints may come apart; its parents are
-        those of least gaps.  "rigid": every joint is one point under the bone and
-        its parent in every frame, so that the model can be posed; a root alone
-        moves about.  In memory only; not beside a tolerance.
+        Which bone hangs on which, by which point; "none" by default, "rigid" with a
+        skeleton.  "loose": a tree over the bones that are found without one, whose
+        joints may come apart; its parents are those of least gaps.  "rigid": every
+        joint is one point under the bone and its parent in every frame, so that the
+        model can be posed; a root alone moves about.  In memory only; not beside a
+        tolerance.
+    skeleton : Skinning, optional
+        A rig, such as :func:`load_skinning` reads, whose parents and names are kept
+        while weights, rest pose, motion and places of the joints are fitted; with
+        `joints` and `weights` those are kept, with `rest` that.  If it moves another
+        mesh, its joints are taken to lie in the rest frame, and its weights say nothing.
+    extra_bones : int
+        Bones more, children of the skeleton's where the error is.
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     max_iterations : int, optional
@@ -175,6 +185,8 @@ def decompose(
         effort=effort,
         bone_model=bone_model,
         hierarchy=hierarchy,
+        skeleton=skeleton,
+        extra_bones=extra_bones,
         rng=rng,
         max_iterations=max_iterations,
         time_limit=time_limit,

@@ -99,7 +99,10 @@ def random_tree(bones: int, seed: int, frames: int = 120) -> ssdr.Skinning:
         direction = rng.normal(size=3) + (1.5 * way[parents[b]] if b else 0.0)
         way[b] = direction / np.linalg.norm(direction)
         if b:
-            points[b] = points[parents[b]] + way[parents[b]]
+            # children of one bone hang apart: at one point motion could not tell them from
+            # children of each other
+            points[b] = points[parents[b]] + rng.uniform(0.6, 1.0) * way[parents[b]]
+            points[b] += 0.1 * rng.normal(size=3)
     along, angle = np.linspace(0, 1, 12, endpoint=False), np.linspace(0, 2 * np.pi, 10)[:-1]
     rest = []
     for b in range(bones):

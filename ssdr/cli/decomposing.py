@@ -124,6 +124,19 @@ def decompose(
     hierarchy: Annotated[
         Hierarchy, typer.Option("--hierarchy", help="Joints: none, loose or rigid ones.")
     ] = Hierarchy.none,
+    skeleton: Annotated[
+        Path | None,
+        typer.Option("--skeleton", help="A rig whose joints, parents and names are kept."),
+    ] = None,
+    extra_bones: Annotated[
+        int, typer.Option("--extra-bones", min=0, help="Bones more than the skeleton has.")
+    ] = 0,
+    keep_weights: Annotated[
+        bool, typer.Option("--keep-weights", help="Keep the skeleton's weights and rest pose.")
+    ] = False,
+    rest_frame: Annotated[
+        int, typer.Option("--rest-frame", min=0, help="Frame at which the rest pose starts.")
+    ] = 0,
     rng: Annotated[
         int, typer.Option("--rng", "--seed", min=0, help="Seed; the same seed, the same result.")
     ] = 0,
@@ -185,8 +198,11 @@ def decompose(
     output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
     if time_limit is not None and not (math.isfinite(time_limit) and time_limit > 0):
         raise InputError("--time-limit", "seconds > 0", time_limit)
-    if bones is None and tolerance is None:
-        raise InputError("--bones", "a number of bones, or --tolerance", "neither")
+    if bones is None and tolerance is None and skeleton is None:
+        raise InputError("--bones", "a number of bones, --tolerance or --skeleton", "none of them")
+    if skeleton is None and (extra_bones or keep_weights):
+        given = "--extra-bones" if extra_bones else "--keep-weights"
+        raise InputError(given, "--skeleton beside it", "none")
     wanted = _tolerance(tolerance, tolerance_of)
     options = options_for(inputs, read, fps=fps, weld=weld, scale=scale)
     sources = inputs if resume is None else [*inputs, resume]
@@ -232,6 +248,7 @@ def decompose(
         if not resume.is_file():
             raise FileNotFoundError(f"{resume}: no such file")
         start = ssdr.SolverState.load(resume)
+    parts = _skeleton_parts(skeleton, extra_bones, keep_weights)
     loaded = time.perf_counter()
     with output.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = read_clips(inputs, clip, options)
@@ -280,7 +297,8 @@ def decompose(
                 influences=influences,
                 effort=effort.value,
                 bone_model=bone_model.value,
-                hierarchy=hierarchy.value,
+                hierarchy=None if hierarchy is Hierarchy.none and parts else hierarchy.value,
+                rest_frame=rest_frame,
                 rng=rng,
                 time_limit=left,
                 max_iterations=max_iterations,
@@ -289,6 +307,7 @@ def decompose(
                 checkpoint=checkpoint,
                 callback=follow,
                 **wanted,
+                **parts,
             )
         except Cancelled as error:
             raise Interrupted("interrupted before there was a model to save") from error
@@ -374,6 +393,23 @@ def _counts(shots: list[MeshSequence], diagonal: float) -> str:
         f"{sum(len(shot) for shot in shots):,} frames, {shots[0].n_vertices:,} vertices, "
         f"{len(shots[0].faces):,} triangles, diagonal {length_text(diagonal, None)}"
     )
+
+
+def _skeleton_parts(path: Path | None, extra: int, keep_weights: bool) -> dict[str, Any]:
+    """The arguments of ``decompose`` that a rig gives."""
+    if path is None:
+        return {}
+    import ssdr
+
+    rig = ssdr.load_skinning(path)
+    if rig.parents is None:
+        raise InputError("--skeleton", "a file whose joints hang on each other", str(path))
+    parts: dict[str, Any] = {"skeleton": rig}
+    if extra:
+        parts["extra_bones"] = extra
+    if keep_weights:
+        parts |= {"joints": rig.joints, "weights": rig.weights, "rest": rig.rest}
+    return parts
 
 
 def _tolerance(text: str | None, of: ToleranceOf) -> dict[str, Any]:

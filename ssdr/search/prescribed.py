@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from ..checks import check_mask, check_rest, check_transforms, check_weights
 from ..errors import InputError
-from ..skinning import BoneModel
+from ..skinning import BoneModel, Skinning
 from ..solver.trajectories import Alignment, Array
+from ..solver.tree import Tree
 
-__all__ = ["Prescribed", "check_prescribed"]
+__all__ = ["Prescribed", "check_prescribed", "nearest_limb"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -32,6 +33,12 @@ class Prescribed:
         Kept for `locked_bones`.
     locked_vertices : (V,) mask or None
     locked_bones : (B0,) mask or None
+    skeleton : Tree or None
+        Parents and joints of the first bones.
+    start : (V, 3) array or None
+        Rest pose in which the joints of the skeleton lie, where `rest` is None.
+    label : (V,) array or None
+        The bone of the skeleton that moves each vertex, to start from.
     """
 
     rest: Array | None = None
@@ -41,6 +48,9 @@ class Prescribed:
     transforms: Array | None = None
     locked_vertices: NDArray[np.bool_] | None = None
     locked_bones: NDArray[np.bool_] | None = None
+    skeleton: Tree | None = None
+    start: Array | None = None
+    label: NDArray[np.intp] | None = None
 
     @property
     def fixed_bones(self) -> NDArray[np.bool_] | None:
@@ -60,12 +70,22 @@ class Prescribed:
 
     def inside(self, alignment: Alignment) -> Prescribed:
         """The same in the solver's space."""
-        origin = alignment.centre[:1] if self.rest is None else self.rest
-        rest, transforms = alignment.from_world(origin, self.transforms)
+
+        def inward(points: Array) -> Array:
+            return np.ascontiguousarray(alignment.from_world(points, None)[0])
+
+        tree = self.skeleton
+        if tree is not None:
+            tree = dataclasses.replace(tree, points=inward(tree.points))
+        transforms = self.transforms
+        if transforms is not None:
+            _, transforms = alignment.from_world(alignment.centre[:1], transforms)
         return dataclasses.replace(
             self,
-            rest=None if self.rest is None else np.ascontiguousarray(rest),
+            rest=None if self.rest is None else inward(self.rest),
+            start=None if self.start is None else inward(self.start),
             transforms=transforms,
+            skeleton=tree,
         )
 
 
@@ -80,6 +100,8 @@ def check_prescribed(
     transforms: Any,
     locked_vertices: Any,
     locked_bones: Any,
+    skeleton: Skinning | None = None,
+    start: Array | None = None,
 ) -> Prescribed:
     """Check the parts that a caller hands over; `shape` is (F, V, B, K)."""
     n_frames, n, bones, influences = shape
@@ -107,7 +129,23 @@ def check_prescribed(
             bone_mask = np.ones(count, dtype=bool)
     elif locked_bones is not None:
         raise InputError("locked_bones", "None without transforms", "a mask")
+    tree = label = None
+    if skeleton is not None:
+        if skeleton.parents is None:
+            raise InputError("skeleton", "a skinning with a hierarchy", "one without parents")
+        if transforms is not None:
+            raise InputError("transforms", "None beside a skeleton", "an array")
+        points = np.asarray(skeleton.joint_positions, dtype=np.float64)
+        tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
+        if skeleton.n_vertices == n:
+            label = skeleton.joints[np.arange(n), skeleton.weights.argmax(axis=1)].astype(np.intp)
+            start = np.asarray(skeleton.rest, dtype=np.float64)
+        elif start is not None:
+            label = nearest_limb(start if rest is None else rest, tree)
     return Prescribed(
+        skeleton=tree,
+        start=start,
+        label=label,
         rest=rest,
         rest_frame=rest_frame,
         joints=joints,
@@ -116,6 +154,29 @@ def check_prescribed(
         locked_vertices=vertex_mask,
         locked_bones=bone_mask,
     )
+
+
+def nearest_limb(points: Array, tree: Tree) -> NDArray[np.intp]:
+    """The bone (V,) whose limbs, from its joint to those of its children, are nearest.
+
+    The limb of a bone without children goes on from that of its parent, as far again.
+    """
+    best = np.full(len(points), np.inf)
+    bone = np.zeros(len(points), dtype=np.intp)
+    for k in range(len(tree.parents)):
+        ends = tree.points[tree.parents == k]
+        if not len(ends):
+            above = tree.parents[k]
+            ends = 2 * tree.points[[k]] - tree.points[[above if above >= 0 else k]]
+        for end in ends:
+            along = end - tree.points[k]
+            length = float(along @ along)
+            off = points - tree.points[k]
+            part = np.clip(off @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(off))
+            away = ((off - part[:, None] * along) ** 2).sum(axis=1)
+            nearer = away < best
+            best[nearer], bone[nearer] = away[nearer], k
+    return bone
 
 
 def _check_skin(

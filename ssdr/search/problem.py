@@ -23,9 +23,10 @@ from ..checks import (
     check_rng,
     parse_tolerance,
 )
-from ..errors import InputError, check_choice, is_real
+from ..errors import InputError, check_choice, is_real, is_whole
 from ..frames.digest import Digests, digests_of
 from ..sequence import MeshSequence
+from ..skinning import Skinning
 from ..solver.model import Fixed
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
@@ -59,6 +60,8 @@ class Problem:
     fixed : Fixed
         What stays as it is, and what bones may do.
     hierarchy : {"none", "loose", "rigid"}
+    names : tuple of str
+        Of the bones of a skeleton that was handed over.
     rng : numpy.random.Generator
     prescribed : Prescribed
         In the input's space, of all frames.
@@ -83,6 +86,7 @@ class Problem:
     effort: Effort
     fixed: Fixed
     hierarchy: HierarchyKind
+    names: tuple[str, ...]
     rng: np.random.Generator
     prescribed: Prescribed
     smoothness: float
@@ -143,6 +147,8 @@ class Problem:
             digests = digests_of(self.sequences)
         arrays: list[Any] = [digests, data.importance, data.frame_scale, self.sequences[0].faces]
         arrays += [p.rest, p.joints, p.weights, p.transforms, p.locked_vertices, p.locked_bones]
+        if p.skeleton is not None:
+            arrays += [p.skeleton.parents, p.skeleton.points, p.start, p.label]
         digest = hashlib.sha256()
         for array in arrays:
             if array is not None:
@@ -177,6 +183,8 @@ def check_problem(
     effort: Any,
     bone_model: Any,
     hierarchy: Any,
+    skeleton: Any,
+    extra_bones: Any,
     rng: Any,
     max_iterations: Any,
     time_limit: Any,
@@ -205,6 +213,11 @@ def check_problem(
     """
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    hierarchy = ("none" if skeleton is None else "rigid") if hierarchy is None else hierarchy
+    if skeleton is not None:
+        bones = _check_skeleton(skeleton, extra_bones, bones, hierarchy, joints)
+    elif extra_bones != 0:
+        raise InputError("extra_bones", "0 without a skeleton", repr(extra_bones))
     if bones is None and tolerance is None:
         raise InputError("bones", f"an integer from 1 to {n}, or a tolerance", "None")
     bones = check_bones(min(n, MOST_BONES) if bones is None else bones, n)
@@ -237,6 +250,8 @@ def check_problem(
         transforms=transforms,
         locked_vertices=locked_vertices,
         locked_bones=locked_bones,
+        skeleton=skeleton,
+        start=None if skeleton is None else _frame(sequences, rest_frame),
     )
     vertex_importance = check_importance(vertex_importance, "vertex_importance", n)
     frame_importance = check_importance(frame_importance, "frame_importance", n_frames)
@@ -257,6 +272,7 @@ def check_problem(
         effort=effort,
         fixed=fixed,
         hierarchy=hierarchy,
+        names=() if skeleton is None else skeleton.joint_names,
         rng=generator,
         prescribed=prescribed,
         smoothness=float(smoothness),
@@ -319,6 +335,33 @@ def _check_tolerance(problem: Problem) -> None:
         )
 
 
+def _check_skeleton(
+    skeleton: Any, extra_bones: Any, bones: Any, hierarchy: Any, joints: Any
+) -> int:
+    """How many bones a skeleton and its extra bones are."""
+    if not isinstance(skeleton, Skinning):
+        raise InputError("skeleton", "a Skinning with a hierarchy", type(skeleton).__name__)
+    if not is_whole(extra_bones) or extra_bones < 0:
+        raise InputError("extra_bones", "an integer >= 0", repr(extra_bones))
+    if hierarchy != "rigid":
+        raise InputError("hierarchy", "'rigid' beside a skeleton", repr(hierarchy))
+    if joints is not None and extra_bones:
+        raise InputError("extra_bones", "0 beside joints and weights", extra_bones)
+    count = skeleton.n_bones + int(extra_bones)
+    if bones is not None and bones != count:
+        raise InputError("bones", f"{count}, as the skeleton has, or None", repr(bones))
+    return count
+
+
+def _frame(sequences: list[MeshSequence], index: int) -> Array:
+    """One frame of the shots, counted through all of them."""
+    for sequence in sequences:
+        if index < len(sequence):
+            return np.asarray(sequence.vertices[index], dtype=np.float64)
+        index -= len(sequence)
+    raise AssertionError
+
+
 def _check_hierarchy(problem: Problem) -> None:
     """Whether what is asked for goes together with bones that hang on joints."""
     if problem.hierarchy == "none":
@@ -330,7 +373,7 @@ def _check_hierarchy(problem: Problem) -> None:
         raise InputError("tolerance", f"None {beside}", repr(problem.tolerance))
     if problem.hierarchy == "loose":
         return
-    for name in ("weights", "transforms"):
+    for name in ("weights", "transforms") if problem.prescribed.skeleton is None else ():
         if getattr(problem.prescribed, name) is not None:
             raise InputError(name, f"None {beside}", "an array")
     if problem.smoothness > 0:

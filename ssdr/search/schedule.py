@@ -31,7 +31,7 @@ from .stages import (
     Spread,
     Start,
 )
-from .tree_stages import Hang, SearchTrees
+from .tree_stages import Hang, SearchTrees, SearchWeights, Sprout, StartOnSkeleton
 
 __all__ = [
     "Effort",
@@ -296,6 +296,25 @@ def rigid_joints(effort: Effort) -> Schedule:
     )
 
 
+def on_skeleton(effort: Effort, *, placed: bool) -> Schedule:
+    """Weights and motion of bones whose tree is known; `placed`: the weights are, too."""
+    steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
+    start = (Compress(), StartOnSkeleton(), Hang(), Polish(steps=20, gain=0.01))
+    if placed:
+        return (*start, Polish(steps=steps, gain=1e-3))
+    if effort == "fast":
+        return (*start, Sprout(), Polish(steps=6))
+    tries = {"balanced": 4, "best": 16}[effort]
+    return (
+        *start,
+        Sprout(),
+        Relax(polish_steps=6, cost=30),
+        Polish(steps=24, gain=0.01),
+        SearchWeights(steps=tries, patience=tries),
+        Polish(steps=40, gain=0.002),
+    )
+
+
 # --- which of them -----------------------------------------------------------------------------
 
 
@@ -323,6 +342,8 @@ def schedule_for(
         Vertices × frames × bones.
     hierarchy : {"none", "loose", "rigid"}
     """
+    if prescribed.skeleton is not None:
+        return on_skeleton(effort, placed=prescribed.weights is not None)
     if hierarchy == "rigid":
         return rigid_joints(effort)
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())

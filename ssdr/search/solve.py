@@ -250,7 +250,7 @@ def outcome_of(
         **names_of(problem.sequences),
     )
     if tree is not None:
-        skinning = with_tree(skinning, tree, alignment)
+        skinning = with_tree(skinning, tree, alignment, problem.names)
     values = np.array([value for _, _, value, _ in records])
     hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
     return Outcome(
@@ -263,8 +263,13 @@ def outcome_of(
     )
 
 
-def with_tree(skinning: Skinning, tree: Tree, alignment: Alignment) -> Skinning:
-    """A skinning whose bones hang on the joints of a tree in the solver's space."""
+def with_tree(
+    skinning: Skinning, tree: Tree, alignment: Alignment, names: tuple[str, ...] = ()
+) -> Skinning:
+    """A skinning whose bones hang on the joints of a tree in the solver's space.
+
+    `names` are those of the first bones.
+    """
     positions, _ = alignment.to_world(tree.points, np.zeros((alignment.n_frames, 0, 3, 4)))
     roots = tree.roots
     positions[roots] = skinning.centroids()[roots]
@@ -273,7 +278,8 @@ def with_tree(skinning: Skinning, tree: Tree, alignment: Alignment) -> Skinning:
         skinning,
         parents=tree.parents,
         joint_positions=positions,
-        bone_names=tuple(f"joint_{k:0{digits}d}" for k in range(skinning.n_bones)),
+        bone_names=names
+        + tuple(f"joint_{k:0{digits}d}" for k in range(len(names), skinning.n_bones)),
     )
 
 

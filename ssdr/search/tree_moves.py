@@ -10,7 +10,8 @@ import dataclasses
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..solver.alternation import bone_costs
+from ..solver.alternation import bone_costs, vertex_step
+from ..solver.initialization import fit_patches
 from ..solver.joints import (
     contacts,
     hang,
@@ -24,7 +25,15 @@ from ..solver.trajectories import Array, Trajectories
 from ..solver.tree import Tree
 from .moves import polish_steps, worst_patch
 
-__all__ = ["join_touching", "loss_of_bones", "reparent", "replace_bone", "stiffen"]
+__all__ = [
+    "join_touching",
+    "loss_of_bones",
+    "reparent",
+    "replace_bone",
+    "seize",
+    "split_bone",
+    "stiffen",
+]
 
 _HARD = 100.0  # stiffness at the end of a ramp, of the lighter bone's mass: next to no gap is left
 _MOST_JOINED = 3  # edges that change at once, drawn from 1 to this
@@ -96,6 +105,26 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     return changed
 
 
+def seize(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """A bone near the error lets go of what it moves and takes a patch with much error instead."""
+    members = worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
+    tree = _tree(model)
+    away = np.linalg.norm(tree.points - model.rest[members].mean(axis=0), axis=1)
+    chance = 1.0 / (away + 0.1 * away.mean() + 1e-12) ** 2
+    bone = int(rng.choice(model.n_bones, p=chance / chance.sum()))
+    changed = model.with_restarted_support()
+    label = np.full(data.n_vertices, -1, dtype=np.intp)
+    label[members] = 0
+    changed.transforms[:, bone] = fit_patches(data, model.rest, label, 1)[:, 0]
+    changed.tree = dataclasses.replace(tree, rigid=False)
+    free = members[~fixed.keep_weights(data.n_vertices)[members]]
+    changed.support[free], changed.support_weights[free] = 0, 0.0
+    changed.support[free, 0], changed.support_weights[free, 0], changed.count[free] = bone, 1.0, 1
+    vertex_step(data, changed, fixed=fixed)
+    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+    return changed
+
+
 def replace_bone(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
     """A bone splits where the error is, and after some polish the cheapest bone goes."""
     grown = split_bone(data, model.with_restarted_support(), rng)
@@ -103,10 +132,13 @@ def replace_bone(data: Trajectories, model: Model, rng: np.random.Generator, fix
     return give_up_bone(data, grown, fixed)
 
 
-def split_bone(data: Trajectories, model: Model, rng: np.random.Generator) -> Model:
+def split_bone(
+    data: Trajectories, model: Model, rng: np.random.Generator, *, leaf: bool = False
+) -> Model:
     """A copy with one bone more, a twin of the bone that moves a patch; no vertex moves.
 
-    The twin takes over the patch, and the joints that are nearer to it than to the rest.
+    The twin takes over the patch and, unless it shall be a `leaf`, the joints that are nearer to
+    it than to the rest.
     """
     members = worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
     share = np.bincount(
@@ -128,7 +160,7 @@ def split_bone(data: Trajectories, model: Model, rng: np.random.Generator) -> Mo
         away, _ = cKDTree(rest).query(patch)
         border = np.argsort(away, kind="stable")[: max(3, len(patch) // 8)]
         points[twin] = patch[border].mean(axis=0)
-        for k in tree.neighbours(bone):
+        for k in () if leaf else tree.neighbours(bone):
             joint = tree.joint(bone, k)
             ours, theirs = (np.linalg.norm(p.mean(axis=0) - joint) for p in (patch, rest))
             if not ours < theirs:

@@ -7,14 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from ..solver.initialization import fit_patches
 from ..solver.joints import hang, soft_step, spanning_tree
 from ..solver.model import Model
 from .moves import loosen, polish_steps, thin
 from .run import Run, Stage
-from .stages import POLISH_STEPS_OF_A_TRY, Change, Search
-from .tree_moves import join_touching, reparent, replace_bone
+from .stages import POLISH_STEPS_OF_A_TRY, Change, Search, Start
+from .tree_moves import join_touching, reparent, replace_bone, seize, split_bone
 
-__all__ = ["Hang", "SearchTrees"]
+__all__ = ["Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
 
 # Stiffness of the joints, of the lighter bone's mass, from the first step of a ramp to the last.
 _RAMP = (1e-2, 100.0)
@@ -25,6 +26,8 @@ _AHEAD = 4  # as many more blocks of steps as good as the last have to lead belo
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Hang(Stage):
     """A tree over free bones, to which they are brought by degrees; on the last step they hang.
+
+    The tree is the model's where it has one.
 
     Attributes
     ----------
@@ -40,7 +43,8 @@ class Hang(Stage):
         at = run.memory.count
         if at == 0:
             run.model = run.present.with_influences(run.influences)
-            run.model.tree = spanning_tree(run.model)
+            if run.model.tree is None:
+                run.model.tree = spanning_tree(run.model)
         model = run.present
         stiffness = np.geomspace(*_RAMP, self.steps)[at]
         soft_step(run.data, model, float(stiffness), run.fixed)
@@ -48,6 +52,68 @@ class Hang(Stage):
         if at == self.steps - 1:
             hang(run.data, model, run.fixed)
         return at == self.steps - 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StartOnSkeleton(Start):
+    """Bones of a skeleton that was handed over, as the vertices move that are theirs."""
+
+    def _model(self, run: Run) -> Model:
+        data, prescribed = run.data, run.prescribed
+        tree, label = prescribed.skeleton, prescribed.label
+        assert tree is not None
+        rest = prescribed.start if prescribed.rest is None else prescribed.rest
+        assert rest is not None
+        joints, weights = prescribed.joints, prescribed.weights
+        if joints is not None:
+            label = joints[:, 0].astype(np.intp)
+        assert label is not None
+        count = len(tree.parents)
+        bones = fit_patches(data, rest, label, count)
+        used = np.bincount(label, minlength=count)
+        for k in tree.order:  # a bone that moves nothing goes with its parent
+            if not used[k] and tree.parents[k] >= 0:
+                bones[:, k] = bones[:, tree.parents[k]]
+        model = Model.start(bones, rest, label, 1)
+        if joints is not None and weights is not None:
+            model = Model.start(bones, rest, label, run.influences)
+            k = min(run.influences, joints.shape[1])
+            model.joints[:, :k], model.weights[:, :k] = joints[:, :k], weights[:, :k]
+            model.restart_support()
+        model.tree = tree
+        return model
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sprout(Stage):
+    """One bone more where the error is, a child of the bone that moved its vertices.
+
+    Until there are as many as asked for.
+
+    Attributes
+    ----------
+    polish_steps : int
+        After each.
+    """
+
+    phase: ClassVar[str] = "sprout"
+    steps: int = 1000
+    cost: float = 40
+    polish_steps: int = 6
+
+    @property
+    def expected_steps(self) -> int:
+        return 4
+
+    def step(self, run: Run) -> bool:
+        model = run.present
+        if model.n_bones < run.bones:
+            wide = model.with_restarted_support()
+            model = split_bone(run.data, wide, run.generator, leaf=True)
+            polish_steps(run.data, model, self.polish_steps, run.fixed)
+            run.iteration += self.polish_steps
+        run.model = model
+        return model.n_bones >= run.bones
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,3 +136,11 @@ class SearchTrees(Search):
             if value < base or (steps and value - _AHEAD * (before - value) > base):
                 break
         return value
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SearchWeights(SearchTrees):
+    """A search that leaves the tree as it is."""
+
+    kinds: ClassVar[tuple[Change, ...]] = (seize, loosen, thin)
+    changes: ClassVar[int] = len(kinds)

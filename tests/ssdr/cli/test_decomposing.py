@@ -65,6 +65,7 @@ def test_decompose_writes_all_outputs_and_tells_json(faked, run, clip, wave, tmp
         "effort": "fast",
         "bone_model": "rigid",
         "hierarchy": "none",
+        "rest_frame": 0,
         "rng": 5,
         "time_limit": left,
         "max_iterations": None,

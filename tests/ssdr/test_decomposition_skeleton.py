@@ -1,0 +1,174 @@
+"""``decompose(..., skeleton=...)``: a hierarchy that is handed over and kept."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import promises, trees
+from helpers.measures import bits, diagonal
+from ssdr.errors import InputError
+from ssdr.search.prescribed import nearest_limb
+from ssdr.solver.tree import Tree
+
+NAMES = ("hips", "spine", "arm", "leg", "hand", "foot")
+
+
+@functools.cache
+def _made() -> trees.Skeleton:
+    return trees.skeleton(6, 40, seed=3)
+
+
+@functools.cache
+def _rig() -> ssdr.Skinning:
+    made = _made()
+    still = np.broadcast_to(np.eye(3, 4), (1, 6, 3, 4))
+    return ssdr.Skinning(
+        made.rest,
+        made.joints,
+        made.weights,
+        still,
+        parents=made.parents,
+        joint_positions=made.points,
+        bone_names=NAMES,
+    )
+
+
+def _solve(**options) -> ssdr.Decomposition:
+    arguments = {"influences": 2, "effort": "fast", "skeleton": _rig()} | options
+    return ssdr.decompose(_made().frames, **arguments)
+
+
+def _check(result: ssdr.Decomposition, bones: int = 6) -> ssdr.Skinning:
+    model = result.skinning
+    promises.check(result, _made().frames, bones, 2)
+    assert np.array_equal(model.parents[:6], _made().parents)
+    assert model.joint_names[:6] == NAMES
+    assert model.joint_gaps().max() < 1e-6 * diagonal(_made().frames)
+    return model
+
+
+def test_exact_frames_are_explained_by_the_skeleton_they_come_from() -> None:
+    result = _solve(effort="balanced")
+    _check(result)
+    assert result.rmse < 1e-5 * diagonal(_made().frames)
+
+
+def test_joints_that_are_a_little_off_end_where_the_right_ones_do() -> None:
+    size = diagonal(_made().frames)
+    off = 0.02 * size * np.random.default_rng(0).normal(size=(6, 3)) / np.sqrt(3)
+    moved = dataclasses.replace(_rig(), joint_positions=_made().points + off)
+    result = _solve(effort="balanced", skeleton=moved)
+    _check(result)
+    assert result.rmse < 1e-5 * size
+
+
+def test_motion_alone() -> None:
+    made = _made()
+    kept = {"joints": made.joints, "weights": made.weights, "rest": made.rest}
+    result = _solve(**kept)
+    model = _check(result)
+    assert result.rmse < 1e-6 * diagonal(made.frames)
+    assert np.array_equal(model.rest, made.rest) or np.allclose(model.rest, made.rest, atol=1e-12)
+    np.testing.assert_allclose(
+        model.dense_weights(), np.asarray(_rig().dense_weights()), atol=1e-12
+    )
+    np.testing.assert_allclose(model.transforms, made.transforms, atol=1e-4)
+
+
+def test_extra_bones_lower_the_error_each_time() -> None:
+    made = _made()
+    wavy = made.frames + 0.02 * np.sin(4 * made.frames[..., [1, 2, 0]])
+    errors = []
+    for extra in (0, 2, 4, 8):
+        result = ssdr.decompose(
+            wavy, influences=2, effort="fast", skeleton=_rig(), extra_bones=extra
+        )
+        model = result.skinning
+        assert model.n_bones == 6 + extra
+        assert np.array_equal(model.parents[:6], made.parents)
+        assert (model.parents[6:] >= 0).all()
+        assert model.joint_names[:6] == NAMES
+        assert len(set(model.joint_names)) == 6 + extra
+        errors.append(result.rmse)
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < 0.75 * errors[0]
+
+
+def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
+    made = _made()
+    frames = np.concatenate([made.rest[None], made.frames])
+    other = dataclasses.replace(
+        _rig(), rest=made.rest[::2], joints=made.joints[::2], weights=made.weights[::2]
+    )
+    result = ssdr.decompose(frames, influences=2, skeleton=other)
+    assert np.array_equal(result.skinning.parents, made.parents)
+    assert result.rmse < 0.02 * diagonal(frames)
+
+
+def test_limbs_end_at_children_and_go_on_beyond_the_last() -> None:
+    arm = Tree(np.array([-1, 0, 1]), np.array([[0.0, 0, 0], [2, 0, 0], [3, 0, 0]]), rigid=False)
+    points = np.array([[0.5, 1, 0], [1.9, 0.1, 0], [2.4, 1, 0], [3.6, 0, 0], [9, 0, 0]])
+    assert nearest_limb(points, arm).tolist() == [0, 0, 1, 2, 2]
+    alone = Tree(np.array([-1]), np.zeros((1, 3)), rigid=False)
+    assert nearest_limb(points, alone).tolist() == [0] * 5
+
+
+def test_zero_length_bones() -> None:
+    points = _made().points.copy()
+    points[4] = points[_made().parents[4]]
+    _check(_solve(skeleton=dataclasses.replace(_rig(), joint_positions=points)))
+
+
+def test_two_roots() -> None:
+    parents = _made().parents.copy()
+    parents[1] = -1
+    result = _solve(skeleton=dataclasses.replace(_rig(), parents=parents))
+    assert np.array_equal(result.skinning.parents, parents)
+    assert result.rmse < 1e-4 * diagonal(_made().frames)
+
+
+def test_names_that_repeat_are_kept() -> None:
+    twice = dataclasses.replace(_rig(), bone_names=("a",) * 6)
+    assert _solve(skeleton=twice).skinning.joint_names == ("a",) * 6
+
+
+def test_resumed_run_ends_on_the_same_bits(tmp_path: Path) -> None:
+    whole = _solve()
+    part = _solve(max_iterations=25)
+    again = _solve(resume=part.state.save(tmp_path / "state.npz"))
+    assert bits(again) == bits(whole)
+    other = dataclasses.replace(_rig(), joint_positions=_made().points + 0.1)
+    with pytest.raises(InputError, match="resume"):
+        _solve(resume=part.state, skeleton=other)
+
+
+@pytest.mark.parametrize(
+    ("options", "argument"),
+    [
+        ({"skeleton": np.zeros((6, 3))}, "skeleton"),
+        ({"bones": 7}, "bones"),
+        ({"extra_bones": -1}, "extra_bones"),
+        ({"extra_bones": 1.5}, "extra_bones"),
+        ({"skeleton": None, "bones": 6, "extra_bones": 1}, "extra_bones"),
+        ({"hierarchy": "loose"}, "hierarchy"),
+        ({"hierarchy": "none"}, "hierarchy"),
+        ({"transforms": np.broadcast_to(np.eye(3, 4), (40, 6, 3, 4))}, "transforms"),
+        ({"bone_model": "affine"}, "bone_model"),
+        ({"joints": _made().joints, "weights": _made().weights, "extra_bones": 1}, "extra_bones"),
+    ],
+)
+def test_what_does_not_go_with_a_skeleton_is_refused(options, argument) -> None:
+    with pytest.raises(InputError, match=f"^{argument}"):
+        _solve(**options)
+
+
+def test_a_skeleton_without_hierarchy_is_refused() -> None:
+    flat = dataclasses.replace(_rig(), parents=None, joint_positions=None)
+    with pytest.raises(InputError, match="skeleton"):
+        _solve(skeleton=flat)
