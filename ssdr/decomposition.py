@@ -91,8 +91,9 @@ def decompose(
     skeleton : Skinning, optional
         A rig, such as :func:`load_skinning` reads, whose parents and names are kept
         while weights, rest pose, motion and places of the joints are fitted; with
-        `joints` and `weights` those are kept, with `rest` that.  If it moves another
-        mesh, its joints are taken to lie in the rest frame, and its weights say nothing.
+        `joints` and `weights` those are kept, with `rest` that and the joints.  If it
+        moves another mesh, its joints are taken to lie in the rest frame, and its weights
+        say nothing.
     extra_bones : int
         Bones more, children of the skeleton's where the error is.
     rng : int or numpy.random.Generator

@@ -264,6 +264,7 @@ def check_problem(
         weights=prescribed.locked_vertices,
         bones=prescribed.fixed_bones,
         bone_model=bone_model,
+        joints=skeleton is not None and rest is not None,
     )
     problem = Problem(
         sequences=sequences,

@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ..parallel import chunk_bounds, run_chunks
-from .model import Model
+from .model import FREE, Model
 from .polish import Polish
 from .trajectories import Array, Trajectories
 
@@ -41,7 +41,9 @@ class ChainPolish(Polish):
         assert tree is not None
         assert tree.rigid
         self.parents, self.order = tree.parents, tree.order
-        self.roots, self.hung = tree.roots, tree.hung
+        self.roots = tree.roots
+        kept = options.get("fixed", FREE).joints
+        self.movable = tree.hung[:0] if kept else tree.hung  # bones whose joints are unknowns
         self._moved = tree.points
         super().__init__(data, model, **options)
 
@@ -60,14 +62,14 @@ class ChainPolish(Polish):
     # --- vectors of unknowns ---------------------------------------------------------------------
 
     def _parts(self, x: Array) -> tuple[Array, Array]:
-        """Views of the unknowns of the frames (F, 3B + 3R) and of the joints (B − R, 3)."""
+        """Views of the unknowns of the frames (F, 3B + 3R) and of the joints that may move."""
         n_frames, n_bones = self.model.transforms.shape[:2]
         size = 3 * (n_bones + len(self.roots))
         return x[: n_frames * size].reshape(n_frames, size), x[n_frames * size :].reshape(-1, 3)
 
     def _zeros(self) -> Array:
         n_frames, n_bones = self.model.transforms.shape[:2]
-        return np.zeros(3 * (n_frames * (n_bones + len(self.roots)) + len(self.hung)))
+        return np.zeros(3 * (n_frames * (n_bones + len(self.roots)) + len(self.movable)))
 
     def _unpacked(self, x: Array) -> tuple[Array, Array, Array]:
         """ω (F, B, 3), τ (F, B, 3) and δc (B, 3) of a vector."""
@@ -76,7 +78,7 @@ class ChainPolish(Polish):
         turns = np.ascontiguousarray(frames[:, : 3 * n_bones]).reshape(n_frames, n_bones, 3)
         shifts, moved = np.zeros((n_frames, n_bones, 3)), np.zeros((n_bones, 3))
         shifts[:, self.roots] = frames[:, 3 * n_bones :].reshape(n_frames, -1, 3)
-        moved[self.hung] = joints
+        moved[self.movable] = joints
         return turns, shifts, moved
 
     def _hold(self, x: Array) -> None:
@@ -101,7 +103,7 @@ class ChainPolish(Polish):
         frames, joints = self._parts(out)
         frames[:, : 3 * n_bones] = turns.reshape(n_frames, -1)
         frames[:, 3 * n_bones :] = shifts[:, self.roots].reshape(n_frames, -1)
-        joints[:] = moved[self.hung]
+        joints[:] = moved[self.movable]
         return out
 
     def _move(self, transforms: Array, x: Array) -> None:
@@ -134,7 +136,7 @@ class ChainPolish(Polish):
         groups = chunk_bounds(n_frames, max(_GROUP, -(-n_frames // most)))
         slot = np.arange(6 * n_bones).reshape(n_bones, 6)
         inner = np.concatenate([slot[:, :3].ravel(), slot[self.roots, 3:].ravel()])
-        outer = slot[self.hung, 3:].ravel()
+        outer = slot[self.movable, 3:].ravel()
         size = 6 * n_bones
 
         def matrix(_: int, i: int, k: int) -> Array:

@@ -197,7 +197,8 @@ def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) 
         sweep_bones(transforms, sums, u, start, neighbour, locked, False, _SWEEPS, 0, k - i)
 
     run_chunks(work, chunk_bounds(data.n_frames, max(1, -(-data.n_frames // 16))))
-    model.tree = dataclasses.replace(tree, points=_settled(model, tree))
+    if not fixed.joints:
+        model.tree = dataclasses.replace(tree, points=_settled(model, tree))
     vertex_step(data, model, fixed=fixed)
 
 

@@ -176,6 +176,7 @@ class Fixed:
     weights: NDArray[np.bool_] | None = None  # (V,) vertices whose weights stay
     bones: NDArray[np.bool_] | None = None  # (B,) bones whose transforms stay
     bone_model: BoneModel = "rigid"
+    joints: bool = False  # joints of a tree
 
     def keep_weights(self, n: int) -> NDArray[np.bool_]:
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights

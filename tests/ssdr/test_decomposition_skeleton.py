@@ -79,6 +79,8 @@ def test_motion_alone() -> None:
         model.dense_weights(), np.asarray(_rig().dense_weights()), atol=1e-12
     )
     np.testing.assert_allclose(model.transforms, made.transforms, atol=1e-4)
+    hung = made.parents >= 0
+    np.testing.assert_allclose(model.joint_positions[hung], made.points[hung], atol=1e-12)
 
 
 def test_extra_bones_lower_the_error_each_time() -> None:

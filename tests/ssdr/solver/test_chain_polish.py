@@ -22,6 +22,8 @@ CASES = {
     "rest": Fixed(rest=True),
     "weights": Fixed(weights=np.arange(8) % 2 == 0),
     "rest and weights": Fixed(rest=True, weights=np.ones(8, dtype=bool)),
+    "joints": Fixed(joints=True),
+    "motion alone": Fixed(rest=True, weights=np.ones(8, dtype=bool), joints=True),
 }
 TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
 
