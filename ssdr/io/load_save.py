@@ -216,7 +216,13 @@ def load_skinning(
         transforms = skinning.transforms.copy()
         transforms[..., 3] *= scale
         rest = skinning.rest * skinning.rest.dtype.type(scale)
-        skinning = dataclasses.replace(skinning, rest=rest, transforms=transforms)
+        at = skinning.joint_positions
+        skinning = dataclasses.replace(
+            skinning,
+            rest=rest,
+            transforms=transforms,
+            joint_positions=None if at is None else at * at.dtype.type(scale),
+        )
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))

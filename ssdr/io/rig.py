@@ -1,6 +1,7 @@
 """What formats with a skeleton share: joints, keys, stored weights, and what storing costs.
 
-A bone of a decomposition has no joint of its own.  It gets one at the centroid
+Where bones have a hierarchy, their joints and local transforms are what is
+stored.  A bone without one has no joint of its own.  It gets one at the centroid
 of what it moves, so that an engine that interpolates translation and rotation
 between two keys stays near the surface: a rotation about a far origin would
 sweep the bone along a chord.
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError, check_choice
+from ..hierarchy import from_frames, rest_diagonal, rest_offsets, to_local, to_world, translating
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import BoneModel, Skinning, skin
 
@@ -25,29 +27,22 @@ __all__ = [
     "MAX_BYTES",
     "Error",
     "Rig",
-    "Up",
     "WeightStorage",
     "build_rig",
     "check_size",
-    "check_up",
     "frame_rate",
     "interpolate_quaternions",
     "model_of",
     "quantise",
-    "turn_skinning_up",
-    "turn_up",
     "unique_names",
 ]
 
-Up = Literal["y", "z"]
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
 MAX_BYTES = 16 << 30  # 16 GiB that a file's counts may ask for unless the caller allows more
 _CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
-# a quarter turn about x, which carries z up to y up
-_Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +55,10 @@ class Error:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rig:
-    """A skinning as a skeleton of joints without parents, in the precision of its storage.
+    """A skinning as a skeleton of joints, in the precision of its storage.
+
+    What moves a joint is relative to its parent's frame, at a root and where there is no
+    hierarchy to the world.
 
     Attributes
     ----------
@@ -76,6 +74,13 @@ class Rig:
         Position of each joint.
     scales : (F, B) float32 or None
         None: all are 1.
+    parents : (B,) int32 or None
+        -1 at roots; None without a hierarchy.
+    offsets : (B, 3) float32
+        Position of each joint where nothing moves it; the only one of a joint that does not
+        translate.
+    translating : (B,) bool
+        Whose `translations` are stored.
     keys : (F, B) bool
         Frames that are stored.
     names : tuple of str
@@ -89,6 +94,9 @@ class Rig:
     rotations: NDArray[np.float32]
     translations: NDArray[np.float32]
     scales: NDArray[np.float32] | None
+    parents: NDArray[np.int32] | None
+    offsets: NDArray[np.float32]
+    translating: NDArray[np.bool_]
     keys: NDArray[np.bool_]
     names: tuple[str, ...]
     clips: tuple[Clip, ...]
@@ -105,7 +113,8 @@ class Rig:
         """Transforms ``(n, B, 3, 4)`` from the stored keys at `times` (in frames).
 
         Between keys translation and scale are interpolated linearly, rotation
-        along the shortest arc, as glTF and UsdSkel prescribe.
+        along the shortest arc, as glTF and UsdSkel prescribe: relative to the
+        parent, where there is one.
         """
         count = self.n_frames
         frame = np.arange(count)[:, None]
@@ -125,6 +134,9 @@ class Rig:
         if self.scales is not None:
             scale = (1 - share) * self.scales[a, bone] + share * self.scales[b, bone]
             rotation = rotation * scale[..., None, None]
+        if self.parents is not None:
+            local = np.concatenate([rotation, moved[..., None]], axis=-1)
+            return from_frames(to_world(local, self.parents), self.centers)
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
@@ -167,7 +179,7 @@ class Rig:
 
 
 def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | None = None) -> Rig:
-    """Joints at the centroids of what they move, keys without flips, sorted weights.
+    """Joints of the hierarchy, else at the centroids of what bones move; sorted weights.
 
     Parameters
     ----------
@@ -195,7 +207,9 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
             joints.shape[1],
         )
     rotation, scale = _scaled_rotations(skinning)
-    centers = skinning.centroids().astype(np.float32)
+    parents = skinning.parents
+    at = skinning.centroids() if parents is None else skinning.joint_positions
+    centers = np.asarray(at, dtype=np.float32)
     linear = np.asarray(skinning.transforms[..., :3], dtype=np.float64)
     moved = np.einsum("fbij,bj->fbi", linear, centers.astype(np.float64))
     moved += skinning.transforms[..., 3]
@@ -205,6 +219,18 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
     keys = skinning.keyframes
     if keys is None:
         keys = np.ones(skinning.transforms.shape[:2], dtype=bool)
+    offsets, moving = centers, np.ones(len(centers), dtype=bool)
+    if parents is not None:
+        local = to_local(skinning.transforms, parents, skinning.joint_positions)
+        moving = translating(local, parents, skinning.joint_positions, rest_diagonal(skinning.rest))
+        # A bind matrix and a node of float32 differ in their last bits: the mean has neither's.
+        steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
+        offsets = steady.astype(np.float32)
+        moved = np.where(moving[:, None], local[..., 3], offsets)
+        rotation = local[..., :3]
+        if scale is not None:
+            scale = np.cbrt(np.linalg.det(rotation))
+            rotation = rotation / scale[..., None, None]
     bare = ~keys.any(axis=0)
     if bare.any():
         raise InputError("keyframes", "a key for every bone", f"none for bone {int(bare.argmax())}")
@@ -220,6 +246,9 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
         rotations=unflip_quaternions(quaternion_from_matrix(rotation)).astype(np.float32),
         translations=moved.astype(np.float32),
         scales=None if scale is None else scale.astype(np.float32),
+        parents=parents,
+        offsets=offsets,
+        translating=moving,
         keys=keys,
         names=unique_names(skinning.names()),
         clips=skinning.clips,
@@ -311,12 +340,6 @@ def quantise(
     return np.where(stored > 0, joints, 0).astype(np.int32), stored, values
 
 
-def check_up(up: object, *, optional: bool = False) -> None:
-    """Refuse anything but "y" and "z" (and None where `optional`)."""
-    if up not in ("y", "z") and not (optional and up is None):
-        raise InputError("up", '"y" or "z"' + (" or None" if optional else ""), repr(up))
-
-
 def check_size(n_frames: int, n_vertices: int, max_bytes: int) -> None:
     """Refuse to allocate a sequence that a damaged file claims to hold.
 
@@ -331,33 +354,6 @@ def check_size(n_frames: int, n_vertices: int, max_bytes: int) -> None:
             f"{n_frames} frames of {n_vertices} vertices need {need} bytes, max_bytes is "
             f"{max_bytes}; a lower fps or a higher max_bytes admits them"
         )
-
-
-def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
-    """Vectors ``(..., 3)`` with the `source` axis up, turned to have `target` up."""
-    if source == target:
-        return values
-    turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
-    return np.asarray(values @ turn.T.astype(values.dtype))
-
-
-def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
-    """A skinning with another axis up: x' = Q x, M' = Q M Q⁻¹."""
-    if source == target:
-        return skinning
-    turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
-    m = np.asarray(skinning.transforms, dtype=np.float64)
-    linear = turn @ m[..., :3] @ turn.T
-    moved = np.concatenate([linear, (m[..., 3] @ turn.T)[..., None]], axis=-1)
-    surface = skinning.surface
-    if surface is not None and surface.normals is not None:
-        surface = dataclasses.replace(surface, normals=turn_up(surface.normals, source, target))
-    return dataclasses.replace(
-        skinning,
-        rest=turn_up(skinning.rest, source, target),
-        transforms=moved.astype(skinning.transforms.dtype),
-        surface=surface,
-    )
 
 
 def model_of(transforms: NDArray[np.float64]) -> BoneModel:

@@ -24,9 +24,10 @@ from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import Material, MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path
+from ..axes import Up, check_up, turn_up
 from ..gltf import reader as gltf
 from ..registry import SaveReport, describe, reading
-from ..rig import MAX_BYTES, Up, check_up, turn_up
+from ..rig import MAX_BYTES
 from .finder import command
 
 __all__ = ["list_clips", "read", "run", "write_skinning"]

@@ -14,9 +14,10 @@ from ...clips import Clip
 from ...errors import InputError
 from ...sequence import Material
 from ...skinning import Skinning
+from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
 from ..registry import SaveReport, seconds
-from ..rig import Rig, Up, WeightStorage, build_rig, check_up, quantise, turn_skinning_up
+from ..rig import Rig, WeightStorage, build_rig, quantise
 from .builder import ARRAY, ELEMENTS, Builder
 from .template import Template, open_template
 

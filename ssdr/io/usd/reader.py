@@ -15,17 +15,9 @@ from ...clips import Clip, in_order, pick, unique_names
 from ...errors import FormatError
 from ...sequence import MeshSequence
 from ...skinning import Skinning, skin
+from ..axes import Up, check_up, turn_skinning_up, turn_up
 from ..registry import reading, require
-from ..rig import (
-    MAX_BYTES,
-    Up,
-    check_size,
-    check_up,
-    frame_rate,
-    model_of,
-    turn_skinning_up,
-    turn_up,
-)
+from ..rig import MAX_BYTES, check_size, frame_rate, model_of
 from .stage import Take, name_of, open_stage, takes_of
 from .surface import Polygons, join_surface
 

@@ -19,9 +19,10 @@ from ...errors import InputError
 from ...sequence import MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path, write_bytes
+from ..axes import Up, check_up
 from ..corners import corner_normals
 from ..registry import SaveReport, require
-from ..rig import Error, Rig, Up, build_rig, check_up, unique_names
+from ..rig import Error, Rig, build_rig, unique_names
 
 __all__ = ["write_sequence", "write_skinning"]
 
