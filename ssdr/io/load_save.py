@@ -372,7 +372,7 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = ssdr.save(start, f"{folder}/dance.glb")
     ...     ssdr.io.left_out(f"{folder}/dance.glb")
-    ('hierarchy of the joints',)
+    ()
     """
     source = _as_path(path)
     format_ = FORMATS.get(source.suffix.lower())

@@ -32,6 +32,7 @@ __all__ = [
     "check_size",
     "frame_rate",
     "interpolate_quaternions",
+    "join_trees",
     "model_of",
     "quantise",
     "unique_names",
@@ -365,6 +366,19 @@ def model_of(transforms: NDArray[np.float64]) -> BoneModel:
     if (off > 1e-4 * size).any() or (np.linalg.det(linear) <= 0).any():
         return "affine"
     return "rigid" if np.abs(size - 1).max() < 1e-4 else "similarity"
+
+
+def join_trees(
+    trees: Sequence[tuple[NDArray[np.int32], NDArray[np.float64]]],
+) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
+    """Parents and joints of several skeletons as one; None where nothing hangs on anything."""
+    starts = np.cumsum([0, *(len(parents) for parents, _ in trees)])
+    parents = np.concatenate(
+        [np.where(p >= 0, p + k, -1) for (p, _), k in zip(trees, starts[:-1], strict=True)]
+    ).astype(np.int32)
+    if (parents < 0).all():
+        return None, None
+    return parents, np.concatenate([positions for _, positions in trees])
 
 
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:

@@ -139,11 +139,10 @@ def _plain(
     _mesh(document, model, rig, corners, joints, stored, title, notes)
     # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
-    bones = _bones(rig)
     document.json["nodes"] = [
         {"name": title, "mesh": 0, "skin": 0},
-        {"name": f"{title}_skeleton", "children": list(range(2, 2 + len(bones)))},
-        *bones,
+        {"name": f"{title}_skeleton", "children": _children(rig, 2)},
+        *_bones(rig, 2),
     ]
     document.json["scenes"] = [{"name": title, "nodes": [0, 1]}]
     document.json["skins"] = [_skin(document, rig, title, 2)]
@@ -163,7 +162,9 @@ def _put(
         rig.rest, lambda index: _influences(document, joints[index], stored[index], rig.n_bones)
     )
     skins = json.setdefault("skins", [])
-    first = old.put_nodes(len(skins), {"name": f"{title}_skeleton"}, _bones(rig))
+    first = len(json["nodes"]) + 1
+    top = {"name": f"{title}_skeleton", "children": _children(rig, first)}
+    old.put_nodes(len(skins), [top, *_bones(rig, first)])
     skins.append(_skin(document, rig, title, first))
     found: set[int] = set()
     added = []
@@ -305,11 +306,22 @@ def _material(document: Builder, material: Material, notes: list[str]) -> dict[s
     return item
 
 
-def _bones(rig: Rig) -> list[dict[str, Any]]:
-    return [
-        {"name": bone, "translation": [float(x) for x in center]}
-        for bone, center in zip(rig.names, rig.centers, strict=True)
-    ]
+def _children(rig: Rig, first: int, bone: int = -1) -> list[int]:
+    """Nodes of the joints that hang on a bone, on the skeleton's own node where it is -1."""
+    if rig.parents is None:
+        return list(range(first, first + rig.n_bones)) if bone < 0 else []
+    return [first + int(k) for k in np.flatnonzero(rig.parents == bone)]
+
+
+def _bones(rig: Rig, first: int) -> list[dict[str, Any]]:
+    """Nodes of the joints, which will be numbered from `first` on."""
+    nodes: list[dict[str, Any]] = []
+    for bone, name in enumerate(rig.names):
+        nodes.append({"name": name, "translation": [float(x) for x in rig.offsets[bone]]})
+        children = _children(rig, first, bone)
+        if children:
+            nodes[-1]["children"] = children
+    return nodes
 
 
 def _skin(document: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
@@ -337,10 +349,9 @@ def _animation(
         if keys.tobytes() not in stamps:
             times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)
             stamps[keys.tobytes()] = document.accessor(times, "SCALAR", bounds=True)
-        tracks = [
-            ("translation", rig.translations[keys, bone], "VEC3"),
-            ("rotation", rig.rotations[keys, bone], "VEC4"),
-        ]
+        tracks = [("rotation", rig.rotations[keys, bone], "VEC4")]
+        if rig.translating[bone]:
+            tracks.insert(0, ("translation", rig.translations[keys, bone], "VEC3"))
         if rig.scales is not None:
             tracks.append(("scale", np.repeat(rig.scales[keys, bone][:, None], 3, axis=1), "VEC3"))
         for track, values, kind in tracks:
