@@ -17,7 +17,7 @@ from ...sequence import MeshSequence
 from ...skinning import Skinning, skin
 from ..axes import Up, check_up, turn_skinning_up, turn_up
 from ..registry import reading, require
-from ..rig import MAX_BYTES, check_size, frame_rate, model_of
+from ..rig import MAX_BYTES, check_size, frame_rate, join_trees, model_of
 from .stage import Take, name_of, open_stage, takes_of
 from .surface import Polygons, join_surface
 
@@ -110,6 +110,8 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
 def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
     """Read UsdSkel skins as they are; a rigid mesh without one becomes one bone.
 
+    Joints hang on each other as their paths say; where none does, there is no hierarchy.
+
     Parameters
     ----------
     path, up
@@ -135,6 +137,7 @@ def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
                 points = [mesh.points(codes[0]) for mesh in meshes]
                 polygons = [mesh.polygons for mesh in meshes]
                 faces, surface = join_surface(path, stage, polygons, codes[0])
+                parents, positions = _hierarchy(meshes)
         width = max(mesh.joints.shape[1] for mesh in meshes)
 
         def wide(values: NDArray[Any]) -> NDArray[Any]:
@@ -155,6 +158,8 @@ def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
             surface=surface,
             bone_names=unique_names(names),
             name=name_of(stage, path),
+            parents=parents,
+            joint_positions=positions,
         )
         return model if up is None else turn_skinning_up(model, _up(stage), up)
 
@@ -168,6 +173,12 @@ def _bones(meshes: list[_Mesh]) -> tuple[dict[Any, int], list[str]]:
             starts[mesh.bones_key] = len(names)
             names += mesh.bone_names
     return starts, names
+
+
+def _hierarchy(meshes: list[_Mesh]) -> tuple[Any, Any]:
+    """Parents and joints of all bones, None where nothing hangs on anything."""
+    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
+    return join_trees([first[key].hierarchy() for key in _bones(meshes)[0]])
 
 
 def _transforms(path: Path, meshes: list[_Mesh], codes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -303,9 +314,53 @@ class _Mesh:
         self.joints = np.where(weights > 0, joints, 0).astype(np.int32)
         self.weights = weights / total
         self._bind = np.array(query.GetGeomBindTransform(), dtype=np.float64).T
-        self.bone_names = [str(token).rsplit("/", 1)[-1] for token in order]
+        self._order = [str(token) for token in order]
+        known = {str(token): k for k, token in enumerate(self._skeleton.GetJointOrder())}
+        if not known.keys() >= set(self._order):
+            raise self._fail("it names joints that its skeleton does not have")
+        self._rows = [known[token] for token in self._order]
+        self.bone_names = self._names()
         place = str(self._skeleton.GetSkeleton().GetPrim().GetPath())
         self.bones_key = (place, tuple(map(str, order)), self._bind.tobytes())
+
+    def _names(self) -> list[str]:
+        """What the skeleton calls its joints, else the last part of their paths."""
+        skeleton = self._skeleton.GetSkeleton()
+        said = [str(name) for name in skeleton.GetJointNamesAttr().Get() or ()]
+        if len(said) == len(self._skeleton.GetJointOrder()):
+            return [said[k] for k in self._rows]
+        return [token.rsplit("/", 1)[-1] for token in self._order]
+
+    def _binds(self) -> NDArray[np.float64]:
+        """Joints' frames (B, 4, 4) of the bind pose, in the space of the points."""
+        found = self._skeleton.GetJointWorldBindTransforms()
+        if found is None or len(found) != len(self._skeleton.GetJointOrder()):
+            raise self._fail("its skeleton has no usable bind or rest transforms")
+        frames = np.swapaxes(np.array(found, dtype=np.float64).reshape(-1, 4, 4), 1, 2)
+        try:
+            return np.asarray(np.linalg.solve(self._bind, frames[self._rows]))
+        except np.linalg.LinAlgError:
+            raise self._fail("its geomBindTransform is flat") from None
+
+    def hierarchy(self) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Parents (B,) and joints (B, 3) among the points: a mesh without a skin hangs on none."""
+        if self._skeleton is None:
+            return np.full(1, -1, dtype=np.int32), np.zeros((1, 3))
+        number = {token: k for k, token in enumerate(self._order)}
+        parents = []
+        for token in self._order:
+            above = token.rpartition("/")[0]
+            while above and above not in number:
+                above = above.rpartition("/")[0]
+            parents.append(number[above] if above else -1)
+        return np.array(parents, dtype=np.int32), self._binds()[:, :3, 3]
+
+    @property
+    def has_axes(self) -> bool:
+        """True where joints of the bind pose are turned against the axes of the points."""
+        if self._skeleton is None:
+            return False
+        return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
     @property
     def deforms(self) -> bool:
@@ -373,12 +428,9 @@ class _Mesh:
         found = self._skeleton.ComputeSkinningTransforms(code)
         if not found:
             raise self._fail("its skeleton has no usable bind or rest transforms")
-        mapper = self._query.GetJointMapper()
-        if mapper and not mapper.IsIdentity():
-            found = mapper.RemapTransforms(found)
         place = np.array(world.GetLocalToWorldTransform(self._skeleton.GetPrim())).T
         matrices = np.swapaxes(np.array(found, dtype=np.float64).reshape(-1, 4, 4), 1, 2)
-        return np.asarray((place @ matrices @ self._bind)[:, :3])
+        return np.asarray((place @ matrices[self._rows] @ self._bind)[:, :3])
 
     def bake(self, codes: NDArray[np.float64], out: NDArray[np.float32]) -> None:
         """Points in world space at each time code."""

@@ -7,7 +7,7 @@ import dataclasses
 import errno
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...clips import Clip
 from ...errors import InputError
+from ...hierarchy import parents_first
 from ...sequence import MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path, write_bytes
@@ -113,7 +114,7 @@ def write_skinning(
         root = UsdSkel.Root.Define(stage, _root(name or skinning.name or path.stem))
         stage.SetDefaultPrim(root.GetPrim())
         top = root.GetPath()
-        put_skeleton(stage, top.AppendChild("Skeleton"), rig, skinning.name, first.fps)
+        tokens = put_skeleton(stage, top.AppendChild("Skeleton"), rig, skinning.name, first.fps)
         mesh = _mesh(stage, top, skinning.faces, skinning.surface, path, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         extent = np.stack([rig.rest.min(axis=0), rig.rest.max(axis=0)])
@@ -121,7 +122,8 @@ def write_skinning(
         if len(skinning.faces):
             normals = corner_normals(rig.rest, skinning.faces, skinning.surface)
             _primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals.reshape(-1, 3))
-        bind(mesh.GetPrim(), rig.joints, rig.weights, top.AppendChild("Skeleton"), Gf.Matrix4d(1.0))
+        skeleton = top.AppendChild("Skeleton")
+        bind(mesh.GetPrim(), rig.joints, rig.weights, skeleton, Gf.Matrix4d(1.0), tokens)
     return _report(path, width, error, between, notes, lost)
 
 
@@ -141,9 +143,17 @@ def _report(
 
 
 def bind(
-    prim: Any, joints: NDArray[np.int32], weights: NDArray[np.float64], skeleton: Any, place: Any
+    prim: Any,
+    joints: NDArray[np.int32],
+    weights: NDArray[np.float64],
+    skeleton: Any,
+    place: Any,
+    tokens: Sequence[str] | None,
 ) -> None:
-    """Skin weights of a mesh, its skeleton's path, and where its points stand in the bind pose."""
+    """Skin weights of a mesh, its skeleton's path, and where its points stand in the bind pose.
+
+    `tokens` are the skeleton's joints in the order of the bones, where its own is another.
+    """
     from pxr import UsdSkel, Vt
 
     binding = UsdSkel.BindingAPI.Apply(prim)
@@ -153,6 +163,8 @@ def bind(
         Vt.FloatArray.FromNumpy(weights.astype(np.float32).reshape(-1))
     )
     binding.CreateSkeletonRel().SetTargets([skeleton])
+    if tokens is not None:
+        binding.CreateJointsAttr(tokens)
     binding.CreateGeomBindTransformAttr(place)
 
 
@@ -260,18 +272,35 @@ def put_skeleton(
     title: str,
     tempo: float,
     starts: Mapping[str, float] | None = None,
-) -> None:
-    """Skeleton and animations at a path; clips begin at time code 0 where `starts` says nothing."""
+) -> list[str] | None:
+    """Skeleton and animations at a path; clips begin at time code 0 where `starts` says nothing.
+
+    USD wants parents before their children: where the bones are in another order, the joints in
+    the order of the bones are returned.
+    """
     from pxr import Gf, UsdSkel, Vt
 
-    tokens = unique_names([_identifier(bone) for bone in rig.names])
+    plain = unique_names([_identifier(bone) for bone in rig.names])
+    order = np.arange(rig.n_bones)
+    paths = list(plain)
+    if rig.parents is not None:
+        if (rig.parents >= order).any():
+            order = parents_first(rig.parents)
+        for bone in order:
+            if rig.parents[bone] >= 0:
+                paths[bone] = f"{paths[rig.parents[bone]]}/{plain[bone]}"
+    tokens = [paths[bone] for bone in order]
     skeleton = UsdSkel.Skeleton.Define(stage, place)
     skeleton.CreateJointsAttr(tokens)
-    if tokens != rig.names:
-        skeleton.CreateJointNamesAttr([_text(name) for name in rig.names])
-    rest = [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, c))) for c in rig.centers]
-    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(rest))
-    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
+    if plain != rig.names:
+        skeleton.CreateJointNamesAttr([_text(rig.names[bone]) for bone in order])
+
+    def places_of(points: NDArray[np.float32]) -> Any:
+        moves = [Gf.Vec3d(*map(float, point)) for point in points[order]]
+        return Vt.Matrix4dArray([Gf.Matrix4d(1.0).SetTranslate(move) for move in moves])
+
+    skeleton.CreateBindTransformsAttr(places_of(rig.centers))
+    skeleton.CreateRestTransformsAttr(places_of(rig.offsets))
     alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
     names = ["Animation" if alone else _identifier(c.name) for c in rig.clips]
     places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
@@ -279,7 +308,7 @@ def put_skeleton(
         animation = UsdSkel.Animation.Define(stage, where)
         animation.CreateJointsAttr(tokens)
         start = (starts or {}).get(clip.name, 0.0)
-        _keys(animation, rig, clip, tempo, start)
+        _keys(animation, rig, order, clip, tempo, start)
         stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
         if start:
             stated["start"] = start
@@ -288,9 +317,12 @@ def put_skeleton(
         animation.GetPrim().SetCustomDataByKey("ssdr", stated)
     binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
     binding.CreateAnimationSourceRel().SetTargets([places[0]])
+    return paths if (order != np.arange(rig.n_bones)).any() else None
 
 
-def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float, start: float) -> None:
+def _keys(
+    animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip, tempo: float, start: float
+) -> None:
     """The keys of a clip, its first frame at time code `start`."""
     from pxr import Vt
 
@@ -301,10 +333,10 @@ def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float, start: float) -> N
         scaled.Set(Vt.Vec3hArray.FromNumpy(ones))
     for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
         code = start + float(frame - clip.start) * (tempo / clip.fps)
-        moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame]), code)
-        turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame]), code)
+        moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
+        turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
         if rig.scales is not None:
-            sizes = rig.scales[frame][:, None].astype(np.float16)
+            sizes = rig.scales[frame, order][:, None].astype(np.float16)
             scaled.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
 
 
