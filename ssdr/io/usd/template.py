@@ -18,8 +18,9 @@ from ..carried import carry_normals
 from ..registry import SaveReport, reading, require
 from ..rig import Rig
 from .reader import _clock, _open
+from .skeleton import bind, put_skeleton
 from .stage import Take, open_stage, takes_of
-from .writer import _system_errors, bind, put_skeleton
+from .writer import _system_errors
 
 __all__ = ["copy", "left_out", "put", "template_problem"]
 
