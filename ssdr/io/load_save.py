@@ -179,7 +179,7 @@ def load_skinning(
     Parameters
     ----------
     path : path
-        ``.npz``, ``.glb``, ``.gltf`` or USD.
+        ``.npz``, ``.glb``, ``.gltf``, ``.fbx`` or USD.
     clip : str, int or several of them, optional
         Names or numbers of the clips; all by default.
     scale : float
@@ -357,7 +357,7 @@ def copy(
 def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     """What a file has and :func:`load` or :func:`load_skinning` leave out, in words.
 
-    Known of glTF and USD; of other formats nothing is said.
+    Known of glTF, USD and FBX; of other formats nothing is said.
 
     Parameters
     ----------

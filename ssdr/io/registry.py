@@ -167,8 +167,10 @@ FORMATS: dict[str, Format] = {
     ".fbx": Format(
         "blender",
         "FBX",
+        read_skinning="read_skinning",
         write_skinning="write_skinning",
         list_clips="list_clips",
+        left_out="left_out",
         extra="blender",
     ),
 }

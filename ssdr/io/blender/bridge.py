@@ -19,20 +19,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order, one_rate, pick
+from ...clips import Clip, in_order, one_rate, pick, readable, unique_names
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import Material, MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path
-from ..axes import Up, check_up, turn_up
+from ..axes import Up, check_up, turn_skinning_up, turn_up
 from ..gltf import reader as gltf
 from ..registry import SaveReport, describe, reading
-from ..rig import MAX_BYTES
+from ..rig import MAX_BYTES, model_of
 from .finder import command
 
-__all__ = ["list_clips", "read", "run", "write_skinning"]
+__all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
 
 _log = logging.getLogger(__name__)
+_IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes, of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
 _TOO_OLD = "Blender 4.2 or newer is needed"  # in the words of script.py
@@ -103,7 +104,7 @@ def read(
             turn_up(arrays["vertices"], "z", up),
             arrays["faces"],
             float(arrays["fps"]),
-            name=path.stem,
+            name=_title(arrays, path),
             clip=name,
             surface=surface,
         )
@@ -116,16 +117,90 @@ def list_clips(
     _check_limit(time_limit)
     arrays = _read_by_blender({"action": "list"}, path, fps, time_limit)
     with reading(path):
-        rate = float(arrays["fps"])
-        names = _names(arrays, path)
-        return in_order(
-            Clip(name, 0, int(count), rate)
-            for name, count in zip(names, arrays["frames"], strict=True)
+        return _clips(arrays, path)
+
+
+def left_out(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
+    """What a file has and a sequence or skinning that is read from it has not."""
+    _check_limit(time_limit)
+    arrays = _read_by_blender({"action": "list"}, path, None, time_limit)
+    return tuple(json.loads(str(arrays["left_out"])))
+
+
+def read_skinning(
+    path: Path,
+    *,
+    fps: float | None = None,
+    up: Up = "y",
+    time_limit: float = 600.0,
+    max_bytes: int | None = None,
+) -> Skinning:
+    """Read the skins of an FBX file as they are; a mesh without one becomes one bone.
+
+    The rest pose is the mesh where it stands in the first frame, not skinned.  Bones are those
+    that a skin names, with weights or none.
+
+    Parameters
+    ----------
+    path : Path
+    fps : float, optional
+        Where to sample; by default every take at the rate of the file, or at that of its own keys
+        where they do not lie on the file's frames.
+    up : {"y", "z"}
+        As in :func:`read`.
+    time_limit : float
+        Seconds after which Blender is stopped.
+    max_bytes : int, optional
+        Largest size of the transforms; 16 GiB by default.
+
+    Returns
+    -------
+    Skinning
+        Rest pose and transforms float64, in metres; weights float32; a clip for each take.
+
+    Raises
+    ------
+    FormatError
+        If Blender cannot read the file, shape keys move a mesh, or several armatures move one.
+    MissingDependencyError
+        If there is no Blender, or one that is too old.
+    """
+    check_up(up)
+    _check_limit(time_limit)
+    limit = MAX_BYTES if max_bytes is None else max_bytes
+    job = {"action": "read skinning", "max_bytes": limit}
+    arrays = _read_by_blender(job, path, fps, time_limit)
+    with reading(path):
+        clips = _clips(arrays, path)
+        if len(clips) > 1:
+            _log.info("%s: clips %s", path, [clip.name for clip in clips])
+        model = Skinning(
+            arrays["rest"],
+            arrays["joints"],
+            arrays["weights"],
+            arrays["transforms"],
+            faces=arrays["faces"],
+            bone_model=model_of(arrays["transforms"]),
+            surface=_surface(arrays),
+            bone_names=unique_names(json.loads(str(arrays["bones"]))),
+            name=_title(arrays, path),
+            clips=clips,
         )
+        return turn_skinning_up(model, "z", up)
+
+
+def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
+    rows = zip(_names(arrays, path), arrays["frames"], arrays["fps"], strict=True)
+    return in_order(Clip(name, 0, int(count), float(rate)) for name, count, rate in rows)
+
+
+def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
+    """The name of the file's only mesh, else of the file."""
+    return readable(arrays["title"]) if "title" in arrays else path.stem
 
 
 def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
-    return [str(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
+    return [readable(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
 
 
 def _read_by_blender(
@@ -143,7 +218,10 @@ def _read_by_blender(
         "resample": fps is not None,
     }
     try:
-        return run(job, time_limit=time_limit)
+        arrays = run(job, time_limit=time_limit)
+        for name in arrays.get("outside", ()):
+            _log.warning("%s: texture %s lies outside its folder and is left out", path, name)
+        return arrays
     except MissingDependencyError:
         raise
     except SsdrError as error:
@@ -195,10 +273,14 @@ def write_skinning(
     command(_SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         source = Path(folder) / "model.glb"
-        # Blender knows the takes by these names, whatever the clips' own.
-        numbered = [dataclasses.replace(c, name=f"c{k}") for k, c in enumerate(skinning.clips)]
+        # Blender knows the takes by these names, whatever the clips' own, and its glTF importer
+        # puts keys on frames at whole rates alone.
+        numbered = [
+            dataclasses.replace(c, name=f"c{k}", fps=_IMPORT_FPS)
+            for k, c in enumerate(skinning.clips)
+        ]
         stored = gltf.write_skinning(
-            dataclasses.replace(skinning, clips=tuple(numbered)),
+            dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered)),
             source,
             influences=influences,
             up=up,
@@ -210,14 +292,18 @@ def write_skinning(
                 "source": str(source),
                 "path": str(temporary.resolve()),
                 "fps": skinning.fps,
+                "import_fps": _IMPORT_FPS,
                 "clips": [
                     {"name": one, "action": f"c{k}", "frames": clip.n_frames}
                     for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
                 ],
             }
-            numbers = run(job, time_limit=time_limit)["vertex"]
+            written = run(job, time_limit=time_limit)
+            numbers = written["vertex"]
             if not temporary.is_file():
                 raise SsdrError("Blender wrote no FBX file")
+    dropped = len(skinning.faces) - int(written["triangles"])
+    lost = f"{dropped} triangles, which Blender drops: without area, or on the vertices of another"
     total, count, largest = 0.0, 0, 0.0
     for k, clip in enumerate(skinning.clips):
         back = read(path, clip=k, up=up, time_limit=time_limit)
@@ -232,6 +318,7 @@ def write_skinning(
         max_error=largest,
         between_frames=stored.between_frames,
         note=stored.note.replace("glTF takes the unit for metres", "the unit is taken for metres"),
+        lost=(lost,) if dropped else (),
     )
 
 
