@@ -86,6 +86,8 @@ class Rig:
         Frames that are stored.
     names : tuple of str
     clips : tuple of Clip
+    axes : (B, 3, 3) float64 or None
+        With a hierarchy: how each joint is turned in the rest pose; None: all as the world.
     """
 
     rest: NDArray[np.float32]
@@ -101,6 +103,7 @@ class Rig:
     keys: NDArray[np.bool_]
     names: tuple[str, ...]
     clips: tuple[Clip, ...]
+    axes: NDArray[np.float64] | None = None
 
     @property
     def n_frames(self) -> int:
@@ -136,8 +139,10 @@ class Rig:
             scale = (1 - share) * self.scales[a, bone] + share * self.scales[b, bone]
             rotation = rotation * scale[..., None, None]
         if self.parents is not None:
-            local = np.concatenate([rotation, moved[..., None]], axis=-1)
-            return from_frames(to_world(local, self.parents), self.centers)
+            frames = to_world(np.concatenate([rotation, moved[..., None]], axis=-1), self.parents)
+            if self.axes is not None:
+                frames[..., :3] = frames[..., :3] @ np.swapaxes(self.axes, 1, 2)
+            return from_frames(frames, self.centers)
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from ...clips import Clip
 from ...errors import InputError
+from ...rigid import quaternion_from_matrix
 from ...sequence import Material
 from ...skinning import Skinning
 from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
+from ..limbs import limb_axes, limb_ends, oriented
 from ..registry import SaveReport, seconds
 from ..rig import Rig, WeightStorage, build_rig, quantise
 from .builder import ARRAY, ELEMENTS, Builder
 from .template import Template, open_template
 
-__all__ = ["write_skinning"]
+__all__ = ["write_limbs", "write_skinning"]
 
 
 def write_skinning(
@@ -118,6 +120,55 @@ def write_skinning(
         note="; ".join(notes),
         lost=tuple(lost),
     )
+
+
+def write_limbs(
+    skinning: Skinning,
+    path: Path,
+    *,
+    influences: int | None = None,
+    up: Up = "y",
+    name: str | None = None,
+) -> tuple[SaveReport, dict[str, float]]:
+    """Write a model with a hierarchy whose joints have their y axis along their bone.
+
+    Programs that draw bones along an axis of their own, Blender among them, then draw them from
+    joint to joint.
+
+    Parameters
+    ----------
+    skinning, path, influences, up, name
+        As for :func:`write_skinning`.
+
+    Returns
+    -------
+    SaveReport
+    lengths : dict
+        Of each bone, by its name.
+    """
+    model = turn_skinning_up(skinning, up, "y")
+    rig = build_rig(model, influences=influences, most=8)
+    assert rig.parents is not None
+    joints, stored, values = quantise(rig.joints, rig.weights, "float32")
+    ends = limb_ends(
+        rig.centers, rig.parents, rig.rest, rig.joints, rig.weights, sliding=rig.translating
+    )
+    rig = oriented(rig, limb_axes(rig.centers, rig.parents, ends))
+    error = rig.error(model, weights=values)
+    between = rig.error(model, weights=values, between=True)
+    notes = ["glTF takes the unit for metres"]
+    size = _plain(model, rig, joints, stored, name or skinning.name or path.stem, notes).save(path)
+    report = SaveReport(
+        path=path,
+        bytes=size,
+        influences=stored.shape[1],
+        error=error.rmse,
+        max_error=error.largest,
+        between_frames=between.rmse,
+        note="; ".join(notes),
+    )
+    lengths = np.linalg.norm(ends - rig.centers, axis=1)
+    return report, dict(zip(rig.names, lengths.tolist(), strict=True))
 
 
 def _plain(
@@ -318,6 +369,10 @@ def _bones(rig: Rig, first: int) -> list[dict[str, Any]]:
     nodes: list[dict[str, Any]] = []
     for bone, name in enumerate(rig.names):
         nodes.append({"name": name, "translation": [float(x) for x in rig.offsets[bone]]})
+        if rig.axes is not None and rig.parents is not None:
+            above = rig.axes[rig.parents[bone]] if rig.parents[bone] >= 0 else np.eye(3)
+            turned = quaternion_from_matrix(above.T @ rig.axes[bone])
+            nodes[-1]["rotation"] = [float(x) for x in turned]
         children = _children(rig, first, bone)
         if children:
             nodes[-1]["children"] = children
@@ -329,6 +384,9 @@ def _skin(document: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]
     count = rig.n_bones
     inverse = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
     inverse[:, 3, :3] = -rig.centers  # column-major: the translation is the last row here
+    if rig.axes is not None:
+        inverse[:, :3, :3] = rig.axes
+        inverse[:, 3, :3] = -np.einsum("bji,bj->bi", rig.axes, rig.centers.astype(np.float64))
     return {
         "name": title,
         "inverseBindMatrices": document.accessor(inverse.reshape(count, 16), "MAT4"),
