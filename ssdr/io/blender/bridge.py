@@ -26,7 +26,7 @@ from ...skinning import Skinning
 from ..atomic import atomic_path
 from ..axes import Up, check_up, turn_skinning_up, turn_up
 from ..gltf import reader as gltf
-from ..gltf.writer import write_limbs
+from ..gltf.limbs import write_limbs
 from ..registry import SaveReport, describe, reading
 from ..rig import MAX_BYTES, join_trees, model_of
 from .finder import command

@@ -17,13 +17,12 @@ from ...sequence import Material
 from ...skinning import Skinning
 from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
-from ..limbs import limb_axes, limb_ends, oriented
 from ..registry import SaveReport, seconds
 from ..rig import Rig, WeightStorage, build_rig, quantise
 from .builder import ARRAY, ELEMENTS, Builder
 from .template import Template, open_template
 
-__all__ = ["write_limbs", "write_skinning"]
+__all__ = ["plain", "write_skinning"]
 
 
 def write_skinning(
@@ -97,7 +96,7 @@ def write_skinning(
     notes = ["glTF takes the unit for metres"]
     lost: list[str] = []
     if template is None:
-        size = _plain(model, rig, joints, stored, title, notes).save(path)
+        size = plain(model, rig, joints, stored, title, notes).save(path)
     else:
         if up != "y":
             raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
@@ -122,56 +121,7 @@ def write_skinning(
     )
 
 
-def write_limbs(
-    skinning: Skinning,
-    path: Path,
-    *,
-    influences: int | None = None,
-    up: Up = "y",
-    name: str | None = None,
-) -> tuple[SaveReport, dict[str, float]]:
-    """Write a model with a hierarchy whose joints have their y axis along their bone.
-
-    Programs that draw bones along an axis of their own, Blender among them, then draw them from
-    joint to joint.
-
-    Parameters
-    ----------
-    skinning, path, influences, up, name
-        As for :func:`write_skinning`.
-
-    Returns
-    -------
-    SaveReport
-    lengths : dict
-        Of each bone, by its name.
-    """
-    model = turn_skinning_up(skinning, up, "y")
-    rig = build_rig(model, influences=influences, most=8)
-    assert rig.parents is not None
-    joints, stored, values = quantise(rig.joints, rig.weights, "float32")
-    ends = limb_ends(
-        rig.centers, rig.parents, rig.rest, rig.joints, rig.weights, sliding=rig.translating
-    )
-    rig = oriented(rig, limb_axes(rig.centers, rig.parents, ends))
-    error = rig.error(model, weights=values)
-    between = rig.error(model, weights=values, between=True)
-    notes = ["glTF takes the unit for metres"]
-    size = _plain(model, rig, joints, stored, name or skinning.name or path.stem, notes).save(path)
-    report = SaveReport(
-        path=path,
-        bytes=size,
-        influences=stored.shape[1],
-        error=error.rmse,
-        max_error=error.largest,
-        between_frames=between.rmse,
-        note="; ".join(notes),
-    )
-    lengths = np.linalg.norm(ends - rig.centers, axis=1)
-    return report, dict(zip(rig.names, lengths.tolist(), strict=True))
-
-
-def _plain(
+def plain(
     model: Skinning,
     rig: Rig,
     joints: NDArray[np.int32],

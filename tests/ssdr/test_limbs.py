@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from helpers.rig_tree import ENDS, NAMES, PARENTS, POSITIONS, creature
-from ssdr.io.limbs import limb_axes, limb_ends, oriented
+from ssdr.io.gltf.limbs import oriented
 from ssdr.io.rig import build_rig
+from ssdr.limbs import limb_axes, limb_ends
 
 
 def _ends(model):

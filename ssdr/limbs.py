@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hierarchy import parents_first, rest_diagonal
-from ..rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
-from .rig import Rig
+from .hierarchy import parents_first, rest_diagonal
 
-__all__ = ["limb_axes", "limb_ends", "oriented"]
+__all__ = ["limb_axes", "limb_ends"]
 
 Array = NDArray[np.float64]
 _SHORTEST = 0.01  # of the diagonal: programs drop bones without length
@@ -109,20 +105,3 @@ def _least_turn(a: Array, b: Array) -> Array:
     x, y, z = np.cross(a, b)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
-
-
-def oriented(rig: Rig, axes: Array) -> Rig:
-    """The same rig with joints that are turned so in the rest pose."""
-    assert rig.parents is not None
-    # of what a joint's transform is relative to
-    above = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
-    turn = matrix_from_quaternion(rig.rotations.astype(np.float64))
-    turn = np.swapaxes(above, 1, 2) @ turn @ axes
-    moved = np.einsum("bji,fbj->fbi", above, rig.translations.astype(np.float64))
-    return dataclasses.replace(
-        rig,
-        rotations=unflip_quaternions(quaternion_from_matrix(turn)).astype(np.float32),
-        translations=moved.astype(np.float32),
-        offsets=np.einsum("bji,bj->bi", above, rig.offsets.astype(np.float64)).astype(np.float32),
-        axes=axes,
-    )
