@@ -119,19 +119,21 @@ def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
 
 
 def translating(
-    local: Array, parents: NDArray[Any], positions: ArrayLike, diagonal: float
+    transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike, diagonal: float
 ) -> NDArray[np.bool_]:
-    """Joints (B,) whose translation leaves that of the rest pose in some frame.
+    """Joints (B,) that leave their parents, and roots that leave the rest pose, in some frame.
 
     Parameters
     ----------
-    local : (F, B, 3, 4) array
-        Transforms relative to the parents'.
+    transforms : (F, B, 3, 4) array
     parents, positions
     diagonal : float
         Of the mesh: a millionth of it counts as no translation.
     """
-    off = np.linalg.norm(local[..., 3] - rest_offsets(parents, positions), axis=-1)
+    m, c = np.asarray(transforms, dtype=np.float64), np.asarray(positions, dtype=np.float64)
+    off = joint_gaps(m, parents, c)
+    for b in np.flatnonzero(np.asarray(parents) < 0):
+        off[:, b] = np.linalg.norm(m[:, b, :, :3] @ c[b] + m[:, b, :, 3] - c[b], axis=-1)
     return np.asarray((off > RIGID * diagonal).any(axis=0))
 
 

@@ -228,7 +228,9 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
     offsets, moving = centers, np.ones(len(centers), dtype=bool)
     if parents is not None:
         local = to_local(skinning.transforms, parents, skinning.joint_positions)
-        moving = translating(local, parents, skinning.joint_positions, rest_diagonal(skinning.rest))
+        moving = translating(
+            skinning.transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
+        )
         # A bind matrix and a node of float32 differ in their last bits: the mean has neither's.
         steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
         offsets = steady.astype(np.float32)
