@@ -17,15 +17,24 @@ from .errors import InputError
 from .rigid import matrix_from_quaternion
 
 __all__ = [
+    "RIGID",
     "Freedom",
     "check_parents",
+    "depths",
+    "from_frames",
     "from_local",
     "joint_freedom",
     "joint_gaps",
     "local_of_pose",
     "parents_first",
+    "rest_diagonal",
+    "rest_offsets",
     "to_local",
+    "to_world",
+    "translating",
 ]
+
+RIGID = 1e-6  # of the diagonal: a joint whose gaps are all smaller does not translate
 
 Array = NDArray[np.float64]
 Freedom = Literal["root", "point", "line", "nothing"]
@@ -84,6 +93,17 @@ def to_local(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike)
 
 def from_local(local: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
     """Inverse of :func:`to_local`: transforms (..., B, 3, 4) from the rest pose."""
+    return from_frames(to_world(local, parents), positions)
+
+
+def from_frames(frame: Array, positions: ArrayLike) -> Array:
+    """Transforms (..., B, 3, 4) from the rest pose, from the frames of the joints in the world."""
+    shift = np.einsum("...bij,bj->...bi", frame[..., :3], np.asarray(positions, dtype=np.float64))
+    return np.concatenate([frame[..., :3], (frame[..., 3] - shift)[..., None]], axis=-1)
+
+
+def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
+    """Frames of the joints (..., B, 3, 4) in the world, from those relative to their parents."""
     frame = np.array(local, dtype=np.float64)
     for b in parents_first(parents):
         a = int(parents[b])
@@ -92,9 +112,46 @@ def from_local(local: ArrayLike, parents: NDArray[Any], positions: ArrayLike) ->
             moved = np.einsum("...ij,...j->...i", above[..., :3], frame[..., b, :, 3])
             frame[..., b, :, :3] = above[..., :3] @ frame[..., b, :, :3]
             frame[..., b, :, 3] = moved + above[..., 3]
-    c = np.asarray(positions, dtype=np.float64)
-    frame[..., 3] -= np.einsum("...bij,bj->...bi", frame[..., :3], c)
     return frame
+
+
+def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
+    """Joints (B, 3) of the rest pose relative to their parents'; a root's relative to the world."""
+    c = np.asarray(positions, dtype=np.float64)
+    return np.asarray(c - np.where((np.asarray(parents) >= 0)[:, None], c[parents], 0.0))
+
+
+def translating(
+    transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike, diagonal: float
+) -> NDArray[np.bool_]:
+    """Joints (B,) that leave their parents, and roots that leave the rest pose, in some frame.
+
+    Parameters
+    ----------
+    transforms : (F, B, 3, 4) array
+    parents, positions
+    diagonal : float
+        Of the mesh: a millionth of it counts as no translation.
+    """
+    m, c = np.asarray(transforms, dtype=np.float64), np.asarray(positions, dtype=np.float64)
+    off = joint_gaps(m, parents, c)
+    for b in np.flatnonzero(np.asarray(parents) < 0):
+        off[:, b] = np.linalg.norm(m[:, b, :, :3] @ c[b] + m[:, b, :, 3] - c[b], axis=-1)
+    return np.asarray((off > RIGID * diagonal).any(axis=0))
+
+
+def rest_diagonal(rest: ArrayLike) -> float:
+    """Diagonal of the box around the rest pose."""
+    return float(np.linalg.norm(np.ptp(np.asarray(rest, dtype=np.float64), axis=0)))
+
+
+def depths(parents: NDArray[Any]) -> NDArray[np.int64]:
+    """How many bones are above each (B,): 0 at roots."""
+    depth = np.zeros(len(parents), dtype=np.int64)
+    for b in parents_first(parents):
+        if parents[b] >= 0:
+            depth[b] = depth[parents[b]] + 1
+    return depth
 
 
 def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
@@ -152,7 +209,7 @@ def local_of_pose(
     hung = np.asarray(parents) >= 0
     local = np.empty((len(turn), n_bones, 3, 4))
     local[..., :3] = turn
-    local[..., 3] = positions - np.where(hung[:, None], positions[parents], 0.0)
+    local[..., 3] = rest_offsets(parents, positions)
     if root is not None:
         where = np.asarray(root)
         shape = (len(turn), int((~hung).sum()), 3)

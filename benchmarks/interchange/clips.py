@@ -30,8 +30,8 @@ from benchmarks.interchange.browser import install, played
 from helpers.rig_model import tube
 from ssdr import cli
 from ssdr.errors import MissingDependencyError
+from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge
-from ssdr.io.rig import turn_up
 
 PAGE = """<!doctype html><body style="margin:0"><script type="importmap">
 {"imports": {"three": "./node_modules/three/build/three.module.js",

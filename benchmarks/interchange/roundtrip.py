@@ -26,9 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import ssdr
 from benchmarks.common import write_csv
 from helpers.rig_model import tube
+from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge, command
 from ssdr.io.corners import corner_normals
-from ssdr.io.rig import turn_up
 
 CASES: list[tuple[str, dict[str, Any]]] = [
     (".glb", {}),

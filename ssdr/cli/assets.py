@@ -10,7 +10,7 @@ from ..errors import FormatError, InputError
 from ..io.registry import Format, call, format_of
 from .output import Output, write_options
 
-_HIERARCHY = "hierarchy of the joints"
+_AXES = "orientations of the joints"
 
 
 def of_one_format(source: Path, target: Path) -> Format | None:
@@ -45,7 +45,7 @@ def options_with_template(
         The inputs, and the options with which each was read.
     strict : bool
     new_bones : bool
-        Whether the model's bones are not the input's, whose hierarchy then counts for nothing.
+        Whether the model's bones are not the input's, whose joints then count for nothing.
     clips : names
         Clips of the model, which may be called after the files that they come from.
 
@@ -77,14 +77,14 @@ def options_with_template(
                 options["clip_names"] = names
             if strict:
                 options["strict"] = True
-            if not new_bones and _HIERARCHY in _lost(source, given):
-                lost.append(_HIERARCHY)
+            if not new_bones and _AXES in _lost(source, given):
+                lost.append(_AXES)
         break
     if "template" not in options:
         for source, given in zip(sources, read, strict=True):
             lost += [x for x in _lost(source, given) if x not in lost]
-        if new_bones and _HIERARCHY in lost:
-            lost.remove(_HIERARCHY)
+        if new_bones and _AXES in lost:
+            lost.remove(_AXES)
     if lost:
         said = f"not kept in {target}: {', '.join(lost)}"
         if strict:

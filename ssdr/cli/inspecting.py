@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..clips import Clip
+from ..hierarchy import RIGID, depths, rest_diagonal
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .output import (
@@ -110,6 +111,7 @@ def _about_skinning(skinning: Skinning) -> dict[str, Any]:
         "weight_sum_error": float(np.abs(skinning.weights.sum(axis=1, dtype=np.float64) - 1).max()),
         "seams": _seams(skinning),
         **_about_bones(skinning),
+        "hierarchy": _about_hierarchy(skinning),
         **_about_surface(skinning),
         **_about_faces(skinning.faces, rest),
     }
@@ -130,6 +132,22 @@ def _about_bones(skinning: Skinning) -> dict[str, Any]:
         "smallest_determinant": float(determinant.min()),
         "smallest_stretch": float(stretch.min()),
         "largest_stretch": float(stretch.max()),
+    }
+
+
+def _about_hierarchy(skinning: Skinning) -> dict[str, Any] | None:
+    """Roots, depth, and how far joints come apart; None where there is no hierarchy."""
+    if skinning.parents is None:
+        return None
+    names, gaps = skinning.names(), skinning.joint_gaps().max(axis=0)
+    return {
+        "joints": skinning.n_bones,
+        "roots": [names[b] for b in np.flatnonzero(skinning.parents < 0)],
+        "depth": int(depths(skinning.parents).max()) + 1,
+        "parents": skinning.parents,
+        "largest_gap": float(gaps.max()),
+        "joint_of_largest_gap": names[int(gaps.argmax())],
+        "rigid": bool(gaps.max() <= RIGID * rest_diagonal(skinning.rest)),
     }
 
 
@@ -198,6 +216,7 @@ def _skinning_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
         ("bones", f"{d['bones']} ({d['bone_model']})" + (f", {idle} move nothing" * bool(idle))),
         ("influences", f"at most {d['influences']}; vertices by number: {', '.join(counts)}"),
         ("weights", f"sums off 1 by at most {d['weight_sum_error']:.2g}"),
+        *_hierarchy_rows(d),
         _bones_row(d),
         *_mesh_rows(d),
         _seams_row(d),
@@ -209,6 +228,19 @@ def _skinning_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
 def _seams_row(d: dict[str, Any]) -> tuple[str, str]:
     seams = f"{d['seams']:,} vertices coincide with others in every frame (--weld merges them)"
     return "seams", seams if d["seams"] else "none"
+
+
+def _hierarchy_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
+    tree = d["hierarchy"]
+    if tree is None:
+        return []
+    roots = tree["roots"]
+    said = f"root {roots[0]}" if len(roots) == 1 else f"{len(roots)} roots"
+    gap = "rigid joints"
+    if not tree["rigid"]:
+        size = length_text(tree["largest_gap"], d["rest_diagonal"])
+        gap = f"largest gap of a joint {size}, at {tree['joint_of_largest_gap']}"
+    return [("hierarchy", f"{tree['joints']} joints, {said}, {tree['depth']} deep; {gap}")]
 
 
 def _bones_row(d: dict[str, Any]) -> tuple[str, str]:

@@ -216,7 +216,13 @@ def load_skinning(
         transforms = skinning.transforms.copy()
         transforms[..., 3] *= scale
         rest = skinning.rest * skinning.rest.dtype.type(scale)
-        skinning = dataclasses.replace(skinning, rest=rest, transforms=transforms)
+        at = skinning.joint_positions
+        skinning = dataclasses.replace(
+            skinning,
+            rest=rest,
+            transforms=transforms,
+            joint_positions=None if at is None else at * at.dtype.type(scale),
+        )
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
@@ -366,7 +372,7 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     _ = ssdr.save(start, f"{folder}/dance.glb")
     ...     ssdr.io.left_out(f"{folder}/dance.glb")
-    ('hierarchy of the joints',)
+    ()
     """
     source = _as_path(path)
     format_ = FORMATS.get(source.suffix.lower())

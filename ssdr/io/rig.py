@@ -1,6 +1,7 @@
 """What formats with a skeleton share: joints, keys, stored weights, and what storing costs.
 
-A bone of a decomposition has no joint of its own.  It gets one at the centroid
+Where bones have a hierarchy, their joints and local transforms are what is
+stored.  A bone without one has no joint of its own.  It gets one at the centroid
 of what it moves, so that an engine that interpolates translation and rotation
 between two keys stays near the surface: a rotation about a far origin would
 sweep the bone along a chord.
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError, check_choice
+from ..hierarchy import from_frames, rest_diagonal, rest_offsets, to_local, to_world, translating
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import BoneModel, Skinning, skin
 
@@ -25,29 +27,23 @@ __all__ = [
     "MAX_BYTES",
     "Error",
     "Rig",
-    "Up",
     "WeightStorage",
     "build_rig",
     "check_size",
-    "check_up",
     "frame_rate",
     "interpolate_quaternions",
+    "join_trees",
     "model_of",
     "quantise",
-    "turn_skinning_up",
-    "turn_up",
     "unique_names",
 ]
 
-Up = Literal["y", "z"]
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
 MAX_BYTES = 16 << 30  # 16 GiB that a file's counts may ask for unless the caller allows more
 _CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
-# a quarter turn about x, which carries z up to y up
-_Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +56,10 @@ class Error:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rig:
-    """A skinning as a skeleton of joints without parents, in the precision of its storage.
+    """A skinning as a skeleton of joints, in the precision of its storage.
+
+    What moves a joint is relative to its parent's frame, at a root and where there is no
+    hierarchy to the world.
 
     Attributes
     ----------
@@ -76,10 +75,19 @@ class Rig:
         Position of each joint.
     scales : (F, B) float32 or None
         None: all are 1.
+    parents : (B,) int32 or None
+        -1 at roots; None without a hierarchy.
+    offsets : (B, 3) float32
+        Position of each joint where nothing moves it; the only one of a joint that does not
+        translate.
+    translating : (B,) bool
+        Whose `translations` are stored.
     keys : (F, B) bool
         Frames that are stored.
     names : tuple of str
     clips : tuple of Clip
+    axes : (B, 3, 3) float64 or None
+        With a hierarchy: how each joint is turned in the rest pose; None: all as the world.
     """
 
     rest: NDArray[np.float32]
@@ -89,9 +97,13 @@ class Rig:
     rotations: NDArray[np.float32]
     translations: NDArray[np.float32]
     scales: NDArray[np.float32] | None
+    parents: NDArray[np.int32] | None
+    offsets: NDArray[np.float32]
+    translating: NDArray[np.bool_]
     keys: NDArray[np.bool_]
     names: tuple[str, ...]
     clips: tuple[Clip, ...]
+    axes: NDArray[np.float64] | None = None
 
     @property
     def n_frames(self) -> int:
@@ -105,7 +117,8 @@ class Rig:
         """Transforms ``(n, B, 3, 4)`` from the stored keys at `times` (in frames).
 
         Between keys translation and scale are interpolated linearly, rotation
-        along the shortest arc, as glTF and UsdSkel prescribe.
+        along the shortest arc, as glTF and UsdSkel prescribe: relative to the
+        parent, where there is one.
         """
         count = self.n_frames
         frame = np.arange(count)[:, None]
@@ -125,6 +138,11 @@ class Rig:
         if self.scales is not None:
             scale = (1 - share) * self.scales[a, bone] + share * self.scales[b, bone]
             rotation = rotation * scale[..., None, None]
+        if self.parents is not None:
+            frames = to_world(np.concatenate([rotation, moved[..., None]], axis=-1), self.parents)
+            if self.axes is not None:
+                frames[..., :3] = frames[..., :3] @ np.swapaxes(self.axes, 1, 2)
+            return from_frames(frames, self.centers)
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
@@ -167,7 +185,7 @@ class Rig:
 
 
 def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | None = None) -> Rig:
-    """Joints at the centroids of what they move, keys without flips, sorted weights.
+    """Joints of the hierarchy, else at the centroids of what bones move; sorted weights.
 
     Parameters
     ----------
@@ -195,7 +213,9 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
             joints.shape[1],
         )
     rotation, scale = _scaled_rotations(skinning)
-    centers = skinning.centroids().astype(np.float32)
+    parents = skinning.parents
+    at = skinning.centroids() if parents is None else skinning.joint_positions
+    centers = np.asarray(at, dtype=np.float32)
     linear = np.asarray(skinning.transforms[..., :3], dtype=np.float64)
     moved = np.einsum("fbij,bj->fbi", linear, centers.astype(np.float64))
     moved += skinning.transforms[..., 3]
@@ -205,6 +225,20 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
     keys = skinning.keyframes
     if keys is None:
         keys = np.ones(skinning.transforms.shape[:2], dtype=bool)
+    offsets, moving = centers, np.ones(len(centers), dtype=bool)
+    if parents is not None:
+        local = to_local(skinning.transforms, parents, skinning.joint_positions)
+        moving = translating(
+            skinning.transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
+        )
+        # A bind matrix and a node of float32 differ in their last bits: the mean has neither's.
+        steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
+        offsets = steady.astype(np.float32)
+        moved = np.where(moving[:, None], local[..., 3], offsets)
+        rotation = local[..., :3]
+        if scale is not None:
+            scale = np.cbrt(np.linalg.det(rotation))
+            rotation = rotation / scale[..., None, None]
     bare = ~keys.any(axis=0)
     if bare.any():
         raise InputError("keyframes", "a key for every bone", f"none for bone {int(bare.argmax())}")
@@ -220,6 +254,9 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
         rotations=unflip_quaternions(quaternion_from_matrix(rotation)).astype(np.float32),
         translations=moved.astype(np.float32),
         scales=None if scale is None else scale.astype(np.float32),
+        parents=parents,
+        offsets=offsets,
+        translating=moving,
         keys=keys,
         names=unique_names(skinning.names()),
         clips=skinning.clips,
@@ -311,12 +348,6 @@ def quantise(
     return np.where(stored > 0, joints, 0).astype(np.int32), stored, values
 
 
-def check_up(up: object, *, optional: bool = False) -> None:
-    """Refuse anything but "y" and "z" (and None where `optional`)."""
-    if up not in ("y", "z") and not (optional and up is None):
-        raise InputError("up", '"y" or "z"' + (" or None" if optional else ""), repr(up))
-
-
 def check_size(n_frames: int, n_vertices: int, max_bytes: int) -> None:
     """Refuse to allocate a sequence that a damaged file claims to hold.
 
@@ -333,33 +364,6 @@ def check_size(n_frames: int, n_vertices: int, max_bytes: int) -> None:
         )
 
 
-def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
-    """Vectors ``(..., 3)`` with the `source` axis up, turned to have `target` up."""
-    if source == target:
-        return values
-    turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
-    return np.asarray(values @ turn.T.astype(values.dtype))
-
-
-def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
-    """A skinning with another axis up: x' = Q x, M' = Q M Q⁻¹."""
-    if source == target:
-        return skinning
-    turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
-    m = np.asarray(skinning.transforms, dtype=np.float64)
-    linear = turn @ m[..., :3] @ turn.T
-    moved = np.concatenate([linear, (m[..., 3] @ turn.T)[..., None]], axis=-1)
-    surface = skinning.surface
-    if surface is not None and surface.normals is not None:
-        surface = dataclasses.replace(surface, normals=turn_up(surface.normals, source, target))
-    return dataclasses.replace(
-        skinning,
-        rest=turn_up(skinning.rest, source, target),
-        transforms=moved.astype(skinning.transforms.dtype),
-        surface=surface,
-    )
-
-
 def model_of(transforms: NDArray[np.float64]) -> BoneModel:
     """The narrowest bone model that holds the transforms to float32 accuracy."""
     linear = transforms[..., :3]
@@ -369,6 +373,19 @@ def model_of(transforms: NDArray[np.float64]) -> BoneModel:
     if (off > 1e-4 * size).any() or (np.linalg.det(linear) <= 0).any():
         return "affine"
     return "rigid" if np.abs(size - 1).max() < 1e-4 else "similarity"
+
+
+def join_trees(
+    trees: Sequence[tuple[NDArray[np.int32], NDArray[np.float64]]],
+) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
+    """Parents and joints of several skeletons as one; None where nothing hangs on anything."""
+    starts = np.cumsum([0, *(len(parents) for parents, _ in trees)])
+    parents = np.concatenate(
+        [np.where(p >= 0, p + k, -1) for (p, _), k in zip(trees, starts[:-1], strict=True)]
+    ).astype(np.int32)
+    if (parents < 0).all():
+        return None, None
+    return parents, np.concatenate([positions for _, positions in trees])
 
 
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:

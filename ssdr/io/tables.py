@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError
+from ..hierarchy import check_parents
 from .atomic import write_bytes
 from .registry import SaveReport, reading
 
@@ -39,6 +40,10 @@ class SkinWeights:
     weights : (V, K) float64
         Non-negative, summing to 1 over K.
     bone_names : tuple of B str
+    parents : (B,) int32 or None
+        -1 at roots; None where the table holds no hierarchy, as no CSV file does.
+    joint_positions : (B, 3) float64 or None
+        By which point of the rest pose each bone hangs on its parent.
 
     Examples
     --------
@@ -54,6 +59,8 @@ class SkinWeights:
     joints: NDArray[np.int32]
     weights: NDArray[np.float64]
     bone_names: tuple[str, ...]
+    parents: NDArray[np.int32] | None = None
+    joint_positions: NDArray[np.float64] | None = None
 
 
 def write_csv(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
@@ -90,10 +97,17 @@ def write_csv(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveRe
 def write_json(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
     """Write ``{"format", "version", "bones", "joints", "weights"}``; exact.
 
+    Where bones have a hierarchy, ``"parents"`` and ``"joint_positions"`` as well.
+
     Parameters as for :func:`write_csv`.
     """
     joints, weights = _given(skinning, unweld)
-    head = json.dumps({"format": _FORMAT, "version": 1, "bones": list(skinning.names())}, indent=1)
+    record: dict[str, Any] = {"format": _FORMAT, "version": 1, "bones": list(skinning.names())}
+    if skinning.parents is not None:
+        record["parents"] = skinning.parents.tolist()
+        at = skinning.joint_positions
+        record["joint_positions"] = [[float(_shortest(x, at.dtype)) for x in p] for p in at]
+    head = json.dumps(record, indent=1)
     lines = [
         "[" + ", ".join(_shortest(w, weights.dtype) for w in row) + "]" for row in weights.tolist()
     ]
@@ -152,6 +166,7 @@ def read_weights(
         text = source.read_text(encoding="utf-8-sig")
         parse = _parse_csv if suffix == ".csv" else _parse_json
         vertex, name_index, weight, names = parse(source, text)
+        hierarchy = _hierarchy(source, text) if suffix == ".json" else None
         order = tuple(names if bones is None else bones)
         unknown = sorted(set(names) - set(order))
         if unknown:
@@ -160,7 +175,9 @@ def read_weights(
         table = _pack(source, vertex, joint, weight, order)
         if n_vertices is not None and len(table.weights) != n_vertices:
             raise FormatError(f"{source}: {len(table.weights)} vertices, expected {n_vertices}")
-        return table
+        if hierarchy is None or set(order) != set(names):  # of further bones nothing is known
+            return table
+        return _with_hierarchy(table, names, *hierarchy)
 
 
 def _given(skinning: Skinning, unweld: bool) -> tuple[NDArray[np.int32], NDArray[Any]]:
@@ -240,6 +257,35 @@ def _parse_json(path: Path, text: str) -> _Table:
     flat = weights.astype(np.float64).ravel()
     keep = flat != 0
     return vertex[keep], joints.ravel()[keep].astype(np.int64), flat[keep], names
+
+
+def _hierarchy(path: Path, text: str) -> tuple[NDArray[np.int32], NDArray[np.float64]] | None:
+    """Parents and joint positions of a table, in its own order."""
+    table = json.loads(text)
+    if "parents" not in table and "joint_positions" not in table:
+        return None
+    parents = check_parents(np.array(table.get("parents")), len(table["bones"]))
+    positions = np.array(table.get("joint_positions"))
+    if positions.shape != (len(parents), 3) or positions.dtype.kind not in "if":
+        raise FormatError(f"{path}: joint_positions are not three numbers for each bone")
+    if not np.isfinite(positions).all():
+        raise FormatError(f"{path}: a joint position is not finite")
+    return parents, positions.astype(np.float64)
+
+
+def _with_hierarchy(
+    table: SkinWeights,
+    names: Sequence[str],
+    parents: NDArray[np.int32],
+    positions: NDArray[np.float64],
+) -> SkinWeights:
+    """The table with the hierarchy of bones `names`, in the table's order."""
+    place = {name: k for k, name in enumerate(table.bone_names)}
+    old = [names.index(name) for name in table.bone_names]
+    above = [place[names[parents[k]]] if parents[k] >= 0 else -1 for k in old]
+    return dataclasses.replace(
+        table, parents=np.array(above, dtype=np.int32), joint_positions=positions[old]
+    )
 
 
 def _pack(

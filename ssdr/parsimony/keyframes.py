@@ -11,7 +11,8 @@ from ..parallel import chunk_bounds, run_chunks
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning
 from ..solver.trajectories import Array
-from .report import KEY_BYTES, time_bytes
+from .report import key_bytes, time_bytes
+from .tree import Tree
 
 __all__ = ["Tracks"]
 
@@ -27,7 +28,10 @@ class Tracks:
 
     A bone is a turn about, and a place of, the centroid of what it moves; between
     keys the place runs straight and the turn along the shortest arc (matrices of
-    affine bones: straight), as engines play them.
+    affine bones: straight), as engines play them.  In a hierarchy turn and place
+    are those of the joint relative to its parent, and what is left out of a joint
+    counts for all that hangs on it, were everything else as it is: what is left
+    out of several joints of a chain may add to more, or to less.
 
     Parameters
     ----------
@@ -41,7 +45,12 @@ class Tracks:
         self.affine = skinning.bone_model == "affine"
         m = np.asarray(skinning.transforms, dtype=np.float64)
         self.centre = skinning.centroids()
-        self.place = np.einsum("tjab,jb->tja", m[..., :3], self.centre) + m[..., 3]
+        self.tree = None if skinning.parents is None else Tree(skinning)
+        if self.tree is None:
+            self.place = np.einsum("tjab,jb->tja", m[..., :3], self.centre) + m[..., 3]
+        else:
+            m = self.tree.local
+            self.place = m[..., 3]
         linear = m[..., :3]
         self.scale = np.ones(m.shape[:2])
         if skinning.bone_model == "similarity":
@@ -50,12 +59,13 @@ class Tracks:
         self.linear = linear
         if not self.affine:
             self.turn = unflip_quaternions(quaternion_from_matrix(linear))
-        self.key_bytes = KEY_BYTES[skinning.bone_model]
+        self.key_bytes = key_bytes(skinning)
         self.time_bytes = time_bytes(len(m))
         self.forced = np.zeros(len(m), dtype=bool)
         self.forced[offsets[:-1]] = self.forced[offsets[1:] - 1] = True
-        self._root, self._mass = self._moments()
-        self._feature = self._features(linear * self.scale[..., None, None], self.place)
+        if self.tree is None:
+            self._root, self._mass = self._moments()
+            self._feature = self._features(linear * self.scale[..., None, None], self.place)
         many = m.shape[0] * m.shape[1] > _MANY
         whole = {int(n) - 1 for n in np.diff(offsets)[:8] if 2 <= n <= _SPANS[-1] + 1}
         usual = {s for s in (_FEW_SPANS if many else _SPANS) if s < max(2, len(m))}
@@ -121,6 +131,10 @@ class Tracks:
                 first = np.repeat(np.arange(i, k)[:, None], n_bones, axis=1)
                 for inner in range(1, span):
                     share = np.full(first.shape, inner / span)
+                    if self.tree is not None:
+                        linear, place = self._mix(first, first + span, share)
+                        cost[i:k] += self.tree.loss(linear, place, slice(i + inner, k + inner))
+                        continue
                     gone = self._between(first, first + span, share)
                     gone -= self._feature[i + inner : k + inner]
                     cost[i:k] += np.einsum("tja,tja->tj", gone, gone)
@@ -133,6 +147,8 @@ class Tracks:
 
     def _standing(self) -> tuple[NDArray[np.intp], Array]:
         """For every bone the frame at which it had best stand still, and what that costs."""
+        if self.tree is not None:
+            return self.tree.standing()
         mean = self._feature.mean(axis=0)
         off = self._feature - mean
         still = np.einsum("tja,tja->tj", off, off).argmin(axis=0)
@@ -141,18 +157,18 @@ class Tracks:
 
     def choose(self, price: float) -> tuple[NDArray[np.bool_], float]:
         """Keys (F, B) of least error where a byte costs `price`, and the squared error added."""
-        byte, price = price, price * (self.key_bytes + self.time_bytes)
+        byte, key = price, price * (self.key_bytes + self.time_bytes)
         n_frames, n_bones = self.place.shape[:2]
         best = np.full((n_frames, n_bones), np.inf)
         came = np.ones(
             (n_frames, n_bones), dtype=np.intp
         )  # where nothing is better, from frame to frame
-        best[0] = price
+        best[0] = key
         for t in range(1, n_frames):
             for k, span in enumerate(self.spans):
                 if span > t:
                     break
-                value = best[t - span] + self.cost[k][t - span] + price
+                value = best[t - span] + self.cost[k][t - span] + key
                 better = value < best[t]
                 best[t, better] = value[better]
                 came[t, better] = span
@@ -164,13 +180,13 @@ class Tracks:
             at = np.maximum(at - came[at, bone], 0)
         keys[0] = True
         count = keys.sum(axis=0)
-        error = np.maximum(best[-1] - price * count, 0.0)
+        error = np.maximum(best[-1] - key * count, 0.0)
         # with a key at every frame no times are stored
-        full = byte * self.key_bytes * n_frames < error + price * count
+        full = byte * self.key_bytes * n_frames < error + key * count
         keys[:, full] = True
         error = np.where(full, 0.0, error)
         whole = np.where(full, byte * self.key_bytes * n_frames, best[-1])
-        still = self.still_cost + price <= whole
+        still = self.still_cost + key <= whole
         keys[:, still] = False
         keys[self.still[still], bone[still]] = True
         return keys, float(np.where(still, self.still_cost, error).sum())
@@ -185,6 +201,9 @@ class Tracks:
         last = np.where(after >= n_frames, before, after)
         share = np.where(last > first, (frame - first) / np.maximum(last - first, 1), 0.0)
         linear, place = self._mix(first, last, share)
+        if self.tree is not None:
+            transforms = self.tree.play(linear, place, keys)
+            return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
         shift = place - np.einsum("tjab,jb->tja", linear, self.centre)
         transforms = np.concatenate([linear, shift[..., None]], axis=-1)
         # keys are what they were, to the last bit

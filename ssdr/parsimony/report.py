@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..hierarchy import rest_diagonal, translating
 from ..skinning import Skinning
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "Size",
     "bytes_of",
     "influence_bytes",
+    "key_bytes",
     "size",
     "time_bytes",
 ]
@@ -53,11 +55,14 @@ class Size:
         A vertex: 1 for the number of its influences; for each of them 2 of
         weight (16 bits) and 1 of index (2 beyond 256 bones).
     joints : int
-        12 a bone: its place in the rest pose.
+        12 a bone: its place in the rest pose.  In a hierarchy 1 more for its
+        parent (2 beyond 256 bones).
     keys : int
         A key: rotation 16 and translation 12 (float32), 4 more for a scale;
-        48 for an affine bone.  A bone without a key at every frame stores the
-        frame of each as well: 2 (4 beyond 65,536 frames).
+        48 for an affine bone.  A joint that does not translate against its
+        parent, and a root that stays, need no translation: 12 less.  A bone
+        without a key at every frame stores the frame of each as well: 2 (4 beyond
+        65,536 frames).
 
     Examples
     --------
@@ -185,7 +190,15 @@ def size(skinning: Skinning) -> Size:
     if skinning.keyframes is not None:
         keys = np.asarray(skinning.keyframes).sum(axis=0)
     used = int(np.count_nonzero(skinning.weights))
-    return bytes_of(skinning.n_vertices, used, frames, keys, skinning.bone_model)
+    return bytes_of(
+        skinning.n_vertices,
+        used,
+        frames,
+        keys,
+        skinning.bone_model,
+        key_bytes=key_bytes(skinning),
+        tree=skinning.parents is not None,
+    )
 
 
 def influence_bytes(bones: int) -> int:
@@ -193,19 +206,45 @@ def influence_bytes(bones: int) -> int:
     return 3 if bones <= 256 else 4
 
 
-def bytes_of(vertices: int, used: int, frames: int, keys: NDArray[Any], bone_model: str) -> Size:
-    """The same from counts: influences that are used, and keys (B,) of each bone."""
-    stored = keys * KEY_BYTES[bone_model] + np.where(keys < frames, keys * time_bytes(frames), 0)
+def key_bytes(skinning: Skinning) -> int | NDArray[np.int64]:
+    """Bytes of a key: of any bone, in a hierarchy of each (B,)."""
+    whole = KEY_BYTES[skinning.bone_model]
+    if skinning.parents is None:
+        return whole
+    tree = skinning.parents, skinning.joint_positions
+    moving = translating(skinning.transforms, *tree, rest_diagonal(skinning.rest))
+    return np.where(moving, whole, whole - TRANSLATION_BYTES)
+
+
+def bytes_of(
+    vertices: int,
+    used: int,
+    frames: int,
+    keys: NDArray[Any],
+    bone_model: str,
+    *,
+    key_bytes: int | NDArray[np.int64] | None = None,
+    tree: bool = False,
+) -> Size:
+    """The same from counts: influences that are used, and keys (B,) of each bone.
+
+    `key_bytes` are those of :func:`key_bytes`, of bones without a hierarchy by default; in a
+    `tree` each bone has a parent as well.
+    """
+    each = KEY_BYTES[bone_model] if key_bytes is None else key_bytes
+    stored = keys * each + np.where(keys < frames, keys * time_bytes(frames), 0)
+    above = (influence_bytes(len(keys)) - 2) if tree else 0
     return Size(
         rest=12 * vertices,
         weights=vertices + used * influence_bytes(len(keys)),
-        joints=12 * len(keys),
+        joints=(12 + above) * len(keys),
         keys=int(stored.sum()),
     )
 
 
 # float32: rotation and translation; a scale as well; a matrix
 KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 48}
+TRANSLATION_BYTES = 12
 
 
 def time_bytes(frames: int) -> int:

@@ -26,7 +26,7 @@ from ..streaming.solve import PASSES, SCANNED, scan_of
 from .fewest_bones import FewestBones, Stopped
 from .pruning import ErrorBudget, TrueError
 from .rank import rank_bound, rank_of, reduced
-from .report import Parsimony, Pruning, bytes_of, size
+from .report import Parsimony, Pruning, bytes_of, key_bytes, size
 
 __all__ = ["SmallestModel", "solve"]
 
@@ -209,7 +209,15 @@ class _Hunt:
         rmse = error if self.problem.tolerance_of == "rmse" else self.solved_error.rmse(s)
         used = int(np.count_nonzero(s.weights))
         keys = np.full(s.n_bones, self.problem.n_frames)
-        stored = bytes_of(s.n_vertices, used, self.problem.n_frames, keys, s.bone_model).total
+        stored = bytes_of(
+            s.n_vertices,
+            used,
+            self.problem.n_frames,
+            keys,
+            s.bone_model,
+            key_bytes=key_bytes(s),
+            tree=s.parents is not None,
+        ).total
         self.smaller.append((model.n_bones, error, stored))
         self.record(rmse, "bones")
 

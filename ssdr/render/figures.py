@@ -62,9 +62,9 @@ def render_frame(
     reference : MeshSequence, optional
         What the subject should be; needed for the error.
     style : {"plain", "weights", "bones", "error"}, optional
-        Clay; coloured by bone weights; bones as balls at the posed centroids of
-        what they move, with their axes; distance to the reference.  By default
-        `weights` for a skinning and `plain` for a sequence.
+        Clay; coloured by bone weights; bones from joint to joint or, without a
+        hierarchy, as balls at the posed centroids of what they move, with their axes;
+        distance to the reference.  By default `weights` for a skinning and `plain` for a sequence.
     size : (int, int)
         Width and height in pixels.
     camera : Camera, optional

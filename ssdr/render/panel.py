@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from .palette import heat, linear_from_srgb, srgb_from_linear
-from .raster import Layer, backdrop, block_mean, draw_balls, draw_mesh, over, shadow
+from .raster import backdrop, block_mean, draw_balls, draw_mesh, over, shadow
 from .scene import Scene, Style, View
+from .skeleton import draw_skeleton
 from .studio import Look, Stage
 
 __all__ = ["draw_panel"]
@@ -16,8 +17,6 @@ __all__ = ["draw_panel"]
 Float = NDArray[np.float64]
 # sRGB, chosen by eye: a light warm grey on which shading shows
 _CLAY = linear_from_srgb([0.84, 0.82, 0.79])
-# sRGB of a bone's x, y and z axes: red, green, blue, as modelling programs draw them
-_AXES = linear_from_srgb([[0.86, 0.27, 0.25], [0.30, 0.66, 0.31], [0.22, 0.45, 0.85]])
 _LARGE = 600  # height in pixels from which triangles are cut more finely
 
 
@@ -54,10 +53,10 @@ def draw_panel(
         layer = draw_balls(camera, large, points, radii, colors)
     if style == "bones":
         picture = over(picture, layer, 0.55)
-        balls = _draw_bones(scene, view, frame, large)
-        # A ball behind the surface shines through it.
-        behind = np.where(layer.nearness > balls.nearness, 0.82, 1.0)
-        picture = over(picture, balls, behind)
+        bones = draw_skeleton(scene, view, frame, large)
+        # A bone behind the surface shines through it.
+        behind = np.where(layer.nearness > bones.nearness, 0.82, 1.0)
+        picture = over(picture, bones, behind)
     else:
         picture = over(picture, layer)
     if supersample > 1:
@@ -97,22 +96,3 @@ def _draw_parts(
     if style == "error":
         return lit.draw(Look.of_errors(scene.parts, scene.errors(frame) / top))
     return lit.draw(Look.of(scene.parts))
-
-
-def _draw_bones(scene: Scene, view: View, frame: int, size: tuple[int, int]) -> Layer:
-    """Balls at the posed centroids; each axis of a bone is a row of small balls."""
-    assert scene.skinning is not None
-    transforms = scene.skinning.transforms[frame].astype(np.float64)
-    turn = transforms[:, :, :3]
-    at = np.einsum("brc,bc->br", turn, scene.centroids) + transforms[:, :, 3] - view.shift[frame]
-    n_bones = len(at)
-    radius = scene.diagonal * 0.022 * min(1.0, (20 / n_bones) ** 0.33)
-    steps = np.linspace(1.0, 2.3, 14) * radius
-    length = np.linalg.norm(turn, axis=1, keepdims=True)
-    axes = np.swapaxes(turn / np.where(length > 0, length, 1.0), 1, 2)
-    ticks = at[:, None, None] + steps[:, None] * axes[:, :, None]
-    shape = (n_bones, 3, len(steps), 3)
-    centers = np.concatenate([at, ticks.reshape(-1, 3)])
-    radii = np.concatenate([np.full(n_bones, radius), np.full(ticks.size // 3, radius * 0.17)])
-    tints = np.broadcast_to(_AXES[None, :, None], shape).reshape(-1, 3)
-    return draw_balls(view.camera, size, centers, radii, np.concatenate([scene.palette, tints]))

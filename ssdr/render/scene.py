@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
+from ..limbs import limb_ends
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .materials import Part, checked_parts, checked_regions
@@ -202,6 +203,14 @@ class Scene:
     def centroids(self) -> Float:
         assert self.skinning is not None
         return np.asarray(self.skinning.centroids(), dtype=np.float64)
+
+    @functools.cached_property
+    def limb_ends(self) -> Float:
+        """Where each bone of a hierarchy ends in the rest pose."""
+        model = self.skinning
+        assert model is not None
+        tree = model.joint_positions, model.parents
+        return limb_ends(*tree, model.rest, model.joints, model.weights)
 
     @functools.cached_property
     def palette(self) -> Float:

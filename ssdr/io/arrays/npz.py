@@ -1,7 +1,8 @@
 """NumPy archives (``.npz``), the package's own format.
 
 A sequence is ``vertices, faces, fps``; a skinning ``rest, joints, weights,
-transforms, faces, fps, format_version``.
+transforms, faces, fps, format_version``, with ``parents, joint_positions`` where it has a
+hierarchy.
 """
 
 from __future__ import annotations
@@ -157,7 +158,7 @@ def read_skinning(path: Path, *, max_bytes: int | None = None) -> Skinning:
         required=_SKINNING,
         optional=(
             *("bone_model", "keyframes", "bone_names", "name", "vertex_map"),
-            *("clip_names", "clip_offsets", "clip_fps"),
+            *("clip_names", "clip_offsets", "clip_fps", "parents", "joint_positions"),
             *_SURFACE,
         ),
         max_bytes=max_bytes,
@@ -183,6 +184,8 @@ def read_skinning(path: Path, *, max_bytes: int | None = None) -> Skinning:
             vertex_map=arrays.get("vertex_map"),
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
+            parents=arrays.get("parents"),
+            joint_positions=arrays.get("joint_positions"),
         )
 
 
@@ -198,7 +201,7 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
         "format_version": np.int64(FORMAT_VERSION),
         "bone_model": np.array(skinning.bone_model),
     }
-    for key in ("keyframes", "vertex_map"):
+    for key in ("keyframes", "vertex_map", "parents", "joint_positions"):
         if getattr(skinning, key) is not None:
             arrays[key] = getattr(skinning, key)
     if skinning.bone_names is not None:

@@ -24,9 +24,11 @@ from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
 from ...sequence import Material, MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path
+from ..axes import Up, check_up, turn_skinning_up, turn_up
 from ..gltf import reader as gltf
+from ..gltf.limbs import write_limbs
 from ..registry import SaveReport, describe, reading
-from ..rig import MAX_BYTES, Up, check_up, model_of, turn_skinning_up, turn_up
+from ..rig import MAX_BYTES, join_trees, model_of
 from .finder import command
 
 __all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
@@ -137,7 +139,8 @@ def read_skinning(
     """Read the skins of an FBX file as they are; a mesh without one becomes one bone.
 
     The rest pose is the mesh where it stands in the first frame, not skinned.  Bones are those
-    that a skin names, with weights or none.
+    that a skin names, with weights or none; each hangs on the nearest bone above it that is one
+    of them.  Where none hangs on another, there is no hierarchy.
 
     Parameters
     ----------
@@ -173,6 +176,7 @@ def read_skinning(
         clips = _clips(arrays, path)
         if len(clips) > 1:
             _log.info("%s: clips %s", path, [clip.name for clip in clips])
+        parents, positions = join_trees([(arrays["parents"], arrays["joint_positions"])])
         model = Skinning(
             arrays["rest"],
             arrays["joints"],
@@ -184,6 +188,8 @@ def read_skinning(
             bone_names=unique_names(json.loads(str(arrays["bones"]))),
             name=_title(arrays, path),
             clips=clips,
+            parents=parents,
+            joint_positions=positions,
         )
         return turn_skinning_up(model, "z", up)
 
@@ -278,13 +284,13 @@ def write_skinning(
             dataclasses.replace(c, name=f"c{k}", fps=_IMPORT_FPS)
             for k, c in enumerate(skinning.clips)
         ]
-        stored = gltf.write_skinning(
-            dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered)),
-            source,
-            influences=influences,
-            up=up,
-            name=title,
-        )
+        model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
+        settings: dict[str, Any] = {"influences": influences, "up": up, "name": title}
+        lengths = None  # without a hierarchy nothing says along what a bone lies
+        if skinning.parents is None:
+            stored = gltf.write_skinning(model, source, **settings)
+        else:
+            stored, lengths = write_limbs(model, source, **settings)
         with atomic_path(path) as temporary:
             job = {
                 "action": "write",
@@ -292,6 +298,7 @@ def write_skinning(
                 "path": str(temporary.resolve()),
                 "fps": skinning.fps,
                 "import_fps": _IMPORT_FPS,
+                "lengths": lengths,
                 "clips": [
                     {"name": one, "action": f"c{k}", "frames": clip.n_frames}
                     for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))

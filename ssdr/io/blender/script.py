@@ -25,15 +25,16 @@ def reset(fps: float) -> None:
     takes.set_rate(fps)
 
 
-def load(path: str) -> None:
+def load(path: str, **options: Any) -> None:
     if path.lower().endswith(".abc"):
         bpy.ops.wm.alembic_import(filepath=path, as_background_job=False, set_frame_range=True)
     elif path.lower().endswith(".fbx"):
         bpy.ops.import_scene.fbx(
             filepath=path, use_anim=True, ignore_leaf_bones=False, anim_offset=0.0
         )
+        disconnect()
     elif path.lower().endswith((".glb", ".gltf")):
-        bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False)
+        bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False, **options)
     else:
         known = bpy.ops.wm.usd_import.get_rna_type().properties.keys()
         as_is = {
@@ -41,6 +42,24 @@ def load(path: str) -> None:
         }  # Blender 4.2 does not know it: it never does
         as_is = {key: value for key, value in as_is.items() if key in known}
         bpy.ops.wm.usd_import(filepath=path, set_frame_range=True, **as_is)
+
+
+def disconnect() -> None:
+    """Let bones slide that begin where another ends: the importer fixes them there."""
+    for item in list(bpy.context.view_layer.objects):
+        if item.type == "ARMATURE" and any(bone.use_connect for bone in item.data.bones):
+            edit(item, lambda bone: setattr(bone, "use_connect", False))
+
+
+def edit(item: Any, change: Any) -> None:
+    """Change each bone of an armature at rest."""
+    hidden, item.hide_viewport = item.hide_viewport, False
+    bpy.context.view_layer.objects.active = item
+    bpy.ops.object.mode_set(mode="EDIT")
+    for bone in item.data.edit_bones:
+        change(bone)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    item.hide_viewport = hidden
 
 
 def list_takes(job: dict[str, Any]) -> None:
@@ -196,6 +215,13 @@ def lay_out(clips: list[dict[str, Any]]) -> None:
             strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
 
 
+def set_lengths(lengths: dict[str, float]) -> None:
+    """How far the bones reach, by name."""
+    for item in bpy.context.scene.objects:
+        if item.type == "ARMATURE":
+            edit(item, lambda b: setattr(b, "length", lengths.get(b.name, b.length)))
+
+
 def sew(item: Any) -> None:
     """One vertex for each of the package's, where glTF needed one for each normal and UV.
 
@@ -260,7 +286,11 @@ def copies(faces: Any) -> Any:
 
 def write(job: dict[str, Any]) -> None:
     reset(job["import_fps"])
-    load(job["source"])
+    if job["lengths"] is None:
+        load(job["source"])
+    else:
+        load(job["source"], bone_heuristic="BLENDER")  # bones lie along their own y axis
+        set_lengths(job["lengths"])
     takes.set_rate(job["fps"])
     items = meshes()
     for item in items:

@@ -95,7 +95,16 @@ class Armature:
         self.item = item
         bones = [bone for bone in item.data.bones if bone.use_deform and bone.name in named]
         self.names = [bone.name for bone in bones]
+        self.parents = [self._above(bone) for bone in bones]
+        self.heads = matrix([bone.matrix_local.translation for bone in bones]).reshape(-1, 3)
         self._unrest = [np.linalg.inv(matrix(bone.matrix_local)) for bone in bones]
+
+    def _above(self, bone: Any) -> int:
+        """Number of the nearest bone above that counts, -1 where there is none."""
+        above = bone.parent
+        while above is not None and above.name not in self.names:
+            above = above.parent
+        return -1 if above is None else self.names.index(above.name)
 
     def pose(self, graph: Any) -> Any:
         """Transforms ``(B, 4, 4)`` from armature space at rest to world space."""
@@ -171,6 +180,8 @@ class Model:
     def arrays(self) -> dict[str, Any]:
         names: list[str] = []
         transforms: list[Any] = []
+        parents: list[int] = []
+        heads: list[Any] = []  # joints, where the rest pose is
         joints: list[Any] = []
         weights: list[Any] = []
         shared: dict[str, int] = {}
@@ -185,6 +196,10 @@ class Model:
                     start = len(names)
                     names += own
                     transforms.append(np.array(self.poses[key]) @ seat[:, None])
+                    armature = self.armatures[key]
+                    parents += [start + a if a >= 0 else -1 for a in armature.parents]
+                    back = np.linalg.inv(seat[0])
+                    heads.append(armature.heads @ back[:3, :3].T + back[:3, 3])
                     if len(seat) == 1:
                         shared[key] = start
             bones, amounts = skin.influences(own)
@@ -194,6 +209,8 @@ class Model:
                 numbers[still] = len(names)
                 names.append(skin.item.name)
                 transforms.append(np.array(self.places[k])[:, None])
+                parents.append(-1)
+                heads.append(skin.place[None, :3, 3])
             joints.append(np.where(amounts > 0, numbers, 0))
             weights.append(amounts)
         width = max(j.shape[1] for j in joints)
@@ -207,4 +224,6 @@ class Model:
             "weights": np.concatenate([wide(w) for w in weights]),
             "transforms": np.concatenate(transforms, axis=1)[:, :, :3],
             "bones": np.array(json.dumps(names)),
+            "parents": np.array(parents),
+            "joint_positions": np.concatenate(heads),
         }

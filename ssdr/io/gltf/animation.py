@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,12 @@ class World:
                 order.append(node)
                 stack.extend(reversed(document.array(self.nodes[node], "children")))
         return order
+
+    def above(self, node: int) -> Iterator[int]:
+        """The ancestors of a node, the nearest first."""
+        while node in self._parent:
+            node = self._parent[node]
+            yield node
 
     def matrices(self, node: int) -> NDArray[np.float64]:
         """Global transforms ``(F, 4, 4)`` of a node, or ``(1, 4, 4)`` of one that stands still."""

@@ -86,6 +86,25 @@ class Part:
         position = document.item("accessors", primitive["attributes"]["POSITION"])
         return _triangles(document, primitive, int(position["count"]))
 
+    def hierarchy(self, world: World) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Parents (B,) and joints (B, 3) in the rest pose: a mesh without a skin hangs on none."""
+        if self.skin is None:
+            return np.full(1, -1, dtype=np.int32), np.zeros((1, 3))
+        joints, inverse = _skin(world.document, self.skin)
+        number = {joint: k for k, joint in enumerate(joints)}
+        parents = [next((number[a] for a in world.above(j) if a in number), -1) for j in joints]
+        # a joint of size 0 in the rest pose is nowhere
+        usable = np.abs(np.linalg.det(inverse[:, :3, :3])) > 1e-30
+        bind = np.linalg.inv(np.where(usable[:, None, None], inverse, np.eye(4)))
+        return np.array(parents, dtype=np.int32), bind[:, :3, 3]
+
+    def has_axes(self, document: Document) -> bool:
+        """True where joints of the rest pose are turned against the axes of the world."""
+        if self.skin is None:
+            return False
+        linear = _skin(document, self.skin)[1][:, :3, :3]
+        return bool(np.abs(linear - np.eye(3)).max() > 1e-6)
+
     def bone_names(self, document: Document) -> list[str]:
         nodes = [self.node] if self.skin is None else _skin(document, self.skin)[0]
         return [str(document.item("nodes", k).get("name", f"node_{k}")) for k in nodes]

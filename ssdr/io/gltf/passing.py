@@ -108,8 +108,8 @@ def _left_out(document: Document, wanted: list[str] | None) -> list[str]:
         found |= dict.fromkeys(_of_material(document.item("materials", number)))
     if len({part.node for part in parts}) > 1:
         found["names and number of the meshes"] = None
-    if any(part.skin is not None for part in parts):
-        found["hierarchy of the joints"] = None
+    if any(part.has_axes(document) for part in parts):
+        found["orientations of the joints"] = None
     for key, what in (("cameras", "cameras"), ("scenes", "scenes but the first")):
         if len(document.items(key)) > (key == "scenes"):
             found[what] = None

@@ -15,7 +15,7 @@ from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
 from ...skinning import Skinning, skin
 from ..registry import reading
-from ..rig import MAX_BYTES, check_size, model_of, unique_names
+from ..rig import MAX_BYTES, check_size, join_trees, model_of, unique_names
 from .animation import Animation, World, choose, every, title
 from .document import Document
 from .mesh import Part, check_meshes, join_surface, read_parts
@@ -123,6 +123,9 @@ def read_skinning(
 ) -> Skinning:
     """Read skins as they are; a mesh without a skin becomes one bone that carries it.
 
+    A joint hangs on the nearest node above it that is a joint of the same skin.  Where none
+    hangs on another, there is no hierarchy.
+
     Parameters
     ----------
     path : Path
@@ -170,6 +173,8 @@ def read_skinning(
         ]
         weights = np.concatenate([_widen(part.weights, width) for part in parts])
         faces = _join_faces(parts)
+        trees = {key: part.hierarchy(world) for key, part in zip(bones, parts, strict=True)}
+        parents, positions = join_trees([trees[key] for key in order])
         return Skinning(
             np.concatenate([part.rest(world) for part in parts]),
             np.where(weights > 0, np.concatenate(joints), 0),
@@ -181,6 +186,8 @@ def read_skinning(
             bone_names=unique_names(names),
             name=title(document),
             clips=_clips(chosen),
+            parents=parents,
+            joint_positions=positions,
         )
 
 

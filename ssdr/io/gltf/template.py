@@ -161,12 +161,11 @@ class Template:
             if not mesh["extras"]:
                 del mesh["extras"]
 
-    def put_nodes(self, skin: int, skeleton: dict[str, Any], bones: list[dict[str, Any]]) -> int:
-        """Add joints under one node at the top of the scenes; number of the first joint."""
+    def put_nodes(self, skin: int, added: list[dict[str, Any]]) -> None:
+        """Add the node of a skeleton at the top of the scenes, and its joints after it."""
         nodes = self.json["nodes"]
         top = len(nodes)
-        nodes.append({**skeleton, "children": list(range(top + 1, top + 1 + len(bones)))})
-        nodes.extend(bones)
+        nodes.extend(added)
         replaced = self.replaced()
         for scene in self.json.get("scenes", []):
             if replaced & self._below(scene.get("nodes", [])):
@@ -175,7 +174,6 @@ class Template:
             nodes[node]["skin"] = skin
             if any(part.node == node and part.skin is None for part in self.parts):
                 self._turn_round(node)
-        return top + 1
 
     def _turn_round(self, node: int) -> None:
         """Take a mesh out from under a transform that mirrors or flattens it.

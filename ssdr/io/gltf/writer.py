@@ -12,15 +12,17 @@ from numpy.typing import NDArray
 
 from ...clips import Clip
 from ...errors import InputError
+from ...rigid import quaternion_from_matrix
 from ...sequence import Material
 from ...skinning import Skinning
+from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
 from ..registry import SaveReport, seconds
-from ..rig import Rig, Up, WeightStorage, build_rig, check_up, quantise, turn_skinning_up
+from ..rig import Rig, WeightStorage, build_rig, quantise
 from .builder import ARRAY, ELEMENTS, Builder
 from .template import Template, open_template
 
-__all__ = ["write_skinning"]
+__all__ = ["plain", "write_skinning"]
 
 
 def write_skinning(
@@ -94,7 +96,7 @@ def write_skinning(
     notes = ["glTF takes the unit for metres"]
     lost: list[str] = []
     if template is None:
-        size = _plain(model, rig, joints, stored, title, notes).save(path)
+        size = plain(model, rig, joints, stored, title, notes).save(path)
     else:
         if up != "y":
             raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
@@ -119,7 +121,7 @@ def write_skinning(
     )
 
 
-def _plain(
+def plain(
     model: Skinning,
     rig: Rig,
     joints: NDArray[np.int32],
@@ -138,11 +140,10 @@ def _plain(
     _mesh(document, model, rig, corners, joints, stored, title, notes)
     # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
-    bones = _bones(rig)
     document.json["nodes"] = [
         {"name": title, "mesh": 0, "skin": 0},
-        {"name": f"{title}_skeleton", "children": list(range(2, 2 + len(bones)))},
-        *bones,
+        {"name": f"{title}_skeleton", "children": _children(rig, 2)},
+        *_bones(rig, 2),
     ]
     document.json["scenes"] = [{"name": title, "nodes": [0, 1]}]
     document.json["skins"] = [_skin(document, rig, title, 2)]
@@ -162,7 +163,9 @@ def _put(
         rig.rest, lambda index: _influences(document, joints[index], stored[index], rig.n_bones)
     )
     skins = json.setdefault("skins", [])
-    first = old.put_nodes(len(skins), {"name": f"{title}_skeleton"}, _bones(rig))
+    first = len(json["nodes"]) + 1
+    top = {"name": f"{title}_skeleton", "children": _children(rig, first)}
+    old.put_nodes(len(skins), [top, *_bones(rig, first)])
     skins.append(_skin(document, rig, title, first))
     found: set[int] = set()
     added = []
@@ -304,11 +307,26 @@ def _material(document: Builder, material: Material, notes: list[str]) -> dict[s
     return item
 
 
-def _bones(rig: Rig) -> list[dict[str, Any]]:
-    return [
-        {"name": bone, "translation": [float(x) for x in center]}
-        for bone, center in zip(rig.names, rig.centers, strict=True)
-    ]
+def _children(rig: Rig, first: int, bone: int = -1) -> list[int]:
+    """Nodes of the joints that hang on a bone, on the skeleton's own node where it is -1."""
+    if rig.parents is None:
+        return list(range(first, first + rig.n_bones)) if bone < 0 else []
+    return [first + int(k) for k in np.flatnonzero(rig.parents == bone)]
+
+
+def _bones(rig: Rig, first: int) -> list[dict[str, Any]]:
+    """Nodes of the joints, which will be numbered from `first` on."""
+    nodes: list[dict[str, Any]] = []
+    for bone, name in enumerate(rig.names):
+        nodes.append({"name": name, "translation": [float(x) for x in rig.offsets[bone]]})
+        if rig.axes is not None and rig.parents is not None:
+            above = rig.axes[rig.parents[bone]] if rig.parents[bone] >= 0 else np.eye(3)
+            turned = quaternion_from_matrix(above.T @ rig.axes[bone])
+            nodes[-1]["rotation"] = [float(x) for x in turned]
+        children = _children(rig, first, bone)
+        if children:
+            nodes[-1]["children"] = children
+    return nodes
 
 
 def _skin(document: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
@@ -316,6 +334,9 @@ def _skin(document: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]
     count = rig.n_bones
     inverse = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
     inverse[:, 3, :3] = -rig.centers  # column-major: the translation is the last row here
+    if rig.axes is not None:
+        inverse[:, :3, :3] = rig.axes
+        inverse[:, 3, :3] = -np.einsum("bji,bj->bi", rig.axes, rig.centers.astype(np.float64))
     return {
         "name": title,
         "inverseBindMatrices": document.accessor(inverse.reshape(count, 16), "MAT4"),
@@ -336,10 +357,9 @@ def _animation(
         if keys.tobytes() not in stamps:
             times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)
             stamps[keys.tobytes()] = document.accessor(times, "SCALAR", bounds=True)
-        tracks = [
-            ("translation", rig.translations[keys, bone], "VEC3"),
-            ("rotation", rig.rotations[keys, bone], "VEC4"),
-        ]
+        tracks = [("rotation", rig.rotations[keys, bone], "VEC4")]
+        if rig.translating[bone]:
+            tracks.insert(0, ("translation", rig.translations[keys, bone], "VEC3"))
         if rig.scales is not None:
             tracks.append(("scale", np.repeat(rig.scales[keys, bone][:, None], 3, axis=1), "VEC3"))
         for track, values, kind in tracks:

@@ -14,20 +14,13 @@ from numpy.typing import NDArray
 from ...clips import Clip, in_order, pick, unique_names
 from ...errors import FormatError
 from ...sequence import MeshSequence
-from ...skinning import Skinning, skin
+from ...skinning import Skinning
+from ..axes import Up, check_up, turn_skinning_up, turn_up
 from ..registry import reading, require
-from ..rig import (
-    MAX_BYTES,
-    Up,
-    check_size,
-    check_up,
-    frame_rate,
-    model_of,
-    turn_skinning_up,
-    turn_up,
-)
+from ..rig import MAX_BYTES, check_size, frame_rate, join_trees, model_of
+from .mesh import Mesh
 from .stage import Take, name_of, open_stage, takes_of
-from .surface import Polygons, join_surface
+from .surface import join_surface
 
 __all__ = ["list_clips", "read", "read_skinning"]
 
@@ -118,6 +111,8 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
 def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
     """Read UsdSkel skins as they are; a rigid mesh without one becomes one bone.
 
+    Joints hang on each other as their paths say; where none does, there is no hierarchy.
+
     Parameters
     ----------
     path, up
@@ -143,6 +138,7 @@ def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
                 points = [mesh.points(codes[0]) for mesh in meshes]
                 polygons = [mesh.polygons for mesh in meshes]
                 faces, surface = join_surface(path, stage, polygons, codes[0])
+                parents, positions = _hierarchy(meshes)
         width = max(mesh.joints.shape[1] for mesh in meshes)
 
         def wide(values: NDArray[Any]) -> NDArray[Any]:
@@ -163,11 +159,13 @@ def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
             surface=surface,
             bone_names=unique_names(names),
             name=name_of(stage, path),
+            parents=parents,
+            joint_positions=positions,
         )
         return model if up is None else turn_skinning_up(model, _up(stage), up)
 
 
-def _bones(meshes: list[_Mesh]) -> tuple[dict[Any, int], list[str]]:
+def _bones(meshes: list[Mesh]) -> tuple[dict[Any, int], list[str]]:
     """First bone of each skeleton, and the names of all bones."""
     starts: dict[Any, int] = {}
     names: list[str] = []
@@ -178,7 +176,13 @@ def _bones(meshes: list[_Mesh]) -> tuple[dict[Any, int], list[str]]:
     return starts, names
 
 
-def _transforms(path: Path, meshes: list[_Mesh], codes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _hierarchy(meshes: list[Mesh]) -> tuple[Any, Any]:
+    """Parents and joints of all bones, None where nothing hangs on anything."""
+    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
+    return join_trees([first[key].hierarchy() for key in _bones(meshes)[0]])
+
+
+def _transforms(path: Path, meshes: list[Mesh], codes: NDArray[np.float64]) -> NDArray[np.float64]:
     if any(mesh.deforms for mesh in meshes):
         raise FormatError(
             f"{path}: points or blend shapes move a mesh, which no skinning holds; "
@@ -196,7 +200,7 @@ def _up(stage: Any) -> Up:
     return "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
 
 
-def _open(path: Path, take: Take) -> tuple[Any, list[_Mesh]]:
+def _open(path: Path, take: Take) -> tuple[Any, list[Mesh]]:
     from pxr import Usd, UsdGeom, UsdSkel
 
     stage = open_stage(path)
@@ -225,7 +229,7 @@ def _open(path: Path, take: Take) -> tuple[Any, list[_Mesh]]:
         ):
             _log.info("%s: %s is not shown and left out", path, prim.GetPath())
             continue
-        meshes.append(_Mesh(path, prim, *bound.get(str(prim.GetPath()), (None, None))))
+        meshes.append(Mesh(path, prim, *bound.get(str(prim.GetPath()), (None, None))))
     if not meshes:
         raise FormatError(f"{path}: no visible mesh")
     _log.info(
@@ -237,7 +241,7 @@ def _open(path: Path, take: Take) -> tuple[Any, list[_Mesh]]:
     return stage, meshes
 
 
-def _clock(stage: Any, meshes: list[_Mesh], fps: float | None, take: Take) -> _Clock:
+def _clock(stage: Any, meshes: list[Mesh], fps: float | None, take: Take) -> _Clock:
     tempo = float(stage.GetTimeCodesPerSecond())
     if not (math.isfinite(tempo) and tempo > 0):
         raise FormatError(f"timeCodesPerSecond is {tempo}")
@@ -262,139 +266,3 @@ def _clock(stage: Any, meshes: list[_Mesh], fps: float | None, take: Take) -> _C
     check_size(int(min(need, 1e15)), 1, MAX_BYTES)
     count = np.arange(math.floor(need + 1e-3) + 1, dtype=np.float64)
     return rate, np.asarray(first + count * (tempo / rate), dtype=np.float64)
-
-
-class _Mesh:
-    """One mesh prim and what moves it."""
-
-    def __init__(self, path: Path, prim: Any, skeleton: Any, query: Any) -> None:
-        from pxr import Usd, UsdGeom, UsdSkel
-
-        self.path, self.prim = path, prim
-        self.polygons = Polygons(path, prim)
-        self._attribute = UsdGeom.Mesh(prim).GetPointsAttr()
-        self._skeleton: Any = skeleton if query is not None and query.HasJointInfluences() else None
-        self._query = query
-        self._shapes = None
-        if query is not None and query.HasBlendShapes() and skeleton.GetAnimQuery():
-            self._shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
-            self._shaper = skeleton.GetAnimQuery()
-        self.n_points = len(self._raw(Usd.TimeCode.EarliestTime()))
-        self.polygons.check(self.n_points)
-        self.bones_key: Any = str(prim.GetPath())
-        self.bone_names = [str(prim.GetName())]
-        self.joints = np.zeros((self.n_points, 1), dtype=np.int32)
-        self.weights = np.ones((self.n_points, 1))
-        if self._skeleton is not None:
-            self._read_influences()
-
-    def _fail(self, what: str) -> FormatError:
-        return FormatError(f"{self.path}: {self.prim.GetPath()}: {what}")
-
-    def _read_influences(self) -> None:
-        query = self._query
-        if str(query.GetSkinningMethod()) == "dualQuaternion":
-            raise self._fail("dual quaternion skinning; linear blend skinning is read")
-        found = query.ComputeVaryingJointInfluences(self.n_points)
-        if not found:
-            raise self._fail("its joint influences do not match its points")
-        joints = np.array(found[0], dtype=np.int64).reshape(self.n_points, -1)
-        weights = np.array(found[1], dtype=np.float64).reshape(self.n_points, -1)
-        order = query.GetJointOrder() or self._skeleton.GetJointOrder()
-        if not joints.shape[1] or joints.min() < 0 or joints.max() >= len(order):
-            raise self._fail(f"a joint index outside 0 to {len(order) - 1}")
-        total = weights.sum(axis=1, keepdims=True)
-        if not np.isfinite(weights).all() or (weights < 0).any() or (total <= 0).any():
-            raise self._fail("skin weights that are negative, not finite or all zero")
-        if np.abs(total - 1).max() > 1e-3:
-            _log.warning("%s: skin weights that do not sum to 1 are scaled", self.prim.GetPath())
-        self.joints = np.where(weights > 0, joints, 0).astype(np.int32)
-        self.weights = weights / total
-        self._bind = np.array(query.GetGeomBindTransform(), dtype=np.float64).T
-        self.bone_names = [str(token).rsplit("/", 1)[-1] for token in order]
-        place = str(self._skeleton.GetSkeleton().GetPrim().GetPath())
-        self.bones_key = (place, tuple(map(str, order)), self._bind.tobytes())
-
-    @property
-    def deforms(self) -> bool:
-        if len(self._attribute.GetTimeSamples()) > 1:
-            return True
-        return self._shapes is not None and self._shaper.BlendShapeWeightsMightBeTimeVarying()
-
-    def stamps(self) -> NDArray[np.float64]:
-        """Time codes at which anything about this mesh is sampled."""
-        from pxr import UsdGeom
-
-        found = list(self._attribute.GetTimeSamples())
-        if self._skeleton is not None and self._skeleton.GetAnimQuery():
-            found += self._skeleton.GetAnimQuery().GetJointTransformTimeSamples()
-        if self._shapes is not None:
-            found += self._shaper.GetBlendShapeWeightTimeSamples()
-        prim = self.prim if self._skeleton is None else self._skeleton.GetPrim()
-        while prim and not prim.IsPseudoRoot():
-            if prim.IsA(UsdGeom.Xformable):
-                found += UsdGeom.Xformable(prim).GetTimeSamples()
-            prim = prim.GetParent()
-        return np.array(found, dtype=np.float64)
-
-    def _raw(self, code: Any) -> NDArray[np.float64]:
-        values = self._attribute.Get(code)
-        if values is None or not len(values):
-            raise self._fail("no points")
-        return np.array(values, dtype=np.float64)
-
-    def points(self, code: float) -> NDArray[np.float64]:
-        """Points before skinning ``(V, 3)``, blend shapes applied."""
-        points = self._raw(code)
-        if len(points) != self.n_points:
-            raise self._fail(f"{self.n_points} points at first, {len(points)} at {code:g}")
-        if self._shapes is None:
-            return points
-        weights = self._shaper.ComputeBlendShapeWeights(code)
-        mapper = self._query.GetBlendShapeMapper()
-        if mapper:
-            weights = mapper.Remap(weights)
-        amounts, shapes, parts = self._shapes.ComputeSubShapeWeights(weights)
-        rows, offsets = (
-            self._shapes.ComputeBlendShapePointIndices(),
-            self._shapes.ComputeSubShapePointOffsets(),
-        )
-        for amount, shape, part in zip(amounts, shapes, parts, strict=True):
-            moved = np.array(offsets[part], dtype=np.float64).reshape(-1, 3)
-            row = np.array(rows[shape], dtype=np.int64)
-            row = row if len(row) else np.arange(self.n_points)
-            if len(row) != len(moved) or row.min() < 0 or row.max() >= self.n_points:
-                raise self._fail("a blend shape that does not match its points")
-            np.add.at(points, row, amount * moved)
-        return points
-
-    def transforms(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transforms ``(F, B, 3, 4)`` from points to world space."""
-        return np.stack([self._transforms_at(code) for code in codes])
-
-    def _transforms_at(self, code: float) -> NDArray[np.float64]:
-        from pxr import UsdGeom
-
-        world = UsdGeom.XformCache(code)
-        if self._skeleton is None:
-            return np.array(world.GetLocalToWorldTransform(self.prim)).T[None, :3]
-        found = self._skeleton.ComputeSkinningTransforms(code)
-        if not found:
-            raise self._fail("its skeleton has no usable bind or rest transforms")
-        mapper = self._query.GetJointMapper()
-        if mapper and not mapper.IsIdentity():
-            found = mapper.RemapTransforms(found)
-        place = np.array(world.GetLocalToWorldTransform(self._skeleton.GetPrim())).T
-        matrices = np.swapaxes(np.array(found, dtype=np.float64).reshape(-1, 4, 4), 1, 2)
-        return np.asarray((place @ matrices @ self._bind)[:, :3])
-
-    def bake(self, codes: NDArray[np.float64], out: NDArray[np.float32]) -> None:
-        """Points in world space at each time code."""
-        for frame, code in enumerate(codes):
-            out[frame] = skin(
-                self.points(float(code)),
-                self.joints,
-                self.weights,
-                self._transforms_at(float(code)),
-                dtype=np.float64,
-            )

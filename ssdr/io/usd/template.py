@@ -18,8 +18,9 @@ from ..carried import carry_normals
 from ..registry import SaveReport, reading, require
 from ..rig import Rig
 from .reader import _clock, _open
+from .skeleton import bind, put_skeleton
 from .stage import Take, open_stage, takes_of
-from .writer import _system_errors, bind, put_skeleton
+from .writer import _system_errors
 
 __all__ = ["copy", "left_out", "put", "template_problem"]
 
@@ -55,8 +56,8 @@ def left_out(path: Path) -> tuple[str, ...]:
                 name = str(primvar.GetPrimvarName())
                 if name not in ("st", "normals") and not name.startswith("skel:"):
                     found[f"the primvar {name}"] = None
-            if mesh._skeleton is not None:
-                found["hierarchy of the joints"] = None
+            if mesh.has_axes:
+                found["orientations of the joints"] = None
         if len(meshes) > 1:
             found["names and number of the meshes"] = None
         for prim in stage.Traverse():
@@ -179,7 +180,7 @@ def put(
     _remove_skeletons(stage, old, takes)
     place = _free(stage, scope, "Skeleton")
     tempo = float(stage.GetTimeCodesPerSecond())
-    put_skeleton(stage, place, rig, "", tempo, starts)
+    tokens = put_skeleton(stage, place, rig, "", tempo, starts)
     from pxr import UsdGeom
 
     # What the model's bones say is where the mesh stands in the world.
@@ -190,7 +191,7 @@ def put(
         index = spread[begin : begin + mesh.n_points]
         begin += mesh.n_points
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
-        _put_mesh(prim, mesh, rig, index, place, first)
+        _put_mesh(prim, mesh, rig, index, place, first, tokens)
     last = max(
         starts.get(clip.name, 0.0) + (clip.n_frames - 1) * tempo / clip.fps
         for clip in rig.clips[:1]
@@ -266,7 +267,13 @@ def _remove_skeletons(stage: Any, old: set[str], takes: list[Take]) -> None:
 
 
 def _put_mesh(
-    prim: Any, mesh: Any, rig: Rig, index: NDArray[np.integer], skeleton: Any, first: float
+    prim: Any,
+    mesh: Any,
+    rig: Rig,
+    index: NDArray[np.integer],
+    skeleton: Any,
+    first: float,
+    tokens: list[str] | None,
 ) -> None:
     from pxr import Gf, Usd, UsdGeom, Vt
 
@@ -291,7 +298,8 @@ def _put_mesh(
         box = np.stack([stored.min(axis=0), stored.max(axis=0)])
         extent.Set(Vt.Vec3fArray.FromNumpy(box))
     _put_normals(prim, mesh, source, points)
-    bind(prim, rig.joints[index], rig.weights[index], skeleton, local)
+    prim.RemoveProperty("skel:joints")  # the order of the old skeleton
+    bind(prim, rig.joints[index], rig.weights[index], skeleton, local, tokens)
 
 
 def _put_normals(

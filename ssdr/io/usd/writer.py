@@ -14,14 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip
 from ...errors import InputError
 from ...sequence import MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path, write_bytes
+from ..axes import Up, check_up
 from ..corners import corner_normals
 from ..registry import SaveReport, require
-from ..rig import Error, Rig, Up, build_rig, check_up, unique_names
+from ..rig import Error, build_rig, unique_names
+from .skeleton import bind, identifier, put_skeleton
 
 __all__ = ["write_sequence", "write_skinning"]
 
@@ -112,7 +113,7 @@ def write_skinning(
         root = UsdSkel.Root.Define(stage, _root(name or skinning.name or path.stem))
         stage.SetDefaultPrim(root.GetPrim())
         top = root.GetPath()
-        put_skeleton(stage, top.AppendChild("Skeleton"), rig, skinning.name, first.fps)
+        tokens = put_skeleton(stage, top.AppendChild("Skeleton"), rig, skinning.name, first.fps)
         mesh = _mesh(stage, top, skinning.faces, skinning.surface, path, notes)
         mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
         extent = np.stack([rig.rest.min(axis=0), rig.rest.max(axis=0)])
@@ -120,7 +121,8 @@ def write_skinning(
         if len(skinning.faces):
             normals = corner_normals(rig.rest, skinning.faces, skinning.surface)
             _primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals.reshape(-1, 3))
-        bind(mesh.GetPrim(), rig.joints, rig.weights, top.AppendChild("Skeleton"), Gf.Matrix4d(1.0))
+        skeleton = top.AppendChild("Skeleton")
+        bind(mesh.GetPrim(), rig.joints, rig.weights, skeleton, Gf.Matrix4d(1.0), tokens)
     return _report(path, width, error, between, notes, lost)
 
 
@@ -137,22 +139,6 @@ def _report(
         note="; ".join(notes),
         lost=tuple(lost),
     )
-
-
-def bind(
-    prim: Any, joints: NDArray[np.int32], weights: NDArray[np.float64], skeleton: Any, place: Any
-) -> None:
-    """Skin weights of a mesh, its skeleton's path, and where its points stand in the bind pose."""
-    from pxr import UsdSkel, Vt
-
-    binding = UsdSkel.BindingAPI.Apply(prim)
-    width = joints.shape[1]
-    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints.reshape(-1)))
-    binding.CreateJointWeightsPrimvar(False, width).Set(
-        Vt.FloatArray.FromNumpy(weights.astype(np.float32).reshape(-1))
-    )
-    binding.CreateSkeletonRel().SetTargets([skeleton])
-    binding.CreateGeomBindTransformAttr(place)
 
 
 def write_sequence(
@@ -238,73 +224,7 @@ def _system_errors(path: Path) -> Iterator[None]:
 
 
 def _root(name: str) -> str:
-    return "/" + _identifier(name)
-
-
-def _identifier(name: str) -> str:
-    from pxr import Tf
-
-    return str(Tf.MakeValidIdentifier(_text(name)))
-
-
-def _text(name: str) -> str:
-    """A name that UTF-8 can hold: glTF's may have halves of a character."""
-    return name.encode("utf-8", "replace").decode()
-
-
-def put_skeleton(
-    stage: Any,
-    place: Any,
-    rig: Rig,
-    title: str,
-    tempo: float,
-    starts: Mapping[str, float] | None = None,
-) -> None:
-    """Skeleton and animations at a path; clips begin at time code 0 where `starts` says nothing."""
-    from pxr import Gf, UsdSkel, Vt
-
-    tokens = unique_names([_identifier(bone) for bone in rig.names])
-    skeleton = UsdSkel.Skeleton.Define(stage, place)
-    skeleton.CreateJointsAttr(tokens)
-    if tokens != rig.names:
-        skeleton.CreateJointNamesAttr([_text(name) for name in rig.names])
-    rest = [Gf.Matrix4d(1.0).SetTranslate(Gf.Vec3d(*map(float, c))) for c in rig.centers]
-    skeleton.CreateBindTransformsAttr(Vt.Matrix4dArray(rest))
-    skeleton.CreateRestTransformsAttr(Vt.Matrix4dArray(rest))
-    alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
-    names = ["Animation" if alone else _identifier(c.name) for c in rig.clips]
-    places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
-    for where, clip in zip(places, rig.clips, strict=True):
-        animation = UsdSkel.Animation.Define(stage, where)
-        animation.CreateJointsAttr(tokens)
-        start = (starts or {}).get(clip.name, 0.0)
-        _keys(animation, rig, clip, tempo, start)
-        stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
-        if start:
-            stated["start"] = start
-        if not alone:
-            stated["name"] = clip.name
-        animation.GetPrim().SetCustomDataByKey("ssdr", stated)
-    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
-    binding.CreateAnimationSourceRel().SetTargets([places[0]])
-
-
-def _keys(animation: Any, rig: Rig, clip: Clip, tempo: float, start: float) -> None:
-    """The keys of a clip, its first frame at time code `start`."""
-    from pxr import Vt
-
-    moved, turned = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
-    scaled = animation.CreateScalesAttr()
-    ones = np.ones((rig.n_bones, 3), dtype=np.float16)
-    if rig.scales is None:
-        scaled.Set(Vt.Vec3hArray.FromNumpy(ones))
-    for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
-        code = start + float(frame - clip.start) * (tempo / clip.fps)
-        moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame]), code)
-        turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame]), code)
-        if rig.scales is not None:
-            sizes = rig.scales[frame][:, None].astype(np.float16)
-            scaled.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
+    return "/" + identifier(name)
 
 
 def _mesh(
@@ -348,7 +268,7 @@ def _materials(
     from pxr import Gf, Sdf, UsdShade, Vt
 
     types = Sdf.ValueTypeNames
-    names = unique_names([_identifier(m.name) for m in surface.materials])
+    names = unique_names([identifier(m.name) for m in surface.materials])
     looks = []
     for name, material in zip(names, surface.materials, strict=True):
         place = top.AppendChild("Looks").AppendChild(name)

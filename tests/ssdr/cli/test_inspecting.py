@@ -10,6 +10,7 @@ import pytest
 
 import ssdr
 from helpers.command import model_of
+from helpers.rig_tree import PARENTS, creature, flat
 
 
 def test_info_counts_what_is_there(run, tmp_path):
@@ -81,3 +82,21 @@ def test_info_of_a_skinning_counts_seams(run, seam, tmp_path):
     assert json.loads(run("info", tmp_path / "m.npz", "--json")[1])["seams"] == d["seams"] - 1
     ssdr.save(model_of(welded), tmp_path / "w.npz")
     assert json.loads(run("info", tmp_path / "w.npz", "--json")[1])["seams"] == 0
+
+
+def test_info_of_a_hierarchy(run, tmp_path):
+    ssdr.save(creature(), tmp_path / "m.npz")
+    tree = json.loads(run("info", tmp_path / "m.npz", "--json")[1])["hierarchy"]
+    assert tree["roots"] == ["hip", "ball"]
+    assert (tree["joints"], tree["depth"], tree["rigid"]) == (7, 3, True)
+    assert tree["parents"] == list(PARENTS)
+    assert "7 joints, 2 roots, 3 deep; rigid joints" in run("info", tmp_path / "m.npz")[1]
+    loose = creature(loose=True)
+    ssdr.save(loose, tmp_path / "m.npz")
+    tree = json.loads(run("info", tmp_path / "m.npz", "--json")[1])["hierarchy"]
+    assert tree["largest_gap"] == pytest.approx(loose.joint_gaps().max())
+    assert not tree["rigid"]
+    assert f"at {tree['joint_of_largest_gap']}" in run("info", tmp_path / "m.npz")[1]
+    ssdr.save(flat(loose), tmp_path / "m.npz")
+    assert json.loads(run("info", tmp_path / "m.npz", "--json")[1])["hierarchy"] is None
+    assert "\nhierarchy" not in run("info", tmp_path / "m.npz")[1]

@@ -10,6 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from helpers.rig_model import tube
+from helpers.rig_tree import PARENTS, creature, flat
+from ssdr.hierarchy import joint_gaps
+from ssdr.io.axes import turn_skinning_up
 from ssdr.io.rig import build_rig, frame_rate, quantise, unique_names
 
 
@@ -59,3 +62,51 @@ def test_frame_rate():
     assert frame_rate([np.array([0.0, 0.2, 1.4])]) == 25
     assert frame_rate([np.zeros(1)]) is None
     assert unique_names(["a", "a", "", "a_1", "a"]) == ("a", "a_1", "bone", "a_1_1", "a_2")
+
+
+def test_a_rigid_joint_stores_a_rotation_alone():
+    rig = build_rig(creature())
+    roots = [a < 0 for a in PARENTS]
+    assert rig.translating.tolist() == roots
+    assert build_rig(creature(loose=True)).translating.all()
+    np.testing.assert_allclose(rig.centers, creature().joint_positions, atol=1e-7)
+    still = creature().pose(np.tile(np.eye(3), (4, len(PARENTS), 1, 1)))
+    assert not build_rig(still).translating.any()  # roots that stay have no keys either
+
+
+@pytest.mark.parametrize("kind", [{}, {"loose": True}, {"scaled": True}])
+def test_a_rig_of_joints_is_the_model(kind):
+    model = creature(**kind)
+    rig = build_rig(model)
+    got = rig.matrices(np.arange(model.n_frames, dtype=float))
+    np.testing.assert_allclose(got, model.transforms, atol=1e-6)
+    assert rig.error(model).largest < 1e-6 * 4
+
+
+def test_between_frames_joints_stay_together():
+    """Local interpolation, frame by frame and bone by bone, as an engine does it."""
+    model = creature()
+    rig = build_rig(model)
+    local = model.local_transforms()
+    got = rig.matrices(np.array([3.5]))[0]
+    frames = {}
+    for b in (2, 5, 0, 4, 1, 3, 6):
+        m = np.eye(4)
+        m[:3, :3] = Slerp([0, 1], Rotation.from_matrix(local[3:5, b, :, :3]))(0.5).as_matrix()
+        m[:3, 3] = local[3:5, b, :, 3].mean(axis=0)
+        frames[b] = m if PARENTS[b] < 0 else frames[PARENTS[b]] @ m
+        bind = np.eye(4)
+        bind[:3, 3] = -model.joint_positions[b]
+        np.testing.assert_allclose(got[b], (frames[b] @ bind)[:3], atol=1e-6)
+    tree = model.parents, model.joint_positions
+    assert joint_gaps(got, *tree).max() < 1e-6
+    assert joint_gaps(build_rig(flat(model)).matrices(np.array([3.5])), *tree).max() > 1e-3
+
+
+def test_up_turns_the_joints():
+    model = creature()
+    turned = turn_skinning_up(model, "z", "y")
+    np.testing.assert_allclose(
+        turned.joint_positions[1], model.joint_positions[1][[0, 2, 1]] * [1, 1, -1]
+    )
+    assert turned.joint_gaps().max() < 1e-12

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers.rig_tree import NAMES, PARENTS, creature, tree_of
 from ssdr import FormatError, InputError
 from ssdr.io import read_weights
 
@@ -115,4 +116,45 @@ TABLE = '{"format": "ssdr-weights", "version": 1, "bones": %s, "joints": %s, "we
 def test_json_weights_are_checked(tmp_path, text):
     (tmp_path / "w.json").write_text(text)
     with pytest.raises(FormatError, match=r"w\.json"):
+        read_weights(tmp_path / "w.json")
+
+
+def test_json_keeps_the_hierarchy_and_reorders_it(tmp_path):
+    model = creature(frames=2)
+    ssdr.save(model, tmp_path / "w.json")
+    back = read_weights(tmp_path / "w.json")
+    assert back.parents.tolist() == list(PARENTS)
+    np.testing.assert_array_equal(back.joint_positions, model.joint_positions)
+    names = tuple(reversed(NAMES))
+    other = read_weights(tmp_path / "w.json", bones=names)
+    above = [names[a] if a >= 0 else None for a in other.parents]
+    assert dict(zip(names, above, strict=True)) == tree_of(model)
+    np.testing.assert_array_equal(other.joint_positions, model.joint_positions[::-1])
+    assert read_weights(tmp_path / "w.json", bones=(*NAMES, "more")).parents is None
+
+
+def test_tables_without_a_hierarchy_have_none(tmp_path, skinned):
+    for suffix in ("csv", "json"):
+        ssdr.save(skinned, tmp_path / f"w.{suffix}")
+        assert read_weights(tmp_path / f"w.{suffix}").parents is None
+    assert "parents" not in (tmp_path / "w.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("parents", [2, 0, 0, 0, 2, -1, 4], "cycle"),
+        ("parents", [-1], "shape"),
+        ("parents", None, "integers"),
+        ("joint_positions", [[0, 0]] * 7, "three numbers for each bone"),
+        ("joint_positions", [[0, 0, float("nan")]] * 7, "not finite"),
+        ("joint_positions", "here", "three numbers for each bone"),
+    ],
+)
+def test_damaged_hierarchies_are_refused(tmp_path, key, value, says):
+    ssdr.save(creature(frames=1), tmp_path / "w.json")
+    table = json.loads((tmp_path / "w.json").read_text())
+    table[key] = value
+    (tmp_path / "w.json").write_text(json.dumps(table))
+    with pytest.raises(FormatError, match=says):
         read_weights(tmp_path / "w.json")

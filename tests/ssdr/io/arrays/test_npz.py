@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers.rig_tree import creature
 from helpers.surfaces import same_sequence, same_surface
 from ssdr import FormatError, InputError
 
@@ -148,3 +149,35 @@ def test_arrays_that_a_sequence_must_not_have_are_refused(tmp_path, key, value, 
     np.savez(tmp_path / "a.npz", **{**arrays, key: value})
     with pytest.raises(FormatError, match=rf"a\.npz: .*{says}"):
         ssdr.load(tmp_path / "a.npz")
+
+
+def test_npz_keeps_the_hierarchy(tmp_path):
+    model = creature(frames=3)
+    ssdr.save(model, tmp_path / "a.npz")
+    back = ssdr.load_skinning(tmp_path / "a.npz")
+    np.testing.assert_array_equal(back.parents, model.parents)
+    np.testing.assert_array_equal(back.joint_positions, model.joint_positions)
+    np.testing.assert_array_equal(back.transforms, model.transforms)
+    larger = ssdr.load_skinning(tmp_path / "a.npz", scale=2.0)
+    np.testing.assert_array_equal(larger.joint_positions, 2 * model.joint_positions)
+    assert larger.joint_gaps().max() < 1e-12
+
+
+def test_an_archive_without_a_hierarchy_has_no_word_of_it(tmp_path, skinned):
+    ssdr.save(skinned, tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as archive:
+        assert not {"parents", "joint_positions"} & set(archive.files)
+    assert ssdr.load_skinning(tmp_path / "a.npz").parents is None
+
+
+@pytest.mark.parametrize("parents", [np.array([2, 0, 0, 0, 2, -1, 4]), np.zeros(3, int), None])
+def test_an_archive_with_half_a_hierarchy_or_a_cycle_is_refused(tmp_path, parents):
+    ssdr.save(creature(frames=1), tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as archive:
+        arrays = {key: archive[key] for key in archive.files}
+    del arrays["parents"]
+    if parents is not None:
+        arrays["parents"] = parents
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(FormatError, match="parents"):
+        ssdr.load_skinning(tmp_path / "a.npz")

@@ -11,8 +11,8 @@ import pytest
 
 import ssdr
 from helpers.rig_model import largest_distance, tube
+from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge, command
-from ssdr.io.rig import turn_up
 
 try:
     command("")

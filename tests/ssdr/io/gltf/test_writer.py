@@ -9,8 +9,9 @@ from pygltflib import GLTF2
 
 import ssdr
 from helpers.rig_model import largest_distance, tube
+from ssdr.io.axes import turn_skinning_up
 from ssdr.io.gltf.document import Document
-from ssdr.io.rig import build_rig, quantise, turn_skinning_up
+from ssdr.io.rig import build_rig, quantise
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])

@@ -9,7 +9,8 @@ from pxr import Usd, UsdGeom, UsdSkel
 import ssdr
 from helpers.disks import small_files
 from helpers.rig_model import baked_by_usd, largest_distance, tube
-from ssdr.io.rig import build_rig, turn_skinning_up
+from ssdr.io.axes import turn_skinning_up
+from ssdr.io.rig import build_rig
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 

@@ -1,0 +1,56 @@
+"""Which axis points up, in a file and in a model."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..skinning import Skinning
+
+__all__ = ["Up", "check_up", "turn_skinning_up", "turn_up"]
+
+Up = Literal["y", "z"]
+
+# a quarter turn about x, which carries z up to y up
+_Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def check_up(up: object, *, optional: bool = False) -> None:
+    """Refuse anything but "y" and "z" (and None where `optional`)."""
+    if up not in ("y", "z") and not (optional and up is None):
+        raise InputError("up", '"y" or "z"' + (" or None" if optional else ""), repr(up))
+
+
+def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
+    """Vectors ``(..., 3)`` with the `source` axis up, turned to have `target` up."""
+    if source == target:
+        return values
+    turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
+    return np.asarray(values @ turn.T.astype(values.dtype))
+
+
+def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
+    """A skinning with another axis up: x' = Q x, M' = Q M Q⁻¹."""
+    if source == target:
+        return skinning
+    turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
+    m = np.asarray(skinning.transforms, dtype=np.float64)
+    linear = turn @ m[..., :3] @ turn.T
+    moved = np.concatenate([linear, (m[..., 3] @ turn.T)[..., None]], axis=-1)
+    positions = skinning.joint_positions
+    if positions is not None:
+        positions = turn_up(positions, source, target)
+    surface = skinning.surface
+    if surface is not None and surface.normals is not None:
+        surface = dataclasses.replace(surface, normals=turn_up(surface.normals, source, target))
+    return dataclasses.replace(
+        skinning,
+        rest=turn_up(skinning.rest, source, target),
+        joint_positions=positions,
+        transforms=moved.astype(skinning.transforms.dtype),
+        surface=surface,
+    )

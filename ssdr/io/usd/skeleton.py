@@ -1,0 +1,127 @@
+"""UsdSkel: a skeleton with its animations, and the skin of a mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...clips import Clip
+from ...hierarchy import parents_first
+from ..rig import Rig, unique_names
+
+__all__ = ["bind", "identifier", "put_skeleton"]
+
+
+def put_skeleton(
+    stage: Any,
+    place: Any,
+    rig: Rig,
+    title: str,
+    tempo: float,
+    starts: Mapping[str, float] | None = None,
+) -> list[str] | None:
+    """Skeleton and animations at a path; clips begin at time code 0 where `starts` says nothing.
+
+    USD wants parents before their children: where the bones are in another order, the joints in
+    the order of the bones are returned.
+    """
+    from pxr import Gf, UsdSkel, Vt
+
+    plain = unique_names([identifier(bone) for bone in rig.names])
+    order = np.arange(rig.n_bones)
+    paths = list(plain)
+    if rig.parents is not None:
+        if (rig.parents >= order).any():
+            order = parents_first(rig.parents)
+        for bone in order:
+            if rig.parents[bone] >= 0:
+                paths[bone] = f"{paths[rig.parents[bone]]}/{plain[bone]}"
+    tokens = [paths[bone] for bone in order]
+    skeleton = UsdSkel.Skeleton.Define(stage, place)
+    skeleton.CreateJointsAttr(tokens)
+    if plain != rig.names:
+        skeleton.CreateJointNamesAttr([_text(rig.names[bone]) for bone in order])
+
+    def places_of(points: NDArray[np.float32]) -> Any:
+        moves = [Gf.Vec3d(*map(float, point)) for point in points[order]]
+        return Vt.Matrix4dArray([Gf.Matrix4d(1.0).SetTranslate(move) for move in moves])
+
+    skeleton.CreateBindTransformsAttr(places_of(rig.centers))
+    skeleton.CreateRestTransformsAttr(places_of(rig.offsets))
+    alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
+    names = ["Animation" if alone else identifier(c.name) for c in rig.clips]
+    places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
+    for where, clip in zip(places, rig.clips, strict=True):
+        animation = UsdSkel.Animation.Define(stage, where)
+        animation.CreateJointsAttr(tokens)
+        start = (starts or {}).get(clip.name, 0.0)
+        _keys(animation, rig, order, clip, tempo, start)
+        stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
+        if start:
+            stated["start"] = start
+        if not alone:
+            stated["name"] = clip.name
+        animation.GetPrim().SetCustomDataByKey("ssdr", stated)
+    binding = UsdSkel.BindingAPI.Apply(skeleton.GetPrim())
+    binding.CreateAnimationSourceRel().SetTargets([places[0]])
+    return paths if (order != np.arange(rig.n_bones)).any() else None
+
+
+def _keys(
+    animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip, tempo: float, start: float
+) -> None:
+    """The keys of a clip, its first frame at time code `start`."""
+    from pxr import Vt
+
+    moved, turned = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    scaled = animation.CreateScalesAttr()
+    ones = np.ones((rig.n_bones, 3), dtype=np.float16)
+    if rig.scales is None:
+        scaled.Set(Vt.Vec3hArray.FromNumpy(ones))
+    for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
+        code = start + float(frame - clip.start) * (tempo / clip.fps)
+        moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
+        turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
+        if rig.scales is not None:
+            sizes = rig.scales[frame, order][:, None].astype(np.float16)
+            scaled.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
+
+
+def bind(
+    prim: Any,
+    joints: NDArray[np.int32],
+    weights: NDArray[np.float64],
+    skeleton: Any,
+    place: Any,
+    tokens: Sequence[str] | None,
+) -> None:
+    """Skin weights of a mesh, its skeleton's path, and where its points stand in the bind pose.
+
+    `tokens` are the skeleton's joints in the order of the bones, where its own is another.
+    """
+    from pxr import UsdSkel, Vt
+
+    binding = UsdSkel.BindingAPI.Apply(prim)
+    width = joints.shape[1]
+    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints.reshape(-1)))
+    binding.CreateJointWeightsPrimvar(False, width).Set(
+        Vt.FloatArray.FromNumpy(weights.astype(np.float32).reshape(-1))
+    )
+    binding.CreateSkeletonRel().SetTargets([skeleton])
+    if tokens is not None:
+        binding.CreateJointsAttr(tokens)
+    binding.CreateGeomBindTransformAttr(place)
+
+
+def identifier(name: str) -> str:
+    from pxr import Tf
+
+    return str(Tf.MakeValidIdentifier(_text(name)))
+
+
+def _text(name: str) -> str:
+    """A name that UTF-8 can hold: glTF's may have halves of a character."""
+    return name.encode("utf-8", "replace").decode()
