@@ -339,7 +339,7 @@ save()
     )
     assert ssdr.io.left_out(path) == (
         "names and number of the meshes",
-        "hierarchy of the joints",
+        "orientations of the joints",
         "further sets of UVs",
         "vertex colours",
         "cameras",
