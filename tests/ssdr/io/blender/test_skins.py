@@ -344,7 +344,7 @@ save()
         "vertex colours",
         "cameras",
     )
-    assert "hierarchy" in str(run(capsys, "convert", path, tmp_path / "b.glb")["warnings"])
+    assert "orientations" in str(run(capsys, "convert", path, tmp_path / "b.glb")["warnings"])
 
 
 def test_textures_outside_the_folder_are_left_out(tmp_path, caplog):
