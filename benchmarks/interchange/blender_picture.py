@@ -2,7 +2,8 @@
 
     python benchmarks/interchange/blender_picture.py out.png FRAME file.glb|file.usdc|frame.obj ...
 
-Each file is imported by Blender's own importer; the materials are those of the file.
+Each file is imported by Blender's own importer; the materials are those of the file.  `--bones`
+draws Blender's bones, from head to tail, inside meshes that one sees through.
 """
 
 import argparse
@@ -12,7 +13,7 @@ import numpy as np
 
 try:
     import bpy
-    from mathutils import Vector
+    from mathutils import Matrix, Vector
 except ModuleNotFoundError:  # --help works anywhere
     bpy = None
 
@@ -45,11 +46,41 @@ def bounds(items):
     return points.min(axis=0), points.max(axis=0)
 
 
+def material(name, color, alpha):
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    shader = made.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = (*color, 1)
+    shader.inputs["Alpha"].default_value = alpha
+    return made
+
+
+def draw_bones(item):
+    """Octahedra from the heads to the tails of an armature's bones, as they are posed."""
+    points, faces = [], []
+    for bone in item.pose.bones:
+        head, tail = (item.matrix_world @ p for p in (bone.head, bone.tail))
+        way = tail - head
+        one = way.orthogonal().normalized() * 0.09 * way.length
+        two = way.cross(one).normalized() * one.length
+        waist, k = head + 0.16 * way, len(points)
+        points += [head, *(waist + side for side in (one, two, -one, -two)), tail]
+        for j in range(4):
+            a, b = k + 1 + j, k + 1 + (j + 1) % 4
+            faces += [(k, b, a), (k + 5, a, b)]
+    mesh = bpy.data.meshes.new("bones")
+    mesh.from_pydata([tuple(p) for p in points], [], faces)
+    mesh.materials.append(material("bone", (0.85, 0.25, 0.1), 1.0))
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("bones", mesh))
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("out")
     parser.add_argument("frame", type=int)
     parser.add_argument("files", nargs="+")
+    parser.add_argument("--turn", type=float, default=0.0, help="degrees about the vertical")
+    parser.add_argument("--bones", action="store_true", help="draw bones inside the meshes")
     args = parser.parse_args()
     if bpy is None:
         parser.error("this Python has no bpy")
@@ -60,17 +91,33 @@ def main():
     groups = [load(path) for path in files]
     scene.frame_set(frame)
     low, high = bounds(groups[0])
+    if args.turn:  # whatever its angle, a model keeps to its own place
+        half = float(np.linalg.norm((high - low)[:2])) / 2
+        centre = (low + high) / 2
+        low[:2], high[:2] = centre[:2] - half, centre[:2] + half
     width = 1.2 * max(high[0] - low[0], 0.5 * (high[2] - low[2]))
     for k, items in enumerate(groups):
         # A parent, as the location of an imported object may be animated.
         holder = bpy.data.objects.new(f"place_{k}", None)
-        holder.location.x = k * width
+        turn = Matrix.Rotation(math.radians(args.turn), 4, "Z")
+        about = Vector((*((low + high)[:2] / 2), 0))
+        move = Matrix.Translation(Vector((k * width, 0, 0)) + about)
+        holder.matrix_world = move @ turn @ Matrix.Translation(-about)
         scene.collection.objects.link(holder)
         for item in items:
             if item.parent is None:
                 item.parent = holder
             if item.type == "ARMATURE" or item.name.startswith("Icosphere"):
                 item.hide_render = True
+    if args.bones:
+        bpy.context.view_layer.update()
+        glass = material("glass", (0.8, 0.8, 0.8), 0.25)
+        for item in [item for items in groups for item in items]:
+            if item.type == "ARMATURE":
+                draw_bones(item)
+            elif item.type == "MESH":
+                item.data.materials.clear()
+                item.data.materials.append(glass)
     center = Vector(
         (
             (low[0] + high[0] + (len(groups) - 1) * width) / 2,

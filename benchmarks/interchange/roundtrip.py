@@ -26,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import ssdr
 from benchmarks.common import write_csv
 from helpers.rig_model import tube
+from helpers.rig_tree import creature
 from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge, command
 from ssdr.io.corners import corner_normals
@@ -139,7 +140,7 @@ def main() -> None:
     args = parser.parse_args()
     logging.basicConfig(level=logging.WARNING)
     args.out.mkdir(parents=True, exist_ok=True)
-    models = {"tube": tube(), "tube_similarity": tube(scaled=True)}
+    models = {"tube": tube(), "tube_similarity": tube(scaled=True), "tree": creature(frames=20)}
     from ssdr.samples import path as sample_path
 
     sample = ssdr.load(sample_path("dancer"))

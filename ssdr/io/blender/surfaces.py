@@ -109,7 +109,7 @@ def left_out(items: list[Any]) -> list[str]:
     if len(items) > 1:
         found.append("names and number of the meshes")
     if any(bone.parent for rig in bpy.data.armatures for bone in rig.bones):
-        found.append("hierarchy of the joints")
+        found.append("orientations of the joints")
     if any(len(item.data.uv_layers) > 1 for item in items):
         found.append("further sets of UVs")
     if any(len(item.data.color_attributes) for item in items):

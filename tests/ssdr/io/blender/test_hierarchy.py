@@ -178,3 +178,15 @@ def test_names_that_repeat_are_made_different(tmp_path):
     back = ssdr.load_skinning(tmp_path / "a.fbx")
     assert len(set(back.names())) == len(NAMES)
     assert sorted(back.parents < 0) == sorted(np.array(PARENTS) < 0)
+
+
+def test_bones_without_length(tmp_path):
+    model = creature()
+    at = model.joint_positions.copy()
+    at[4] = at[2]  # the leg begins where the hip does
+    model = dataclasses.replace(model, joint_positions=at)
+    ssdr.save(model, tmp_path / "a.fbx")
+    back = ssdr.load_skinning(tmp_path / "a.fbx")
+    assert tree_of(back) == tree_of(model)
+    got = differences(model, back)
+    assert max(got["joints"], got["vertices"]) < 1e-6

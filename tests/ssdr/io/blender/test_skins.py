@@ -339,12 +339,12 @@ save()
     )
     assert ssdr.io.left_out(path) == (
         "names and number of the meshes",
-        "hierarchy of the joints",
+        "orientations of the joints",
         "further sets of UVs",
         "vertex colours",
         "cameras",
     )
-    assert "hierarchy" in str(run(capsys, "convert", path, tmp_path / "b.glb")["warnings"])
+    assert "orientations" in str(run(capsys, "convert", path, tmp_path / "b.glb")["warnings"])
 
 
 def test_textures_outside_the_folder_are_left_out(tmp_path, caplog):

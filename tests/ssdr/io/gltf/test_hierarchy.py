@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ import pytest
 import ssdr
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
 from ssdr.errors import FormatError
+from ssdr.io.gltf.limbs import write_limbs
 
-DATA = Path(__file__).resolve().parents[5] / "shared" / "data" / "gltf"
+DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 
 
 def _json(path):
@@ -162,3 +164,58 @@ def test_animals_are_read_and_written_again(tmp_path, name):
     back = ssdr.load_skinning(tmp_path / "a.glb")
     assert tree_of(back) == tree_of(model)
     assert max(differences(model, back).values()) < 1e-6
+
+
+def test_joints_scaled_unevenly_are_read_and_refused_where_no_node_holds_them(tmp_path):
+    ssdr.save(creature(), tmp_path / "a.gltf")
+    document = _json(tmp_path / "a.gltf")
+    nodes = document["nodes"]
+    nodes[_number(nodes, "leg")]["scale"] = [1, 2, 1]
+    _write(tmp_path / "a.gltf", document)
+    back = ssdr.load_skinning(tmp_path / "a.gltf")
+    assert back.bone_model == "affine"
+    assert tree_of(back) == tree_of(creature())
+    assert np.isfinite(back.local_transforms()).all()
+    ssdr.save(back, tmp_path / "b.npz")
+    with pytest.raises(ssdr.InputError, match="scaled rotations"):
+        ssdr.save(back, tmp_path / "b.glb")
+
+
+def test_bones_without_length_and_joints_without_size(tmp_path):
+    model = creature()
+    at = model.joint_positions.copy()
+    at[4] = at[2]  # the leg begins where the hip does
+    model = dataclasses.replace(model, joint_positions=at)
+    ssdr.save(model, tmp_path / "a.glb")
+    back = ssdr.load_skinning(tmp_path / "a.glb")
+    assert max(differences(model, back).values()) < 1e-6
+    ssdr.save(model, tmp_path / "a.gltf")
+    document = _json(tmp_path / "a.gltf")
+    del document["skins"][0]["inverseBindMatrices"]  # all of them are then the identity
+    _write(tmp_path / "a.gltf", document)
+    bare = ssdr.load_skinning(tmp_path / "a.gltf")
+    assert (bare.joint_positions == 0).all()
+    assert tree_of(bare) == tree_of(model)
+    document["nodes"][_number(document["nodes"], "leg")]["scale"] = [0, 0, 0]
+    _write(tmp_path / "a.gltf", document)
+    assert np.isfinite(ssdr.load_skinning(tmp_path / "a.gltf").joint_gaps()).all()
+
+
+def test_a_joint_that_is_not_a_number_is_refused(tmp_path):
+    ssdr.save(creature(), tmp_path / "a.gltf")
+    text = (tmp_path / "a.gltf").read_text()
+    document = json.loads(text)
+    document["nodes"][_number(document["nodes"], "foot")]["translation"] = [0, float("nan"), 0]
+    _write(tmp_path / "a.gltf", document)
+    with pytest.raises(FormatError):
+        ssdr.load_skinning(tmp_path / "a.gltf")
+
+
+def test_what_is_left_out_are_orientations(tmp_path):
+    ssdr.save(creature(), tmp_path / "a.glb")
+    assert ssdr.io.left_out(tmp_path / "a.glb") == ()
+    write_limbs(creature(), tmp_path / "b.glb")
+    assert ssdr.io.left_out(tmp_path / "b.glb") == ("orientations of the joints",)
+    back = ssdr.load_skinning(tmp_path / "b.glb")
+    assert tree_of(back) == tree_of(creature())
+    assert max(differences(creature(), back).values()) < 1e-6
