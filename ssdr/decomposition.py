@@ -67,6 +67,9 @@ def decompose(
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
         A list holds several shots of one mesh: they share rest pose and weights.
+        One frame, or frames all alike, will do, since a program may cut a motion
+        anywhere; the command refuses a single frame, which there is nearly always
+        one file named in place of a pattern.
         Arrays may be memory maps, zarr or dask arrays: what is too large to be held
         at once is read by chunks, on the workers of a Dask client where one is active.
     faces : (T, 3) int array, optional

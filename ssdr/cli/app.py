@@ -10,6 +10,7 @@ import errno
 import json
 import logging
 import sys
+import time
 import warnings
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -32,6 +33,7 @@ from .inspecting import info
 from .output import Interrupted, Output
 from .rendering import render
 from .streams import safe_streams
+from .timing import seconds_running
 
 __all__ = ["app", "run"]
 
@@ -78,16 +80,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
         Those of the process by default.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    # To whoever typed the command, Python's start and the imports are part of it.
+    began = time.perf_counter() - (seconds_running() if arguments is None else 0.0)
     with safe_streams(), terminate_as_interrupt():
         try:
-            return _called(given)
+            return _called(given, began)
         except KeyboardInterrupt:  # a second one, while the first was being dealt with
             return 130
 
 
-def _called(given: list[str]) -> int:
+def _called(given: list[str], began: float) -> int:
     as_json = "--json" in given
-    output = Output.current = Output(arguments=given)
+    output = Output.current = Output(arguments=given, began=began)
     with warnings.catch_warnings():
         warnings.showwarning = output.warn
         try:

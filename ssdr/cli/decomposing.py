@@ -50,7 +50,7 @@ from .reading import (
     options_for,
     read_clips,
 )
-from .timing import prepare, times_text
+from .timing import frames_of_sheet, prepare, times_text
 
 
 class Effort(StrEnum):
@@ -194,8 +194,8 @@ def decompose(
     Ctrl-C stops at the next safe point and saves a state that --resume takes up;
     a second Ctrl-C quits at once.
     """
-    began = time.perf_counter()
     output = Output.start(json=json, quiet=quiet, verbose=verbose, threads=threads)
+    began = output.began
     if time_limit is not None and not (math.isfinite(time_limit) and time_limit > 0):
         raise InputError("--time-limit", "seconds > 0", time_limit)
     if bones is None and tolerance is None and skeleton is None:
@@ -272,7 +272,7 @@ def decompose(
         )
         for path in outputs
     }
-    left, compiling = prepare(
+    left, compiling, panel = prepare(
         shots,
         settings,
         clips=clips,
@@ -325,9 +325,14 @@ def decompose(
         if picture is not None:
             from ..render.figures import contact_sheet, write_picture
 
+            columns = frames_of_sheet(time_limit, began, panel)
             with output.waiting(f"drawing {picture}"):
                 sheet = contact_sheet(
-                    result.skinning, reference=join(shots), title=inputs[0].stem, up=up
+                    result.skinning,
+                    reference=join(shots),
+                    frames=columns,
+                    title=inputs[0].stem,
+                    up=up,
                 )
                 write_picture(sheet, picture)
     except KeyboardInterrupt:

@@ -2,23 +2,56 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..clips import Clip
 from ..io.registry import format_of
 from ..sequence import MeshSequence
 from .output import Output, rehearse
 
-__all__ = ["prepare", "times_text"]
+__all__ = ["Prepared", "frames_of_sheet", "prepare", "seconds_running", "times_text"]
 
 _FEW = 8  # frames of a small model whose writing is timed
 _BLENDER = 20.0  # seconds, which starting it twice and exporting usually need
-_PANELS, _PANEL = 30, (300, 300)  # of a contact sheet: how many, pixels of each
+_COLUMNS, _ROWS, _PANEL = 5, 6, (300, 300)  # of a contact sheet: panels, with some to spare
+_PICTURE = 0.25  # of the time limit, for the picture, which may have fewer frames
 _USUAL_BONES = 24  # where a tolerance will decide
 _LEAST = 0.05  # of the time limit, for the solver: one model is made in any case
+
+
+class Prepared(NamedTuple):
+    """What the solver may take, and what is known of the rest.
+
+    Attributes
+    ----------
+    left : float or None
+        Seconds for the solver.
+    compiling : float
+        Seconds that went into it.
+    panel : float
+        Seconds of one panel of the picture; 0 where nobody has to know.
+    """
+
+    left: float | None
+    compiling: float
+    panel: float
+
+
+def seconds_running() -> float:
+    """How long this process has been running; its processor time where nobody knows."""
+    spent = time.process_time()
+    try:
+        with open("/proc/self/stat", "rb") as file:
+            fields = file.read().rpartition(b")")[2].split()  # the name before may hold anything
+        ticks = int(fields[19]) / os.sysconf("SC_CLK_TCK")
+        age = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks
+    except (AttributeError, IndexError, OSError, ValueError):
+        return spent
+    return max(age, spent)
 
 
 def prepare(
@@ -31,14 +64,12 @@ def prepare(
     time_limit: float | None,
     began: float,
     output: Output,
-) -> tuple[float | None, float]:
+) -> Prepared:
     """Rehearse the outputs, given with their options, and compile.
-
-    What is returned are the seconds left to the solver, and those of compiling.
 
     Under a time limit, saving is timed beforehand, and what it will need is set aside.
     """
-    frames, needed = sum(len(shot) for shot in shots), 0.0
+    frames, needed, panel = sum(len(shot) for shot in shots), 0.0, 0.0
     with output.waiting("trying the outputs"):
         for path, options in outputs.items():
             rehearse(shots[0], path, options, frames=frames, clips=clips)
@@ -46,15 +77,16 @@ def prepare(
                 count = bones or _USUAL_BONES
                 needed += _seconds_to_save(shots[0], path, options, frames=frames, bones=count)
         if picture is not None and time_limit is not None:
-            needed += _seconds_to_draw(shots[0])
+            panel = _seconds_of_panel(shots[0])
+            needed += min(_COLUMNS * _ROWS * panel, _PICTURE * time_limit)
     with output.waiting("compiling"):
         from ..solver.warmup import compile_kernels
 
         compiling = compile_kernels()
     if time_limit is None:
-        return None, compiling
+        return Prepared(None, compiling, panel)
     left = time_limit - (time.perf_counter() - began)
-    return max(left - needed, _LEAST * time_limit), compiling
+    return Prepared(max(left - needed, _LEAST * time_limit), compiling, panel)
 
 
 def _seconds_to_save(
@@ -75,14 +107,22 @@ def _seconds_to_save(
     return max(times) + slope * (frames - few)
 
 
-def _seconds_to_draw(sequence: MeshSequence) -> float:
-    """About how long a contact sheet will take, from the time of one of its panels."""
+def frames_of_sheet(time_limit: float | None, began: float, panel: float) -> int:
+    """How many frames of a contact sheet can be drawn within the time limit; at least one."""
+    if time_limit is None:
+        return _COLUMNS
+    left = time_limit - (time.perf_counter() - began)
+    return int(min(_COLUMNS, max(1, left // max(_ROWS * panel, 1e-3))))
+
+
+def _seconds_of_panel(sequence: MeshSequence) -> float:
+    """About how long one panel of a contact sheet will take."""
     from ..render.figures import render_frame
 
     render_frame(sequence, 0, size=_PANEL)  # compiles
     began = time.perf_counter()
     render_frame(sequence, 0, size=_PANEL)
-    return _PANELS * (time.perf_counter() - began)
+    return time.perf_counter() - began
 
 
 def times_text(

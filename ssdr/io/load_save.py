@@ -92,8 +92,7 @@ def load(
     >>> dancer.vertices.shape, dancer.fps
     ((24, 799, 3), 8.0)
     """
-    if fps is not None and not (is_real(fps) and fps > 0):
-        raise InputError("fps", "a positive number", repr(fps))
+    _check_fps(fps)
     check_scale(scale)
     source = _as_path(path)
     format_ = _readable(source)
@@ -139,8 +138,7 @@ def list_clips(
     >>> ssdr.list_clips(ssdr.samples.path("dancer_small"))
     (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
     """
-    if fps is not None and not (is_real(fps) and fps > 0):
-        raise InputError("fps", "a positive number", repr(fps))
+    _check_fps(fps)
     source = _as_path(path)
     format_ = _readable(source)
     if format_.list_clips is None:
@@ -171,6 +169,7 @@ def load_skinning(
     path: str | os.PathLike[str],
     *,
     clip: str | int | Sequence[str | int] | None = None,
+    fps: float | None = None,
     scale: float = 1.0,
     **options: Any,
 ) -> Skinning:
@@ -182,6 +181,8 @@ def load_skinning(
         ``.npz``, ``.glb``, ``.gltf``, ``.fbx`` or USD.
     clip : str, int or several of them, optional
         Names or numbers of the clips; all by default.
+    fps : float, optional
+        As in :func:`load`, of every clip.
     scale : float
         Factor of all lengths, of the rest pose and of how far bones move.
 
@@ -203,6 +204,7 @@ def load_skinning(
     4
     """
     check_scale(scale)
+    _check_fps(fps)
     source = _as_path(path)
     suffix, format_ = format_of(source)
     if format_.read_skinning is None:
@@ -211,7 +213,7 @@ def load_skinning(
     if not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
     refuse_device(source)
-    skinning: Skinning = call(format_, format_.read_skinning, source, **options)
+    skinning: Skinning = call(format_, format_.read_skinning, source, fps=fps, **options)
     if scale != 1:
         transforms = skinning.transforms.copy()
         transforms[..., 3] *= scale
@@ -226,6 +228,11 @@ def load_skinning(
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
+
+
+def _check_fps(fps: float | None) -> None:
+    if fps is not None and not (is_real(fps) and fps > 0):
+        raise InputError("fps", "a positive number", repr(fps))
 
 
 def check_scale(scale: float) -> None:

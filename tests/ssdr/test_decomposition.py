@@ -75,6 +75,14 @@ def test_noise_floor() -> None:
 # the number of bones
 
 
+def test_one_frame_is_accepted() -> None:
+    """A program may cut a motion anywhere; only the command takes a single frame for a slip."""
+    still = rig().frames[:1]
+    with pytest.warns(ssdr.SsdrWarning, match="fewer bones would do"):
+        result = check(ssdr.decompose(still, bones=6, effort="fast"), still, 6)
+    assert result.rmse < 1e-7 * diagonal(still)
+
+
 def test_static_mesh_still_has_its_bones() -> None:
     still = np.repeat(rig().frames[:1], 6, axis=0)
     for seed in range(3):

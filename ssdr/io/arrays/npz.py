@@ -73,13 +73,13 @@ def read(
         If `mmap` is asked of a compressed archive.
     """
     if not has(path, "vertices") and has(path, "rest"):
-        skinning = read_skinning(path, max_bytes=max_bytes)
+        skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
         names = [one.name for one in _named(skinning.clips, skinning.name, path)]
         index = pick(names, clip)
         if len(names) > 1:
             _log.info("%s: clip %r of %s", path, names[index], names)
         skinning = skinning.select(index)
-        return bake(skinning if fps is None else dataclasses.replace(skinning, fps=fps))
+        return bake(skinning)
     arrays = read_arrays(
         path,
         required=("vertices", "faces"),
@@ -109,9 +109,8 @@ def list_clips(
 ) -> tuple[Clip, ...]:
     """The clips of a skinning; a sequence is one."""
     if not has(path, "vertices") and has(path, "rest"):
-        skinning = read_skinning(path, max_bytes=max_bytes)
-        clips = _named(skinning.clips, skinning.name, path)
-        return clips if fps is None else tuple(dataclasses.replace(c, fps=fps) for c in clips)
+        skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
+        return _named(skinning.clips, skinning.name, path)
     names = ("fps", "name", "clip")
     arrays = read_arrays(path, required=(), optional=names, max_bytes=max_bytes)
     with reading(path):
@@ -149,8 +148,10 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
     return SaveReport(path=path, bytes=write_arrays(path, arrays, compress=compress))
 
 
-def read_skinning(path: Path, *, max_bytes: int | None = None) -> Skinning:
-    """Read what :func:`write_skinning` wrote."""
+def read_skinning(
+    path: Path, *, fps: float | None = None, max_bytes: int | None = None
+) -> Skinning:
+    """Read what :func:`write_skinning` wrote; `fps` is the rate of all clips instead of theirs."""
     from ...skinning import Skinning
 
     arrays = read_arrays(
@@ -170,14 +171,18 @@ def read_skinning(path: Path, *, max_bytes: int | None = None) -> Skinning:
                 f"{path}: format_version {version}; this release reads up to {FORMAT_VERSION}"
             )
         names = _text(arrays, "bone_names")
+        rate = float(_scalar(arrays["fps"], "fps")) if fps is None else fps
+        clips = _clips_from(arrays)
+        if fps is not None and clips is not None:
+            clips = [dataclasses.replace(clip, fps=fps) for clip in clips]
         return Skinning(
             arrays["rest"],
             arrays["joints"],
             arrays["weights"],
             arrays["transforms"],
             faces=arrays["faces"],
-            fps=float(_scalar(arrays["fps"], "fps")),
-            clips=_clips_from(arrays),
+            fps=rate,
+            clips=clips,
             bone_model=_text(arrays, "bone_model") or "rigid",  # type: ignore[arg-type]
             keyframes=arrays.get("keyframes"),
             surface=_surface_from(arrays),

@@ -118,6 +118,7 @@ def _chosen(
 def read_skinning(
     path: Path,
     *,
+    fps: float | None = None,
     animation: int | str | None = None,
     meshes: str | Sequence[str] | None = None,
 ) -> Skinning:
@@ -129,6 +130,8 @@ def read_skinning(
     Parameters
     ----------
     path : Path
+    fps : float, optional
+        As in :func:`read`, of every animation.
     animation : int or str, optional
         One animation alone, by number or name; all of them by default.
     meshes : str or several of them, optional
@@ -143,10 +146,10 @@ def read_skinning(
     """
     with reading(path):
         document = Document(path)
-    alone = None if animation is None else choose(document, animation, None, "animation")
+    alone = None if animation is None else choose(document, animation, fps, "animation")
     wanted = check_meshes(document, meshes)
     with reading(path):
-        chosen = every(document) if alone is None else [alone]
+        chosen = every(document, fps) if alone is None else [alone]
         worlds = [World(document, one) for one in chosen]
         world = worlds[0]
         parts = read_parts(document, world, wanted)

@@ -108,15 +108,15 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
         return in_order(clips)
 
 
-def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
+def read_skinning(path: Path, *, fps: float | None = None, up: Up | None = None) -> Skinning:
     """Read UsdSkel skins as they are; a rigid mesh without one becomes one bone.
 
     Joints hang on each other as their paths say; where none does, there is no hierarchy.
 
     Parameters
     ----------
-    path, up
-        As in :func:`read`.
+    path, fps, up
+        As in :func:`read`, of every animation.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def read_skinning(path: Path, *, up: Up | None = None) -> Skinning:
         clips, moved = [], []
         for take in takes_of(path):
             stage, meshes = _open(path, take)
-            rate, codes = _clock(stage, meshes, None, take)
+            rate, codes = _clock(stage, meshes, fps, take)
             clips.append(Clip(take.name, 0, len(codes), rate))
             moved.append(_transforms(path, meshes, codes))
             if len(clips) == 1:

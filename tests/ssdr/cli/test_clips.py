@@ -355,3 +355,50 @@ def test_a_mesh_without_a_skin_may_have_clips(run, tmp_path):
     code, _, err = run("convert", tmp_path / "a.gltf", tmp_path / "c.npz", "--clip", "shrink")
     assert (code, err) == (0, "")
     assert ssdr.load(tmp_path / "c.npz").clip == "shrink"
+
+
+@pytest.mark.parametrize("suffix", ["glb", "usdc", "npz"])
+def test_skinned_inputs_take_the_frame_rate_that_is_asked_for(run, tmp_path, suffix):
+    if suffix == "usdc":
+        pytest.importorskip("pxr")
+    model = animated()
+    source = tmp_path / f"rigged.{suffix}"
+    ssdr.save(model, source)
+    out = tmp_path / "slower.glb"
+    code, text, err = run("convert", source, out, "--fps", 12, "--json")
+    assert code == 0, err
+    # A file with times lasts as long as before; frames alone follow each other more slowly.
+    counts = [9, 10] if suffix == "npz" else [5, 2]
+    assert [(c["fps"], c["frames"]) for c in json.loads(text)["clips"]] == [
+        (12.0, counts[0]),
+        (12.0, counts[1]),
+    ]
+    back = ssdr.load_skinning(out)
+    picked = np.arange(19) if suffix == "npz" else [0, 2, 4, 6, 8, 9, 14]
+    assert [c.fps for c in back.clips] == [12.0, 12.0]
+    assert largest_distance(back.skin(), model.skin(picked)) < 1e-5
+    clips = ssdr.list_clips(source, fps=12)
+    assert clips == back.clips == ssdr.load_skinning(source, fps=12).clips
+    code, text, err = run("info", source, "--fps", 12, "--json")
+    assert code == 0, err
+    assert [(c["fps"], c["frames"]) for c in json.loads(text)["clips"]] == [
+        (12.0, counts[0]),
+        (12.0, counts[1]),
+    ]
+    # Clips of several rates make no film, unless all get one.
+    film = tmp_path / "film.gif"
+    code, _, err = run("render", source, "-o", film, "--width", 64)
+    assert code == 2
+    assert "of one frame rate" in err
+    code, _, err = run("render", source, "-o", film, "--width", 64, "--fps", 12)
+    assert code == 0, err
+    with Image.open(film) as picture:
+        assert picture.n_frames <= sum(counts)
+
+
+@pytest.mark.parametrize("rate", [0, -3, "nan", "inf"])
+def test_a_frame_rate_that_is_none_is_refused_of_skinned_inputs(run, rigged, tmp_path, rate):
+    for command in (("info", rigged), ("convert", rigged, tmp_path / "o.npz")):
+        code, _, err = run(*command, "--fps", rate)
+        assert code == 2
+        assert "fps: expected a positive number" in err

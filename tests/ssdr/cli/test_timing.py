@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
 import time
 
 import pytest
@@ -130,3 +132,33 @@ def test_the_time_of_saving_grows_with_the_frames(wave, tmp_path, monkeypatch):
     found = timing._seconds_to_save(wave, tmp_path / "a.npz", {}, **options)
     assert found == pytest.approx(2.0, rel=0.2)
     assert timing._seconds_to_save(wave, tmp_path / "a.fbx", {}, **options) >= 10
+
+
+def test_the_picture_gets_as_many_frames_as_there_is_time_for():
+    now = time.perf_counter()
+    assert timing.frames_of_sheet(None, now - 1000, 1.0) == 5
+    assert timing.frames_of_sheet(20, now - 1, 0.1) == 5
+    assert timing.frames_of_sheet(20, now - 10, 0.5) == 3
+    assert timing.frames_of_sheet(20, now - 30, 0.5) == 1
+
+
+@pytest.mark.usefixtures("faked")
+def test_a_slow_picture_leaves_the_solver_its_time(run, clip, tmp_path, monkeypatch):
+    monkeypatch.setattr(timing, "_seconds_of_panel", lambda _: 10.0)
+    out, picture = tmp_path / "out.npz", tmp_path / "p.png"
+    line = ("decompose", clip, "-b", 2, "-o", out, "--picture", picture, "--time-limit", 20)
+    code, _, err = run(*line)
+    assert code == 0, err
+    assert 10 < fake_decompose.options["time_limit"] < 15
+
+
+def test_the_start_of_the_process_counts_for_the_time_limit():
+    program = (
+        "import time; began = time.perf_counter(); time.sleep(0.3); "
+        "from ssdr.cli.timing import seconds_running; "
+        "print(seconds_running(), time.perf_counter() - began)"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    running, measured = map(float, told.stdout.split())
+    assert running > measured if sys.platform == "linux" else running > 0
+    assert running < measured + 30
