@@ -61,7 +61,8 @@ def convert(
     if of_one_format(source, target) and source.is_file() and not (bake or options or write):
         names = None if clip in (None, ["all"]) else clip
         report = ssdr.io.copy(source, target, clips=names)
-        clips = ssdr.list_clips(target)
+        # A clip without a name is called after its file, which is the one that was read.
+        clips = ssdr.list_clips(source if names is None else target)
         document = {
             "command": "convert",
             "input": source,

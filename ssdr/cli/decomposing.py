@@ -77,6 +77,7 @@ class Hierarchy(StrEnum):
     rigid = "rigid"
 
 
+_PANEL_WIDTH = 320  # of a contact sheet, in pixels
 _NO_SHEAR = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx")
 
 
@@ -331,6 +332,7 @@ def decompose(
                     result.skinning,
                     reference=join(shots),
                     frames=columns,
+                    width=_PANEL_WIDTH * columns,
                     title=inputs[0].stem,
                     up=up,
                 )

@@ -83,6 +83,17 @@ def test_convert_passes_the_whole_file_through(run, everything, tmp_path, ending
     assert places == ["animations/-Dance"]
 
 
+def test_a_still_file_that_passes_through_is_called_as_it_was(run, everything, tmp_path):
+    document = json.loads(everything.read_text())
+    del document["animations"]
+    everything.write_text(json.dumps(document))
+    (clip,) = ssdr.list_clips(everything)
+    assert clip.name == everything.stem
+    code, out, err = run("convert", everything, tmp_path / "after.glb", "--json")
+    assert code == 0, err
+    assert [c["name"] for c in json.loads(out)["clips"]] == [clip.name]
+
+
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="no files in SSDR_TEST_DATA")
 
 

@@ -9,6 +9,7 @@ import sys
 import time
 
 import pytest
+from PIL import Image
 
 import ssdr
 from helpers.command import fake_decompose
@@ -139,7 +140,7 @@ def test_the_picture_gets_as_many_frames_as_there_is_time_for():
     assert timing.frames_of_sheet(None, now - 1000, 1.0) == 5
     assert timing.frames_of_sheet(20, now - 1, 0.1) == 5
     assert timing.frames_of_sheet(20, now - 10, 0.5) == 3
-    assert timing.frames_of_sheet(20, now - 30, 0.5) == 1
+    assert timing.frames_of_sheet(20, now - 30, 0.5) == 2
 
 
 @pytest.mark.usefixtures("faked")
@@ -150,6 +151,9 @@ def test_a_slow_picture_leaves_the_solver_its_time(run, clip, tmp_path, monkeypa
     code, _, err = run(*line)
     assert code == 0, err
     assert 10 < fake_decompose.options["time_limit"] < 15
+    # As large as one of five, or it would take as long.
+    with Image.open(picture) as sheet:
+        assert sheet.width == 640
 
 
 def test_the_start_of_the_process_counts_for_the_time_limit():
