@@ -253,7 +253,9 @@ def unsound(thing: Any) -> str:
     for prefix in ("current", "best"):
         model = getattr(thing, prefix, None)
         if model is not None:
-            arrays |= {f"{prefix} {k}": v for k, v in vars(model).items()}
+            parts = vars(model) | (vars(model.tree) if model.tree is not None else {})
+            parts = {k: v for k, v in parts.items() if k not in ("tree", "rigid")}
+            arrays |= {f"{prefix} {k}": v for k, v in parts.items()}
     if not arrays:
         return "no arrays"
     for name, array in arrays.items():
