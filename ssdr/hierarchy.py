@@ -64,6 +64,17 @@ def parents_first(parents: NDArray[Any]) -> NDArray[np.int64]:
     InputError
         If the parents go round in a circle.
     """
+    return np.argsort(depths(parents), kind="stable")
+
+
+def depths(parents: NDArray[Any]) -> NDArray[np.int64]:
+    """How many bones are above each (B,): 0 at roots.
+
+    Raises
+    ------
+    InputError
+        If the parents go round in a circle.
+    """
     depth = np.zeros(len(parents), dtype=np.int64)
     at = np.asarray(parents, dtype=np.int64).copy()
     while (at >= 0).any():
@@ -72,7 +83,7 @@ def parents_first(parents: NDArray[Any]) -> NDArray[np.int64]:
         if depth.max() > len(parents):
             circle = np.flatnonzero(at >= 0).tolist()
             raise InputError("parents", "a tree", f"a cycle through or above bones {circle}")
-    return np.argsort(depth, kind="stable")
+    return depth
 
 
 def to_local(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
@@ -143,15 +154,6 @@ def translating(
 def rest_diagonal(rest: ArrayLike) -> float:
     """Diagonal of the box around the rest pose."""
     return float(np.linalg.norm(np.ptp(np.asarray(rest, dtype=np.float64), axis=0)))
-
-
-def depths(parents: NDArray[Any]) -> NDArray[np.int64]:
-    """How many bones are above each (B,): 0 at roots."""
-    depth = np.zeros(len(parents), dtype=np.int64)
-    for b in parents_first(parents):
-        if parents[b] >= 0:
-            depth[b] = depth[parents[b]] + 1
-    return depth
 
 
 def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:

@@ -95,11 +95,7 @@ class Start(Stage):
         if joints is not None and weights is not None:
             if bones is None:
                 bones = bones_of_weights(data, rest, joints, run.bones, run.fixed.bone_model)
-            model = Model.start(bones.copy(), rest, joints[:, 0], influences)
-            k = min(influences, joints.shape[1])
-            model.joints[:, :k], model.weights[:, :k] = joints[:, :k], weights[:, :k]
-            model.restart_support()
-            return model
+            return Model.with_weights(bones.copy(), rest, joints, weights, influences)
         if bones is not None and bones.shape[1] == run.bones:
             every = np.arange(data.n_vertices)
             cost, positions = single_bone_errors(data, prescribed.rest, bones, every)

@@ -74,12 +74,10 @@ class StartOnSkeleton(Start):
         for k in tree.order:  # a bone that moves nothing goes with its parent
             if not used[k] and tree.parents[k] >= 0:
                 bones[:, k] = bones[:, tree.parents[k]]
-        model = Model.start(bones, rest, label, 1)
-        if joints is not None and weights is not None:
-            model = Model.start(bones, rest, label, run.influences)
-            k = min(run.influences, joints.shape[1])
-            model.joints[:, :k], model.weights[:, :k] = joints[:, :k], weights[:, :k]
-            model.restart_support()
+        if joints is None or weights is None:
+            model = Model.start(bones, rest, label, 1)
+        else:
+            model = Model.with_weights(bones, rest, joints, weights, run.influences)
         model.tree = tree
         return model
 

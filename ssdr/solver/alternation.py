@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..kernels.bones import sweep_bones
 from ..kernels.vertices import removal_cost, solve_vertices
@@ -12,7 +13,7 @@ from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, neighbours, transform_sums
 from .trajectories import Array, Trajectories
 
-__all__ = ["alternate", "bone_costs", "bone_step", "vertex_step"]
+__all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
 
 
 def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
@@ -83,20 +84,33 @@ def bone_step(
     if fixed.bone_model == "affine":
         solve_affine(model.transforms, u, c, locked)
         return u, c
-    start, neighbour = neighbours(u)
     scaled = fixed.bone_model == "similarity"
-    work_size = max(1, -(-data.n_frames // 16))
-
-    def work(_: int, i: int, k: int) -> None:
-        sweep_bones(
-            model.transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps, 0, k - i
-        )
-
     for k in range(max(1, leaps)):
         if k < leaps and not scaled:
             leap_rigid(model.transforms, u, c, locked)
-        run_chunks(work, chunk_bounds(data.n_frames, work_size))
+        sweep(model.transforms, u, c, locked, sweeps=sweeps, scaled=scaled)
     return u, c
+
+
+def sweep(
+    transforms: Array,
+    u: Array,
+    c: Array,
+    locked: NDArray[np.bool_],
+    *,
+    sweeps: int,
+    scaled: bool = False,
+) -> None:
+    """Gauss–Seidel sweeps over the bones of all frames (in place), from the sums of vertices.
+
+    `u` may also hold a penalty that ties bones to each other.
+    """
+    start, neighbour = neighbours(u)
+
+    def work(_: int, i: int, k: int) -> None:
+        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps, 0, k - i)
+
+    run_chunks(work, chunk_bounds(len(transforms), max(1, -(-len(transforms) // 16))))
 
 
 def bone_costs(data: Trajectories, model: Model) -> Array:

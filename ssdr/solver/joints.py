@@ -19,10 +19,8 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from ..kernels.bones import sweep_bones
 from ..kernels.chains import chain_move
-from ..parallel import chunk_bounds, run_chunks
-from .alternation import vertex_step
+from .alternation import sweep, vertex_step
 from .model import Fixed, Model
 from .moments import bone_sums
 from .trajectories import Array, Trajectories
@@ -186,17 +184,7 @@ def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) 
         u[k, k] += block
         u[j, k] -= block
         u[k, j] -= block
-    shared = u[:, :, 3, 3] != 0
-    np.fill_diagonal(shared, False)
-    start = np.concatenate([[0], np.cumsum(shared.sum(axis=1))]).astype(np.int32)
-    neighbour = np.nonzero(shared)[1].astype(np.int32)
-    locked = fixed.locked(model.n_bones)
-
-    def work(_: int, i: int, k: int) -> None:
-        transforms, sums = model.transforms[i:k], c[i:k]
-        sweep_bones(transforms, sums, u, start, neighbour, locked, False, _SWEEPS, 0, k - i)
-
-    run_chunks(work, chunk_bounds(data.n_frames, max(1, -(-data.n_frames // 16))))
+    sweep(model.transforms, u, c, fixed.locked(model.n_bones), sweeps=_SWEEPS)
     if not fixed.joints:
         model.tree = dataclasses.replace(tree, points=_settled(model, tree))
     vertex_step(data, model, fixed=fixed)

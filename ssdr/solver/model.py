@@ -73,6 +73,17 @@ class Model:
             error=np.full(n, np.inf),
         )
 
+    @staticmethod
+    def with_weights(
+        transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array, influences: int
+    ) -> Model:
+        """Weights as they are handed over, the largest first, in `influences` slots."""
+        model = Model.start(transforms, rest, joints[:, 0], influences)
+        k = min(influences, joints.shape[1])
+        model.joints[:, :k], model.weights[:, :k] = joints[:, :k], weights[:, :k]
+        model.restart_support()
+        return model
+
     def objective(self, data: Trajectories) -> float:
         return float(data.importance @ self.error)
 

@@ -75,8 +75,8 @@ def bone_sums(
 
 
 def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Which bones share vertices, as compressed rows."""
-    shared = u[:, :, 3, 3] > 0
+    """Which bones share vertices, or a penalty, as compressed rows."""
+    shared = u[:, :, 3, 3] != 0
     np.fill_diagonal(shared, False)
     start = np.concatenate([[0], np.cumsum(shared.sum(axis=1))]).astype(np.int32)
     return start, np.nonzero(shared)[1].astype(np.int32)
