@@ -17,8 +17,7 @@ __all__ = ["Prepared", "frames_of_sheet", "prepare", "seconds_running", "times_t
 
 _FEW = 8  # frames of a small model whose writing is timed
 _BLENDER = 20.0  # seconds, which starting it twice and exporting usually need
-_COLUMNS, _ROWS, _PANEL = 5, 5, (300, 300)  # of a contact sheet: panels, with some to spare
-_LEAST_COLUMNS = 2  # narrower, the heading does not fit
+_COLUMNS, _ROWS, _PANEL = 5, 6, (300, 300)  # of a contact sheet: panels, with some to spare
 _PICTURE = 0.25  # of the time limit, for the picture, which may have fewer frames
 _USUAL_BONES = 24  # where a tolerance will decide
 _LEAST = 0.05  # of the time limit, for the solver: one model is made in any case
@@ -109,12 +108,11 @@ def _seconds_to_save(
 
 
 def frames_of_sheet(time_limit: float | None, began: float, panel: float) -> int:
-    """How many frames of a contact sheet can be drawn within the time limit; at least two."""
+    """How many frames of a contact sheet can be drawn within the time limit; at least one."""
     if time_limit is None:
         return _COLUMNS
     left = time_limit - (time.perf_counter() - began)
-    fitting = left // max(_ROWS * panel, 1e-3)
-    return int(min(_COLUMNS, max(_LEAST_COLUMNS, fitting)))
+    return int(min(_COLUMNS, max(1, left // max(_ROWS * panel, 1e-3))))
 
 
 def _seconds_of_panel(sequence: MeshSequence) -> float:

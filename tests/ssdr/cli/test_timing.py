@@ -140,7 +140,7 @@ def test_the_picture_gets_as_many_frames_as_there_is_time_for():
     assert timing.frames_of_sheet(None, now - 1000, 1.0) == 5
     assert timing.frames_of_sheet(20, now - 1, 0.1) == 5
     assert timing.frames_of_sheet(20, now - 10, 0.5) == 3
-    assert timing.frames_of_sheet(20, now - 30, 0.5) == 2
+    assert timing.frames_of_sheet(20, now - 30, 0.5) == 1
 
 
 @pytest.mark.usefixtures("faked")
@@ -153,7 +153,7 @@ def test_a_slow_picture_leaves_the_solver_its_time(run, clip, tmp_path, monkeypa
     assert 10 < fake_decompose.options["time_limit"] < 15
     # As large as one of five, or it would take as long.
     with Image.open(picture) as sheet:
-        assert sheet.width == 640
+        assert sheet.width == 320
 
 
 def test_the_start_of_the_process_counts_for_the_time_limit():
