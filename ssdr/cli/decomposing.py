@@ -77,7 +77,6 @@ class Hierarchy(StrEnum):
     rigid = "rigid"
 
 
-_PANEL_WIDTH = 320  # of a contact sheet, in pixels
 _NO_SHEAR = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx")
 
 
@@ -332,7 +331,6 @@ def decompose(
                     result.skinning,
                     reference=join(shots),
                     frames=columns,
-                    width=_PANEL_WIDTH * columns,
                     title=inputs[0].stem,
                     up=up,
                 )
