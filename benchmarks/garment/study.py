@@ -3,7 +3,8 @@
     python benchmarks/garment/study.py out/medium.clips --out out/study
 
 It may be stopped at any time; the same command goes on.  A store that is still being simulated
-may be given with ``--parts`` that need no more than it has.  Parts:
+may be given with ``--parts`` that need no more than it has.  Two parts side by side with
+``--set train.threads=1`` take less than one after the other: the networks are narrow.  Parts:
 
     base        `rooted` with three seeds, `faithful`
     curve       the low-frequency module of `rooted` on 1,000 frames, twice as many, ... all
@@ -39,6 +40,7 @@ from garmentnet.evaluation.statistics import fit_power_law
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.ensemble import train_ensemble
 from garmentnet.training.run import choose_clips, train
+from ssdr.io.atomic import write_bytes
 
 PARTS = ("base", "curve", "baselines", "large", "ensembles", "recorded", "report")
 SEEDS = (0, 1, 2)
@@ -56,24 +58,25 @@ class Study:
         self.store, self.folder, self.settings = store, folder, settings
         folder.mkdir(parents=True, exist_ok=True)
         self.file = folder / "study.json"
-        self.record: dict[str, Any] = {}
-        if self.file.is_file():
-            self.record = json.loads(self.file.read_text("utf-8"))
 
     def config(self, preset: str, *changes: str) -> Config:
         return override(load_config(preset), [*DANCES, *changes, *self.settings])
 
+    def read(self) -> dict[str, Any]:
+        return dict(json.loads(self.file.read_text("utf-8"))) if self.file.is_file() else {}
+
     def note(self, key: str, value: Any) -> None:
-        self.record[key] = value
-        self.record["machine"] = common.machine()
-        self.file.write_text(json.dumps(self.record, indent=1), "utf-8")
+        # Parts may run side by side, one thread each: what another has noted stays.
+        record = self.read() | {key: value, "machine": common.machine()}
+        write_bytes(self.file, json.dumps(record, indent=1).encode())
 
     def run(self, name: str, work: Callable[[Path], Path]) -> Path:
         """A training in a folder of its own; its time is kept."""
         began = time.process_time()
         path = work(self.folder / name)
-        spent = self.record.get("cpu_seconds", {})
-        spent[name] = spent.get(name, 0.0) + time.process_time() - began
+        took = time.process_time() - began
+        spent = self.read().get("cpu_seconds", {})
+        spent[name] = spent.get(name, 0.0) + took
         self.note("cpu_seconds", spent)
         print(f"{name}: {path}", file=sys.stderr, flush=True)
         return path

@@ -164,6 +164,26 @@ class VirtualBones:
             permutation=self.store.mirror_vertices if clip.is_mirrored else None,
         )
 
+    def fit(
+        self, low: NDArray[np.float32], *, tolerance: float = _TOLERANCE
+    ) -> tuple[NDArray[np.float32], float]:
+        """Transforms ``(F, B, 3, 4)`` fitted to frames ``(F, V, 3)``, and their RMSE in metres.
+
+        Sweeps end when one lowers the error by less than the fraction `tolerance`.
+        """
+        s = self.skinning
+        found = ssdr.fit_bones(
+            low,
+            self.store.faces,
+            rest=s.rest,
+            joints=s.joints,
+            weights=s.weights,
+            bones=s.n_bones,
+            tolerance=tolerance,
+            max_sweeps=_SWEEPS,
+        )
+        return np.asarray(found.transforms, np.float32), found.rmse
+
     def _fitted(self, clip: Clip) -> tuple[NDArray[np.float32], float]:
         base = self.folder / "clips"
         file, statement = base / f"{clip.name}.transforms.npy", base / f"{clip.name}.fit.json"
@@ -193,19 +213,9 @@ class VirtualBones:
         self._state(statement, clip, {"high_rms": _rms(high), "checksums": sums})
 
     def _fit(self, clip: Clip, file: Path, statement: Path) -> None:
-        s = self.skinning
-        fit = ssdr.fit_bones(
-            np.asarray(self.clip(clip.name).low),
-            self.store.faces,
-            rest=s.rest,
-            joints=s.joints,
-            weights=s.weights,
-            bones=s.n_bones,
-            tolerance=_TOLERANCE,
-            max_sweeps=_SWEEPS,
-        )
-        sums = {"transforms": _write_array(file, np.asarray(fit.transforms, np.float32))}
-        self._state(statement, clip, {"rmse": fit.rmse, "checksums": sums})
+        transforms, rmse = self.fit(np.asarray(self.clip(clip.name).low))
+        sums = {"transforms": _write_array(file, transforms)}
+        self._state(statement, clip, {"rmse": rmse, "checksums": sums})
 
     def _state(self, statement: Path, clip: Clip, record: dict[str, Any]) -> None:
         record["source"] = _digest(self.store, [clip.name])

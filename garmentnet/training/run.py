@@ -35,8 +35,8 @@ from .objectives import HighFrequencyObjective, LowFrequencyObjective
 
 __all__ = ["build_network", "choose_clips", "train"]
 
-# Frames from which the statistics of the bones' motion are found, about.
-_STATISTICS = 4000
+# Frames from which the statistics of the bones' motion are found.
+_STATISTICS = 400
 
 
 def choose_clips(
@@ -108,21 +108,24 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
     """A network with random weights and the statistics of the named clips."""
     subject = bones.subject
     features = PoseFeatures(subject.skeleton, config.features, subject.fps)
-    inputs, transforms = [], []
-    plain = [n for n in names if not n.endswith(MIRRORED)]
-    length = sum(bones.store.clip(n).n_frames for n in plain)
-    # Evenly spread clips are enough for the mean and deviation of the bones' motion.
-    every = max(1, round(length / _STATISTICS))
-    chosen = set(plain[::every])
+    inputs, low, frames, first = [], [], [], 0
+    plain = {n for n in names if not n.endswith(MIRRORED)}
+    total = sum(bones.store.clip(n).n_frames for n in plain)
+    # Evenly spread frames are enough for the mean and deviation of the bones' motion.
+    chosen = np.unique(np.linspace(0, total - 1, min(total, _STATISTICS)).astype(int))
     for name in names:
         x, frame, _ = features(bones.store.clip(name).joints)
         inputs.append(x)
-        if name in chosen:
-            transforms.append(transforms_in_frame(bones.clip(name).transforms, frame))
+        if name in plain:
+            here = chosen[(chosen >= first) & (chosen < first + len(x))] - first
+            first += len(x)
+            low.append(bones.clip(name).read("low", here))
+            frames.append(frame[here])
+    transforms = bones.fit(np.concatenate(low), tolerance=1e-3)[0]
     o = config.features
     normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)
     network = MotionNetwork(config, subject, normaliser)
-    network.low.code.fit(np.concatenate(transforms))
+    network.low.code.fit(transforms_in_frame(transforms, np.concatenate(frames)))
     return network
 
 
