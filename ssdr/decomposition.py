@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, SsdrWarning
+from .errors import SsdrWarning
 from .parsimony.solve import SmallestModel
 from .parsimony.solve import solve as solve_within_tolerance
 from .result import Decomposition
@@ -87,10 +87,10 @@ def decompose(
     hierarchy : {"none", "loose", "rigid"}
         Which bone hangs on which, by which point; "none" by default, "rigid" with a
         skeleton.  "loose": a tree over the bones that are found without one, whose
-        joints may come apart; its parents are those of least gaps.  "rigid": every
+        joints may come apart; its parents are those of least gaps, or the skeleton's,
+        where bones start.  "rigid": every
         joint is one point under the bone and its parent in every frame, so that the
-        model can be posed; a root alone moves about.  In memory only; not beside a
-        tolerance.
+        model can be posed; a root alone moves about.  Not beside a tolerance.
     skeleton : Skinning, optional
         A rig, such as :func:`load_skinning` reads, whose parents and names are kept
         while weights, rest pose, motion and places of the joints are fitted; with
@@ -211,8 +211,6 @@ def decompose(
         tolerance_of=tolerance_of,
     )
     streamed = needs_streaming(problem.sequences)
-    if streamed and problem.hierarchy != "none":
-        raise InputError("hierarchy", "'none' for frames that are streamed", repr(hierarchy))
     if problem.callback is not None and not streamed:
         problem = problem.detached()
     compile_seconds = compile_kernels()

@@ -344,8 +344,10 @@ def _check_skeleton(
         raise InputError("skeleton", "a Skinning with a hierarchy", type(skeleton).__name__)
     if not is_whole(extra_bones) or extra_bones < 0:
         raise InputError("extra_bones", "an integer >= 0", repr(extra_bones))
-    if hierarchy != "rigid":
-        raise InputError("hierarchy", "'rigid' beside a skeleton", repr(hierarchy))
+    if hierarchy == "none":
+        raise InputError("hierarchy", "'rigid' or 'loose' beside a skeleton", repr(hierarchy))
+    if hierarchy == "loose" and extra_bones:
+        raise InputError("extra_bones", "0 beside hierarchy='loose'", extra_bones)
     if joints is not None and extra_bones:
         raise InputError("extra_bones", "0 beside joints and weights", extra_bones)
     count = skeleton.n_bones + int(extra_bones)
@@ -372,7 +374,7 @@ def _check_hierarchy(problem: Problem) -> None:
         raise InputError("bone_model", f"'rigid' {beside}", repr(problem.fixed.bone_model))
     if problem.tolerance is not None:
         raise InputError("tolerance", f"None {beside}", repr(problem.tolerance))
-    if problem.hierarchy == "loose":
+    if problem.hierarchy == "loose" and problem.prescribed.skeleton is None:
         return
     for name in ("weights", "transforms") if problem.prescribed.skeleton is None else ():
         if getattr(problem.prescribed, name) is not None:

@@ -296,9 +296,14 @@ def rigid_joints(effort: Effort) -> Schedule:
     )
 
 
-def on_skeleton(effort: Effort, *, placed: bool) -> Schedule:
+def on_skeleton(effort: Effort, *, placed: bool, rigid: bool) -> Schedule:
     """Weights and motion of bones whose tree is known; `placed`: the weights are, too."""
     steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
+    if not rigid:  # bones that are free, from where the skeleton puts them
+        free = (Compress(), StartOnSkeleton(), Alternate(steps=20, gain=1e-3))
+        if placed or effort == "fast":
+            return (*free, Polish(steps=steps, gain=1e-3))
+        return (*free, Polish(steps=8), *RELAXED, Polish(steps=steps, gain=1e-3))
     start = (Compress(), StartOnSkeleton(), Hang(), Polish(steps=20, gain=0.01))
     if placed:
         return (*start, Polish(steps=steps, gain=1e-3))
@@ -343,7 +348,8 @@ def schedule_for(
     hierarchy : {"none", "loose", "rigid"}
     """
     if prescribed.skeleton is not None:
-        return on_skeleton(effort, placed=prescribed.weights is not None)
+        placed = prescribed.weights is not None
+        return on_skeleton(effort, placed=placed, rigid=hierarchy == "rigid")
     if hierarchy == "rigid":
         return rigid_joints(effort)
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())

@@ -21,7 +21,7 @@ from ..frames.executor import Executor
 from ..skinning import Skinning
 from ..solver.alternation import bone_costs
 from ..solver.bone_models import normalise_gauge
-from ..solver.joints import spanning_tree
+from ..solver.joints import settled, spanning_tree
 from ..solver.model import Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
 from ..solver.tree import Tree
@@ -33,7 +33,17 @@ from .schedule import fingerprint, schedule_for
 from .state import SolverState, check_settings, check_size, taking_up
 from .tree_moves import loss_of_bones
 
-__all__ = ["Outcome", "begin", "idle_bones", "outcome_of", "restore", "solve", "state_of", "walk"]
+__all__ = [
+    "Outcome",
+    "begin",
+    "hierarchy_of",
+    "idle_bones",
+    "outcome_of",
+    "restore",
+    "solve",
+    "state_of",
+    "walk",
+]
 
 _logger = logging.getLogger(__name__)
 # Ratio of the true error to the objective's, beyond which they say different things: the error is
@@ -237,7 +247,7 @@ def outcome_of(
     count = alignment.n_frames * len(rest)
     rmse = math.sqrt(float(squared.sum()) / count)
     first = problem.sequences[0]
-    tree = spanning_tree(model, by_gap=True) if problem.hierarchy == "loose" else model.tree
+    tree = hierarchy_of(problem, model, alignment)
     skinning = Skinning(
         rest,
         joints,
@@ -261,6 +271,14 @@ def outcome_of(
         state=state,
         warnings=(hint,) if idle else (),
     )
+
+
+def hierarchy_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
+    """The tree that a model's bones hang on, or over bones that were found without one."""
+    if problem.hierarchy != "loose":
+        return model.tree
+    skeleton = problem.prescribed.inside(alignment).skeleton
+    return spanning_tree(model, by_gap=True) if skeleton is None else settled(model, skeleton)
 
 
 def with_tree(

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..solver.alternation import alternate, bone_step, vertex_step
-from ..solver.bone_models import normalise_gauge, polish_of
+from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
 from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
@@ -431,7 +431,7 @@ class Spread(Stage):
 
     def step(self, run: Run) -> bool:
         model = run.present
-        bone_step(run.data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed, leaps=_FIRST_LEAPS)
+        fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
         every = np.ones(run.data.n_vertices, dtype=bool)
         as_is = dataclasses.replace(run.fixed, rest=True, weights=every)
         vertex_step(run.data, model, fixed=as_is)

@@ -78,7 +78,7 @@ class StartOnSkeleton(Start):
             model = Model.start(bones, rest, label, 1)
         else:
             model = Model.with_weights(bones, rest, joints, weights, run.influences)
-        model.tree = tree
+        model.tree = tree if run.rigid_joints else None
         return model
 
 

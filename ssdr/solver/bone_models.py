@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -10,15 +11,20 @@ from scipy.sparse.csgraph import connected_components
 
 from ..kernels.bones import LARGEST, SMALLEST
 from .affine import admissible, flat_blocks, ridge_blocks
+from .alternation import bone_step
 from .chain_polish import ChainPolish
 from .model import FREE, Fixed, Model
 from .polish import Polish
 from .trajectories import Array, Trajectories
 
-__all__ = ["AffinePolish", "SimilarityPolish", "normalise_gauge", "polish_of"]
+__all__ = ["AffinePolish", "SimilarityPolish", "fit_motion", "normalise_gauge", "polish_of"]
 
 # the growth σ of a bone adds σ p to the change of p under (ω, τ)
 _GROWTH = np.concatenate([np.eye(3), np.zeros((1, 3))])[:, :, None]
+
+
+# Polish steps on joints in place of one leap of free bones, until one gains less than this.
+_STEPS_OF_A_LEAP, _SETTLED = 3, 1e-3
 
 
 class SimilarityPolish(Polish):
@@ -151,6 +157,23 @@ def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
         shift[:, bones] += (old - new) @ centre
         linear[:, bones] = new
         model.rest[mine] = (model.rest[mine] - centre) @ shape.T + centre
+
+
+def fit_motion(data: Trajectories, model: Model, *, fixed: Fixed, sweeps: int, leaps: int) -> None:
+    """Bones of every frame under the weights and rest pose that there are (in place).
+
+    Those that hang on joints turn about them, and the roots move about; joints stay.
+    """
+    if model.tree is None:
+        bone_step(data, model, sweeps=sweeps, fixed=fixed, leaps=leaps)
+        return
+    every = np.ones(data.n_vertices, dtype=bool)
+    as_is = dataclasses.replace(fixed, rest=True, weights=every, joints=True)
+    polish = polish_of(data, model, fixed=as_is)
+    for _ in range(_STEPS_OF_A_LEAP * leaps):
+        before = polish.value
+        if polish.step() and polish.value > (1 - _SETTLED) * before:
+            break
 
 
 def polish_of(

@@ -33,6 +33,7 @@ __all__ = [
     "joint_between",
     "masses",
     "pair_joints",
+    "settled",
     "soft_step",
     "spanning_tree",
 ]
@@ -186,12 +187,12 @@ def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) 
         u[k, j] -= block
     sweep(model.transforms, u, c, fixed.locked(model.n_bones), sweeps=_SWEEPS)
     if not fixed.joints:
-        model.tree = dataclasses.replace(tree, points=_settled(model, tree))
+        model.tree = settled(model, tree)
     vertex_step(data, model, fixed=fixed)
 
 
-def _settled(model: Model, tree: Tree) -> Array:
-    """Joints where the bones' gaps are least, those of before where motion leaves it open."""
+def settled(model: Model, tree: Tree) -> Tree:
+    """A tree with joints where the gaps are least; where motion leaves it open they stay."""
     points = tree.points.copy()
     for j in tree.hung:
         apart = model.transforms[:, j] - model.transforms[:, tree.parents[j]]
@@ -200,7 +201,7 @@ def _settled(model: Model, tree: Tree) -> Array:
         matrix = np.einsum("tab,tac->bc", turn, turn) + stay * np.eye(3)
         right = stay * points[j] - np.einsum("tab,ta->b", turn, shift)
         points[j] = np.linalg.solve(matrix, right)
-    return points
+    return dataclasses.replace(tree, points=points, rigid=False)
 
 
 def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:

@@ -17,10 +17,11 @@ from ..frames.digest import BYTES, Digests, check_same, of_block
 from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
-from ..solver.alternation import bone_step
+from ..solver.bone_models import fit_motion
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
+from ..solver.tree import Tree
 from ..solver.vertex_newton import newton_vertices
 from .scan import OnProgress, Scan
 
@@ -57,6 +58,8 @@ def carried(
         transforms[:, locked] = prescribed[:, locked]
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
+    if moved.tree is not None:
+        moved.tree = dataclasses.replace(moved.tree, points=ratio * moved.tree.points)
     return moved
 
 
@@ -131,6 +134,7 @@ class AllFrames:
             scale=self.alignment.scale,
             fixed=self.fixed,
             leaps=_LEAPS if self.passes else _FIRST_LEAPS,
+            tree=model.tree,
         )
 
         def of_span(k: int) -> tuple[Array, ...]:
@@ -176,6 +180,7 @@ class _Shared:
     scale: float
     fixed: Fixed
     leaps: int
+    tree: Tree | None
 
 
 @serial_blas()
@@ -220,8 +225,10 @@ def _pass_span(
             support_weights=shared.weights,
             count=shared.joints[:, 0],
             error=x2,
+            tree=shared.tree,
         )
-        bone_step(part, piece, sweeps=_SWEEPS, fixed=shared.fixed, leaps=shared.leaps)
+        fit_motion(part, piece, fixed=shared.fixed, sweeps=_SWEEPS, leaps=shared.leaps)
+        transforms[start:stop] = piece.transforms
         hat = part.hat(piece.transforms)
         g += hat.T @ hat
 

@@ -251,12 +251,6 @@ def test_as_many_joints_as_vertices() -> None:
     _check(ssdr.decompose(frames, bones=5, **_OPTIONS), frames, 5, 4)
 
 
-def test_frames_that_are_streamed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda sequences: True)
-    with pytest.raises(InputError, match="hierarchy"):
-        ssdr.decompose(_made().frames, bones=6, **_OPTIONS)
-
-
 def test_renumbered_vertices_give_the_same_tree() -> None:
     made = _made()
     order = np.random.default_rng(1).permutation(len(made.rest))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers import motions
+from helpers import motions, trees
+from helpers.measures import bits, diagonal, rmse_of
 from ssdr.search.progress import Reporter
 from ssdr.streaming import scan
 from ssdr.streaming.state import StreamedState
@@ -40,6 +41,48 @@ def test_exact_skinning_is_found_again() -> None:
     result = ssdr.decompose(rig.frames, bones=5, effort="best")
     diagonal = ssdr.MeshSequence(rig.frames).diagonal()
     assert result.rmse < 1e-4 * diagonal
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_skeleton_is_found_again_and_every_frame_hangs_on_its_joints() -> None:
+    made = trees.skeleton(6, 120, seed=3)
+    result = ssdr.decompose(made.frames, bones=6, influences=2, hierarchy="rigid")
+    model, size = result.skinning, diagonal(made.frames)
+    assert {record.phase for record in result.history} == {"all frames"}
+    assert result.rmse < 1e-4 * size
+    assert result.rmse == pytest.approx(rmse_of(model, made.frames), rel=1e-6)
+    assert model.joint_gaps().max() < 1e-9 * size
+    place = trees.matched(model, made)
+    named = {frozenset(int(place[k]) for k in edge) for edge in trees.edges(made.parents)}
+    assert named == trees.edges(model.parents)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_motion_alone_of_a_rig_over_streamed_frames() -> None:
+    made = trees.skeleton(6, 120, seed=3)
+    rig = ssdr.Skinning(
+        made.rest,
+        made.joints,
+        made.weights,
+        made.transforms[:1],
+        parents=made.parents,
+        joint_positions=made.points,
+    )
+    kept = {"joints": made.joints, "weights": made.weights, "rest": made.rest}
+    result = ssdr.decompose(made.frames, skeleton=rig, influences=2, **kept)
+    assert result.rmse < 1e-6 * diagonal(made.frames)
+    hung = made.parents >= 0
+    found = result.skinning.joint_positions
+    np.testing.assert_allclose(found[hung], made.points[hung], atol=1e-9)
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_loose_hierarchy_of_streamed_frames_leaves_the_bones_as_they_are() -> None:
+    frames = motions.rippled()
+    flat = ssdr.decompose(frames, bones=5, effort="fast")
+    loose = ssdr.decompose(frames, bones=5, effort="fast", hierarchy="loose")
+    assert bits(flat) == bits(loose)
+    assert (loose.skinning.parents >= 0).sum() == 4
 
 
 @pytest.mark.usefixtures("tiny_memory")
