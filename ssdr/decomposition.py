@@ -90,7 +90,7 @@ def decompose(
         joints may come apart; its parents are those of least gaps, or the skeleton's,
         where bones start.  "rigid": every
         joint is one point under the bone and its parent in every frame, so that the
-        model can be posed; a root alone moves about.  Not beside a tolerance.
+        model can be posed; a root alone moves about.
     skeleton : Skinning, optional
         A rig, such as :func:`load_skinning` reads, whose parents and names are kept
         while weights, rest pose, motion and places of the joints are fitted; with

@@ -24,10 +24,10 @@ from ..search.schedule import Effort, Schedule, merged_start
 from ..search.stages import Alternate, Merge, Polish, Recall, Reseed, Search
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.model import Fixed, Model
-from ..solver.trajectories import Trajectories
+from ..solver.trajectories import Array, Trajectories
 from .report import Attempt
 
-__all__ = ["FewestBones", "Stopped"]
+__all__ = ["FewestBones", "Stopped", "polish_stage"]
 
 _logger = logging.getLogger(__name__)
 _OVERSHOOT = 4.0  # squared error, against the tolerance's, up to which merging guesses
@@ -100,6 +100,8 @@ class FewestBones:
     iteration : int
     """
 
+    rigid_joints = False
+
     def __init__(
         self,
         data: Trajectories,
@@ -155,7 +157,7 @@ class FewestBones:
         exact = self.exact if self.least < self.exact <= self.most else 0
         while True:
             last = bones in (exact, self.most)
-            schedule = (*_begin(1.6), _reseed(6), Polish(steps=24, gain=0.01))
+            schedule = (*self._begin(1.6), *self._settle())
             model, error = self._try(bones, schedule, None, "start", 0.0, 0.25)
             if last and self.held is None:
                 self._insist(bones, model, error)
@@ -176,7 +178,7 @@ class FewestBones:
             bones = min((low + held.n_bones) // 2, held.n_bones - self._removable(held))
             bones = max(bones, low + 1) if held.n_bones - low > 1 else low
             bones = max(bones, self.least)
-            schedule = (Merge(), Alternate(steps=6), _polish(self.tries.polish))
+            schedule = (*self._merge(), polish_stage(self.tries.polish))
             wide = held.with_restarted_support()
             model, error = self._try(bones, schedule, wide, "merged", 0.25, 0.4)
             if not self.fits(bones):
@@ -192,7 +194,7 @@ class FewestBones:
 
     def _removable(self, model: Model) -> int:
         """Bones whose joint removal may be made up for by a polish, by what each would cost."""
-        cost = np.sort(bone_costs(self.data, model.with_restarted_support()))
+        cost = np.sort(self._costs(model.with_restarted_support()))
         now = model.objective(self.data)
         limit = _OVERSHOOT * self.allowed if self.measure == "rmse" else 2.0 * now
         return max(1, int(np.searchsorted(np.cumsum(cost), limit - now)))
@@ -213,21 +215,43 @@ class FewestBones:
                 return
         if tries.rounds == 0 or self._hopeless(bones, least):
             return
-        schedule = (
+        self._try(bones, self._insisting(), best, "kicked", 0.7, 0.9)
+
+    # --- what a subclass does otherwise --------------------------------------------------------
+
+    def _begin(self, factor: float) -> Schedule:
+        """A first model of the bones asked for, from `factor` times as many."""
+        return merged_start(factor, 10, 6)
+
+    def _settle(self) -> Schedule:
+        return (_reseed(6), Polish(steps=24, gain=0.01))
+
+    def _merge(self) -> Schedule:
+        """From a model of more bones down to those asked for."""
+        return (Merge(), Alternate(steps=6))
+
+    def _costs(self, model: Model) -> Array:
+        """What the objective grows by where each bone goes, (B,)."""
+        return bone_costs(self.data, model)
+
+    def _insisting(self) -> Schedule:
+        """The last and longest try."""
+        rounds = self.tries.rounds
+        return (
             Recall(),
-            _reseed(tries.reseeds),
-            _polish(30),
+            _reseed(self.tries.reseeds),
+            polish_stage(30),
             Recall(),
-            Search(steps=tries.rounds, patience=tries.rounds, gain=0.0),
+            Search(steps=rounds, patience=rounds, gain=0.0),
         )
-        self._try(bones, schedule, best, "kicked", 0.7, 0.9)
 
     def _other_starts(self, bones: int, model: Model) -> list[tuple[str, Schedule, Model | None]]:
         """Name, schedule and first model of each."""
         tries, wider = self.tries, self.held
         work: list[tuple[str, Schedule, Model | None]] = []
         if tries.reseeds:
-            work.append(("re-seeded", (Recall(), _reseed(8), _polish(tries.polish)), model))
+            schedule: Schedule = (Recall(), _reseed(8), polish_stage(tries.polish))
+            work.append(("re-seeded", schedule, model))
         if wider is not None and wider.n_bones == bones + 1:
             wide = wider.with_restarted_support()
             order = np.argsort(bone_costs(self.data, wide), kind="stable")
@@ -235,10 +259,10 @@ class FewestBones:
             for bone in order[1 : tries.removals]:
                 smaller = wide.without(np.array([bone]))
                 vertex_step(self.data, smaller, fixed=self.fixed)
-                schedule = (Alternate(steps=8), _polish(tries.polish))
+                schedule = (Alternate(steps=8), polish_stage(tries.polish))
                 work.append(("another bone removed", schedule, smaller))
         for factor in tries.starts:
-            work.append(("new start", (*_begin(factor), _polish(8)), None))
+            work.append(("new start", (*self._begin(factor), polish_stage(8)), None))
         return work
 
     def _hopeless(self, bones: int, error: float) -> bool:
@@ -298,7 +322,8 @@ class FewestBones:
             importance = importance * (_LEVEL_FLOOR + size / max(float(size.max()), 1e-300))
             importance = importance / importance.mean()
             data = dataclasses.replace(self.data, importance=importance)
-            schedule = (Recall(), Alternate(steps=2), Polish(steps=4))
+            first = () if self.rigid_joints else (Alternate(steps=2),)
+            schedule = (Recall(), *first, Polish(steps=4))
             run = self._new_run(data, schedule, model.n_bones, model.n_influences)
             run.best, run.best_value = current.copy(), current.objective(data)
             run.drive()
@@ -321,6 +346,7 @@ class FewestBones:
             rng=self.rng,
             fixed=self.fixed,
             prescribed=self.prescribed,
+            rigid_joints=self.rigid_joints,
         )
 
     def report(
@@ -364,7 +390,7 @@ class FewestBones:
         if self.held is None:
             return
         held, error = self.held, self.held_error
-        run = self._new_run(self.data, (_polish(steps),), held.n_bones, held.n_influences)
+        run = self._new_run(self.data, (polish_stage(steps),), held.n_bones, held.n_influences)
         run.begin_with(held)
         iteration = 0
 
@@ -380,11 +406,8 @@ class FewestBones:
             self.held, self.held_error = run.best_model, reached
 
 
-def _begin(factor: float) -> Schedule:
-    return merged_start(factor, 10, 6)
-
-
-def _polish(steps: int) -> Polish:
+def polish_stage(steps: int) -> Polish:
+    """Until it hardly gains."""
     return Polish(steps=steps, gain=0.005)
 
 

@@ -15,15 +15,17 @@ from ..frames.executor import Executor, executor_for
 from ..parallel import serial_blas
 from ..search.problem import Problem
 from ..search.progress import Clock, Record, Reporter
-from ..search.solve import Outcome
+from ..search.solve import Outcome, hierarchy_of, with_tree
 from ..search.state import SolverState, check_settings, check_size, number, taking_up, whole
 from ..skinning import Skinning
 from ..solver.model import Fixed, Model, pad_influences
-from ..solver.trajectories import Array, Trajectories
+from ..solver.trajectories import Alignment, Trajectories
+from ..solver.tree import Tree
 from ..streaming.passes import ENTERING, GAIN, AllFrames
 from ..streaming.scan import Scan, needs_streaming, subset
 from ..streaming.solve import PASSES, SCANNED, scan_of
 from .fewest_bones import FewestBones, Stopped
+from .fewest_joints import FewestJoints
 from .pruning import ErrorBudget, TrueError
 from .rank import rank_bound, rank_of, reduced
 from .report import Parsimony, Pruning, bytes_of, key_bytes, size
@@ -142,7 +144,8 @@ class _Hunt:
         self.fixed = Fixed(rest=problem.fixed.rest, bone_model=problem.fixed.bone_model)
         self.records: list[Record] = []
         self.smaller: list[tuple[int, float, int]] = []  # bones, error, bytes of each that held
-        self.search = FewestBones(
+        search = FewestJoints if problem.hierarchy == "rigid" else FewestBones
+        self.search = search(
             self.data,
             tolerance=self.tolerance,
             measure=problem.tolerance_of,
@@ -274,13 +277,12 @@ class _Hunt:
 
     def skinning(self, model: Model) -> Skinning:
         """A model of the frames that the search sees."""
-        rest, transforms = self.data.to_world(model.rest, model.transforms)
-        return self._named(rest, model, transforms)
+        return self._named(model, self.data, model.tree)
 
     def over_all_frames(self, model: Model, *, passes: int, entering: int) -> Skinning:
         """A model of all frames, which are walked over where they were not in memory."""
         if self.scan is None:
-            return self.skinning(model)
+            return self._named(model, self.data, hierarchy_of(self.problem, model, self.data))
         frames = AllFrames(
             self.problem.sequences,
             self.scan,
@@ -297,17 +299,18 @@ class _Hunt:
             if self.pending is not None or not value < (1 - GAIN) * last:
                 break
             last = value
-        rest, transforms = frames.alignment.to_world(frames.model.rest, frames.model.transforms)
-        return self._named(rest, frames.model, transforms)
+        tree = hierarchy_of(self.problem, frames.model, frames.alignment)
+        return self._named(frames.model, frames.alignment, tree)
 
-    def _named(self, rest: Array, model: Model, transforms: Array) -> Skinning:
+    def _named(self, model: Model, alignment: Alignment, tree: Tree | None) -> Skinning:
+        rest, transforms = alignment.to_world(model.rest, model.transforms)
         most = max(1, int((model.weights > 0).sum(axis=1).max()))
         joints, weights = pad_influences(model, self.problem.influences)
         first, names = self.problem.sequences[0], names_of(self.problem.sequences)
         if len(transforms) != names["clips"][-1].stop:
             # Representative frames alone, of which no clip is whole.
             names = {"name": names["name"], "fps": names["fps"]}
-        return Skinning(
+        skinning = Skinning(
             rest,
             joints[:, :most],
             weights[:, :most],
@@ -318,6 +321,7 @@ class _Hunt:
             **names,
             bone_model=self.problem.fixed.bone_model,
         )
+        return skinning if tree is None else with_tree(skinning, tree, alignment)
 
     # --- records and state ---------------------------------------------------------------------
 

@@ -372,8 +372,8 @@ def _check_hierarchy(problem: Problem) -> None:
     beside = f"beside hierarchy={problem.hierarchy!r}"
     if problem.fixed.bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(problem.fixed.bone_model))
-    if problem.tolerance is not None:
-        raise InputError("tolerance", f"None {beside}", repr(problem.tolerance))
+    if problem.tolerance is not None and problem.prescribed.skeleton is not None:
+        raise InputError("tolerance", "None beside a skeleton", repr(problem.tolerance))
     if problem.hierarchy == "loose" and problem.prescribed.skeleton is None:
         return
     for name in ("weights", "transforms") if problem.prescribed.skeleton is None else ():

@@ -270,10 +270,10 @@ _FIRST_TREE: Schedule = (
 )
 
 
-def tree_start(*, branch: bool = False) -> Schedule:
+def tree_start(factor: float = 1.6, *, branch: bool = False) -> Schedule:
     """Compact bones, merged and moved about, then hung and relaxed."""
     return (
-        *merged_start(1.6, 12, 6, branch=branch, influences=1),
+        *merged_start(factor, 12, 6, branch=branch, influences=1),
         Reseed(branch=branch),
         Hang(branch=branch),
         Polish(steps=20, gain=0.01, branch=branch),

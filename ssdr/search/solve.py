@@ -43,6 +43,7 @@ __all__ = [
     "solve",
     "state_of",
     "walk",
+    "with_tree",
 ]
 
 _logger = logging.getLogger(__name__)

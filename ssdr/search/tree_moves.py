@@ -26,6 +26,7 @@ from ..solver.tree import Tree
 from .moves import polish_steps, worst_patch
 
 __all__ = [
+    "give_up_bone",
     "join_touching",
     "loss_of_bones",
     "reparent",

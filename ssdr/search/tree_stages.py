@@ -13,9 +13,9 @@ from ..solver.model import Model
 from .moves import loosen, polish_steps, thin
 from .run import Run, Stage
 from .stages import POLISH_STEPS_OF_A_TRY, Change, Search, Start
-from .tree_moves import join_touching, reparent, replace_bone, seize, split_bone
+from .tree_moves import give_up_bone, join_touching, reparent, replace_bone, seize, split_bone
 
-__all__ = ["Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
+__all__ = ["GiveUp", "Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
 
 # Stiffness of the joints, of the lighter bone's mass, from the first step of a ramp to the last.
 _RAMP = (1e-2, 100.0)
@@ -112,6 +112,35 @@ class Sprout(Stage):
             run.iteration += self.polish_steps
         run.model = model
         return model.n_bones >= run.bones
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class GiveUp(Stage):
+    """The cheapest bone of a tree goes, one by one, until there are as many as asked for.
+
+    Attributes
+    ----------
+    polish_steps : int
+        After each.
+    """
+
+    phase: ClassVar[str] = "give up"
+    steps: int = 1000
+    cost: float = 30
+    polish_steps: int = 6
+
+    @property
+    def expected_steps(self) -> int:
+        return 3
+
+    def step(self, run: Run) -> bool:
+        model = run.present
+        if model.n_bones > run.bones:
+            model = give_up_bone(run.data, model.with_restarted_support(), run.fixed)
+            polish_steps(run.data, model, self.polish_steps, run.fixed)
+            run.iteration += self.polish_steps
+        run.model = model
+        return model.n_bones <= run.bones
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

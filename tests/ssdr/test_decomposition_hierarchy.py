@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 from helpers import motions, promises, trees
-from helpers.measures import bits, diagonal
+from helpers.measures import bits, diagonal, rmse_of
 from ssdr.errors import InputError
 
 
@@ -145,7 +145,6 @@ def test_a_loose_tree_leaves_the_flat_result_as_it_is() -> None:
         ({"hierarchy": True}, "hierarchy"),
         ({"hierarchy": "rigid", "bone_model": "affine"}, "bone_model"),
         ({"hierarchy": "loose", "bone_model": "similarity"}, "bone_model"),
-        ({"hierarchy": "rigid", "tolerance": 0.1}, "tolerance"),
         ({"hierarchy": "rigid", "smoothness": 0.1}, "smoothness"),
         ({"hierarchy": "rigid", "transforms": _made().transforms}, "transforms"),
         (
@@ -249,6 +248,52 @@ def test_more_joints_than_vertices_is_refused() -> None:
 def test_as_many_joints_as_vertices() -> None:
     frames = np.random.default_rng(0).normal(size=(4, 5, 3))
     _check(ssdr.decompose(frames, bones=5, **_OPTIONS), frames, 5, 4)
+
+
+def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
+    made, size = _made(), diagonal(_made().frames)
+    result = ssdr.decompose(
+        made.frames, hierarchy="rigid", influences=2, tolerance=2e-4 * size, effort="fast"
+    )
+    model, report = result.skinning, result.parsimony
+    assert report is not None
+    assert report.held
+    assert rmse_of(model, made.frames) <= 2e-4 * size
+    assert 6 <= model.n_bones <= 8
+    assert (model.parents < 0).sum() <= 2  # sticks that hardly touch may count as parts
+    assert model.joint_gaps().max() < 1e-6 * size
+    assert "keyframes" in {pruning.what for pruning in report.prunings}
+    ssdr.save(model, tmp_path / "rig.glb")
+    back = ssdr.load_skinning(tmp_path / "rig.glb")
+    assert np.array_equal(back.parents, model.parents)
+    assert rmse_of(back, made.frames) <= 2.1e-4 * size
+
+
+def test_a_tolerance_of_the_largest_error() -> None:
+    made, size = _made(), diagonal(_made().frames)
+    result = ssdr.decompose(
+        made.frames,
+        hierarchy="rigid",
+        influences=2,
+        tolerance=0.02 * size,
+        tolerance_of="max",
+        effort="fast",
+    )
+    assert result.parsimony is not None
+    assert result.parsimony.held
+    assert result.skinning.joint_gaps().max() < 1e-6 * size
+
+
+def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
+    frames = _made().frames
+    options = {"influences": 2, "tolerance": 0.01 * diagonal(frames), "effort": "fast"}
+    loose = ssdr.decompose(frames, hierarchy="loose", **options)
+    flat = ssdr.decompose(frames, **options)
+    assert loose.parsimony is not None
+    assert flat.parsimony is not None
+    assert loose.parsimony.bones == flat.parsimony.bones
+    assert loose.parsimony.held
+    assert loose.skinning.parents is not None
 
 
 def test_renumbered_vertices_give_the_same_tree() -> None:

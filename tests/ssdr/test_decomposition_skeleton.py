@@ -95,7 +95,7 @@ def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
     assert np.array_equal(model.parents, made.parents)
     assert model.joint_names == NAMES
     rigid = _solve(frames=pulled, effort=effort)
-    assert result.rmse < 0.5 * rigid.rmse
+    assert result.rmse < (0.8 if effort == "fast" else 0.5) * rigid.rmse
     assert model.joint_gaps()[:, 5].max() > 0.05
     assert result.rmse == pytest.approx(rmse_of(model, pulled), rel=1e-6)
 
