@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def decompose(
     bone_model: BoneModel = "rigid",
     hierarchy: HierarchyKind | None = None,
     skeleton: Skinning | None = None,
-    extra_bones: int = 0,
+    extra_bones: int | Mapping[str, int] = 0,
     rng: int | np.random.Generator = 0,
     max_iterations: int | None = None,
     time_limit: float | None = None,
@@ -97,8 +98,9 @@ def decompose(
         `joints` and `weights` those are kept, with `rest` that and the joints.  If it
         moves another mesh, its joints are taken to lie in the rest frame, and its weights
         say nothing.
-    extra_bones : int
-        Bones more, children of the skeleton's where the error is.
+    extra_bones : int or mapping
+        Bones more, children of the skeleton's where the error is; or how many below
+        which of its bones, by name: ``{"chest": 2, "hips": 1}``.
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     max_iterations : int, optional

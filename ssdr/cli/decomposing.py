@@ -7,7 +7,6 @@ import dataclasses
 import math
 import sys
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +17,7 @@ from ..errors import Cancelled, InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .assets import options_with_template
+from .choices import BoneModel, Effort, Hierarchy, ToleranceOf
 from .interruption import interrupted, rescue, state_beside, stopping
 from .output import (
     Force,
@@ -50,41 +50,10 @@ from .reading import (
     options_for,
     read_clips,
 )
+from .rigs import extra_bones_of, rest_pose, skeleton_parts
 from .timing import frames_of_sheet, prepare, times_text
 
-
-class Effort(StrEnum):
-    """Where on the curve of speed against accuracy a run lies."""
-
-    fast = "fast"
-    balanced = "balanced"
-    best = "best"
-
-
-class BoneModel(StrEnum):
-    """What bones may do: turn and move; also grow uniformly; also stretch and shear."""
-
-    rigid = "rigid"
-    similarity = "similarity"
-    affine = "affine"
-
-
-class Hierarchy(StrEnum):
-    """Which bone hangs on which: none on any; by joints that come apart; by rigid joints."""
-
-    none = "none"
-    loose = "loose"
-    rigid = "rigid"
-
-
 _NO_SHEAR = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".fbx")
-
-
-class ToleranceOf(StrEnum):
-    """Root mean square over all vertices and frames, or the largest distance of any of them."""
-
-    rmse = "rmse"
-    max = "max"
 
 
 def decompose(
@@ -129,11 +98,19 @@ def decompose(
         typer.Option("--skeleton", help="A rig whose joints, parents and names are kept."),
     ] = None,
     extra_bones: Annotated[
-        int, typer.Option("--extra-bones", min=0, help="Bones more than the skeleton has.")
-    ] = 0,
+        str,
+        typer.Option(
+            "--extra-bones",
+            metavar="N|NAME=N,...",
+            help="Bones more than the skeleton has, anywhere or below bones of it.",
+        ),
+    ] = "0",
     keep_weights: Annotated[
         bool, typer.Option("--keep-weights", help="Keep the skeleton's weights and rest pose.")
     ] = False,
+    rest: Annotated[
+        Path | None, typer.Option("--rest", help="A mesh whose first frame is the rest pose.")
+    ] = None,
     rest_frame: Annotated[
         int, typer.Option("--rest-frame", min=0, help="Frame at which the rest pose starts.")
     ] = 0,
@@ -200,9 +177,12 @@ def decompose(
         raise InputError("--time-limit", "seconds > 0", time_limit)
     if bones is None and tolerance is None and skeleton is None:
         raise InputError("--bones", "a number of bones, --tolerance or --skeleton", "none of them")
-    if skeleton is None and (extra_bones or keep_weights):
-        given = "--extra-bones" if extra_bones else "--keep-weights"
+    extra = extra_bones_of(extra_bones)
+    if skeleton is None and (extra or keep_weights):
+        given = "--extra-bones" if extra else "--keep-weights"
         raise InputError(given, "--skeleton beside it", "none")
+    if rest is not None and keep_weights:
+        raise InputError("--rest", "none beside --keep-weights, which keeps the rig's", str(rest))
     wanted = _tolerance(tolerance, tolerance_of)
     options = options_for(inputs, read, fps=fps, weld=weld, scale=scale)
     sources = inputs if resume is None else [*inputs, resume]
@@ -248,7 +228,7 @@ def decompose(
         if not resume.is_file():
             raise FileNotFoundError(f"{resume}: no such file")
         start = ssdr.SolverState.load(resume)
-    parts = _skeleton_parts(skeleton, extra_bones, keep_weights)
+    parts = skeleton_parts(skeleton, extra, keep_weights)
     loaded = time.perf_counter()
     with output.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = read_clips(inputs, clip, options)
@@ -258,6 +238,8 @@ def decompose(
             "IN", "an animation", f"one frame, {files} (no motion: did you mean a pattern?)"
         )
     check_rates(outputs, shots)
+    if rest is not None:
+        parts["rest"] = rest_pose(rest, shots[0], read, weld=weld, scale=scale)
     loading = time.perf_counter() - loaded
     clips = names_of(shots)["clips"]
     settings = {
@@ -297,7 +279,7 @@ def decompose(
                 influences=influences,
                 effort=effort.value,
                 bone_model=bone_model.value,
-                hierarchy=None if hierarchy is Hierarchy.none and parts else hierarchy.value,
+                hierarchy=None if hierarchy is Hierarchy.none and skeleton else hierarchy.value,
                 rest_frame=rest_frame,
                 rng=rng,
                 time_limit=left,
@@ -398,23 +380,6 @@ def _counts(shots: list[MeshSequence], diagonal: float) -> str:
         f"{sum(len(shot) for shot in shots):,} frames, {shots[0].n_vertices:,} vertices, "
         f"{len(shots[0].faces):,} triangles, diagonal {length_text(diagonal, None)}"
     )
-
-
-def _skeleton_parts(path: Path | None, extra: int, keep_weights: bool) -> dict[str, Any]:
-    """The arguments of ``decompose`` that a rig gives."""
-    if path is None:
-        return {}
-    import ssdr
-
-    rig = ssdr.load_skinning(path)
-    if rig.parents is None:
-        raise InputError("--skeleton", "a file whose joints hang on each other", str(path))
-    parts: dict[str, Any] = {"skeleton": rig}
-    if extra:
-        parts["extra_bones"] = extra
-    if keep_weights:
-        parts |= {"joints": rig.joints, "weights": rig.weights, "rest": rig.rest}
-    return parts
 
 
 def _tolerance(text: str | None, of: ToleranceOf) -> dict[str, Any]:

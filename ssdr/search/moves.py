@@ -272,26 +272,38 @@ def _with_bones(
 
 
 def worst_patch(
-    data: Trajectories, model: Model, rng: np.random.Generator, fraction: float
+    data: Trajectories,
+    model: Model,
+    rng: np.random.Generator,
+    fraction: float,
+    *,
+    among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.intp]:
-    """Of some neighbourhoods of `fraction`·V/B vertices, drawn by error, the one with most."""
+    """Of some neighbourhoods of `fraction`·V/B vertices, drawn by error, the one with most.
+
+    `among`: vertices of which it is, where there are any.
+    """
     n = data.n_vertices
     # drawn by their place in the order of motion, so that numbering plays no part
     order = np.argsort(data.x2, kind="stable")
     error = model.error * data.importance
-    total = float(error.sum())
+    there = np.arange(n)
+    if among is not None and among.any():
+        there, order = np.flatnonzero(among), order[among[order]]
+    total = float(error[there].sum())
     chance = None if not total > 0 else error[order] / total
-    seeds = order[rng.choice(n, size=min(_CANDIDATES, n), p=chance)]
-    return _heaviest(model, error, seeds, int(fraction * n / model.n_bones))
+    seeds = order[rng.choice(len(order), size=min(_CANDIDATES, len(order)), p=chance)]
+    size = int(fraction * n / model.n_bones)
+    return there[_heaviest(model.rest[there], error[there], np.searchsorted(there, seeds), size)]
 
 
-def _heaviest(model: Model, error: Array, seeds: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+def _heaviest(rest: Array, error: Array, seeds: NDArray[np.intp], size: int) -> NDArray[np.intp]:
     """Of the neighbourhoods of `size` vertices around the seeds the one that holds the most error.
 
     Four vertices at least, where there are as many.
     """
     size = min(len(error), max(_FEWEST_VERTICES, size))
-    _, near = cKDTree(model.rest).query(model.rest[seeds], k=size)
+    _, near = cKDTree(rest).query(rest[seeds], k=size)
     near = np.asarray(near).reshape(len(seeds), size)
     return np.asarray(near[error[near].sum(axis=1).argmax()])
 
@@ -319,7 +331,7 @@ def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fix
     before = model.objective(data)
     error = np.maximum(model.error, 0.0) * data.importance
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
-    members = _heaviest(model, error, seeds, data.n_vertices // (2 * model.n_bones))
+    members = _heaviest(model.rest, error, seeds, data.n_vertices // (2 * model.n_bones))
     grown = _with_patch(data, model.with_restarted_support(), members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)

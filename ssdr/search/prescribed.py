@@ -39,6 +39,8 @@ class Prescribed:
         Rest pose in which the joints of the skeleton lie, where `rest` is None.
     label : (V,) array or None
         The bone of the skeleton that moves each vertex, to start from.
+    sprouts : tuple of int
+        Parents of the bones that it gets more; −1: where the error is.
     """
 
     rest: Array | None = None
@@ -51,6 +53,7 @@ class Prescribed:
     skeleton: Tree | None = None
     start: Array | None = None
     label: NDArray[np.intp] | None = None
+    sprouts: tuple[int, ...] = ()
 
     @property
     def fixed_bones(self) -> NDArray[np.bool_] | None:
@@ -102,6 +105,7 @@ def check_prescribed(
     locked_bones: Any,
     skeleton: Skinning | None = None,
     start: Array | None = None,
+    sprouts: tuple[int, ...] = (),
 ) -> Prescribed:
     """Check the parts that a caller hands over; `shape` is (F, V, B, K)."""
     n_frames, n, bones, influences = shape
@@ -146,6 +150,7 @@ def check_prescribed(
         skeleton=tree,
         start=start,
         label=label,
+        sprouts=sprouts,
         rest=rest,
         rest_frame=rest_frame,
         joints=joints,

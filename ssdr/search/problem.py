@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -149,6 +149,8 @@ class Problem:
         arrays += [p.rest, p.joints, p.weights, p.transforms, p.locked_vertices, p.locked_bones]
         if p.skeleton is not None:
             arrays += [p.skeleton.parents, p.skeleton.points, p.start, p.label]
+        if max(p.sprouts, default=-1) >= 0:
+            arrays.append(np.array(p.sprouts))
         digest = hashlib.sha256()
         for array in arrays:
             if array is not None:
@@ -214,8 +216,13 @@ def check_problem(
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     hierarchy = ("none" if skeleton is None else "rigid") if hierarchy is None else hierarchy
+    sprouts: tuple[int, ...] = ()
     if skeleton is not None:
-        bones = _check_skeleton(skeleton, extra_bones, bones, hierarchy, joints)
+        sprouts = _check_skeleton(skeleton, extra_bones, hierarchy, joints)
+        count = skeleton.n_bones + len(sprouts)
+        if bones is not None and bones != count:
+            raise InputError("bones", f"{count}, as the skeleton has, or None", repr(bones))
+        bones = count
     elif extra_bones != 0:
         raise InputError("extra_bones", "0 without a skeleton", repr(extra_bones))
     if bones is None and tolerance is None:
@@ -251,6 +258,7 @@ def check_problem(
         locked_vertices=locked_vertices,
         locked_bones=locked_bones,
         skeleton=skeleton,
+        sprouts=sprouts,
         start=None if skeleton is None else _frame(sequences, rest_frame),
     )
     vertex_importance = check_importance(vertex_importance, "vertex_importance", n)
@@ -337,23 +345,35 @@ def _check_tolerance(problem: Problem) -> None:
 
 
 def _check_skeleton(
-    skeleton: Any, extra_bones: Any, bones: Any, hierarchy: Any, joints: Any
-) -> int:
-    """How many bones a skeleton and its extra bones are."""
+    skeleton: Any, extra_bones: Any, hierarchy: Any, joints: Any
+) -> tuple[int, ...]:
+    """The parents of the bones that a skeleton gets more; −1: where the error is."""
     if not isinstance(skeleton, Skinning):
         raise InputError("skeleton", "a Skinning with a hierarchy", type(skeleton).__name__)
-    if not is_whole(extra_bones) or extra_bones < 0:
-        raise InputError("extra_bones", "an integer >= 0", repr(extra_bones))
+    sprouts: list[int] = []
+    for name, more in extra_bones.items() if isinstance(extra_bones, Mapping) else ():
+        there = [k for k, known in enumerate(skeleton.joint_names) if known == name]
+        if len(there) != 1:
+            found = "one of that name" if not there else f"{len(there)} of that name"
+            some = ", ".join(skeleton.joint_names[:8])
+            expected = f"names of single bones of the skeleton ({some}, ...)"
+            raise InputError("extra_bones", expected, f"{name!r}, not {found}"[:200])
+        sprouts += there * _extra(more)
+    if not isinstance(extra_bones, Mapping):
+        sprouts = [-1] * _extra(extra_bones)
     if hierarchy == "none":
         raise InputError("hierarchy", "'rigid' or 'loose' beside a skeleton", repr(hierarchy))
-    if hierarchy == "loose" and extra_bones:
+    if hierarchy == "loose" and sprouts:
         raise InputError("extra_bones", "0 beside hierarchy='loose'", extra_bones)
-    if joints is not None and extra_bones:
+    if joints is not None and sprouts:
         raise InputError("extra_bones", "0 beside joints and weights", extra_bones)
-    count = skeleton.n_bones + int(extra_bones)
-    if bones is not None and bones != count:
-        raise InputError("bones", f"{count}, as the skeleton has, or None", repr(bones))
-    return count
+    return tuple(sprouts)
+
+
+def _extra(count: Any) -> int:
+    if not is_whole(count) or count < 0:
+        raise InputError("extra_bones", "an integer >= 0, or some by name", repr(count))
+    return int(count)
 
 
 def _frame(sequences: list[MeshSequence], index: int) -> Array:

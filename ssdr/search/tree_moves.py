@@ -134,20 +134,29 @@ def replace_bone(data: Trajectories, model: Model, rng: np.random.Generator, fix
 
 
 def split_bone(
-    data: Trajectories, model: Model, rng: np.random.Generator, *, leaf: bool = False
+    data: Trajectories,
+    model: Model,
+    rng: np.random.Generator,
+    *,
+    leaf: bool = False,
+    parent: int = -1,
 ) -> Model:
     """A copy with one bone more, a twin of the bone that moves a patch; no vertex moves.
+
+    The patch is of vertices that `parent` moves most, where there is one and it moves any.
 
     The twin takes over the patch and, unless it shall be a `leaf`, the joints that are nearer to
     it than to the rest.
     """
-    members = worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
+    size = float(rng.choice(_PATCH_SIZES))
+    main = model.joints[np.arange(data.n_vertices), model.weights.argmax(axis=1)]
+    members = worst_patch(data, model, rng, size, among=main == parent)
     share = np.bincount(
         model.joints[members].ravel(),
         weights=model.weights[members].ravel(),
         minlength=model.n_bones,
     )
-    bone = int(share.argmax())
+    bone = int(share.argmax()) if parent < 0 else parent
     tree, twin = _tree(model), model.n_bones
     grown = model.with_bone(model.transforms[:, bone])
     moved = (model.joints == bone) & (model.weights > 0)

@@ -86,7 +86,7 @@ class StartOnSkeleton(Start):
 class Sprout(Stage):
     """One bone more where the error is, a child of the bone that moved its vertices.
 
-    Until there are as many as asked for.
+    Until there are as many as asked for; below the bones that were named, where some were.
 
     Attributes
     ----------
@@ -107,7 +107,9 @@ class Sprout(Stage):
         model = run.present
         if model.n_bones < run.bones:
             wide = model.with_restarted_support()
-            model = split_bone(run.data, wide, run.generator, leaf=True)
+            start = run.bones - len(run.prescribed.sprouts)
+            parent = run.prescribed.sprouts[model.n_bones - start]
+            model = split_bone(run.data, wide, run.generator, leaf=True, parent=parent)
             polish_steps(run.data, model, self.polish_steps, run.fixed)
             run.iteration += self.polish_steps
         run.model = model

@@ -119,6 +119,21 @@ def test_extra_bones_lower_the_error_each_time() -> None:
     assert errors[-1] < 0.75 * errors[0]
 
 
+def test_extra_bones_below_named_ones() -> None:
+    wavy = _made().frames + 0.02 * np.sin(4 * _made().frames[..., [1, 2, 0]])
+    named = {"hand": 2, "spine": 1}
+    result = _solve(frames=wavy, extra_bones=named)
+    model = result.skinning
+    assert model.parents[6:].tolist() == [NAMES.index("hand")] * 2 + [NAMES.index("spine")]
+    assert (model.dense_weights()[:, 6:].max(axis=0) > 0).all()
+    assert result.rmse < _solve(frames=wavy).rmse
+    part = _solve(frames=wavy, extra_bones=named, max_iterations=25)
+    again = _solve(frames=wavy, extra_bones=named, resume=part.state)
+    assert bits(again) == bits(result)
+    with pytest.raises(InputError, match="resume"):
+        _solve(frames=wavy, extra_bones={"hips": 3}, resume=part.state)
+
+
 def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
     made = _made()
     frames = np.concatenate([made.rest[None], made.frames])
@@ -174,6 +189,9 @@ def test_resumed_run_ends_on_the_same_bits(tmp_path: Path) -> None:
         ({"bones": 7}, "bones"),
         ({"extra_bones": -1}, "extra_bones"),
         ({"extra_bones": 1.5}, "extra_bones"),
+        ({"extra_bones": {"tail": 1}}, "extra_bones"),
+        ({"extra_bones": {"hand": -1}}, "extra_bones"),
+        ({"extra_bones": {"hand": 1}, "bones": 6}, "bones"),
         ({"skeleton": None, "bones": 6, "extra_bones": 1}, "extra_bones"),
         ({"hierarchy": "loose", "extra_bones": 2}, "extra_bones"),
         ({"hierarchy": "none"}, "hierarchy"),
