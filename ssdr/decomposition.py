@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .errors import SsdrWarning
+from .errors import InputError, SsdrWarning
 from .parsimony.solve import SmallestModel
 from .parsimony.solve import solve as solve_within_tolerance
 from .result import Decomposition
@@ -39,6 +39,7 @@ def decompose(
     hierarchy: HierarchyKind | None = None,
     skeleton: Skinning | None = None,
     extra_bones: int | Mapping[str, int] = 0,
+    locked_joints: Sequence[str] | None = None,
     rng: int | np.random.Generator = 0,
     max_iterations: int | None = None,
     time_limit: float | None = None,
@@ -101,6 +102,10 @@ def decompose(
     extra_bones : int or mapping
         Bones more, children of the skeleton's where the error is; or how many below
         which of its bones, by name: ``{"chest": 2, "hips": 1}``.
+    locked_joints : sequence of str, optional
+        Joints of the skeleton, each with a parent, whose rotation relative to it stays
+        what the skeleton says: in each frame, where it has as many as the sequence, or
+        in its one pose.  In memory only.
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     max_iterations : int, optional
@@ -193,6 +198,7 @@ def decompose(
         hierarchy=hierarchy,
         skeleton=skeleton,
         extra_bones=extra_bones,
+        locked_joints=locked_joints,
         rng=rng,
         max_iterations=max_iterations,
         time_limit=time_limit,
@@ -213,6 +219,8 @@ def decompose(
         tolerance_of=tolerance_of,
     )
     streamed = needs_streaming(problem.sequences)
+    if streamed and problem.fixed.turns is not None:
+        raise InputError("locked_joints", "None for frames that are streamed", repr(locked_joints))
     if problem.callback is not None and not streamed:
         problem = problem.detached()
     compile_seconds = compile_kernels()

@@ -105,6 +105,12 @@ def decompose(
             help="Bones more than the skeleton has, anywhere or below bones of it.",
         ),
     ] = "0",
+    lock: Annotated[
+        str | None,
+        typer.Option(
+            "--lock", metavar="NAME,...", help="Joints that turn as the skeleton's file says."
+        ),
+    ] = None,
     keep_weights: Annotated[
         bool, typer.Option("--keep-weights", help="Keep the skeleton's weights and rest pose.")
     ] = False,
@@ -178,8 +184,8 @@ def decompose(
     if bones is None and tolerance is None and skeleton is None:
         raise InputError("--bones", "a number of bones, --tolerance or --skeleton", "none of them")
     extra = extra_bones_of(extra_bones)
-    if skeleton is None and (extra or keep_weights):
-        given = "--extra-bones" if extra else "--keep-weights"
+    if skeleton is None and (extra or keep_weights or lock):
+        given = "--extra-bones" if extra else "--lock" if lock else "--keep-weights"
         raise InputError(given, "--skeleton beside it", "none")
     if rest is not None and keep_weights:
         raise InputError("--rest", "none beside --keep-weights, which keeps the rig's", str(rest))
@@ -228,7 +234,7 @@ def decompose(
         if not resume.is_file():
             raise FileNotFoundError(f"{resume}: no such file")
         start = ssdr.SolverState.load(resume)
-    parts = skeleton_parts(skeleton, extra, keep_weights)
+    parts = skeleton_parts(skeleton, extra, keep_weights, lock)
     loaded = time.perf_counter()
     with output.waiting(f"loading {', '.join(map(str, inputs))}"):
         shots = read_clips(inputs, clip, options)

@@ -27,7 +27,7 @@ def extra_bones_of(text: str) -> int | dict[str, int]:
 
 
 def skeleton_parts(
-    path: Path | None, extra: int | dict[str, int], keep_weights: bool
+    path: Path | None, extra: int | dict[str, int], keep_weights: bool, lock: str | None
 ) -> dict[str, Any]:
     """The arguments of ``decompose`` that a rig gives."""
     if path is None:
@@ -40,6 +40,8 @@ def skeleton_parts(
     parts: dict[str, Any] = {"skeleton": rig}
     if extra:
         parts["extra_bones"] = extra
+    if lock:
+        parts["locked_joints"] = [name.strip() for name in lock.split(",")]
     if keep_weights:
         parts |= {"joints": rig.joints, "weights": rig.weights, "rest": rig.rest}
     return parts

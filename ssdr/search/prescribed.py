@@ -39,8 +39,12 @@ class Prescribed:
         Rest pose in which the joints of the skeleton lie, where `rest` is None.
     label : (V,) array or None
         The bone of the skeleton that moves each vertex, to start from.
+    skin : ((V, K) array, (V, K) array) or None
+        Joints and weights of a skeleton of the same mesh, to start from.
     sprouts : tuple of int
         Parents of the bones that it gets more; −1: where the error is.
+    turns : (F, B0, 3, 3) array or None
+        Rotations of its joints relative to their parents that stay; NaN: free.
     """
 
     rest: Array | None = None
@@ -53,7 +57,9 @@ class Prescribed:
     skeleton: Tree | None = None
     start: Array | None = None
     label: NDArray[np.intp] | None = None
+    skin: tuple[NDArray[np.int32], Array] | None = None
     sprouts: tuple[int, ...] = ()
+    turns: Array | None = None
 
     @property
     def fixed_bones(self) -> NDArray[np.bool_] | None:
@@ -106,6 +112,7 @@ def check_prescribed(
     skeleton: Skinning | None = None,
     start: Array | None = None,
     sprouts: tuple[int, ...] = (),
+    locked_joints: Any = None,
 ) -> Prescribed:
     """Check the parts that a caller hands over; `shape` is (F, V, B, K)."""
     n_frames, n, bones, influences = shape
@@ -133,7 +140,9 @@ def check_prescribed(
             bone_mask = np.ones(count, dtype=bool)
     elif locked_bones is not None:
         raise InputError("locked_bones", "None without transforms", "a mask")
-    tree = label = None
+    tree = label = turns = skin = None
+    if skeleton is None and locked_joints is not None:
+        raise InputError("locked_joints", "None without a skeleton", repr(locked_joints))
     if skeleton is not None:
         if skeleton.parents is None:
             raise InputError("skeleton", "a skinning with a hierarchy", "one without parents")
@@ -142,15 +151,19 @@ def check_prescribed(
         points = np.asarray(skeleton.joint_positions, dtype=np.float64)
         tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
         if skeleton.n_vertices == n:
-            label = skeleton.joints[np.arange(n), skeleton.weights.argmax(axis=1)].astype(np.intp)
+            skin = _largest(skeleton, influences)
+            label = skin[0][:, 0].astype(np.intp)
             start = np.asarray(skeleton.rest, dtype=np.float64)
         elif start is not None:
             label = nearest_limb(start if rest is None else rest, tree)
+        turns = _kept_turns(skeleton, locked_joints, n_frames)
     return Prescribed(
         skeleton=tree,
         start=start,
         label=label,
+        skin=skin,
         sprouts=sprouts,
+        turns=turns,
         rest=rest,
         rest_frame=rest_frame,
         joints=joints,
@@ -159,6 +172,38 @@ def check_prescribed(
         locked_vertices=vertex_mask,
         locked_bones=bone_mask,
     )
+
+
+def _largest(skeleton: Skinning, influences: int) -> tuple[NDArray[np.int32], Array]:
+    """Joints and weights of the largest influences of every vertex, largest first."""
+    weights = np.asarray(skeleton.weights, dtype=np.float64)
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
+    weights = np.take_along_axis(weights, order, axis=1)
+    joints = np.take_along_axis(np.asarray(skeleton.joints, dtype=np.int32), order, axis=1)
+    joints = np.where(weights > 0, joints, 0).astype(np.int32)
+    total = weights.sum(axis=1, keepdims=True)
+    return np.ascontiguousarray(joints), np.ascontiguousarray(weights / total)
+
+
+def _kept_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
+    """Local rotations of the named joints in every frame, NaN of the others."""
+    if names is None:
+        return None
+    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+        raise InputError("locked_joints", "names of joints of the skeleton", repr(names))
+    if skeleton.n_frames not in (1, n_frames):
+        expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
+        raise InputError("locked_joints", expected, f"{skeleton.n_frames}")
+    local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
+    turns = np.full((n_frames, *local.shape[1:]), np.nan)
+    for name in dict.fromkeys(names):
+        there = [k for k, known in enumerate(skeleton.joint_names) if known == name]
+        if len(there) != 1 or skeleton.parents[there[0]] < 0:
+            found = "a root" if len(there) == 1 else f"{len(there)} joints of that name"
+            expected = "names of single joints of the skeleton that have a parent"
+            raise InputError("locked_joints", expected, f"{name!r}, {found}")
+        turns[:, there[0]] = local[:, there[0]]
+    return turns
 
 
 def nearest_limb(points: Array, tree: Tree) -> NDArray[np.intp]:

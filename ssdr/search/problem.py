@@ -148,7 +148,9 @@ class Problem:
         arrays: list[Any] = [digests, data.importance, data.frame_scale, self.sequences[0].faces]
         arrays += [p.rest, p.joints, p.weights, p.transforms, p.locked_vertices, p.locked_bones]
         if p.skeleton is not None:
-            arrays += [p.skeleton.parents, p.skeleton.points, p.start, p.label]
+            arrays += [p.skeleton.parents, p.skeleton.points, p.start, p.label, *(p.skin or ())]
+        if p.turns is not None:
+            arrays.append(p.turns)
         if max(p.sprouts, default=-1) >= 0:
             arrays.append(np.array(p.sprouts))
         digest = hashlib.sha256()
@@ -187,6 +189,7 @@ def check_problem(
     hierarchy: Any,
     skeleton: Any,
     extra_bones: Any,
+    locked_joints: Any,
     rng: Any,
     max_iterations: Any,
     time_limit: Any,
@@ -259,6 +262,7 @@ def check_problem(
         locked_bones=locked_bones,
         skeleton=skeleton,
         sprouts=sprouts,
+        locked_joints=locked_joints,
         start=None if skeleton is None else _frame(sequences, rest_frame),
     )
     vertex_importance = check_importance(vertex_importance, "vertex_importance", n)
@@ -273,6 +277,7 @@ def check_problem(
         bones=prescribed.fixed_bones,
         bone_model=bone_model,
         joints=skeleton is not None and rest is not None,
+        turns=prescribed.turns,
     )
     problem = Problem(
         sequences=sequences,
@@ -394,6 +399,8 @@ def _check_hierarchy(problem: Problem) -> None:
         raise InputError("bone_model", f"'rigid' {beside}", repr(problem.fixed.bone_model))
     if problem.tolerance is not None and problem.prescribed.skeleton is not None:
         raise InputError("tolerance", "None beside a skeleton", repr(problem.tolerance))
+    if problem.hierarchy == "loose" and problem.prescribed.turns is not None:
+        raise InputError("locked_joints", "None beside hierarchy='loose'", "some")
     if problem.hierarchy == "loose" and problem.prescribed.skeleton is None:
         return
     for name in ("weights", "transforms") if problem.prescribed.skeleton is None else ():

@@ -219,6 +219,8 @@ def idle_bones(run: Run) -> int:
         costs = bone_costs(run.data, wide)
     else:
         costs = np.array([loss.cost for loss in loss_of_bones(run.data, wide)])
+        # a joint that was asked not to turn says nothing of how many bones there are
+        costs[[j for j, _, _ in run.asked.kept_turns(wide.tree)]] = np.inf
     return int((costs <= _NO_LOSS * energy).sum())
 
 

@@ -45,6 +45,8 @@ class ChainPolish(Polish):
         kept = options.get("fixed", FREE).joints
         self.movable = tree.hung[:0] if kept else tree.hung  # bones whose joints are unknowns
         self._moved = tree.points
+        # bones whose ω follows from their parent's, with their rotation relative to it
+        self._tied = options.get("fixed", FREE).kept_turns(tree)
         super().__init__(data, model, **options)
 
     @property
@@ -79,6 +81,8 @@ class ChainPolish(Polish):
         shifts, moved = np.zeros((n_frames, n_bones, 3)), np.zeros((n_bones, 3))
         shifts[:, self.roots] = frames[:, 3 * n_bones :].reshape(n_frames, -1, 3)
         moved[self.movable] = joints
+        for j, k, turn in self._tied:
+            turns[:, j] = np.einsum("tba,tb->ta", turn, turns[:, k])
         return turns, shifts, moved
 
     def _hold(self, x: Array) -> None:
@@ -99,6 +103,9 @@ class ChainPolish(Polish):
         chain_pullback(
             m, self.order, self.parents, self.points, tangents, turns, shifts, moved, 0, n_frames
         )
+        for j, k, turn in self._tied[::-1]:
+            turns[:, k] += np.einsum("tba,ta->tb", turn, turns[:, j])
+            turns[:, j] = 0.0
         out = self._zeros()
         frames, joints = self._parts(out)
         frames[:, : 3 * n_bones] = turns.reshape(n_frames, -1)
@@ -137,6 +144,7 @@ class ChainPolish(Polish):
         slot = np.arange(6 * n_bones).reshape(n_bones, 6)
         inner = np.concatenate([slot[:, :3].ravel(), slot[self.roots, 3:].ravel()])
         outer = slot[self.movable, 3:].ravel()
+        tied = np.array([3 * j + d for j, _, _ in self._tied for d in range(3)], dtype=np.intp)
         size = 6 * n_bones
 
         def matrix(_: int, i: int, k: int) -> Array:
@@ -161,6 +169,8 @@ class ChainPolish(Polish):
             block = full[np.ix_(inner, inner)] / count
             block[np.diag_indices(len(inner))] += damping * own
             side = full[np.ix_(inner, outer)] / count
+            block[tied], block[:, tied], side[tied] = 0.0, 0.0, 0.0
+            block[tied, tied] = own[tied]
             inverse = np.linalg.inv(block)
             inverse = 0.5 * (inverse + inverse.T)
             answer = inverse @ side

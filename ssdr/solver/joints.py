@@ -205,9 +205,14 @@ def settled(model: Model, tree: Tree) -> Tree:
 
 
 def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:
-    """Move every bone onto its joint, its rotation kept, then solve the vertices (in place)."""
+    """Move every bone onto its joint, its rotation kept, then solve the vertices (in place).
+
+    Joints whose rotation is fixed get it.
+    """
     tree = model.tree
     assert tree is not None
+    for j, k, turn in fixed.kept_turns(tree):
+        model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
     still = np.zeros((*model.transforms.shape[:2], 3))
     chain_move(model.transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
     model.tree = dataclasses.replace(tree, rigid=True)

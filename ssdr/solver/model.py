@@ -188,6 +188,8 @@ class Fixed:
     bones: NDArray[np.bool_] | None = None  # (B,) bones whose transforms stay
     bone_model: BoneModel = "rigid"
     joints: bool = False  # joints of a tree
+    # (F, B0, 3, 3) rotations relative to the parent that bones of a tree keep; NaN: free
+    turns: NDArray[np.float64] | None = None
 
     def keep_weights(self, n: int) -> NDArray[np.bool_]:
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights
@@ -196,6 +198,15 @@ class Fixed:
         if self.bones is None:
             return np.zeros(n, dtype=bool)
         return np.concatenate([self.bones, np.zeros(n - len(self.bones), dtype=bool)])
+
+    def kept_turns(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
+        """Bones whose rotation relative to their parent stays, parents first: bone, parent, it."""
+        if self.turns is None:
+            return []
+        there = self.turns.shape[1]
+        order = [int(j) for j in tree.order if j < there and tree.parents[j] >= 0]
+        kept = [j for j in order if not np.isnan(self.turns[0, j, 0, 0])]
+        return [(j, int(tree.parents[j]), self.turns[:, j]) for j in kept]
 
 
 FREE = Fixed()

@@ -134,6 +134,39 @@ def test_extra_bones_below_named_ones() -> None:
         _solve(frames=wavy, extra_bones={"hips": 3}, resume=part.state)
 
 
+@pytest.mark.parametrize("frames", [1, 40])
+def test_locked_joints_turn_as_the_skeleton_says(frames) -> None:
+    made = _made()
+    moving = dataclasses.replace(_rig(), transforms=made.transforms)
+    rig = moving if frames == 40 else _rig()
+    result = _solve(skeleton=rig, effort="balanced", locked_joints=["spine", "hand"])
+    model = _check(result)
+    for k in (1, 4):
+        want = np.broadcast_to(rig.local_transforms()[:, k, :, :3], (40, 3, 3))
+        np.testing.assert_allclose(model.local_transforms()[:, k, :, :3], want, atol=1e-9)
+    size = diagonal(made.frames)
+    if frames == 40:  # they are right: nothing is lost
+        assert result.rmse < 1e-5 * size
+    else:
+        assert 1e-3 * size < result.rmse < 0.1 * size
+
+
+def test_the_polish_of_locked_joints_is_that_of_fewer_unknowns() -> None:
+    made = _made()
+    rig = dataclasses.replace(_rig(), transforms=made.transforms)
+    off = made.frames + 0.05 * np.sin(3 * made.frames[..., [2, 0, 1]])
+    held = _solve(frames=off, skeleton=rig, locked_joints=["foot"], effort="balanced")
+    free = _solve(frames=off, skeleton=rig, effort="balanced")
+    assert free.rmse <= 1.001 * held.rmse
+    assert held.rmse < 1.5 * free.rmse
+    part = _solve(frames=off, skeleton=rig, locked_joints=["foot"], max_iterations=20)
+    whole = _solve(frames=off, skeleton=rig, locked_joints=["foot"])
+    again = _solve(frames=off, skeleton=rig, locked_joints=["foot"], resume=part.state)
+    assert bits(again) == bits(whole)
+    with pytest.raises(InputError, match="resume"):
+        _solve(frames=off, skeleton=rig, locked_joints=["hand"], resume=part.state)
+
+
 def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
     made = _made()
     frames = np.concatenate([made.rest[None], made.frames])
@@ -190,6 +223,11 @@ def test_resumed_run_ends_on_the_same_bits(tmp_path: Path) -> None:
         ({"extra_bones": -1}, "extra_bones"),
         ({"extra_bones": 1.5}, "extra_bones"),
         ({"extra_bones": {"tail": 1}}, "extra_bones"),
+        ({"locked_joints": ["hips"]}, "locked_joints"),
+        ({"locked_joints": ["tail"]}, "locked_joints"),
+        ({"locked_joints": "hand"}, "locked_joints"),
+        ({"locked_joints": ["hand"], "hierarchy": "loose"}, "locked_joints"),
+        ({"locked_joints": ["hand"], "skeleton": None, "bones": 6}, "locked_joints"),
         ({"extra_bones": {"hand": -1}}, "extra_bones"),
         ({"extra_bones": {"hand": 1}, "bones": 6}, "bones"),
         ({"skeleton": None, "bones": 6, "extra_bones": 1}, "extra_bones"),
