@@ -188,7 +188,9 @@ class VirtualBones:
         base = self.folder / "clips"
         file, statement = base / f"{clip.name}.transforms.npy", base / f"{clip.name}.fit.json"
         if not (file.is_file() and statement.is_file()):
-            self._fit(clip, file, statement)
+            found, rmse = self.fit(np.asarray(self.clip(clip.name).low))
+            sums = {"transforms": _write_array(file, found)}
+            self._state(statement, clip, {"rmse": rmse, "checksums": sums})
         record = self._record(statement, clip.name, "rmse")
         shape = (clip.n_frames, self.skinning.n_bones, 3, 4)
         transforms = map_array(file, shape, record.get("checksums", {}).get("transforms"))
@@ -210,12 +212,8 @@ class VirtualBones:
         low = np.asarray(self.smoother().smooth(vertices), np.float32)
         high = vertices - low
         sums = {k: _write_array(files[k], x) for k, x in (("low", low), ("high", high))}
-        self._state(statement, clip, {"high_rms": _rms(high), "checksums": sums})
-
-    def _fit(self, clip: Clip, file: Path, statement: Path) -> None:
-        transforms, rmse = self.fit(np.asarray(self.clip(clip.name).low))
-        sums = {"transforms": _write_array(file, transforms)}
-        self._state(statement, clip, {"rmse": rmse, "checksums": sums})
+        rms = float(np.sqrt((high.astype(np.float64) ** 2).sum(-1).mean()))
+        self._state(statement, clip, {"high_rms": rms, "checksums": sums})
 
     def _state(self, statement: Path, clip: Clip, record: dict[str, Any]) -> None:
         record["source"] = _digest(self.store, [clip.name])
@@ -398,20 +396,12 @@ def _write_array(file: Path, values: NDArray[np.float32]) -> int:
     return zlib.crc32(packed.getbuffer())
 
 
-def _rms(x: NDArray[np.floating]) -> float:
-    return float(np.sqrt((x.astype(np.float64) ** 2).sum(-1).mean()))
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: missing or not text ({error})") from error
-
-
 def _document(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     with reading(path):
-        document = json.loads(_text(path))
+        try:
+            document = json.loads(path.read_text("utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise FormatError(f"{path}: missing or not text ({error})") from error
         for key in keys:
             document[key] = float(document[key])
         return dict(document)
