@@ -152,6 +152,20 @@ def groups_of(truth: Truth) -> np.ndarray:
     return np.where(used[group] > 0, group, -1)
 
 
+def bones_of(truth: Truth) -> int:
+    """As many as move apart."""
+    group = groups_of(truth)
+    return len(np.unique(group[group >= 0]))
+
+
+def subject(name: str) -> tuple[np.ndarray, np.ndarray | None, int]:
+    """Frames, faces where there are any, and the number of bones to ask for."""
+    if name in REAL:
+        return (*load(name), REAL[name])
+    truth = known(name)
+    return truth.frames, None, bones_of(truth)
+
+
 def _depth(parents: np.ndarray, bone: int) -> int:
     count = 0
     while parents[bone] >= 0:
@@ -207,8 +221,7 @@ def _carried(transforms: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 def exact(name: str, effort: Any, seed: int) -> dict[str, Any]:
     truth = known(name)
-    group = groups_of(truth)
-    bones = len(np.unique(group[group >= 0]))
+    group, bones = groups_of(truth), bones_of(truth)
     began = time.perf_counter()
     result = ssdr.decompose(
         truth.frames,
@@ -267,12 +280,7 @@ def _e(frames: np.ndarray, model: ssdr.Skinning) -> float:
 
 def held_out(name: str, effort: Any, seed: int) -> dict[str, Any]:
     """A rig of every second frame; the others by rotations of its joints and its root alone."""
-    truth = None if name in REAL else known(name)
-    frames = load(name)[0] if truth is None else truth.frames
-    bones = REAL.get(name, 0)
-    if truth is not None:
-        group = groups_of(truth)
-        bones = len(np.unique(group[group >= 0]))
+    frames, _, bones = subject(name)
     rig = ssdr.decompose(
         frames[::2], bones=bones, effort=effort, hierarchy="rigid", rng=seed
     ).skinning
@@ -297,11 +305,7 @@ def held_out(name: str, effort: Any, seed: int) -> dict[str, Any]:
 
 def seeds(name: str, effort: Any, seed: int) -> dict[str, Any]:
     """Five seeds, and renumbered vertices: which share of the joints agrees with the first."""
-    frames = known(name).frames if name not in REAL else load(name)[0]
-    bones = REAL.get(name)
-    if bones is None:
-        group = groups_of(known(name))
-        bones = len(np.unique(group[group >= 0]))
+    frames, _, bones = subject(name)
     order = np.random.default_rng(0).permutation(frames.shape[1])
     models = [
         ssdr.decompose(frames, bones=bones, effort=effort, hierarchy="rigid", rng=k).skinning
@@ -336,11 +340,7 @@ def given(name: str, effort: Any, seed: int) -> dict[str, Any]:
     Dem Bones starts from the same rest pose and transforms, with the rig's weights or with its
     own for them; its joints may come apart, as those of our loose hierarchy.
     """
-    frames, faces = load(name) if name in REAL else (known(name).frames, None)
-    bones = REAL.get(name)
-    if bones is None:
-        group = groups_of(known(name))
-        bones = len(np.unique(group[group >= 0]))
+    frames, faces, bones = subject(name)
     options = {"effort": effort, "rng": seed}
     rig = ssdr.decompose(frames, faces, bones=bones, hierarchy="rigid", **options).skinning
     off = np.random.default_rng(0).normal(size=(bones, 3)) / np.sqrt(3)

@@ -15,6 +15,7 @@ from .fewest_bones import FewestBones, polish_stage
 __all__ = ["FewestJoints"]
 
 _FEW = 4  # tries of a short search for a better tree
+_STARTS = 3  # new starts at most: each finds a tree anew
 
 
 class FewestJoints(FewestBones):
@@ -42,7 +43,7 @@ class FewestJoints(FewestBones):
         if self.tries.reseeds:
             searched = (Recall(), _search(_FEW), polish_stage(self.tries.polish))
             work.append(("another tree", searched, model))
-        for factor in self.tries.starts[: 1 + _FEW // 2]:
+        for factor in self.tries.starts[:_STARTS]:
             work.append(("new start", (*self._begin(factor), polish_stage(8)), None))
         return work
 

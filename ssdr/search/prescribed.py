@@ -14,7 +14,7 @@ from ..skinning import BoneModel, Skinning
 from ..solver.trajectories import Alignment, Array
 from ..solver.tree import Tree
 
-__all__ = ["Prescribed", "check_prescribed", "nearest_limb"]
+__all__ = ["Prescribed", "check_prescribed", "nearest_limb", "single_joint"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,7 +38,7 @@ class Prescribed:
     start : (V, 3) array or None
         Rest pose in which the joints of the skeleton lie, where `rest` is None.
     label : (V,) array or None
-        The bone of the skeleton that moves each vertex, to start from.
+        The bone of a skeleton of another mesh that moves each vertex, to start from.
     skin : ((V, K) array, (V, K) array) or None
         Joints and weights of a skeleton of the same mesh, to start from.
     sprouts : tuple of int
@@ -152,7 +152,6 @@ def check_prescribed(
         tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
         if skeleton.n_vertices == n:
             skin = _largest(skeleton, influences)
-            label = skin[0][:, 0].astype(np.intp)
             start = np.asarray(skeleton.rest, dtype=np.float64)
         elif start is not None:
             label = nearest_limb(start if rest is None else rest, tree)
@@ -197,13 +196,27 @@ def _kept_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
     local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
     turns = np.full((n_frames, *local.shape[1:]), np.nan)
     for name in dict.fromkeys(names):
-        there = [k for k, known in enumerate(skeleton.joint_names) if known == name]
-        if len(there) != 1 or skeleton.parents[there[0]] < 0:
-            found = "a root" if len(there) == 1 else f"{len(there)} joints of that name"
-            expected = "names of single joints of the skeleton that have a parent"
-            raise InputError("locked_joints", expected, f"{name!r}, {found}")
-        turns[:, there[0]] = local[:, there[0]]
+        joint = single_joint(skeleton, name, "locked_joints")
+        if skeleton.parents[joint] < 0:
+            raise InputError("locked_joints", "joints that have a parent", f"{name!r}, a root")
+        turns[:, joint] = local[:, joint]
     return turns
+
+
+def single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
+    """The one joint of a name.
+
+    Raises
+    ------
+    InputError
+        Of `argument`, if there is none or more than one.
+    """
+    there = [k for k, known in enumerate(skeleton.joint_names) if known == name]
+    if len(there) != 1:
+        some = ", ".join(skeleton.joint_names[:8])
+        expected = f"names of single joints of the skeleton ({some}, ...)"
+        raise InputError(argument, expected, f"{name!r}, {len(there)} joints of that name")
+    return there[0]
 
 
 def nearest_limb(points: Array, tree: Tree) -> NDArray[np.intp]:

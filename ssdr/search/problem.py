@@ -30,7 +30,7 @@ from ..skinning import Skinning
 from ..solver.model import Fixed
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
-from .prescribed import Prescribed, check_prescribed
+from .prescribed import Prescribed, check_prescribed, single_joint
 from .progress import Callback
 from .schedule import Effort, HierarchyKind
 from .state import Checkpoint, SolverState
@@ -357,13 +357,7 @@ def _check_skeleton(
         raise InputError("skeleton", "a Skinning with a hierarchy", type(skeleton).__name__)
     sprouts: list[int] = []
     for name, more in extra_bones.items() if isinstance(extra_bones, Mapping) else ():
-        there = [k for k, known in enumerate(skeleton.joint_names) if known == name]
-        if len(there) != 1:
-            found = "one of that name" if not there else f"{len(there)} of that name"
-            some = ", ".join(skeleton.joint_names[:8])
-            expected = f"names of single bones of the skeleton ({some}, ...)"
-            raise InputError("extra_bones", expected, f"{name!r}, not {found}"[:200])
-        sprouts += there * _extra(more)
+        sprouts += [single_joint(skeleton, name, "extra_bones")] * _extra(more)
     if not isinstance(extra_bones, Mapping):
         sprouts = [-1] * _extra(extra_bones)
     if hierarchy == "none":

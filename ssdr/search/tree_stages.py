@@ -65,6 +65,8 @@ class StartOnSkeleton(Start):
         rest = prescribed.start if prescribed.rest is None else prescribed.rest
         assert rest is not None
         joints, weights = prescribed.joints, prescribed.weights
+        if joints is None and prescribed.skin is not None:
+            joints, weights = prescribed.skin
         if joints is not None:
             label = joints[:, 0].astype(np.intp)
         assert label is not None
@@ -74,8 +76,6 @@ class StartOnSkeleton(Start):
         for k in tree.order:  # a bone that moves nothing goes with its parent
             if not used[k] and tree.parents[k] >= 0:
                 bones[:, k] = bones[:, tree.parents[k]]
-        if joints is None and prescribed.skin is not None:
-            joints, weights = prescribed.skin
         if joints is None or weights is None:
             model = Model.start(bones, rest, label, 1)
         else:
