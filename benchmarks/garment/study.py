@@ -48,7 +48,9 @@ SIZES = (1000, 2000, 4000, 8000, 16000, 32000, 64000)
 # Generated dances alone, so that motion capture can be left out; bones from the base's alone, so
 # that they are the same while sets are simulated.
 DANCES = ("data.motions=dance-*", "bones.motions=dance-20[01]*")
-FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=12")
+# An epoch of eight times the frames has eight times the steps.
+EPOCHS = ("train.epochs=16", "train.high_epochs=4")
+FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=6")
 
 
 class Study:
@@ -60,7 +62,7 @@ class Study:
         self.file = folder / "study.json"
 
     def config(self, preset: str, *changes: str) -> Config:
-        return override(load_config(preset), [*DANCES, *changes, *self.settings])
+        return override(load_config(preset), [*DANCES, *EPOCHS, *changes, *self.settings])
 
     def read(self) -> dict[str, Any]:
         return dict(json.loads(self.file.read_text("utf-8"))) if self.file.is_file() else {}

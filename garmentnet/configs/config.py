@@ -123,6 +123,7 @@ class TrainOptions:
     patience: int = 10
     time_limit: float = 0.0
     threads: int = 0
+    precision: Literal["single", "bfloat16", "auto"] = "auto"
     device: str = "auto"
     tensorboard: bool = True
 

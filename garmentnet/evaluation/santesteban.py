@@ -23,6 +23,7 @@ from ..networks.skinning import apply_frame
 from ..training.batches import Batch, Track, load_tracks
 from ..training.loop import fit
 from ..training.objectives import LEAST_DEVIATION
+from ..training.precision import mixed_precision
 from ..training.run import build_network
 from .baselines import body_skinning
 
@@ -110,12 +111,13 @@ class SantestebanObjective:
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
         device = self.module.mean.device
-        offsets, state = self.module(batch.inputs().to(device), state)
+        (reader,) = self.module.reader
+        with mixed_precision(reader.config.train, device):
+            offsets, state = self.module(batch.inputs().to(device), state)
         windows = [(w.track, w.frames) for w in batch.windows if w]
         truth = torch.cat([t.target("low", s) + t.target("high", s) for t, s in windows])
         joints = torch.cat([t.joints(s) for t, s in windows])
-        posed = self.module.pose(offsets[batch.mask.to(device)], joints.to(device))
-        (reader,) = self.module.reader
+        posed = self.module.pose(offsets.float()[batch.mask.to(device)], joints.to(device))
         # What the body carries is placed by it, as in every method.
         return frame_norm((posed - truth.to(device))[:, reader.free]), state
 

@@ -14,6 +14,7 @@ from ..networks.losses import EXACT
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .objectives import dropout_mask, extra_of
+from .precision import mixed_precision
 
 __all__ = ["DetailObjective"]
 
@@ -102,8 +103,9 @@ class DetailObjective:
         z, numbers, rest = self._parts(rows)
         mask = dropout_mask(rng, (*z.shape[:2], options.hidden), options.dropout)
         x = self.network.high_inputs(batch.inputs().to(device), z)
-        got, state = self.module(x, state, None if mask is None else mask.to(device))
-        squares = self._squares(got, numbers, rest)[batch.mask.to(device)]
+        with mixed_precision(self.network.config.train, device):
+            got, state = self.module(x, state, None if mask is None else mask.to(device))
+        squares = self._squares(got.float(), numbers, rest)[batch.mask.to(device)]
         return (squares + EXACT).sqrt().mean(), state
 
     def validate(self) -> float:

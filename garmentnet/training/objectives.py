@@ -14,6 +14,7 @@ from ..networks.high_frequency import HighFrequency
 from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm, mesh_laplacian
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
+from .precision import mixed_precision
 
 __all__ = [
     "LEAST_DEVIATION",
@@ -118,7 +119,9 @@ class LowFrequencyObjective:
         x, hidden = batch.inputs(), self.module.gru.hidden_size
         mask = dropout_mask(rng, (*x.shape[:2], hidden), self.network.config.low.dropout)
         mask = None if mask is None else mask.to(self.network.device)
-        z, state = self.module(x.to(self.network.device), state, mask)
+        with mixed_precision(self.network.config.train, self.network.device):
+            z, state = self.module(x.to(self.network.device), state, mask)
+        z = z.float()
         code = torch.cat([extra_of(w.track)[w.frames] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
         loss = (position + EXACT).sqrt().mean()
@@ -194,7 +197,9 @@ class HighFrequencyObjective:
         dropped = self.module.draw(
             rng, (len(chosen), options.frames), hidden=options.dropout, edges=options.edge_dropout
         )
-        high, state = self.module(x, low, state, pick.to(device), dropped)
+        with mixed_precision(self.network.config.train, device):
+            high, state = self.module(x, low, state, pick.to(device), dropped)
+        high = high.float()
         targets = [w.track.target("high", f) for w, f in zip(windows, frames, strict=True)]
         truth = torch.stack(targets).to(device)
         gap = high[lanes] - truth
