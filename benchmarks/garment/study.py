@@ -6,7 +6,9 @@ It may be stopped at any time; the same command goes on.  A store that is still 
 may be given with ``--parts`` that need no more than it has.  Two parts side by side with
 ``--set train.threads=1`` take less than one after the other: the networks are narrow.  Parts:
 
+    trials      the same settings tried for `rooted` and for Santesteban et al. 2019, on validation
     base        `rooted` with three seeds, `faithful`
+    collision   weights of the collision loss, on validation, from the first network on
     curve       the low-frequency module of `rooted` on 1,000 frames, twice as many, ... all
     baselines   Santesteban et al. 2019 and the others, within the report
     large       the network that reads the parameters
@@ -26,6 +28,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,15 +37,28 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks import common
 from garmentnet.configs import load_config, override
 from garmentnet.configs.config import Config
+from garmentnet.data.clip import MIRRORED
 from garmentnet.data.store import ClipStore
+from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.evaluation.reporting import report
+from garmentnet.evaluation.santesteban import train_santesteban
 from garmentnet.evaluation.statistics import fit_power_law
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.ensemble import train_ensemble
 from garmentnet.training.run import choose_clips, train
 from ssdr.io.atomic import write_bytes
 
-PARTS = ("base", "curve", "baselines", "large", "ensembles", "recorded", "report")
+PARTS = (
+    "trials",
+    "base",
+    "collision",
+    "curve",
+    "baselines",
+    "large",
+    "ensembles",
+    "recorded",
+    "report",
+)
 SEEDS = (0, 1, 2)
 SIZES = (1000, 2000, 4000, 8000, 16000, 32000, 64000)
 # Generated dances alone, so that motion capture can be left out; bones from the base's alone, so
@@ -51,6 +67,15 @@ DANCES = ("data.motions=dance-*", "bones.motions=dance-20[01]*")
 # An epoch of eight times the frames has eight times the steps.
 EPOCHS = ("train.epochs=16", "train.high_epochs=4")
 FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=6")
+
+
+# Tried for both recurrent methods, a quarter of the training each.
+TRIALS = tuple(
+    (f"low.hidden={hidden}", f"low.dropout={dropout}")
+    for hidden in (600, 1000)
+    for dropout in (0.0, 0.3)
+)
+COLLISION = (0.0, 0.1, 0.3, 1.0)
 
 
 class Study:
@@ -87,11 +112,68 @@ class Study:
         begun = load_checkpoint(start) if start else None
         return self.run(name, lambda at: train(self.store, config, at, start=begun))
 
+    def history(self, name: str) -> Path:
+        return self.folder / name / "history.json"
+
     def checkpoint(self, name: str) -> Path:
         path = self.folder / name / "checkpoint.safetensors"
         if not path.is_file():
             raise SystemExit(f"{path} is missing: run the part that trains it first")
         return path
+
+
+def best_rmse(history: Path) -> float:
+    """Lowest validation error of the first module, mm."""
+    found = json.loads(history.read_text("utf-8"))["low"]
+    return 1e3 * min(float(e["rmse"]) for e in found if e["rmse"] is not None)
+
+
+def trials(study: Study) -> None:
+    rows = []
+    for changes in TRIALS:
+        config = study.config("rooted", *changes, "train.epochs=4", "train.high_epochs=1")
+        name = "-".join(c.split("=")[1] for c in changes)
+        study.network(f"trial-rooted-{name}", config)
+        row = {"settings": changes, "rooted": best_rmse(study.history(f"trial-rooted-{name}"))}
+        study.run(f"trial-santesteban-{name}", partial(train_baseline, study, config))
+        row["santesteban"] = best_rmse(study.history(f"trial-santesteban-{name}"))
+        rows.append(row)
+        study.note("trials", rows)
+
+
+def train_baseline(study: Study, config: Config, folder: Path) -> Path:
+    names, _ = choose_clips(study.store, config)
+    held, _ = choose_clips(study.store, config, "validation")
+    bones = virtual_bones(study.store, config.bones)
+    bones.prepare([*names, *held])
+    learned = names + [n + MIRRORED for n in names]
+    train_santesteban(bones, config, learned, held, folder)
+    return folder / "history.json"
+
+
+def tuned_baseline(study: Study) -> Config | None:
+    """Settings of the recurrent baseline with the lowest validation error of its trials."""
+    rows = study.read().get("trials", [])
+    if not rows:
+        return None
+    return study.config("rooted", *min(rows, key=lambda r: float(r["santesteban"]))["settings"])
+
+
+def collision(study: Study) -> None:
+    """Three epochs on from the first network with each weight: error, and what lies inside."""
+    start, rows = study.checkpoint("rooted-0"), []
+    for weight in COLLISION:
+        changes = (f"low.collision={weight}", *FINE_TUNING, "train.epochs=3", "train.high_epochs=1")
+        name = f"collision-{weight}"
+        path = study.network(name, study.config("rooted", *changes), start)
+        folder = study.folder / f"report-{name}"
+        patterns = [c.name for c in study.store.clips("validation") if c.motion.startswith("dance")]
+        patterns = [n for n in patterns if n.startswith("base-")]
+        report([path], study.store, folder, baselines=False, pictures=0, clips=patterns)
+        found = json.loads((folder / "report.json").read_text("utf-8"))["unseen_motions"]
+        row = next(r for r in found if r["name"] != "bones themselves")
+        rows.append({"weight": weight, **{k: row[k] for k in ("overall", "inside")}})
+        study.note("collision", rows)
 
 
 def base(study: Study) -> None:
@@ -115,9 +197,8 @@ def curve(study: Study) -> None:
         used, _ = choose_clips(study.store, config)
         frames = sum(study.store.clip(n).n_frames for n in used)
         study.network(f"curve-{size}", config)
-        history = json.loads((study.folder / f"curve-{size}" / "history.json").read_text("utf-8"))
-        best = min(e["rmse"] for e in history["low"] if e["rmse"] is not None)
-        points.append({"frames": frames, "epochs": epochs, "rmse_mm": 1e3 * best})
+        best = best_rmse(study.history(f"curve-{size}"))
+        points.append({"frames": frames, "epochs": epochs, "rmse_mm": best})
     if len(points) > 2:
         law = fit_power_law([p["frames"] for p in points], [p["rmse_mm"] for p in points])
         study.note("curve", {"points": points, "law": dataclasses.asdict(law)})
@@ -191,6 +272,7 @@ def tables(study: Study, *, baselines: bool) -> None:
         study.store,
         study.folder / "report",
         baselines=baselines,
+        recurrent=tuned_baseline(study),
         push_out=True,
         progress=lambda name, done: print(f"{name} {100 * done:.0f} %", file=sys.stderr),
     )
@@ -206,7 +288,9 @@ def main() -> None:
     given = options.parse_args()
     study = Study(ClipStore.open(given.store), given.out, given.set)
     steps: dict[str, Callable[[Study], None]] = {
+        "trials": trials,
         "base": base,
+        "collision": collision,
         "curve": curve,
         "large": large,
         "ensembles": ensembles,

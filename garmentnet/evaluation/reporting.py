@@ -11,6 +11,7 @@ from typing import Any
 
 from ssdr.errors import InputError
 
+from ..configs.config import Config
 from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
@@ -52,6 +53,7 @@ def report(
     folder: Path | str,
     *,
     baselines: bool = True,
+    recurrent: Config | None = None,
     pictures: int = 1,
     clips: Sequence[str] = (),
     against: str | None = None,
@@ -73,6 +75,9 @@ def report(
         in ``scores`` what each method scored on each clip: what is there is not scored again.
     baselines : bool
         Whether to train and score them.
+    recurrent : Config, optional
+        Settings of the recurrent baseline, of which it takes width, dropout and training; those of
+        the first checkpoint by default.
     pictures : int
         Test clips to draw for every checkpoint.
     clips : sequence of str
@@ -122,7 +127,9 @@ def report(
             digests[name] = f"{digests[k]} pushed out"
     digests["bones themselves"] = digest_of_file(bones.folder / "bones.json")
     if baselines:
-        found, digest = baseline_methods(bones, config, base, folder / "baselines", progress)
+        found, digest = baseline_methods(
+            bones, recurrent or config, base, folder / "baselines", progress
+        )
         methods |= found
         digests |= {name: f"{name} {digest}" for name in found}
     if against is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,16 +14,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from ssdr.io.atomic import write_bytes
+
 from ..configs.config import Config
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import transforms_in_frame
+from ..networks.gru import GRU
 from ..networks.losses import frame_norm
 from ..networks.network import FRAMES_AT_ONCE, MotionNetwork
 from ..networks.skinning import apply_frame
 from ..training.batches import Batch, Track, load_tracks
 from ..training.loop import fit
-from ..training.objectives import LEAST_DEVIATION
+from ..training.objectives import LEAST_DEVIATION, dropout_mask
 from ..training.precision import mixed_precision
 from ..training.run import build_network
 from .baselines import body_skinning
@@ -58,7 +62,7 @@ class Santesteban(nn.Module):
         self.reader = (reader,)  # a tuple hides its weights from this module
         self.n_vertices = skinning.n_vertices
         inputs = reader.features.size + reader.condition
-        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.gru = GRU(inputs, hidden, batch_first=True)
         self.out = nn.Linear(hidden, 3 * self.n_vertices)
         dense = np.asarray(skinning.dense_weights(), np.float32)
         self.register_buffer("weights", torch.from_numpy(dense), persistent=False)
@@ -74,9 +78,16 @@ class Santesteban(nn.Module):
         mixed = self.weights @ flat
         return mixed.view(self.n_vertices, -1, 3, 4).transpose(0, 1)
 
-    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Offsets ``(N, T, V, 3)`` in the rest pose, and the state."""
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Offsets ``(N, T, V, 3)`` in the rest pose, and the state.
+
+        `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
+        """
         h, state = self.gru(x, state)
+        if mask is not None:
+            h = h * mask
         return self.out(h).unflatten(-1, (self.n_vertices, 3)) * self.deviation + self.mean, state
 
     def pose(self, offsets: Tensor, joints: Tensor) -> Tensor:
@@ -112,8 +123,11 @@ class SantestebanObjective:
     ) -> tuple[Tensor, Tensor]:
         device = self.module.mean.device
         (reader,) = self.module.reader
+        x = batch.inputs().to(device)
+        hidden = self.module.gru.hidden_size
+        mask = dropout_mask(rng, (*x.shape[:2], hidden), reader.config.low.dropout)
         with mixed_precision(reader.config.train, device):
-            offsets, state = self.module(batch.inputs().to(device), state)
+            offsets, state = self.module(x, state, None if mask is None else mask.to(device))
         windows = [(w.track, w.frames) for w in batch.windows if w]
         truth = torch.cat([t.target("low", s) + t.target("high", s) for t, s in windows])
         joints = torch.cat([t.joints(s) for t, s in windows])
@@ -184,8 +198,7 @@ def train_santesteban(
     )
     objective.fit_statistics()
     o = config.train
-
-    fit(
+    history = fit(
         objective,
         o,
         name="santesteban",
@@ -194,4 +207,6 @@ def train_santesteban(
         folder=folder,
         callback=callback,
     )
+    lines = [dataclasses.asdict(e) for e in history]
+    write_bytes(folder / "history.json", json.dumps({"low": lines}, indent=1).encode())
     return module

@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from .gru import GRU
 from .skinning import matrix_from_sixd
 
 __all__ = ["DetailBasis", "SurfaceTurns"]
@@ -82,7 +83,7 @@ class DetailBasis(nn.Module):
 
     def __init__(self, inputs: int, n_vertices: int, *, hidden: int, rank: int) -> None:
         super().__init__()
-        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.gru = GRU(inputs, hidden, batch_first=True)
         self.out = nn.Linear(hidden, rank)
         self.register_buffer("mean", torch.zeros(n_vertices, 3))
         self.register_buffer("basis", torch.zeros(rank, 3 * n_vertices))

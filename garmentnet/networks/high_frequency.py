@@ -12,6 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from .gru import GRU
+
 __all__ = ["Dropped", "EdgeConv", "HighFrequency", "neighbour_table"]
 
 
@@ -213,7 +215,7 @@ class HighFrequency(nn.Module):
         super().__init__()
         self.n_vertices, self.global_features = n_vertices, global_features
         chosen = np.arange(n_vertices) if vertices is None else np.asarray(vertices)
-        self.gru = nn.GRU(inputs, hidden, batch_first=True)
+        self.gru = GRU(inputs, hidden, batch_first=True)
         wide = len(chosen) * global_features
         self.spread = nn.Linear(hidden, wide)
         self.spread_act = _activation(activation, wide)

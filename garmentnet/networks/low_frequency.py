@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from ssdr.errors import InputError
 from ssdr.rigid import sixd_from_matrix
 
+from .gru import GRU
 from .skinning import matrix_from_euler, matrix_from_rotation_vector, matrix_from_sixd
 
 __all__ = ["BoneCode", "LowFrequency"]
@@ -127,7 +128,7 @@ class LowFrequency(nn.Module):
         super().__init__()
         bones, width = code.shape
         self.code = code
-        self.gru = nn.GRU(inputs, hidden, num_layers=layers, batch_first=True)
+        self.gru = GRU(inputs, hidden, num_layers=layers, batch_first=True)
         self.out = nn.Linear(hidden, bones * width)
 
     def forward(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from typing import Any
 
 import torch
 
@@ -32,6 +33,6 @@ def mixed_precision(
     half = options.precision == "bfloat16"
     if options.precision == "auto" and device.type == "cpu":
         # Known from torch 2.6 on; an older one computes in single precision.
-        known = getattr(torch.cpu, "get_capabilities", dict)()
+        known: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
         half = any(known.get(name, False) for name in _INSTRUCTIONS)
     return torch.autocast(device.type, torch.bfloat16) if half else contextlib.nullcontext()

@@ -1,0 +1,113 @@
+"""A GRU whose training on a processor takes half the time of ``torch.nn.GRU``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+__all__ = ["GRU"]
+
+
+class GRU(nn.GRU):
+    """``torch.nn.GRU`` with a backward pass of its own, where gradients are needed on a processor.
+
+    torch adds up the gradient of the recurrent weights frame by frame, a matrix of the weights'
+    size each time.  Here one product over all frames gives it.  Under autocast to bfloat16 the
+    products are rounded; states, gates and sums stay in float32.  Weights have the names of
+    ``torch.nn.GRU``, and without gradients its own code runs.
+
+    Examples
+    --------
+    >>> gru = GRU(4, 8, batch_first=True)
+    >>> out, state = gru(torch.zeros(2, 5, 4))
+    >>> out.shape, state.shape
+    (torch.Size([2, 5, 8]), torch.Size([1, 2, 8]))
+    """
+
+    def forward(self, x: Tensor, state: Tensor | None = None) -> tuple[Tensor, Tensor]:  # type: ignore[override]
+        """Outputs ``(N, T, H)`` and states ``(layers, N, H)`` of inputs ``(N, T, D)``."""
+        if x.device.type != "cpu" or not torch.is_grad_enabled():
+            out, state = super().forward(x, state)
+            return out, state
+        half = torch.is_autocast_enabled("cpu")
+        y, last = x.transpose(0, 1), []
+        with torch.autocast("cpu", enabled=False):
+            for k in range(self.num_layers):
+                w_in, w_state, b_in, b_state = self.all_weights[k]
+                start = y.new_zeros(y.shape[1], self.hidden_size) if state is None else state[k]
+                y, end = _Layer.apply(y, start, w_in, w_state, b_in, b_state, half)
+                last.append(end)
+        return y.transpose(0, 1), torch.stack(last)
+
+
+class _Layer(torch.autograd.Function):
+    """One layer over T frames; z and r are the update and reset gates, n the new state's part.
+
+    r = σ(W_r x + U_r h), z = σ(W_z x + U_z h), n = tanh(W_n x + r ∘ (U_n h + b)),
+    h' = n + z ∘ (h − n)  (Cho et al. 2014, in the order of torch's rows: r, z, n).
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        x: Tensor,
+        start: Tensor,
+        w_in: Tensor,
+        w_state: Tensor,
+        b_in: Tensor,
+        b_state: Tensor,
+        half: bool,
+    ) -> tuple[Tensor, Tensor]:
+        kind = torch.bfloat16 if half else x.dtype
+        (steps, lanes, _), size = x.shape, start.shape[1]
+        w_in, w_state, flat = w_in.to(kind), w_state.to(kind), x.flatten(0, 1).to(kind)
+        gates = nn.functional.linear(flat, w_in).to(x.dtype).add_(b_in).view(steps, lanes, -1)
+        h = x.new_empty(steps + 1, lanes, size)
+        rounded = h if kind == x.dtype else h.to(kind)
+        h[0], rounded[0] = start, start
+        rz, n, hidden = (x.new_empty(steps, lanes, k * size) for k in (2, 1, 1))
+        for t in range(steps):
+            u = nn.functional.linear(rounded[t], w_state).to(x.dtype).add_(b_state)
+            torch.add(u[:, : 2 * size], gates[t, :, : 2 * size], out=rz[t]).sigmoid_()
+            hidden[t] = u[:, 2 * size :]
+            torch.addcmul(gates[t, :, 2 * size :], rz[t, :, :size], hidden[t], out=n[t]).tanh_()
+            torch.lerp(n[t], h[t], rz[t, :, size:], out=h[t + 1])
+            if half:
+                rounded[t + 1] = h[t + 1]
+        ctx.save_for_backward(flat, w_in, w_state, h, rounded, rz, n, hidden)
+        return h[1:], h[-1]
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor | None, ...]:
+        of_out, of_end = slopes
+        flat, w_in, w_state, h, rounded, rz, n, hidden = ctx.saved_tensors
+        steps, lanes, size = n.shape
+        r, z = rz.split(size, dim=2)
+        # How the gates' sums answer the state, for all frames at once.
+        to_n, to_z = (1 - z) * (1 - n * n), (h[:-1] - n) * z * (1 - z)
+        to_r = hidden * r * (1 - r)
+        of_in = n.new_empty(steps, lanes, 3 * size)
+        of_state = n.new_empty(steps, lanes, 3 * size, dtype=w_state.dtype)
+        slope = of_end
+        for t in range(steps - 1, -1, -1):
+            slope = slope + of_out[t]
+            of_n = torch.mul(slope, to_n[t], out=of_in[t, :, 2 * size :])
+            torch.mul(of_n, to_r[t], out=of_in[t, :, :size])
+            torch.mul(slope, to_z[t], out=of_in[t, :, size : 2 * size])
+            of_state[t, :, : 2 * size] = of_in[t, :, : 2 * size]
+            of_state[t, :, 2 * size :] = of_n * r[t]
+            slope = (of_state[t] @ w_state).to(n.dtype).addcmul_(slope, z[t])
+        rows_in, rows_state = of_in.flatten(0, 1), of_state.flatten(0, 1)
+        low = rows_in.to(w_in.dtype)
+        of_x = (low @ w_in).to(n.dtype).view(steps, lanes, -1) if ctx.needs_input_grad[0] else None
+        return (
+            of_x,
+            slope,
+            (low.T @ flat).to(n.dtype),
+            (rows_state.T @ rounded[:-1].flatten(0, 1)).to(n.dtype),
+            rows_in.sum(0),
+            rows_state.to(n.dtype).sum(0),
+            None,
+        )

@@ -1,0 +1,48 @@
+"""The GRU's backward pass against torch's own."""
+
+# ruff: noqa: E402
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from garmentnet.networks.gru import GRU
+
+
+def _slopes(module, x, state, weight):
+    x = x.clone().requires_grad_()
+    state = None if state is None else state.clone().requires_grad_()
+    out, last = module(x, state)
+    ((out * weight).sum() + last.square().sum()).backward()
+    leaves = [x, *([state] if state is not None else []), *module.parameters()]
+    found = [p.grad.clone() for p in leaves]
+    module.zero_grad()
+    return [out.detach(), last.detach(), *found]
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+@pytest.mark.parametrize("begun", [False, True])
+def test_same_as_torch(layers, begun):
+    torch.manual_seed(0)
+    own, theirs = (kind(5, 7, num_layers=layers, batch_first=True) for kind in (GRU, torch.nn.GRU))
+    theirs.load_state_dict(own.state_dict())
+    own, theirs = own.double(), theirs.double()
+    x, weight = torch.randn(3, 11, 5).double(), torch.randn(3, 11, 7).double()
+    state = torch.randn(layers, 3, 7).double() if begun else None
+    for a, b in zip(_slopes(own, x, state, weight), _slopes(theirs, x, state, weight), strict=True):
+        assert torch.allclose(a, b, rtol=1e-10, atol=1e-12)
+    with torch.no_grad():
+        assert torch.equal(own(x, state)[0], theirs(x, state)[0])
+
+
+def test_rounded_products():
+    """Under autocast results differ from float32 by the rounding of bfloat16, and do differ."""
+    torch.manual_seed(1)
+    gru = GRU(6, 32, batch_first=True)
+    x, weight = torch.randn(4, 20, 6), torch.randn(4, 20, 32)
+    exact = _slopes(gru, x, None, weight)
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = _slopes(gru, x, None, weight)
+    for a, b in zip(exact, rounded, strict=True):
+        assert b.dtype == torch.float32
+        assert 0 < float((a - b).norm()) < 1e-2 * float(a.norm())
