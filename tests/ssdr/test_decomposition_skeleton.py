@@ -200,6 +200,14 @@ def test_two_roots() -> None:
     assert result.rmse < 1e-4 * diagonal(_made().frames)
 
 
+def test_a_skeleton_scaled_unevenly_lends_its_joints_not_its_scales() -> None:
+    pose = np.broadcast_to(np.eye(3, 4), (1, 6, 3, 4)).copy()
+    pose[0, 3, :, :3] = np.diag([1.0, 2.0, 0.5])
+    result = _solve(skeleton=dataclasses.replace(_rig(), transforms=pose))
+    assert _check(result).bone_model == "rigid"
+    assert result.rmse < 1e-5 * diagonal(_made().frames)
+
+
 def test_names_that_repeat_are_kept() -> None:
     twice = dataclasses.replace(_rig(), bone_names=("a",) * 6)
     assert _solve(skeleton=twice).skinning.joint_names == ("a",) * 6
