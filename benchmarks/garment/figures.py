@@ -1,9 +1,9 @@
-"""Charts of a garment evaluation: validation curves, errors, looseness, the ensemble over K.
+"""Charts and films of a study: what `study.py` wrote, as the page on garmentnet shows it.
 
-    python benchmarks/garment/figures.py RUNS EVALUATION --out docs/images
+    python benchmarks/garment/figures.py out/study --out docs/images
+    python benchmarks/garment/figures.py out/study --out docs/images --store out/medium.clips
 
-RUNS is the folder with the runs of ``garmentnet train``, EVALUATION the one that
-``garmentnet evaluate`` wrote.  Needs only their JSON files.
+The charts need the study's JSON files alone; with the store come films of the first network.
 """
 
 from __future__ import annotations
@@ -19,18 +19,27 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
+from garmentnet.data.store import ClipStore
+from garmentnet.evaluation.statistics import PowerLaw
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.prediction.output import save_prediction
+from garmentnet.prediction.prediction import predict
+
+BOUND = "bones themselves"
 
 
 def _read(path: Path) -> Any:
     return json.loads(path.read_text("utf-8"))
 
 
-def curves(runs: Path, out: Path) -> None:
+def curves(study: Path, out: Path) -> None:
     """Validation RMSE over epochs, a panel for each module."""
     plt = common.pyplot()
-    histories = {p.parent.name: _read(p) for p in sorted(runs.glob("*/history.json"))}
+    names = ("rooted-0", "rooted-1", "rooted-2", "faithful", "large")
+    files = {n: study / n / "history.json" for n in names}
+    histories = {n: _read(p) for n, p in files.items() if p.is_file()}
     figure, axes = plt.subplots(1, 2, figsize=(11, 3.8))
-    titles = {"low": "low-frequency module (low part)", "high": "high-frequency module (overall)"}
+    titles = {"low": "low-frequency module (low part)", "high": "high-frequency module (detail)"}
     for axis, (phase, title) in zip(axes, titles.items(), strict=True):
         for name, history in histories.items():
             points = [(e["epoch"], 1e3 * e["rmse"]) for e in history.get(phase, []) if e["rmse"]]
@@ -38,73 +47,116 @@ def curves(runs: Path, out: Path) -> None:
                 axis.plot(*zip(*points, strict=True), label=name, linewidth=1.6)
         axis.set_title(title)
         axis.set_xlabel("epoch")
-        axis.set_ylabel("validation RMSE, mm")
+        axis.set_ylabel("validation RMSE of free vertices, mm")
         axis.set_ylim(bottom=0)
     axes[0].legend(fontsize=8)
     common.save_figure(figure, out / "garment_curves.png")
 
 
-def errors(report: Any, out: Path) -> None:
-    """Overall RMSE of every method, and error over the distance to the body."""
+def learning(study: Any, out: Path) -> None:
+    """Validation error over the training frames, and the power law through it."""
     plt = common.pyplot()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(14, 4))
-    rows = report["unseen_motions"]
+    points = study["curve"]["points"]
+    frames, errors = (np.array([p[k] for p in points]) for k in ("frames", "rmse_mm"))
+    figure, axis = plt.subplots(figsize=(6, 3.8))
+    axis.loglog(frames, errors, "o-", label="validation, low-frequency module")
+    law = study["curve"].get("law")
+    if law:
+        at = np.geomspace(frames.min(), 2 * frames.max(), 50)
+        floor = f"floor {law['floor']:.1f} mm, " if law["floor"] else ""
+        label = f"{floor}frames^−{law['exponent']:.2f}"
+        axis.loglog(at, PowerLaw(**law).error(at), ":", label=label)
+    axis.set_xlabel("training frames")
+    axis.set_ylabel("RMSE of free vertices, mm")
+    axis.legend(fontsize=8)
+    common.save_figure(figure, out / "garment_learning.png")
+
+
+def errors(report: Any, out: Path) -> None:
+    """Overall RMSE of every method, over the classes of motion and over the looseness."""
+    plt = common.pyplot()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(14, 4.4))
+    rows = [r for r in report["unseen_motions"] if "pushed out" not in r["name"]]
     names = [r["name"] for r in rows]
-    left.barh(names, [r["overall"]["rmse"] for r in rows], color="#5b8db8")
-    for k, r in enumerate(rows):
-        left.text(r["overall"]["rmse"], k, f" {r['overall']['rmse']:.1f}", va="center", fontsize=8)
+    values = [r["free"]["overall"]["rmse"] for r in rows]
+    left.barh(names, values, color="#5b8db8")
+    for k, value in enumerate(values):
+        left.text(value, k, f" {value:.1f}", va="center", fontsize=8)
     floor = report["chaos_floor"].get("all")
     if floor:
-        left.axvline(floor["overall"], color="#b04040", linewidth=1, label="chaos floor")
+        left.axvline(floor["overall_free"], color="#b04040", linewidth=1, label="chaos floor")
         left.legend(fontsize=8)
     left.invert_yaxis()
-    left.set_xlabel("overall RMSE on unseen motions, mm")
-    mean = np.array(report["looseness"]["mean_mm"])
-    parts = np.array_split(np.argsort(mean), 12)
+    left.set_xlabel("overall RMSE of free vertices on unseen motions, mm")
+    kinds = sorted(rows[0]["per_class_free"])
     for r in rows:
-        error = np.array(r["per_vertex"])
-        at = [mean[p].mean() for p in parts]
-        style = ":" if r["name"] == "bones themselves" else "-"
-        right.plot(at, [error[p].mean() for p in parts], style, label=r["name"], linewidth=1.6)
-    right.set_xlabel("mean distance to the body, mm")
-    right.set_ylabel("mean error, mm")
+        if r["name"] in (BOUND, "body-skinned", "mean shape"):
+            continue
+        right.plot(kinds, [r["per_class_free"][k] for k in kinds], "o-", label=r["name"])
+    if floor:
+        floors = [report["chaos_floor"].get(k, {}).get("overall_free", np.nan) for k in kinds]
+        right.plot(kinds, floors, "k:", label="chaos floor")
+    right.set_ylabel("RMSE of free vertices, mm")
+    right.set_ylim(bottom=0)
     right.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))
     common.save_figure(figure, out / "garment_errors.png")
 
 
-def pivots(path: Path, out: Path) -> None:
-    """Error on the unseen parameter sets over the number of pivots."""
+def pivots(study: Path, out: Path) -> None:
+    """Error on the unseen parameter sets over the number of pivots, both forms of ensemble."""
     plt = common.pyplot()
-    sweep = _read(path)["sweep"]
-    splits = [s for s in ("train", "test") if s in sweep[0]["test_mm"]["rbf"]]
-    figure, axes = plt.subplots(1, len(splits), figsize=(5.5 * len(splits), 3.8), squeeze=False)
-    for axis, split in zip(axes[0], splits, strict=True):
-        for way in sweep[0]["test_mm"]:
-            axis.plot(
-                [s["count"] for s in sweep],
-                [s["test_mm"][way][split] for s in sweep],
-                marker="o",
-                label=way,
-            )
+    found = {n: study / f"ensemble-{n}" / "ensemble.json" for n in ("paper", "ours")}
+    sweeps = {n: _read(p)["sweep"] for n, p in found.items() if p.is_file()}
+    splits = ("train", "test")
+    figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), sharey=True)
+    for axis, split in zip(axes, splits, strict=True):
+        for name, sweep in sweeps.items():
+            for way, style in (("rbf", "o-"), ("inverse distance", "s:"), ("nearest", "^:")):
+                if way in sweep[0]["test_mm"]:
+                    counts = [s["count"] for s in sweep]
+                    at = [s["test_mm"][way][split] for s in sweep]
+                    axis.plot(counts, at, style, label=f"{name}: {way}")
         axis.set_title(f"unseen parameters, {'training' if split == 'train' else 'unseen'} motions")
         axis.set_xlabel("pivots")
-        axis.set_ylabel("overall RMSE, mm")
-        axis.set_ylim(bottom=0)
-    axes[0][0].legend(fontsize=8)
+    axes[0].set_ylabel("overall RMSE, mm")
+    axes[0].set_ylim(bottom=0)
+    axes[1].legend(fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))
     common.save_figure(figure, out / "garment_pivots.png")
+
+
+def films(study: Path, store: Path, out: Path) -> None:
+    """Truth, prediction and error of a test dance and of a motion capture that was left out."""
+    clips = ClipStore.open(store)
+    jobs = {"dance": ("base-dance-22006", study / "rooted-0" / "checkpoint.safetensors")}
+    for path in sorted(study.glob("recorded-*/checkpoint.safetensors"))[-1:]:
+        stem = path.parent.name.removeprefix("recorded-")
+        name = next(c.name for c in clips.clips() if c.motion.startswith(stem))
+        jobs["recorded"] = (name, path)
+    for kind, (name, checkpoint) in jobs.items():
+        file = out / f"garment_{kind}.webp"
+        model, clip = load_checkpoint(checkpoint), clips.clip(name)
+        prediction = predict(model, clip.joints, push_out=True, name=name)
+        save_prediction(prediction, file, size=320, truth=clip, error=True, every=2)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("runs", type=Path)
-    parser.add_argument("evaluation", type=Path)
+    parser.add_argument("study", type=Path)
+    parser.add_argument("--store", type=Path)
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    curves(options.runs, options.out)
-    errors(_read(options.evaluation / "report.json"), options.out)
-    for path in sorted(options.runs.glob("*/ensemble.json")):
-        pivots(path, options.out)
+    curves(options.study, options.out)
+    study = options.study / "study.json"
+    if study.is_file() and "curve" in _read(study):
+        learning(_read(study), options.out)
+    report = options.study / "report" / "report.json"
+    if report.is_file():
+        errors(_read(report), options.out)
+    if list(options.study.glob("ensemble-*/ensemble.json")):
+        pivots(options.study, options.out)
+    if options.store:
+        films(options.study, options.store, options.out)
 
 
 if __name__ == "__main__":
