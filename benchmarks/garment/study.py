@@ -211,14 +211,17 @@ def large(study: Study) -> None:
 
 
 def ensembles(study: Study) -> None:
-    independent = study.config("rooted", "ensemble.start_from_base=false")
+    # A pivot of its own sees 2,400 frames: more epochs, not fewer steps than it can use.
+    longer = ("train.epochs=80", "train.high_epochs=20")
+    independent = study.config("rooted", "ensemble.start_from_base=false", *longer)
     first = load_checkpoint(study.checkpoint("rooted-0"))
     study.run(
         "ensemble-paper",
         lambda at: train_ensemble(study.store, independent, at, base=first),
     )
     reading = load_checkpoint(study.checkpoint("large"))
-    ours = study.config("rooted", "data.condition=true")
+    # As many frames for the pivot at the base parameters as for the others.
+    ours = study.config("rooted", "data.condition=true", "data.frames=2400")
     study.run("ensemble-ours", lambda at: train_ensemble(study.store, ours, at, base=reading))
     for name in ("ensemble-paper", "ensemble-ours"):
         found = json.loads((study.folder / name / "ensemble.json").read_text("utf-8"))

@@ -141,6 +141,7 @@ def train_ensemble(
             settings,
             folder / name,
             start=start,
+            validated=False,
             bones_folder=bones_folder,
             callback=after_epoch,
             progress=progress,

@@ -135,6 +135,7 @@ def train(
     folder: Path | str,
     *,
     start: Checkpoint | None = None,
+    validated: bool = True,
     bones_folder: Path | str | None = None,
     callback: Callable[[Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
@@ -150,6 +151,9 @@ def train(
         curves before.
     start : Checkpoint, optional
         Start from its weights instead of random ones, as pivots do from the base network.
+    validated : bool
+        Whether validation clips are needed where nothing is started from.  Without them a run goes
+        through all epochs and ends with the last weights.
     bones_folder : path, optional
         As in :func:`~garmentnet.data.virtual_bones.virtual_bones`.
     callback : callable, optional
@@ -172,8 +176,8 @@ def train(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     names, parameters = choose_clips(store, config)
-    # A pivot starts from a trained network; its few clips need not include validation clips.
-    held = choose_clips(store, config, "validation", needed=start is None)[0]
+    # Who starts from a trained network has few clips, which need not include validation clips.
+    held = choose_clips(store, config, "validation", needed=validated and start is None)[0]
     mirror = config.data.mirror and store.mirror_vertices is not None
     learned = names + ([n + MIRRORED for n in names] if mirror else [])
     _claim(folder, config, learned)
