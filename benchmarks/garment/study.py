@@ -66,6 +66,8 @@ SIZES = (1000, 2000, 4000, 8000, 16000, 32000, 64000)
 DANCES = ("data.motions=dance-*", "bones.motions=dance-20[01]*")
 # An epoch of eight times the frames has eight times the steps.
 EPOCHS = ("train.epochs=16", "train.high_epochs=4")
+# Three short clips: epochs of a dozen steps.
+RECORDED = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=80")
 FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=6")
 
 
@@ -237,7 +239,7 @@ def recorded(study: Study) -> None:
     rows = {}
     for stem in files:
         left = f"{stem}_*"
-        changes = ("data.motions=*", f"data.leave_out={left}", *FINE_TUNING)
+        changes = ("data.motions=*", f"data.leave_out={left}", *RECORDED)
         config = study.config("rooted", *changes)
         only = dataclasses.replace(config.data, motions=_common(files))
         path = study.network(f"recorded-{stem}", dataclasses.replace(config, data=only), start)
