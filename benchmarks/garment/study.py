@@ -66,11 +66,9 @@ SIZES = (1000, 2000, 4000, 8000, 16000, 32000, 64000)
 DANCES = ("data.motions=dance-*", "bones.motions=dance-20[01]*")
 # An epoch of eight times the frames has eight times the steps.
 EPOCHS = ("train.epochs=16", "train.high_epochs=4")
+FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4")
 # Three short clips: epochs of a dozen steps.
-RECORDED = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=80")
-FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=6")
-
-
+RECORDED = (*FINE_TUNING, "train.epochs=80")
 # Tried for both recurrent methods, a quarter of the training each.
 TRIALS = tuple(
     (f"low.hidden={hidden}", f"low.dropout={dropout}")
@@ -169,9 +167,9 @@ def collision(study: Study) -> None:
         name = f"collision-{weight}"
         path = study.network(name, study.config("rooted", *changes), start)
         folder = study.folder / f"report-{name}"
-        patterns = [c.name for c in study.store.clips("validation") if c.motion.startswith("dance")]
-        patterns = [n for n in patterns if n.startswith("base-")]
-        report([path], study.store, folder, baselines=False, pictures=0, clips=patterns)
+        dances = study.store.clips("validation", parameters=study.store.parameters()[0])
+        names = [c.name for c in dances if c.motion.startswith("dance-")]
+        report([path], study.store, folder, baselines=False, pictures=0, clips=names)
         found = json.loads((folder / "report.json").read_text("utf-8"))["unseen_motions"]
         row = next(r for r in found if r["name"] != "bones themselves")
         rows.append({"weight": weight, **{k: row[k] for k in ("overall", "inside")}})
