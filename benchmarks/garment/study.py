@@ -37,7 +37,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks import common
 from garmentnet.configs import load_config, override
 from garmentnet.configs.config import Config
-from garmentnet.data.clip import MIRRORED
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.evaluation.reporting import report
@@ -45,7 +44,7 @@ from garmentnet.evaluation.santesteban import train_santesteban
 from garmentnet.evaluation.statistics import fit_power_law
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.ensemble import train_ensemble
-from garmentnet.training.run import choose_clips, train
+from garmentnet.training.run import choose_clips, train, with_mirrored
 from ssdr.io.atomic import write_bytes
 
 PARTS = (
@@ -146,7 +145,7 @@ def train_baseline(study: Study, config: Config, folder: Path) -> Path:
     held, _ = choose_clips(study.store, config, "validation")
     bones = virtual_bones(study.store, config.bones)
     bones.prepare([*names, *held])
-    learned = names + [n + MIRRORED for n in names]
+    learned = with_mirrored(study.store, config, names)
     train_santesteban(bones, config, learned, held, folder)
     return folder / "history.json"
 
