@@ -14,7 +14,7 @@ may be given with ``--parts`` that need no more than it has.  Two parts side by 
     large       the network that reads the parameters
     ensembles   the paper's (independent pivots) and ours (from the network that reads them)
     recorded    each motion capture left out in turn, fine-tuned from the first network
-    report      the tables of all that is there
+    report      the tables of all that is there; of the first network once more, pushed out
 
 Results are written to ``study.json`` in the folder, times beside the machine's GEMM rate.
 """
@@ -269,14 +269,28 @@ def tables(study: Study, *, baselines: bool) -> None:
     paths = [study.folder / n / "checkpoint.safetensors" for n in names]
     paths += [study.folder / f"ensemble-{n}" / "ensemble.safetensors" for n in ("paper", "ours")]
     there = [p for p in paths if p.is_file()]
+
+    def progress(name: str, done: float) -> None:
+        print(f"{name} {100 * done:.0f} %", file=sys.stderr)
+
     text = report(
         there,
         study.store,
         study.folder / "report",
         baselines=baselines,
         recurrent=tuned_baseline(study),
+        progress=progress,
+    )
+    print(text)
+    pushed = study.folder / "report-pushed"
+    text = report(
+        there[:1],
+        study.store,
+        pushed,
+        baselines=False,
+        pictures=0,
         push_out=True,
-        progress=lambda name, done: print(f"{name} {100 * done:.0f} %", file=sys.stderr),
+        progress=progress,
     )
     print(text)
 
