@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -153,6 +154,10 @@ def main() -> None:
     report = options.study / "report" / "report.json"
     if report.is_file():
         errors(_read(report), options.out)
+    moments = options.study / "report-pushed" / "rooted-0-checkpoint-moments.png"
+    if moments.is_file():
+        with Image.open(moments) as picture:
+            picture.save(options.out / "garment_moments.png", optimize=True)
     if list(options.study.glob("ensemble-*/ensemble.json")):
         pivots(options.study, options.out)
     if options.store:

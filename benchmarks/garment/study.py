@@ -293,7 +293,6 @@ def tables(study: Study, *, baselines: bool) -> None:
         study.store,
         pushed,
         baselines=False,
-        pictures=0,
         push_out=True,
         progress=progress,
     )
