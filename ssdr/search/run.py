@@ -18,6 +18,7 @@ import numpy as np
 from ..parallel import serial_blas
 from ..solver.model import Fixed, Model
 from ..solver.polish import Polish
+from ..solver.recycling import Recycled
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .prescribed import Prescribed
@@ -127,6 +128,8 @@ class Run:
         Of the present stage.
     leader : list of float
         Track of the search that ended lowest.
+    recycled : Recycled or None
+        What the last step of the present polish hands on to the next.
     polish : Polish or None
         Of the present stage; its factors last from step to step.
     records : list of (iteration, elapsed, squared error, phase)
@@ -160,6 +163,7 @@ class Run:
         self.leader: list[float] = []
         self.memory = Memory()
         self.polish: Polish | None = None
+        self.recycled: Recycled | None = None
 
     @property
     def finished(self) -> bool:
@@ -380,4 +384,4 @@ class Run:
             self.leader = track
         self.position += 1
         self.memory = Memory()
-        self.polish = None
+        self.polish = self.recycled = None

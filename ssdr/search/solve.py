@@ -336,6 +336,7 @@ def state_of(
         phases=tuple(phase for _, _, _, phase in run.records),
         current=run.model,
         best=run.best,
+        recycled=run.recycled,
         driver=driver or {},
     )
 
@@ -363,3 +364,4 @@ def restore(run: Run, state: SolverState) -> None:
             None if state.best is None else state.best.copy(),
             records,
         )
+        run.recycled = state.recycled

@@ -316,12 +316,18 @@ class Polish(Stage):
     def step(self, run: Run) -> bool:
         model, memory = run.present, run.memory
         if run.polish is None:
-            run.polish = polish_of(run.data, model, fixed=run.fixed, damping=memory.damping)
+            run.polish = polish_of(
+                run.data,
+                model,
+                fixed=run.fixed,
+                damping=memory.damping,
+                recycled=run.recycled,
+            )
         polish = run.polish
         if not memory.recent:
             memory.recent = [polish.value]
         polish.step(entering=entering_at(memory.count))
-        memory.damping = polish.damping
+        memory.damping, run.recycled = polish.damping, polish.recycled
         run.iteration += 1
         memory.recent = [*memory.recent, polish.value][-_POLISH_WINDOW - 1 :]
         full = len(memory.recent) > _POLISH_WINDOW

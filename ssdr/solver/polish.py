@@ -31,6 +31,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine import flat_blocks
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, transform_sums
+from .recycling import Recycled
 from .trajectories import Array, Trajectories
 from .vertex_newton import newton_vertices
 
@@ -123,6 +124,8 @@ class Polish:
     damping : float, optional
         λ of an earlier polish of this very model, to go on exactly where it
         stopped; by default the vertices are optimised first.
+    recycled : Recycled, optional
+        Directions of the last step of an earlier polish of this very model.
     conjugate_steps : int
         Most products with the Schur complement a step.
     group : int
@@ -138,12 +141,13 @@ class Polish:
         *,
         fixed: Fixed = FREE,
         damping: float | None = None,
-        conjugate_steps: int = 30,
+        recycled: Recycled | None = None,
+        conjugate_steps: int = 12,
         group: int = 24,
     ) -> None:
         self.data, self.model, self.fixed = data, model, fixed
         self.damping = 1e-3 if damping is None else damping
-        self.group = group
+        self.group, self.recycled = group, recycled
         self.conjugate_steps = conjugate_steps
         self._keep = fixed.keep_weights(data.n_vertices)
         self._locked = fixed.locked(model.n_bones)
@@ -240,6 +244,8 @@ class Polish:
         self._hold(rhs)
 
         precondition, damp = self._preconditioner(u)
+        if self.recycled is not None:
+            precondition = self.recycled.around(precondition, rhs.size)
 
         def apply(x: Array) -> Array:
             image = self._image(x)
@@ -255,7 +261,7 @@ class Polish:
         z = precondition(residual)
         direction = z.copy()
         rho = float(np.vdot(residual, z))
-        first = rho
+        first, pairs = rho, list[tuple[Array, Array]]()
         for _ in range(self.conjugate_steps):
             if not rho > 1e-10 * first:
                 break
@@ -263,12 +269,14 @@ class Polish:
             curvature = float(np.vdot(direction, image))
             if not curvature > 0:
                 break
+            pairs.append((direction, image))
             alpha = rho / curvature
             x += alpha * direction
             residual -= alpha * image
             z = precondition(residual)
             rho, last = float(np.vdot(residual, z)), rho
             direction = z + (rho / last) * direction
+        self.recycled = Recycled.of(pairs) or self.recycled
         # decrease of the undamped quadratic: 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
         applied = rhs - residual - damp(x)
         return x, float(2.0 * np.vdot(rhs, x) - np.vdot(x, applied))
