@@ -73,7 +73,7 @@ def learning(study: Any, out: Path) -> None:
 
 
 def errors(report: Any, out: Path) -> None:
-    """Overall RMSE of every method, over the classes of motion and over the looseness."""
+    """Overall RMSE of every method, and by class of motion."""
     plt = common.pyplot()
     figure, (left, right) = plt.subplots(1, 2, figsize=(14, 4.4))
     rows = [r for r in report["unseen_motions"] if "pushed out" not in r["name"]]

@@ -37,7 +37,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from benchmarks import common
 from garmentnet.configs import load_config, override
 from garmentnet.configs.config import Config
-from garmentnet.data.clip import MIRRORED
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.evaluation.reporting import report
@@ -45,7 +44,7 @@ from garmentnet.evaluation.santesteban import train_santesteban
 from garmentnet.evaluation.statistics import fit_power_law
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.ensemble import train_ensemble
-from garmentnet.training.run import choose_clips, train
+from garmentnet.training.run import choose_clips, train, with_mirrored
 from ssdr.io.atomic import write_bytes
 
 PARTS = (
@@ -66,11 +65,9 @@ SIZES = (1000, 2000, 4000, 8000, 16000, 32000, 64000)
 DANCES = ("data.motions=dance-*", "bones.motions=dance-20[01]*")
 # An epoch of eight times the frames has eight times the steps.
 EPOCHS = ("train.epochs=16", "train.high_epochs=4")
+FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4")
 # Three short clips: epochs of a dozen steps.
-RECORDED = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=80")
-FINE_TUNING = ("train.learning_rate=3e-4", "train.high_learning_rate=3e-4", "train.epochs=6")
-
-
+RECORDED = (*FINE_TUNING, "train.epochs=80")
 # Tried for both recurrent methods, a quarter of the training each.
 TRIALS = tuple(
     (f"low.hidden={hidden}", f"low.dropout={dropout}")
@@ -148,7 +145,7 @@ def train_baseline(study: Study, config: Config, folder: Path) -> Path:
     held, _ = choose_clips(study.store, config, "validation")
     bones = virtual_bones(study.store, config.bones)
     bones.prepare([*names, *held])
-    learned = names + [n + MIRRORED for n in names]
+    learned = with_mirrored(study.store, config, names)
     train_santesteban(bones, config, learned, held, folder)
     return folder / "history.json"
 
@@ -169,9 +166,9 @@ def collision(study: Study) -> None:
         name = f"collision-{weight}"
         path = study.network(name, study.config("rooted", *changes), start)
         folder = study.folder / f"report-{name}"
-        patterns = [c.name for c in study.store.clips("validation") if c.motion.startswith("dance")]
-        patterns = [n for n in patterns if n.startswith("base-")]
-        report([path], study.store, folder, baselines=False, pictures=0, clips=patterns)
+        dances = study.store.clips("validation", parameters=study.store.parameters()[0])
+        names = [c.name for c in dances if c.motion.startswith("dance-")]
+        report([path], study.store, folder, baselines=False, pictures=0, clips=names)
         found = json.loads((folder / "report.json").read_text("utf-8"))["unseen_motions"]
         row = next(r for r in found if r["name"] != "bones themselves")
         rows.append({"weight": weight, **{k: row[k] for k in ("overall", "inside")}})

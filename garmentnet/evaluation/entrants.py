@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ..configs.config import Config
-from ..data.clip import MIRRORED
 from ..data.parameters import SimulationParameters
 from ..data.virtual_bones import VirtualBones
-from ..training.run import choose_clips
+from ..training.run import choose_clips, with_mirrored
 from . import baselines, santesteban
 from .baselines import BodySkinned, MeanShape, Ridge
 from .clip_scores import Later, Method
@@ -60,8 +59,7 @@ def baseline_methods(
     plain = dataclasses.replace(config, data=data)
     names, _ = choose_clips(store, plain)
     held, _ = choose_clips(store, plain, "validation")
-    mirror = config.data.mirror and store.mirror_vertices is not None
-    learned = names + [n + MIRRORED for n in names] if mirror else names
+    learned = with_mirrored(store, config, names)
 
     def after_epoch(p: Any) -> bool:
         if progress:

@@ -125,9 +125,9 @@ class SantestebanObjective:
         (reader,) = self.module.reader
         x = batch.inputs().to(device)
         hidden = self.module.gru.hidden_size
-        mask = dropout_mask(rng, (*x.shape[:2], hidden), reader.config.low.dropout)
+        mask = dropout_mask(rng, (*x.shape[:2], hidden), reader.config.low.dropout, device)
         with mixed_precision(reader.config.train, device):
-            offsets, state = self.module(x, state, None if mask is None else mask.to(device))
+            offsets, state = self.module(x, state, mask)
         windows = [(w.track, w.frames) for w in batch.windows if w]
         truth = torch.cat([t.target("low", s) + t.target("high", s) for t, s in windows])
         joints = torch.cat([t.joints(s) for t, s in windows])

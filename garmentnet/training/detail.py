@@ -101,10 +101,10 @@ class DetailObjective:
         device, options = self.network.device, self.network.config.high
         rows = batch.stack([w and extra_of(w.track)[w.frames] for w in batch.windows]).to(device)
         z, numbers, rest = self._parts(rows)
-        mask = dropout_mask(rng, (*z.shape[:2], options.hidden), options.dropout)
+        mask = dropout_mask(rng, (*z.shape[:2], options.hidden), options.dropout, device)
         x = self.network.high_inputs(batch.inputs().to(device), z)
         with mixed_precision(self.network.config.train, device):
-            got, state = self.module(x, state, None if mask is None else mask.to(device))
+            got, state = self.module(x, state, mask)
         squares = self._squares(got.float(), numbers, rest)[batch.mask.to(device)]
         return (squares + EXACT).sqrt().mean(), state
 

@@ -130,7 +130,9 @@ def train_ensemble(
         raise InputError("store", "two or more training sets of parameters", len(sets))
     stopped = False
 
-    def run(name: str, settings: Config, start: Checkpoint | None) -> Checkpoint:
+    def run(
+        name: str, settings: Config, start: Checkpoint | None, *, validated: bool = True
+    ) -> Checkpoint:
         def after_epoch(p: Progress) -> bool:
             nonlocal stopped
             stopped = bool(callback(name, p)) if callback else False
@@ -141,7 +143,7 @@ def train_ensemble(
             settings,
             folder / name,
             start=start,
-            validated=False,
+            validated=validated,
             bones_folder=bones_folder,
             callback=after_epoch,
             progress=progress,
@@ -184,7 +186,8 @@ def train_ensemble(
                 high_learning_rate=o.learning_rate,
             )
             settings = dataclasses.replace(settings, train=shorter)
-        checkpoints.append(run(name, settings, start))
+        # Sets beside the base have few clips, all to learn from.
+        checkpoints.append(run(name, settings, start, validated=k == 0))
 
     bones = virtual_bones(store, config.bones, folder=bones_folder)
     networks = tuple(c.networks[0] for c in checkpoints)

@@ -116,11 +116,12 @@ class LowFrequencyObjective:
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
     ) -> tuple[Tensor, Tensor]:
-        x, hidden = batch.inputs(), self.module.gru.hidden_size
-        mask = dropout_mask(rng, (*x.shape[:2], hidden), self.network.config.low.dropout)
-        mask = None if mask is None else mask.to(self.network.device)
-        with mixed_precision(self.network.config.train, self.network.device):
-            z, state = self.module(x.to(self.network.device), state, mask)
+        device, hidden = self.network.device, self.module.gru.hidden_size
+        x = batch.inputs().to(device)
+        share = self.network.config.low.dropout
+        mask = dropout_mask(rng, (*x.shape[:2], hidden), share, device)
+        with mixed_precision(self.network.config.train, device):
+            z, state = self.module(x, state, mask)
         z = z.float()
         code = torch.cat([extra_of(w.track)[w.frames] for w in batch.windows if w])
         position, detail = self._norms(z[batch.mask.to(z.device)], code)
@@ -251,14 +252,16 @@ class HighFrequencyObjective:
         self.module.centre.copy_(low[0].mean(0))
 
 
-def dropout_mask(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Tensor | None:
+def dropout_mask(
+    rng: np.random.Generator, shape: tuple[int, ...], share: float, device: torch.device
+) -> Tensor | None:
     """Factors 0 and 1 / (1 − share); None where nothing is left out.
 
     Drawn from the loop's generator, whose state is saved: a resumed run draws the same.
     """
     if not share:
         return None
-    return torch.from_numpy(rng.random(shape, np.float32) >= share) / (1 - share)
+    return (torch.from_numpy(rng.random(shape, np.float32) >= share) / (1 - share)).to(device)
 
 
 def _some_frames(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from typing import Any
 
 import torch
@@ -32,7 +33,12 @@ def mixed_precision(
     """
     half = options.precision == "bfloat16"
     if options.precision == "auto" and device.type == "cpu":
-        # Known from torch 2.6 on; an older one computes in single precision.
-        known: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
-        half = any(known.get(name, False) for name in _INSTRUCTIONS)
+        half = _has_instructions()
     return torch.autocast(device.type, torch.bfloat16) if half else contextlib.nullcontext()
+
+
+@functools.cache
+def _has_instructions() -> bool:
+    # Known from torch 2.6 on; an older one computes in single precision.
+    known: dict[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
+    return any(known.get(name, False) for name in _INSTRUCTIONS)

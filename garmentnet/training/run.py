@@ -33,7 +33,7 @@ from .detail import DetailObjective
 from .loop import Progress, fit
 from .objectives import HighFrequencyObjective, LowFrequencyObjective
 
-__all__ = ["build_network", "choose_clips", "train"]
+__all__ = ["build_network", "choose_clips", "train", "with_mirrored"]
 
 # Frames from which the statistics of the bones' motion are found.
 _STATISTICS = 400
@@ -98,6 +98,12 @@ def choose_clips(
         expected = f"{split} clips{wanted} of {chosen or 'training sets'}"
         raise InputError("store", expected, str(store.path))
     return names, chosen
+
+
+def with_mirrored(store: ClipStore, config: Config, names: Sequence[str]) -> list[str]:
+    """The clips and their mirrored copies, where these are asked for and the store knows them."""
+    mirror = config.data.mirror and store.mirror_vertices is not None
+    return [*names, *(n + MIRRORED for n in names if mirror)]
 
 
 def _matches(clip: Clip, pattern: str) -> bool:
@@ -178,8 +184,7 @@ def train(
     names, parameters = choose_clips(store, config)
     # Who starts from a trained network has few clips, which need not include validation clips.
     held = choose_clips(store, config, "validation", needed=validated and start is None)[0]
-    mirror = config.data.mirror and store.mirror_vertices is not None
-    learned = names + ([n + MIRRORED for n in names] if mirror else [])
+    learned = with_mirrored(store, config, names)
     _claim(folder, config, learned)
     o = config.train
     if o.threads:
