@@ -22,6 +22,9 @@ _MEMORY = 64 << 20  # bytes of these factors, at most, unless they are few
 _FEW = 8
 _DAMPED = 1e-9  # of the diagonal, so that what nothing determines stays put
 _ROUNDING = 1e-12
+# Products with the Schur complement a step, at most: what a joint turns moves all that hangs on
+# it, and with as few as for free bones exact data takes twice the steps.
+_CONJUGATE_STEPS = 30
 _LEAST = 1e-12, 1e-9  # of the largest diagonal entry: of rotations and roots, and of joints
 
 
@@ -47,7 +50,7 @@ class ChainPolish(Polish):
         self._moved = tree.points
         # bones whose ω follows from their parent's, with their rotation relative to it
         self._tied = options.get("fixed", FREE).kept_turns(tree)
-        super().__init__(data, model, **options)
+        super().__init__(data, model, **({"conjugate_steps": _CONJUGATE_STEPS} | options))
 
     @property
     def points(self) -> Array:

@@ -238,9 +238,8 @@ class Polish:
         # half gradient of the objective in the stacked transforms: hat·U − C
         slope = hat @ u_flat - (c * scale[:, None, None, None]).reshape(hat.shape)
         gradient = self._pullback(slope)
-        no_cross = np.zeros((n_bones, n_bones, 4, 4))
-        _, total = self._eliminate(no_cross, 1.0)
-        rhs = -(gradient - self._pullback(hat @ flat_blocks(total)))
+        _, total = self._eliminate(np.zeros_like(u_flat), 1.0)
+        rhs = -(gradient - self._pullback(hat @ total))
         self._hold(rhs)
 
         precondition, damp = self._preconditioner(u)
@@ -249,9 +248,8 @@ class Polish:
 
         def apply(x: Array) -> Array:
             image = self._image(x)
-            cross = (hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
-            _, total = self._eliminate(np.ascontiguousarray(cross), 0.0)
-            out = self._pullback(image @ u_flat - hat @ flat_blocks(total))
+            _, total = self._eliminate(hat.T @ image, 0.0)
+            out = self._pullback(image @ u_flat - hat @ total)
             out += damp(x)
             self._hold(out)
             return out
@@ -361,7 +359,8 @@ class Polish:
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
         """What the vertices answer to a change of the transforms, and its image.
 
-        The first (V, D) is in the order of the groups.
+        `cross` is hatᵀ times the change of the stacked transforms, (4B, 4B), and so is the image;
+        the answer (V, D) is in the order of the groups.
         """
         model, left = self.model, self._left
         n_bones = model.n_bones
@@ -370,11 +369,14 @@ class Polish:
         own = left.grouped
         step = np.empty((len(own.order), model.n_influences + 2))
         move_rest = not self.fixed.rest
+        table = np.ascontiguousarray(
+            cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0)
+        )
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
             schur_vertices(
-                cross,
+                table,
                 own.start,
                 own.bones,
                 own.count,
@@ -399,14 +401,12 @@ class Polish:
         total = parts[0]
         for part in parts[1:]:
             total += part
-        return step, total
+        return step, np.ascontiguousarray(total.transpose(3, 1, 2, 0)).reshape(cross.shape)
 
     def _back_substitute(self, x: Array) -> Array:
-        n_bones = self.model.n_bones
         with serial_blas():
             image = self._image(x)
-            cross = (self._left.hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
-            grouped, _ = self._eliminate(np.ascontiguousarray(cross), 1.0)
+            grouped, _ = self._eliminate(self._left.hat.T @ image, 1.0)
         assert self._left.grouped is not None
         step = np.empty_like(grouped)
         step[self._left.grouped.order] = grouped

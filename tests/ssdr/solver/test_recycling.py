@@ -54,13 +54,14 @@ def test_it_is_the_formula_and_positive_definite(rng: np.random.Generator) -> No
 
 
 def test_a_system_near_by_is_solved_in_fewer_steps(rng: np.random.Generator) -> None:
+    # Ten stiff directions that plain steps find first, again in every solve.
     turn, _ = np.linalg.qr(rng.standard_normal((40, 40)))
     a = turn @ np.diag(np.append(np.geomspace(10, 1e4, 10), np.linspace(1, 2, 30))) @ turn.T
     p, b = np.eye(40), rng.standard_normal(40)
-    pairs, _ = _directions(a, p, rng.standard_normal(40), 15)
+    pairs, _ = _directions(a, p, rng.standard_normal(40), 25)
     recycled = Recycled.of(pairs)
     assert recycled is not None
-    near = a + 1e-2 * np.diag(np.diag(a))
+    near = a + 1e-3 * np.diag(np.diag(a))
     _, plain = _directions(near, p, b, 8)
     _, handed = _directions(near, _dense(recycled, p), b, 8)
     assert handed[-1] < 0.1 * plain[-1]
