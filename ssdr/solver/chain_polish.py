@@ -11,6 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ..parallel import chunk_bounds, run_chunks
+from .dense import inverse_of
 from .model import FREE, Model
 from .polish import Polish
 from .trajectories import Array, Trajectories
@@ -174,8 +175,7 @@ class ChainPolish(Polish):
             side = full[np.ix_(inner, outer)] / count
             block[tied], block[:, tied], side[tied] = 0.0, 0.0, 0.0
             block[tied, tied] = own[tied]
-            inverse = np.linalg.inv(block)
-            inverse = 0.5 * (inverse + inverse.T)
+            inverse = inverse_of(block)
             answer = inverse @ side
             left = full[np.ix_(outer, outer)] - count * (side.T @ answer)
             return inverse, answer, left

@@ -29,6 +29,7 @@ from ..kernels.schur import (
 )
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine import flat_blocks
+from .dense import cross_product, inverse_of, product
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, transform_sums
 from .recycling import Recycled
@@ -236,10 +237,10 @@ class Polish:
         hat = self._left.hat
         u_flat = flat_blocks(u)
         # half gradient of the objective in the stacked transforms: hat·U − C
-        slope = hat @ u_flat - (c * scale[:, None, None, None]).reshape(hat.shape)
+        slope = product(hat, u_flat) - (c * scale[:, None, None, None]).reshape(hat.shape)
         gradient = self._pullback(slope)
         _, total = self._eliminate(np.zeros_like(u_flat), 1.0)
-        rhs = -(gradient - self._pullback(hat @ total))
+        rhs = -(gradient - self._pullback(product(hat, total)))
         self._hold(rhs)
 
         precondition, damp = self._preconditioner(u)
@@ -248,8 +249,8 @@ class Polish:
 
         def apply(x: Array) -> Array:
             image = self._image(x)
-            _, total = self._eliminate(hat.T @ image, 0.0)
-            out = self._pullback(image @ u_flat - hat @ total)
+            _, total = self._eliminate(cross_product(hat, image), 0.0)
+            out = self._pullback(product(image, u_flat) - product(hat, total))
             out += damp(x)
             self._hold(out)
             return out
@@ -313,8 +314,7 @@ class Polish:
                     mean[a, b] += sign * (turn[c, :, f] * table[d, e])
             matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
             matrix[np.diag_indices(size)] += (self.damping + 1e-9) * own.ravel()
-            inverse = np.linalg.inv(matrix)
-            return np.asarray(0.5 * (inverse + inverse.T))
+            return inverse_of(matrix)
 
         inverses = run_chunks(invert, groups)
 
@@ -339,21 +339,17 @@ class Polish:
 
     def _image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]
+        m, scale = self.model.transforms, self.data.frame_scale
         out = np.empty((3 * n_frames, 4, n_bones))
-        tangent_image(self.model.transforms, x, self.data.frame_scale, out, 0, n_frames)
+        run_chunks(lambda _, i, k: tangent_image(m, x, scale, out, i, k), self._frames)
         return out.reshape(3 * n_frames, 4 * n_bones)
 
     def _pullback(self, g: Array) -> Array:
-        n_frames, n_bones = self.model.transforms.shape[:2]
+        m, scale = self.model.transforms, self.data.frame_scale
+        n_frames, n_bones = m.shape[:2]
         out = np.empty((n_frames, n_bones, 6))
-        tangent_pullback(
-            self.model.transforms,
-            np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones),
-            self.data.frame_scale,
-            out,
-            0,
-            n_frames,
-        )
+        g = np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones)
+        run_chunks(lambda _, i, k: tangent_pullback(m, g, scale, out, i, k), self._frames)
         return out
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
@@ -406,7 +402,7 @@ class Polish:
     def _back_substitute(self, x: Array) -> Array:
         with serial_blas():
             image = self._image(x)
-            grouped, _ = self._eliminate(self._left.hat.T @ image, 1.0)
+            grouped, _ = self._eliminate(cross_product(self._left.hat, image), 1.0)
         assert self._left.grouped is not None
         step = np.empty_like(grouped)
         step[self._left.grouped.order] = grouped
