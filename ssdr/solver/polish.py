@@ -293,7 +293,6 @@ class Polish:
         n_frames, n_bones = model.transforms.shape[:2]
         frame_weight = data.frame_scale**2
         generators = self.generators
-        terms = np.argwhere(generators != 0)
         n_tangent = generators.shape[2]
         size = n_tangent * n_bones
         index = np.arange(n_bones)
@@ -302,16 +301,16 @@ class Polish:
         own = np.maximum(own, 1e-12 * own.max())
         groups = chunk_bounds(n_frames, max(self.group, -(-n_frames // _GROUPS)))
         rotation = np.ascontiguousarray(model.transforms[..., :3])
-        table = np.ascontiguousarray(u.transpose(2, 3, 0, 1))
+        table = u.transpose(2, 3, 0, 1).reshape(1, 16, -1)
+        # of the products of turn[c, f] and table[d, e]
+        signs = np.einsum("dca,efb->abcfde", generators, generators).reshape(n_tangent**2, 144)
 
         def invert(_: int, i: int, k: int) -> Array:
             stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
             turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
-            mean = np.zeros((n_tangent, n_tangent, n_bones, n_bones))
-            for d, c, a in terms:
-                for e, f, b in terms:
-                    sign = generators[d, c, a] * generators[e, f, b]
-                    mean[a, b] += sign * (turn[c, :, f] * table[d, e])
+            turn = turn.transpose(0, 2, 1, 3).reshape(9, 1, -1)
+            mean = signs @ (turn * table).reshape(144, -1)
+            mean = mean.reshape(n_tangent, n_tangent, n_bones, n_bones)
             matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
             matrix[np.diag_indices(size)] += (self.damping + 1e-9) * own.ravel()
             return inverse_of(matrix)
