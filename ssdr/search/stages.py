@@ -25,7 +25,7 @@ from .moves import (
     polish_steps,
     regrow_step,
     reseed_step,
-    shed_influence,
+    shed_influences,
     thin,
 )
 from .run import Run, Stage
@@ -230,6 +230,8 @@ class Reseed(Stage):
         After which the move is judged.
     patience : int
         Failures in a row that end the stage.
+    gain : float
+        Relative gain in the objective below which a move counts as a failure, though it stays.
     """
 
     phase: ClassVar[str] = "reseed"
@@ -237,11 +239,12 @@ class Reseed(Stage):
     cost: float = 6
     alternations: int = 4
     patience: int = 4
+    gain: float = 0.0
 
     def step(self, run: Run) -> bool:
         trial = reseed_step(run.data, run.present, run.generator, self.alternations, run.fixed)
         run.iteration += self.alternations
-        return True if trial is None else run.judge(trial, self.patience)
+        return True if trial is None else run.judge(trial, self.patience, self.gain)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -281,19 +284,23 @@ class Relax(Stage):
         Influences more, at most.  A vertex of the polish costs (K + 2)² numbers.
     polish_steps : int
         At each number of influences.
+    shed : int
+        Influences that a step gives up.
     """
 
     phase: ClassVar[str] = "relax"
     steps: int = 4
     cost: float = 40
     polish_steps: int = 8
+    shed: int = 1
 
     def step(self, run: Run) -> bool:
         model, k = run.present, run.influences
         if run.memory.count == 0:
             model = model.with_influences(min(2 * k, k + self.steps, model.n_bones))
         if model.n_influences > k:
-            model = shed_influence(run.data, model, run.fixed, steps=self.polish_steps)
+            left = max(k, model.n_influences - self.shed)
+            model = shed_influences(run.data, model, run.fixed, steps=self.polish_steps, left=left)
             run.iteration += self.polish_steps
         run.model = model
         return model.n_influences <= k
