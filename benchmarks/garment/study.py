@@ -9,12 +9,13 @@ may be given with ``--parts`` that need no more than it has.  Two parts side by 
     trials      the same settings tried for `rooted` and for Santesteban et al. 2019, on validation
     base        `rooted` with three seeds, `faithful`
     collision   weights of the collision loss, on validation, from the first network on
-    curve       the low-frequency module of `rooted` on 1,000 frames, twice as many, ... all
+    curve       the low-frequency module of `rooted` on 1,000 frames, twice as many, ...; the last
+                point is the first network
     baselines   Santesteban et al. 2019 and the others, within the report
     large       the network that reads the parameters
     ensembles   the paper's (independent pivots) and ours (from the network that reads them)
     recorded    each motion capture left out in turn, fine-tuned from the first network
-    report      the tables of all that is there
+    report      the tables of all that is there; of the first network once more, pushed out
 
 Results are written to ``study.json`` in the folder, times beside the machine's GEMM rate.
 """
@@ -187,7 +188,7 @@ def curve(study: Study) -> None:
     names, _ = choose_clips(study.store, full)
     total = sum(study.store.clip(n).n_frames for n in names)
     points = []
-    for size in [*(s for s in SIZES if s < 0.9 * total), total]:
+    for size in (s for s in SIZES if s < 0.9 * total):
         epochs = max(1, round(full.train.epochs * math.sqrt(total / size)))
         config = study.config("rooted", f"data.frames={size}", f"train.epochs={epochs}")
         config = dataclasses.replace(
@@ -198,6 +199,10 @@ def curve(study: Study) -> None:
         study.network(f"curve-{size}", config)
         best = best_rmse(study.history(f"curve-{size}"))
         points.append({"frames": frames, "epochs": epochs, "rmse_mm": best})
+    # The first network is the last point.
+    study.checkpoint("rooted-0")
+    best = best_rmse(study.history("rooted-0"))
+    points.append({"frames": total, "epochs": full.train.epochs, "rmse_mm": best})
     if len(points) > 2:
         law = fit_power_law([p["frames"] for p in points], [p["rmse_mm"] for p in points])
         study.note("curve", {"points": points, "law": dataclasses.asdict(law)})
@@ -269,14 +274,27 @@ def tables(study: Study, *, baselines: bool) -> None:
     paths = [study.folder / n / "checkpoint.safetensors" for n in names]
     paths += [study.folder / f"ensemble-{n}" / "ensemble.safetensors" for n in ("paper", "ours")]
     there = [p for p in paths if p.is_file()]
+
+    def progress(name: str, done: float) -> None:
+        print(f"{name} {100 * done:.0f} %", file=sys.stderr)
+
     text = report(
         there,
         study.store,
         study.folder / "report",
         baselines=baselines,
         recurrent=tuned_baseline(study),
+        progress=progress,
+    )
+    print(text)
+    pushed = study.folder / "report-pushed"
+    text = report(
+        there[:1],
+        study.store,
+        pushed,
+        baselines=False,
         push_out=True,
-        progress=lambda name, done: print(f"{name} {100 * done:.0f} %", file=sys.stderr),
+        progress=progress,
     )
     print(text)
 

@@ -89,7 +89,8 @@ def report(
     per_clip : bool
         Whether the text has the tables of each clip too; ``report.json`` always has its figures.
     push_out : bool
-        Whether each checkpoint is scored a second time with its vertices moved out of the body.
+        Whether each checkpoint is scored a second time with its vertices moved out of the body,
+        and drawn so.
     rescore : bool
         Whether to score again what is in ``scores``.
 
@@ -122,9 +123,8 @@ def report(
     digests = {k: digest_of_file(p) for k, p in files.items()}
     if push_out:
         for k in models:
-            name = f"{k}, pushed out"
-            methods[name] = pushed_method(methods[k], store)
-            digests[name] = f"{digests[k]} pushed out"
+            methods[_pushed(k)] = pushed_method(methods[k], store)
+            digests[_pushed(k)] = f"{digests[k]} pushed out"
     digests["bones themselves"] = digest_of_file(bones.folder / "bones.json")
     if baselines:
         found, digest = baseline_methods(
@@ -181,12 +181,17 @@ def report(
     lines += _chaos(bones, base, roles, document)
     if seen:
         lines += _by_distance(bones, seen, rows, document)
-        _draw(bones, {k: methods[k] for k in models}, seen, pictures, folder, document)
+        drawn = {k: methods.get(_pushed(k), methods[k]) for k in models}
+        _draw(bones, drawn, seen, pictures, folder, document)
     lines += ["", *_timing(rows, cache, document), *cache.notices]
     text = "\n".join(lines) + "\n"
     write_file(folder / "report.json", json.dumps(document).encode())
     write_file(folder / "report.txt", text.encode())
     return text
+
+
+def _pushed(name: str) -> str:
+    return f"{name}, pushed out"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
