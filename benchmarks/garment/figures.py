@@ -68,6 +68,8 @@ def learning(study: Any, out: Path) -> None:
         floor = f"floor {law['floor']:.1f} mm, " if law["floor"] else ""
         label = f"{floor}frames^−{law['exponent']:.2f}"
         axis.loglog(at, PowerLaw(**law).error(at), ":", label=label)
+    axis.set_yticks([25, 30, 40, 50], ["25", "30", "40", "50"])
+    axis.minorticks_off()
     axis.set_xlabel("training frames")
     axis.set_ylabel("RMSE of free vertices, mm")
     axis.legend(fontsize=8)
@@ -124,11 +126,18 @@ def pivots(study: Path, out: Path) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), sharey=True)
     for axis, split in zip(axes, splits, strict=True):
         for name, sweep in sweeps.items():
-            for way, style in (("rbf", "o-"), ("inverse distance", "s:"), ("nearest", "^:")):
+            ways = {
+                "rbf": ("o-", "kernel"),
+                "inverse distance": ("s:", "inverse distance"),
+                "nearest": ("^:", "nearest pivot"),
+                "mixed": ("D-", "mixed with the network that reads the parameters"),
+                "common": ("k--", "that network alone"),
+            }
+            for way, (style, said) in ways.items():
                 if way in sweep[0]["test_mm"]:
                     counts = [s["count"] for s in sweep]
                     at = [s["test_mm"][way][split] for s in sweep]
-                    axis.plot(counts, at, style, label=f"{name}: {way}")
+                    axis.plot(counts, at, style, label=f"{name}: {said}")
         axis.set_title(f"unseen parameters, {'training' if split == 'train' else 'unseen'} motions")
         axis.set_xlabel("pivots")
     axes[0].set_ylabel("overall RMSE, mm")

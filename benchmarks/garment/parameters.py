@@ -28,7 +28,7 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.drawing.dressed import outfit_parts
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.features import PoseFeatures
-from garmentnet.prediction.prediction import follow
+from garmentnet.prediction.prediction import follow, predict
 from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulator import simulate
@@ -184,7 +184,9 @@ def main() -> None:
             row |= {f"simulated_{k}": v for k, v in measure(truth).items()}
             if model is not None:
                 answer = model.predict(motion.joints, parameters)
-                both[1].append(answer)
+                # Drawn as a user gets it, measured as the networks give it.
+                drawn = predict(model, motion.joints, parameters)
+                both[1].append(np.asarray(drawn.cloth.vertices))
                 row |= {f"predicted_{k}": v for k, v in measure(answer).items()}
                 gap = ((answer - truth).astype(float) ** 2).sum(-1).mean()
                 row["rmse_mm"] = 1e3 * float(np.sqrt(gap))
