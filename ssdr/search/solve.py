@@ -25,6 +25,7 @@ from ..solver.joints import settled, spanning_tree
 from ..solver.model import Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
 from ..solver.tree import Tree
+from ..symmetry import find_mirror, side_names
 from .prescribed import Prescribed
 from .problem import Problem
 from .progress import Clock, Record, Reporter
@@ -294,13 +295,12 @@ def with_tree(
     positions, _ = alignment.to_world(tree.points, np.zeros((alignment.n_frames, 0, 3, 4)))
     roots = tree.roots
     positions[roots] = skinning.centroids()[roots]
-    digits = len(str(skinning.n_bones - 1))
+    found = side_names(None if names else find_mirror(skinning), skinning.n_bones)
     return dataclasses.replace(
         skinning,
         parents=tree.parents,
         joint_positions=positions,
-        bone_names=names
-        + tuple(f"joint_{k:0{digits}d}" for k in range(len(names), skinning.n_bones)),
+        bone_names=names + found[len(names) :],
     )
 
 

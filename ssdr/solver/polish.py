@@ -364,9 +364,7 @@ class Polish:
         own = left.grouped
         step = np.empty((len(own.order), model.n_influences + 2))
         move_rest = not self.fixed.rest
-        table = np.ascontiguousarray(
-            cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0)
-        )
+        table = np.ascontiguousarray(cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0))
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
