@@ -20,6 +20,7 @@ from .run import Stage
 from .stages import (
     Alternate,
     Compress,
+    Everywhere,
     Merge,
     Polish,
     QuickStart,
@@ -27,6 +28,7 @@ from .stages import (
     Regrow,
     Relax,
     Reseed,
+    Sample,
     Search,
     Spread,
     Start,
@@ -87,9 +89,12 @@ FAST: Schedule = (
 
 BALANCED: Schedule = (
     *FIRST_MODEL,
+    Sample(vertices=128),
     *merged_start(1.6, 12, 6),
+    Reseed(steps=24, patience=6),
+    Everywhere(alternations=8),
     Recall(),
-    Reseed(),
+    Polish(steps=6),
     *RELAXED,
 )
 

@@ -31,7 +31,7 @@ from .problem import Problem
 from .progress import Clock, Record, Reporter
 from .run import Run
 from .schedule import fingerprint, schedule_for
-from .state import SolverState, check_settings, check_size, taking_up
+from .state import SolverState, check_settings, check_size, taking_up, whole
 from .tree_moves import loss_of_bones
 
 __all__ = [
@@ -105,10 +105,10 @@ def solve(problem: Problem) -> Outcome:
     )
     return outcome_of(
         problem,
-        run.data,
+        run.whole,
         run.best_model,
         run.records,
-        importance=run.data.importance,
+        importance=run.whole.importance,
         reason=reason,
         state=state(),
         idle=idle_bones(run),
@@ -186,7 +186,7 @@ def walk(
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    unit = run.data.scale / math.sqrt(run.data.n_frames * run.data.n_vertices)
+    unit = run.whole.scale / math.sqrt(run.whole.n_frames * run.whole.n_vertices)
     report = Reporter(problem.callback, run.clock, problem.time_limit)
 
     def limit() -> str | None:
@@ -215,11 +215,11 @@ def walk(
 def idle_bones(run: Run) -> int:
     """How many bones could each go at no loss."""
     wide = run.best_model.with_restarted_support()
-    energy = float(run.data.importance @ run.data.x2)
+    energy = float(run.whole.importance @ run.whole.x2)
     if wide.tree is None:
-        costs = bone_costs(run.data, wide)
+        costs = bone_costs(run.whole, wide)
     else:
-        costs = np.array([loss.cost for loss in loss_of_bones(run.data, wide)])
+        costs = np.array([loss.cost for loss in loss_of_bones(run.whole, wide)])
         # a joint that was asked not to turn says nothing of how many bones there are
         costs[[j for j, _, _ in run.asked.kept_turns(wide.tree)]] = np.inf
     return int((costs <= _NO_LOSS * energy).sum())
@@ -349,8 +349,10 @@ def restore(run: Run, state: SolverState) -> None:
     InputError
         If the state is of other frames, or damaged.
     """
-    for model in (state.current, state.best):
-        check_size(model, run.data.n_vertices, run.data.n_frames)
+    check_size(state.best, run.whole.n_vertices, run.whole.n_frames)
+    with taking_up():
+        run.go_to(whole(state.progress, "position"))
+    check_size(state.current, run.data.n_vertices, run.data.n_frames)
     with taking_up():
         if not (np.isfinite(state.history).all() and (state.history >= 0).all()):
             raise ValueError("history holds negative numbers, NaN or Inf")

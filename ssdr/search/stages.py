@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..solver.alternation import alternate, bone_step, vertex_step
 from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
@@ -34,6 +35,7 @@ __all__ = [
     "POLISH_STEPS_OF_A_TRY",
     "Alternate",
     "Compress",
+    "Everywhere",
     "Merge",
     "Polish",
     "QuickStart",
@@ -41,6 +43,7 @@ __all__ = [
     "Regrow",
     "Relax",
     "Reseed",
+    "Sample",
     "Search",
     "Spread",
     "Start",
@@ -89,7 +92,7 @@ class Start(Stage):
         return True
 
     def _model(self, run: Run) -> Model:
-        data, prescribed, influences = run.data, run.prescribed, self.influences or run.influences
+        data, prescribed, influences = run.data, run.present_parts, self.influences or run.influences
         rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
         bones, joints, weights = prescribed.transforms, prescribed.joints, prescribed.weights
         if joints is not None and weights is not None:
@@ -159,8 +162,71 @@ class Compress(Stage):
     cost: float = 4
 
     def step(self, run: Run) -> bool:
-        run.compress()
+        self.prepare(run)
         return True
+
+    def prepare(self, run: Run) -> None:
+        run.compress()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sample(Stage):
+    """From here on some vertices alone, where they are many: they tell where bones belong.
+
+    Attributes
+    ----------
+    vertices : int
+        For each bone asked for; those of a mesh that has less than twice as many all stay.
+    """
+
+    phase: ClassVar[str] = "sample"
+    vertices: int = 64
+
+    def step(self, run: Run) -> bool:
+        self.prepare(run)
+        if run.model is not None and run.chosen is not None:
+            run.model = run.model.vertices(run.chosen)
+        return True
+
+    def prepare(self, run: Run) -> None:
+        run.take_sample(self.vertices * run.bones)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Everywhere(Stage):
+    """From here on all vertices again: each begins with the bones of the nearest of the sample.
+
+    Attributes
+    ----------
+    alternations : int
+        Of all vertices, from there.
+    """
+
+    phase: ClassVar[str] = "everywhere"
+    cost: float = 8
+    alternations: int = 4
+
+    def step(self, run: Run) -> bool:
+        few, chosen = run.present, run.chosen
+        self.prepare(run)
+        if chosen is None:
+            return True
+        data, frame = run.data, run.prescribed.rest_frame
+        rest = data.frame(frame) if run.prescribed.rest is None else run.prescribed.rest.copy()
+        near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
+        model = few.vertices(near)
+        model.rest = rest
+        if run.prescribed.rest is None:
+            model.rest[chosen] = few.rest
+        model.restart_support()
+        vertex_step(data, model, fixed=run.fixed)
+        alternate(data, model, self.alternations, run.fixed)
+        run.iteration += self.alternations
+        run.model = model
+        return True
+
+    def prepare(self, run: Run) -> None:
+        run.take_all()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
