@@ -92,7 +92,11 @@ class Start(Stage):
         return True
 
     def _model(self, run: Run) -> Model:
-        data, prescribed, influences = run.data, run.present_parts, self.influences or run.influences
+        data, prescribed, influences = (
+            run.data,
+            run.present_parts,
+            self.influences or run.influences,
+        )
         rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
         bones, joints, weights = prescribed.transforms, prescribed.joints, prescribed.weights
         if joints is not None and weights is not None:
@@ -173,14 +177,17 @@ class Compress(Stage):
 class Sample(Stage):
     """From here on some vertices alone, where they are many: they tell where bones belong.
 
+    A third of them, within bounds; all, where that leaves less than half out.
+
     Attributes
     ----------
-    vertices : int
-        For each bone asked for; those of a mesh that has less than twice as many all stay.
+    least, most : int
+        Vertices for each bone asked for.
     """
 
     phase: ClassVar[str] = "sample"
-    vertices: int = 64
+    least: int = 48
+    most: int = 128
 
     def step(self, run: Run) -> bool:
         self.prepare(run)
@@ -189,7 +196,8 @@ class Sample(Stage):
         return True
 
     def prepare(self, run: Run) -> None:
-        run.take_sample(self.vertices * run.bones)
+        third = run.whole.n_vertices // 3
+        run.take_sample(min(self.most * run.bones, max(self.least * run.bones, third)))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -491,13 +499,18 @@ class Search(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recall(Stage):
-    """Go on from the best model so far."""
+    """Go on from the best model so far; on a sample, from what it is there if that is better."""
 
     phase: ClassVar[str] = "recall"
     cost: float = 0
 
     def step(self, run: Run) -> bool:
-        run.model = run.best_model.with_restarted_support()
+        best = run.best_model
+        if run.chosen is not None:
+            best = best.vertices(run.chosen)
+            if best.objective(run.data) >= run.present.objective(run.data):
+                return True
+        run.model = best.with_restarted_support()
         return True
 
 

@@ -10,25 +10,30 @@ from .trajectories import Array
 
 __all__ = ["cross_product", "inverse_of", "product"]
 
-# Rows or columns of a piece: fewer make a product slow, more leave threads idle.
-_PIECE = 96
+# Rows or columns of a piece: fewer make a product slow, more leave threads idle.  Where its
+# multiplications are few, handing it out costs more than it saves.
+_PIECE, _MULTIPLICATIONS = 96, 2_000_000
 
 
 def product(left: Array, right: Array) -> Array:
     """left @ right, rows beside each other."""
     out = np.empty((len(left), right.shape[1]))
-    run_chunks(
-        lambda _, i, k: np.matmul(left[i:k], right, out=out[i:k]), chunk_bounds(len(left), _PIECE)
-    )
+    bounds = _pieces(len(left), right.size)
+    run_chunks(lambda _, i, k: np.matmul(left[i:k], right, out=out[i:k]), bounds)
     return out
 
 
 def cross_product(left: Array, right: Array) -> Array:
     """leftᵀ @ right, columns beside each other: no sum is split."""
     out = np.empty((right.shape[1], left.shape[1]))
-    bounds = chunk_bounds(right.shape[1], _PIECE)
+    bounds = _pieces(right.shape[1], left.size)
     run_chunks(lambda _, i, k: np.matmul(right[:, i:k].T, left, out=out[i:k]), bounds)
     return out.T
+
+
+def _pieces(count: int, each: int) -> list[tuple[int, int]]:
+    """Bounds of the pieces of `count` rows of `each` multiplications."""
+    return chunk_bounds(count, max(_PIECE, -(-_MULTIPLICATIONS // max(1, each))))
 
 
 def inverse_of(matrix: Array) -> Array:

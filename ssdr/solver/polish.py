@@ -40,6 +40,7 @@ __all__ = ["Polish"]
 
 # at most so many tasks: each holds B×B 4×4 sums of its own (memory), fewer use fewer cores
 _TASKS = 8
+_TRANSFORMS = 4096  # moved by a task at least: fewer are not worth a thread
 _GROUPS = 32  # at most this many factors in the preconditioner
 # E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6
 _GENERATORS = np.array(
@@ -152,7 +153,8 @@ class Polish:
         self.conjugate_steps = conjugate_steps
         self._keep = fixed.keep_weights(data.n_vertices)
         self._locked = fixed.locked(model.n_bones)
-        self._frames = chunk_bounds(data.n_frames, max(16, -(-data.n_frames // 16)))
+        frames = max(-(-_TRANSFORMS // model.n_bones), -(-data.n_frames // 16))
+        self._frames = chunk_bounds(data.n_frames, frames)
         n = data.n_vertices
         self._vertices = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         # a damping handed over means that the model comes from an earlier polish: only factor it

@@ -54,7 +54,7 @@ def true_error(data: Trajectories, model: Model) -> float:
 
 
 def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
-    run = new_run(Sample(vertices=EACH))
+    run = new_run(Sample(least=EACH, most=EACH))
     run.drive()
     assert run.chosen is not None and len(run.chosen) == EACH * BONES == len(np.unique(run.chosen))
     rank = np.argsort(np.argsort(run.whole.x2))[run.chosen]
@@ -68,7 +68,7 @@ def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
 
 
 def test_a_small_mesh_stays_whole() -> None:
-    run = new_run(Sample(vertices=80), Everywhere())
+    run = new_run(Sample(least=80), Everywhere())
     before = run.whole.n_vertices
     run.drive()
     assert run.chosen is None and run.data.n_vertices == before
@@ -77,13 +77,15 @@ def test_a_small_mesh_stays_whole() -> None:
 @pytest.mark.parametrize("rest", [False, True])
 def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     search = (*merged_start(1.6, 12, 6), Reseed(steps=4))
-    run = new_run(Sample(vertices=EACH), *search, Everywhere(), rest=rest)
+    run = new_run(Sample(least=EACH, most=EACH), *search, Everywhere(), rest=rest)
     run.drive()
     model = run.present
     assert model.n_bones == BONES and len(model.rest) == run.whole.n_vertices
     assert run.chosen is None
     value = model.objective(run.whole)
-    assert value == pytest.approx(true_error(run.whole, model), rel=0.02)  # the basis loses a little
+    assert value == pytest.approx(
+        true_error(run.whole, model), rel=0.02
+    )  # the basis loses a little
     # as good as a search among all vertices, about
     alone = new_run(*search, rest=rest)
     alone.drive()
@@ -93,7 +95,7 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
 
 
 def test_nothing_is_recorded_on_a_sample() -> None:
-    run = new_run(Sample(vertices=EACH), Alternate(steps=5))
+    run = new_run(Sample(least=EACH, most=EACH), Alternate(steps=5))
     run.drive()
     assert len(run.best_model.rest) == run.whole.n_vertices
     assert run.records == [r for r in run.records if r[3] in ("quick", "alternate", "compress")]
@@ -105,7 +107,7 @@ def test_nothing_is_recorded_on_a_sample() -> None:
 
 
 def test_recall_takes_the_best_model_of_all_vertices() -> None:
-    run = new_run(Sample(vertices=EACH), Alternate(steps=2), Everywhere(), Recall())
+    run = new_run(Sample(least=EACH, most=EACH), Alternate(steps=2), Everywhere(), Recall())
     run.drive()
     assert run.present.objective(run.data) == run.best_value
 
