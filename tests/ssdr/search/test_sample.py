@@ -56,7 +56,8 @@ def true_error(data: Trajectories, model: Model) -> float:
 def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
     run = new_run(Sample(least=EACH, most=EACH))
     run.drive()
-    assert run.chosen is not None and len(run.chosen) == EACH * BONES == len(np.unique(run.chosen))
+    assert run.chosen is not None
+    assert len(run.chosen) == EACH * BONES == len(np.unique(run.chosen))
     rank = np.argsort(np.argsort(run.whole.x2))[run.chosen]
     assert np.diff(np.sort(rank)).max() <= -(-run.whole.n_vertices // (EACH * BONES)) + 1
     assert run.data.n_vertices == EACH * BONES
@@ -71,7 +72,8 @@ def test_a_small_mesh_stays_whole() -> None:
     run = new_run(Sample(least=80), Everywhere())
     before = run.whole.n_vertices
     run.drive()
-    assert run.chosen is None and run.data.n_vertices == before
+    assert run.chosen is None
+    assert run.data.n_vertices == before
 
 
 @pytest.mark.parametrize("rest", [False, True])
@@ -80,9 +82,10 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     run = new_run(Sample(least=EACH, most=EACH), *search, Everywhere(), rest=rest)
     run.drive()
     model = run.present
-    assert model.n_bones == BONES and len(model.rest) == run.whole.n_vertices
+    assert model.n_bones == BONES
+    assert len(model.rest) == run.whole.n_vertices
     assert run.chosen is None
-    value = model.objective(run.whole)
+    value = model.objective(run.whole)  # in a basis that loses a little
     assert value == pytest.approx(
         true_error(run.whole, model), rel=0.02
     )  # the basis loses a little
