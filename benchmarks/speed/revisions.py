@@ -60,14 +60,16 @@ def main() -> None:
     parser.add_argument("--seeds", action="store_true", help="a seed for each pair")
     parser.add_argument("--chart", type=Path, help="error over time of the first pairs, a picture")
     parser.add_argument("--keep", type=Path, help="a folder in which the installations stay")
-    parser.add_argument("--out", type=Path, help="a .json for the figures")
+    parser.add_argument("--out", type=Path, help="a .json for the figures; what is there stays")
     args = parser.parse_args()
     problems = [f"{name}:{bones}" for name, bones in CASES] if args.race else args.problems
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.keep or Path(temporary)
         homes = [installed(revision, folder)[1] for revision in (args.before, args.after)]
         figures: dict[str, Any] = {"machine": common.machine()}
-        for problem in problems:
+        if args.out and args.out.is_file():
+            figures |= json.loads(args.out.read_text("utf-8"))
+        for problem in (p for p in problems if p not in figures):
             name, bones = problem.split(":")
             path = common.data_folder() / f"{name}.npz"
             for home in homes:  # kernels are compiled, files are read once
@@ -113,6 +115,8 @@ def summary(pairs: list[list[dict[str, float]]]) -> dict[str, Any]:
 def chart(figures: dict[str, Any], path: Path) -> None:
     """E over the seconds of a call, a panel for each problem; the first pair of each."""
     plt = common.pyplot()
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
     columns = min(3, len(figures))
     rows = -(-len(figures) // columns)
     figure, axes = plt.subplots(rows, columns, figsize=(4.4 * columns, 3.0 * rows), squeeze=False)
@@ -126,6 +130,11 @@ def chart(figures: dict[str, Any], path: Path) -> None:
         axis.set_title(problem.replace(":", ", ") + " bones")
         axis.set_xscale("log")
         axis.set_yscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+        axis.yaxis.set_major_locator(MaxNLocator(4))
+        for side in (axis.xaxis, axis.yaxis):
+            side.set_major_formatter("{x:g}")
+            side.set_minor_formatter(NullFormatter())
         axis.set_xlabel("seconds")
         axis.set_ylabel("E")
     axes[0, 0].legend(fontsize=8)
