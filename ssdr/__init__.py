@@ -18,6 +18,7 @@ _HOME = {
     "InputError": "errors",
     "Material": "sequence",
     "MeshSequence": "sequence",
+    "Mirror": "symmetry",
     "MissingDependencyError": "errors",
     "Skinning": "skinning",
     "SolverState": "search.state",
@@ -26,6 +27,7 @@ _HOME = {
     "Surface": "sequence",
     "WeldReport": "sequence",
     "decompose": "decomposition",
+    "find_mirror": "symmetry",
     "fit_bones": "fit.bones",
     "fit_rest_pose": "fit.rest_pose",
     "fit_weights": "fit.weights",
@@ -60,6 +62,7 @@ __all__ = [
     "InputError",
     "Material",
     "MeshSequence",
+    "Mirror",
     "MissingDependencyError",
     "Skinning",
     "SolverState",
@@ -70,6 +73,7 @@ __all__ = [
     "__version__",
     "decompose",
     "errors",
+    "find_mirror",
     "fit_bones",
     "fit_rest_pose",
     "fit_weights",
@@ -116,6 +120,7 @@ if TYPE_CHECKING:
     from .search.state import SolverState
     from .sequence import Material, MeshSequence, Surface, WeldReport
     from .skinning import Skinning, skin
+    from .symmetry import Mirror, find_mirror
 
 
 def __getattr__(name: str) -> Any:

@@ -2,11 +2,13 @@
 
     python benchmarks/speed/revisions.py v0.1.0 HEAD
     python benchmarks/speed/revisions.py HEAD . --problems ea_bone:10 samba:20 --effort fast
+    python benchmarks/speed/revisions.py v0.1.0 . --race --seeds --chart docs/images/revisions.png
 
 Both are installed into folders of their own and run in turn, A B A B ..., each call in a fresh
 process whose kernels are cached, so that a drift of the machine meets both.  Figures: CPU and
 wall seconds of ``decompose`` (compilation left out), their ratio pair by pair, E, and the seconds
-of ``import ssdr``.
+of ``import ssdr``.  With ``--seeds`` every pair has a seed of its own, and E's ratio is that of
+the pairs.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
+from benchmarks.peers.race import CASES
 from benchmarks.robustness.same_bits import installed
 
 _PROGRAM = """
@@ -32,13 +35,14 @@ import ssdr
 ssdr.decompose
 imported = time.perf_counter() - began
 import numpy as np
-path, bones, effort = sys.argv[1:]
+path, bones, effort, seed = sys.argv[1:]
 with np.load(path) as archive:
     frames, faces = archive["vertices"], archive["faces"]
 ssdr.decompose(frames[:2, :50], bones=2, effort="fast")  # kernels
 wall, cpu = time.perf_counter(), time.process_time()
-result = ssdr.decompose(frames, faces, bones=int(bones), effort=effort)
+result = ssdr.decompose(frames, faces, bones=int(bones), effort=effort, rng=int(seed))
 out = {"wall": time.perf_counter() - wall, "cpu": time.process_time() - cpu, "import": imported}
+out["history"] = [[h.elapsed, 1000 * h.rmse / 3**0.5] for h in result.history]
 print(json.dumps(out | {"E": 1000 * result.rmse / 3**0.5}))
 """
 
@@ -52,37 +56,50 @@ def main() -> None:
     )
     parser.add_argument("--effort", default="balanced")
     parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--race", action="store_true", help="the problems of the race")
+    parser.add_argument("--seeds", action="store_true", help="a seed for each pair")
+    parser.add_argument("--chart", type=Path, help="error over time of the first pairs, a picture")
     parser.add_argument("--keep", type=Path, help="a folder in which the installations stay")
-    parser.add_argument("--out", type=Path, help="a .json for the figures")
+    parser.add_argument("--out", type=Path, help="a .json for the figures; what is there stays")
     args = parser.parse_args()
+    problems = [f"{name}:{bones}" for name, bones in CASES] if args.race else args.problems
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.keep or Path(temporary)
         homes = [installed(revision, folder)[1] for revision in (args.before, args.after)]
         figures: dict[str, Any] = {"machine": common.machine()}
-        for problem in args.problems:
+        if args.out and args.out.is_file():
+            figures |= json.loads(args.out.read_text("utf-8"))
+        for problem in (p for p in problems if p not in figures):
             name, bones = problem.split(":")
             path = common.data_folder() / f"{name}.npz"
             for home in homes:  # kernels are compiled, files are read once
                 call(home, path, "2", "fast")
             pairs = [
-                [call(home, path, bones, args.effort) for home in homes] for _ in range(args.pairs)
+                [call(home, path, bones, args.effort, k * args.seeds) for home in homes]
+                for k in range(args.pairs)
             ]
             figures[problem] = summary(pairs)
             print(f"{problem:18} {line(figures[problem])}", flush=True)
+            if args.out:
+                common.write_json(args.out, figures)
+    over = {k: statistics.median(figures[p][k]["ratio"] for p in problems) for k in ("wall", "E")}
+    print(f"median over the problems: wall {over['wall']:.3f}, E {over['E']:.4f}")
     print(json.dumps(figures["machine"]))
-    if args.out:
-        args.out.write_text(json.dumps(figures, indent=1) + "\n")
+    if args.chart:
+        chart({p: figures[p] for p in problems}, args.chart)
 
 
-def call(environment: dict[str, str], path: Path, bones: str, effort: str) -> dict[str, float]:
-    command = [sys.executable, "-P", "-c", _PROGRAM, str(path), bones, effort]
+def call(
+    environment: dict[str, str], path: Path, bones: str, effort: str, seed: int = 0
+) -> dict[str, Any]:
+    command = [sys.executable, "-P", "-c", _PROGRAM, str(path), bones, effort, str(seed)]
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     return dict(json.loads(done.stdout))
 
 
 def summary(pairs: list[list[dict[str, float]]]) -> dict[str, Any]:
     out: dict[str, Any] = {"pairs": len(pairs)}
-    for key in ("cpu", "wall", "import"):
+    for key in ("cpu", "wall", "import", "E"):
         ratios = [after[key] / before[key] for before, after in pairs]
         out[key] = {
             "before": statistics.median(before[key] for before, _ in pairs),
@@ -91,16 +108,45 @@ def summary(pairs: list[list[dict[str, float]]]) -> dict[str, Any]:
             "least": min(ratios),
             "most": max(ratios),
         }
-    out["E"] = [pairs[0][0]["E"], pairs[0][1]["E"]]
+    out["history"] = [side["history"] for side in pairs[0]]
     return out
 
 
+def chart(figures: dict[str, Any], path: Path) -> None:
+    """E over the seconds of a call, a panel for each problem; the first pair of each."""
+    plt = common.pyplot()
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+
+    columns = min(3, len(figures))
+    rows = -(-len(figures) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(4.4 * columns, 3.0 * rows), squeeze=False)
+    for axis, (problem, row) in zip(axes.flat, figures.items(), strict=False):
+        for history, style, name in zip(
+            row["history"], ("C7--", "C0-"), ("before", "after"), strict=True
+        ):
+            seconds, error = zip(*history, strict=True)
+            axis.step(seconds, error, style, where="post", label=name)
+            axis.plot(seconds[-1], error[-1], style[:2] + "o", markersize=4)
+        axis.set_title(problem.replace(":", ", ") + " bones")
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1, 3)))
+        axis.yaxis.set_major_locator(MaxNLocator(4))
+        for side in (axis.xaxis, axis.yaxis):
+            side.set_major_formatter("{x:g}")
+            side.set_minor_formatter(NullFormatter())
+        axis.set_xlabel("seconds")
+        axis.set_ylabel("E")
+    axes[0, 0].legend(fontsize=8)
+    common.save_figure(figure, path)
+
+
 def line(row: dict[str, Any]) -> str:
-    parts = [f"E {row['E'][0]:.4f} {row['E'][1]:.4f}"]
-    for key in ("cpu", "wall", "import"):
+    parts = []
+    for key in ("E", "cpu", "wall", "import"):
         r = row[key]
         parts.append(
-            f"{key} {r['before']:.3g} {r['after']:.3g} s, "
+            f"{key} {r['before']:.4g} {r['after']:.4g}, "
             f"ratio {r['ratio']:.3f} ({r['least']:.3f} to {r['most']:.3f})"
         )
     return "; ".join(parts)

@@ -16,6 +16,7 @@ from ..clips import Clip
 from ..hierarchy import RIGID, depths, rest_diagonal
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from ..symmetry import find_mirror, mirrored_edges
 from .output import (
     Fps,
     JsonFlag,
@@ -148,6 +149,22 @@ def _about_hierarchy(skinning: Skinning) -> dict[str, Any] | None:
         "largest_gap": float(gaps.max()),
         "joint_of_largest_gap": names[int(gaps.argmax())],
         "rigid": bool(gaps.max() <= RIGID * rest_diagonal(skinning.rest)),
+        "mirror": _about_mirror(skinning),
+    }
+
+
+def _about_mirror(skinning: Skinning) -> dict[str, Any] | None:
+    """The rest pose's plane of symmetry, and how much of the tree is its own image in it."""
+    mirror = find_mirror(skinning)
+    if mirror is None or skinning.parents is None:
+        return None
+    mirrored, edges = mirrored_edges(mirror, skinning.parents)
+    return {
+        "normal": mirror.normal,
+        "offset": mirror.offset,
+        "bones_with_partner": int((mirror.partners >= 0).sum()),
+        "edges": edges,
+        "mirrored_edges": mirrored,
     }
 
 
@@ -240,7 +257,16 @@ def _hierarchy_rows(d: dict[str, Any]) -> list[tuple[str, str]]:
     if not tree["rigid"]:
         size = length_text(tree["largest_gap"], d["rest_diagonal"])
         gap = f"largest gap of a joint {size}, at {tree['joint_of_largest_gap']}"
-    return [("hierarchy", f"{tree['joints']} joints, {said}, {tree['depth']} deep; {gap}")]
+    mirror, symmetry = tree["mirror"], "the rest pose is not its own mirror image"
+    if mirror is not None:
+        symmetry = (
+            f"{mirror['bones_with_partner']} of {tree['joints']} joints have a mirror image, "
+            f"{mirror['mirrored_edges']} of {mirror['edges']} edges between them, too"
+        )
+    return [
+        ("hierarchy", f"{tree['joints']} joints, {said}, {tree['depth']} deep; {gap}"),
+        ("symmetry", symmetry),
+    ]
 
 
 def _bones_row(d: dict[str, Any]) -> tuple[str, str]:

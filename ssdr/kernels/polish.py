@@ -26,8 +26,7 @@ from .vertices import (
 def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turned, a, g):
     """Gauss–Newton matrix and half gradient of one vertex's error; returns their size.
 
-    h (n, n) receives p̃ᵀ G_qs p̃, moved (n, 4) Σ_s w_s G_qs p̃ and turned (n, 3) the first rows
-    of Σ_s w_s G_sq p̃.
+    h (n, n) receives p̃ᵀ G_qs p̃, moved (n, 4) Σ_s w_s G_qs p̃ and turned (n, 4) Σ_s w_s G_sq p̃.
     """
     p0, p1, p2 = p[0], p[1], p[2]
     k = n - 1 if with_weights else 0
@@ -35,17 +34,17 @@ def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turn
     for q in range(n):
         for d in range(4):
             moved[q, d] = 0.0
-        for d in range(3):
             turned[q, d] = 0.0
     for q in range(n):
         wq = w[q]
         for s in range(n):
-            m = gram4[ids[q], ids[s]]
+            # G_sq is the transpose of G_qs: its rows lie as vectors of four in memory
+            m = gram4[ids[s], ids[q]]
             ws = w[s]
-            t0 = m[0, 0] * p0 + m[0, 1] * p1 + m[0, 2] * p2 + m[0, 3]
-            t1 = m[1, 0] * p0 + m[1, 1] * p1 + m[1, 2] * p2 + m[1, 3]
-            t2 = m[2, 0] * p0 + m[2, 1] * p1 + m[2, 2] * p2 + m[2, 3]
-            t3 = m[3, 0] * p0 + m[3, 1] * p1 + m[3, 2] * p2 + m[3, 3]
+            t0 = m[0, 0] * p0 + m[1, 0] * p1 + m[2, 0] * p2 + m[3, 0]
+            t1 = m[0, 1] * p0 + m[1, 1] * p1 + m[2, 1] * p2 + m[3, 1]
+            t2 = m[0, 2] * p0 + m[1, 2] * p1 + m[2, 2] * p2 + m[3, 2]
+            t3 = m[0, 3] * p0 + m[1, 3] * p1 + m[2, 3] * p2 + m[3, 3]
             h[q, s] = t0 * p0 + t1 * p1 + t2 * p2 + t3
             moved[q, 0] += ws * t0
             moved[q, 1] += ws * t1
@@ -54,6 +53,7 @@ def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turn
             turned[s, 0] += wq * t0
             turned[s, 1] += wq * t1
             turned[s, 2] += wq * t2
+            turned[s, 3] += wq * t3
             ws *= wq
             a00 += ws * m[0, 0]
             a10 += ws * m[1, 0]
@@ -160,8 +160,10 @@ def polish_vertices(
     g = np.empty(size_max + 1)
     scale = np.empty(size_max + 1)
     moved = np.empty((slots, 4))
-    turned = np.empty((slots, 3))
+    turned = np.empty((slots, 4))
     p_new = np.empty(3)
+    full = np.empty((size_max, 16 * ((size_max + 15) // 16)))
+    row = np.empty(full.shape[1])
     for i in range(first, last):
         p = rest[i]
         n = 0
@@ -215,7 +217,15 @@ def polish_vertices(
                         h[q, s] = rows[q, ids[s]]
                 best = base
                 found = False
-                for out in range(-1, n):
+                first_out = second_out = -1
+                for attempt in range(3):
+                    out = -1
+                    if attempt == 1:
+                        out = first_out
+                    elif attempt == 2:
+                        out = second_out
+                    if attempt > 0 and out < 0:
+                        break
                     # all of them first: if no more than K stay positive there is no one to drop
                     left = 0
                     total = 0.0
@@ -245,8 +255,12 @@ def polish_vertices(
                         found = True
                         for q in range(n + 1):
                             best_w[q] = trial[q]
-                    if out == -1 and positive <= n_keep:
-                        break
+                    if attempt == 0:
+                        if positive <= n_keep:
+                            break
+                        first_out, second_out = cheapest_to_drop(
+                            h, trial, n + 1, a, full, row, scale
+                        )
                 if found:
                     n += 1
                     for q in range(n):
@@ -329,36 +343,68 @@ def polish_vertices(
             for s in range(size_max):
                 inverse[i, q, s] = 0.0
         equilibrate(a, size, scale)
-        invert(a, size, scale, inverse[i])
+        invert(a, size, full, row)
+        for q in range(size):
+            for s in range(q + 1):
+                value = scale[q] * scale[s] * full[q, s]
+                inverse[i, q, s] = value
+                inverse[i, s, q] = value
 
 
 @inline
-def invert(a, n, scale, out):
-    """Inverse of an equilibrated positive definite matrix, scaled back; a is overwritten."""
+def invert(a, n, full, row):
+    """Inverse of an equilibrated positive definite matrix.
+
+    a     (n, n)     float64  its lower triangle, in
+    full  (n, 16m)   float64  the inverse, out; 16m at least n
+    row   (16m,)     float64  scratch
+    """
+    width = 16 * ((n + 15) // 16)
     for i in range(n):
-        a[i, i] += 1e-9
-    for i in range(n):
-        for j in range(i + 1):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            if i == j:
-                # what rounding leaves of a dependent variable is no curvature: it stays put
-                a[i, i] = np.sqrt(s) if s > 1e-12 else 1e100
-            else:
-                a[i, j] = s / a[j, j]
-    for c in range(n):
-        for i in range(c, n):
-            s = 1.0 if i == c else 0.0
-            for k in range(c, i):
-                s -= a[i, k] * out[k, c]
-            out[i, c] = s / a[i, i]
-        for i in range(n - 1, c - 1, -1):
-            s = out[i, c]
-            for k in range(i + 1, n):
-                s -= a[k, i] * out[k, c]
-            out[i, c] = s / a[i, i]
-    for i in range(n):
-        for j in range(i + 1):
-            out[i, j] *= scale[i] * scale[j]
-            out[j, i] = out[i, j]
+        for j in range(n, width):
+            full[i, j] = 0.0
+        for j in range(i):
+            full[i, j] = a[i, j]
+            full[j, i] = a[i, j]
+        full[i, i] = a[i, i] + 1e-9
+    for k in range(n):
+        pivot = full[k, k]
+        # what rounding leaves of a dependent variable is no curvature: it stays put
+        d = 1.0 / pivot if pivot > 1e-12 else 0.0
+        for j in range(width):
+            row[j] = full[k, j] * d
+        row[k] = d
+        for i in range(n):
+            f = full[i, k]
+            full[i, k] = 0.0
+            for j in range(width):
+                full[i, j] -= f * row[j]
+        for j in range(width):
+            full[k, j] = row[j]
+
+
+@inline
+def cheapest_to_drop(h, w, n, a, full, row, scale):
+    """Which of n positive weights, but the last, the error rises least without; (first, second).
+
+    Exact where the other weights stay positive: w_q² / P_qq, P the inverse of h among changes
+    that keep the sum.
+    """
+    last = n - 1
+    for q in range(last):
+        for s in range(q + 1):
+            a[q, s] = h[q, s] - h[last, s] - h[q, last] + h[last, last]
+    equilibrate(a, last, scale)
+    invert(a, last, full, row)
+    first = second = -1
+    least = next_least = np.inf
+    for q in range(last):
+        curvature = full[q, q] * scale[q] * scale[q]
+        loss = w[q] * w[q] / curvature if curvature > 0.0 else 0.0
+        if loss < least:
+            first, second = q, first
+            least, next_least = loss, least
+        elif loss < next_least:
+            second = q
+            next_least = loss
+    return first, second

@@ -34,7 +34,7 @@ def schur_vertices(
 ):
     """Eliminate the vertices of groups first..last from the normal equations.
 
-    cross       (B, B, 4, 4)  float64  Mᵀ δM summed over frames, in
+    cross       (B, B, 4, 4)  float64  of bones k, j: (Mⱼᵀ δMₖ)ᵀ summed over frames, in
     start       (G + 1,)      integer  group g is vertices start[g]..start[g + 1], in
     bones       (G, K)        integer  bones that all vertices of a group use, in
     count       (G,)          integer  how many, in
@@ -46,7 +46,7 @@ def schur_vertices(
     inverse     (V, D, D)     float64  of the Gauss–Newton matrix, D = K + 2, in
     gradient    (V, D)        float64  half gradient of the error, in
     step        (V, D)        float64  inverse times (H_vm δM + share·gradient), out
-    total       (B, B, 4, 4)  float64  added to: the image Σ δa aᵀ of the step
+    total       (B, B, 4, 4)  float64  added to: the image Σ a δaᵀ of the step, as `cross`
     """
     n_keep = bones.shape[1]
     # Rows of whole vectors: what is beyond 4·count holds anything finite, and nothing reads it.
@@ -58,15 +58,16 @@ def schur_vertices(
     image = np.empty(width)
     along = np.empty(n_keep)
     b = np.empty(n_keep + 2)
+    x = np.empty(n_keep + 2)
     for g in range(first, last):
         n = count[g]
         width = 16 * ((4 * n + 15) // 16)
         for s in range(n):
             for q in range(n):
-                m = cross[bones[g, q], bones[g, s]]
-                for d in range(4):
-                    for e in range(4):
-                        block[4 * s + e, 4 * q + d] = m[d, e]
+                m = cross[bones[g, s], bones[g, q]]
+                for e in range(4):
+                    for d in range(4):
+                        block[4 * s + e, 4 * q + d] = m[e, d]
         for u in range(4 * n):
             for t in range(width):
                 sums[u, t] = 0.0
@@ -102,27 +103,26 @@ def schur_vertices(
             if move_rest:
                 size = k + 3
                 b[k], b[k + 1], b[k + 2] = g0, g1, g2
+            for q in range(n_keep + 2):
+                x[q] = 0.0
             for q in range(size):
-                b[q] += share * gradient[i, q]
+                value = b[q] + share * gradient[i, q]
+                for s in range(n_keep + 2):
+                    x[s] += value * inverse[i, q, s]
             sum_w = 0.0
-            for q in range(size):
-                value = 0.0
-                for s in range(size):
-                    value += inverse[i, q, s] * b[s]
-                step[i, q] = value
-                if q < k:
-                    sum_w += value
-            for q in range(size, n_keep + 2):
-                step[i, q] = 0.0
+            for q in range(k):
+                sum_w += x[q]
+            for q in range(n_keep + 2):
+                step[i, q] = x[q]
             c = importance[i]
             g0 = g1 = g2 = 0.0
             if move_rest:
-                g0, g1, g2 = c * step[i, k], c * step[i, k + 1], c * step[i, k + 2]
+                g0, g1, g2 = c * x[k], c * x[k + 1], c * x[k + 2]
             for q in range(n):
                 dw = 0.0
                 if k > 0:
                     s = slot[i, q]
-                    dw = -c * sum_w if s == 0 else c * step[i, s - 1]
+                    dw = -c * sum_w if s == 0 else c * x[s - 1]
                 w = weights[i, q]
                 delta[held, 4 * q] = dw * p0 + w * g0
                 delta[held, 4 * q + 1] = dw * p1 + w * g1
@@ -140,12 +140,12 @@ def schur_vertices(
                             v0 * delta[0, t] + v1 * delta[1, t] + v2 * delta[2, t] + w * delta[3, t]
                         )
                 held = 0
-        for q in range(n):
-            for s in range(n):
-                m = total[bones[g, q], bones[g, s]]
-                for d in range(4):
-                    for e in range(4):
-                        m[d, e] += sums[4 * s + e, 4 * q + d]
+        for s in range(n):
+            for q in range(n):
+                m = total[bones[g, s], bones[g, q]]
+                for e in range(4):
+                    for d in range(4):
+                        m[e, d] += sums[4 * s + e, 4 * q + d]
 
 
 @kernel

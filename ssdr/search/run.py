@@ -14,10 +14,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..parallel import serial_blas
 from ..solver.model import Fixed, Model
 from ..solver.polish import Polish
+from ..solver.recycling import Recycled
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .prescribed import Prescribed
@@ -61,6 +63,9 @@ class Stage(ABC):
     @abstractmethod
     def step(self, run: Run) -> bool:
         """One small step; whether the stage is over."""
+
+    def prepare(self, run: Run) -> None:  # noqa: B027  # most stages change no data
+        """Change the data as the whole stage does, for a run that is taken up behind it."""
 
 
 @dataclasses.dataclass
@@ -114,6 +119,12 @@ class Run:
 
     Attributes
     ----------
+    whole : Trajectories
+        Of all vertices.
+    data : Trajectories
+        What the present step works on: all vertices, or a sample of them.
+    chosen : (n,) int array or None
+        The vertices of that sample.
     model : Model or None
         What the next step starts from; may have more bones than asked for.
     best : Model or None
@@ -127,6 +138,8 @@ class Run:
         Of the present stage.
     leader : list of float
         Track of the search that ended lowest.
+    recycled : Recycled or None
+        What the last step of the present polish hands on to the next.
     polish : Polish or None
         Of the present stage; its factors last from step to step.
     records : list of (iteration, elapsed, squared error, phase)
@@ -147,7 +160,8 @@ class Run:
         rigid_joints: bool = False,
     ) -> None:
         self.rigid_joints = rigid_joints
-        self.data, self.schedule = data, tuple(schedule)
+        self.whole, self.data, self.schedule = data, data, tuple(schedule)
+        self.chosen: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.prescribed, self.smoothness = fixed, prescribed, smoothness
         self.clock = clock or Clock()
@@ -160,6 +174,7 @@ class Run:
         self.leader: list[float] = []
         self.memory = Memory()
         self.polish: Polish | None = None
+        self.recycled: Recycled | None = None
 
     @property
     def finished(self) -> bool:
@@ -176,9 +191,17 @@ class Run:
     @property
     def fixed(self) -> Fixed:
         """What the present step may move, and how."""
+        fixed = self.asked if self.chosen is None else self.asked.of_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
-            return self.asked
-        return dataclasses.replace(self.asked, bone_model="rigid")
+            return fixed
+        return dataclasses.replace(fixed, bone_model="rigid")
+
+    @property
+    def present_parts(self) -> Prescribed:
+        """What the caller handed over, of the vertices that the present step works on."""
+        if self.chosen is None or self.prescribed.rest is None:
+            return self.prescribed
+        return dataclasses.replace(self.prescribed, rest=self.prescribed.rest[self.chosen])
 
     @property
     def generator(self) -> np.random.Generator:
@@ -246,7 +269,7 @@ class Run:
         self._record(stage.phase)
         if over or self.memory.count >= stage.steps:
             self._next()
-        if self.best_value <= _EXACT * float(self.data.x2.sum()):
+        if self.best_value <= _EXACT * float(self.whole.x2.sum()):
             self.position, self.converged = len(self.schedule), True
 
     def value(self, model: Model) -> float:
@@ -257,21 +280,41 @@ class Run:
     def start_branch(self) -> None:
         self.branch_rng = copy.deepcopy(self.rng)
 
-    def judge(self, trial: Model, patience: int) -> bool:
-        """Go on from the trial if it is better; whether too many in a row were not."""
-        if self.value(trial) < self.value(self.present):
-            self.model, self.memory.failures = trial, 0
-        else:
-            self.memory.failures += 1
+    def judge(self, trial: Model, patience: int, gain: float = 0.0) -> bool:
+        """Go on from the trial if it is better; whether too many in a row hardly were.
+
+        `gain` is relative, in the objective.
+        """
+        before, after = self.value(self.present), self.value(trial)
+        if after < before:
+            self.model = trial
+        self.memory.failures = 0 if after < (1.0 - gain) * before else self.memory.failures + 1
         return self.memory.failures >= patience
 
     def compress(self) -> None:
-        self.data = self.data.compressed(self.bones)
+        self.whole = self.data = self.whole.compressed(self.bones)
+
+    def take_sample(self, count: int) -> None:
+        """Work on about so many vertices from now on, evenly from still to wild ones.
+
+        Where there are few more, on all of them as before.
+        """
+        n = self.whole.n_vertices
+        if 2 * count < n:
+            order = np.argsort(self.whole.x2, kind="stable")
+            every = np.linspace(0, n - 1, count).round().astype(np.intp)
+            self.chosen = np.sort(order[every])
+            self.data = self.whole.vertices(self.chosen)
+
+    def take_all(self) -> None:
+        """Work on all vertices again."""
+        self.data, self.chosen = self.whole, None
 
     def release(self) -> None:
         """Free the trajectories; no further step can be made."""
-        self.data = dataclasses.replace(self.data, z=self.data.z[:, :0].copy(), q=None)
-        self.polish = None
+        self.take_all()
+        self.whole = dataclasses.replace(self.whole, z=self.whole.z[:, :0].copy(), q=None)
+        self.data, self.polish = self.whole, None
 
     def followed_by(
         self,
@@ -325,9 +368,6 @@ class Run:
             If `progress` is damaged.
         """
         self.model, self.best, self.records = model, best, records
-        self.position = whole(progress, "position")
-        if self.position > len(self.schedule):
-            raise ValueError(f"position is {self.position}")
         self.memory = self._memory_of(progress)
         begun = self.position > 0 or self.memory.count > 0
         if (begun and model is None) or (self.finished and best is None):
@@ -343,8 +383,20 @@ class Run:
         self.branch_rng = copy.deepcopy(self.rng)
         self.branch_rng.bit_generator.state = progress["branch_rng"]
         self.rng.bit_generator.state = progress["rng"]
-        if any(stage.phase == "compress" for stage in self.schedule[: self.position]):
-            self.compress()
+
+    def go_to(self, position: int) -> None:
+        """The place in the schedule, with the data as the stages before it leave them.
+
+        Raises
+        ------
+        ValueError
+            If the schedule is shorter.
+        """
+        if position > len(self.schedule):
+            raise ValueError(f"position is {position}")
+        self.position = position
+        for stage in self.schedule[:position]:
+            stage.prepare(self)
 
     def _memory_of(self, progress: dict[str, Any]) -> Memory:
         memory = Memory(
@@ -363,6 +415,8 @@ class Run:
 
     def _record(self, phase: str) -> None:
         model = self.model
+        if self.chosen is not None:
+            return
         if model is None or model.n_bones != self.bones or model.n_influences > self.influences:
             return
         if self.rigid_joints and (model.tree is None or not model.tree.rigid):
@@ -380,4 +434,4 @@ class Run:
             self.leader = track
         self.position += 1
         self.memory = Memory()
-        self.polish = None
+        self.polish = self.recycled = None

@@ -25,12 +25,13 @@ from ..solver.joints import settled, spanning_tree
 from ..solver.model import Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
 from ..solver.tree import Tree
+from ..symmetry import find_mirror, side_names
 from .prescribed import Prescribed
 from .problem import Problem
 from .progress import Clock, Record, Reporter
 from .run import Run
 from .schedule import fingerprint, schedule_for
-from .state import SolverState, check_settings, check_size, taking_up
+from .state import SolverState, check_settings, check_size, taking_up, whole
 from .tree_moves import loss_of_bones
 
 __all__ = [
@@ -104,10 +105,10 @@ def solve(problem: Problem) -> Outcome:
     )
     return outcome_of(
         problem,
-        run.data,
+        run.whole,
         run.best_model,
         run.records,
-        importance=run.data.importance,
+        importance=run.whole.importance,
         reason=reason,
         state=state(),
         idle=idle_bones(run),
@@ -185,7 +186,7 @@ def walk(
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    unit = run.data.scale / math.sqrt(run.data.n_frames * run.data.n_vertices)
+    unit = run.whole.scale / math.sqrt(run.whole.n_frames * run.whole.n_vertices)
     report = Reporter(problem.callback, run.clock, problem.time_limit)
 
     def limit() -> str | None:
@@ -214,11 +215,11 @@ def walk(
 def idle_bones(run: Run) -> int:
     """How many bones could each go at no loss."""
     wide = run.best_model.with_restarted_support()
-    energy = float(run.data.importance @ run.data.x2)
+    energy = float(run.whole.importance @ run.whole.x2)
     if wide.tree is None:
-        costs = bone_costs(run.data, wide)
+        costs = bone_costs(run.whole, wide)
     else:
-        costs = np.array([loss.cost for loss in loss_of_bones(run.data, wide)])
+        costs = np.array([loss.cost for loss in loss_of_bones(run.whole, wide)])
         # a joint that was asked not to turn says nothing of how many bones there are
         costs[[j for j, _, _ in run.asked.kept_turns(wide.tree)]] = np.inf
     return int((costs <= _NO_LOSS * energy).sum())
@@ -294,13 +295,12 @@ def with_tree(
     positions, _ = alignment.to_world(tree.points, np.zeros((alignment.n_frames, 0, 3, 4)))
     roots = tree.roots
     positions[roots] = skinning.centroids()[roots]
-    digits = len(str(skinning.n_bones - 1))
+    found = side_names(None if names else find_mirror(skinning), skinning.n_bones)
     return dataclasses.replace(
         skinning,
         parents=tree.parents,
         joint_positions=positions,
-        bone_names=names
-        + tuple(f"joint_{k:0{digits}d}" for k in range(len(names), skinning.n_bones)),
+        bone_names=names + found[len(names) :],
     )
 
 
@@ -336,6 +336,7 @@ def state_of(
         phases=tuple(phase for _, _, _, phase in run.records),
         current=run.model,
         best=run.best,
+        recycled=run.recycled,
         driver=driver or {},
     )
 
@@ -348,8 +349,10 @@ def restore(run: Run, state: SolverState) -> None:
     InputError
         If the state is of other frames, or damaged.
     """
-    for model in (state.current, state.best):
-        check_size(model, run.data.n_vertices, run.data.n_frames)
+    check_size(state.best, run.whole.n_vertices, run.whole.n_frames)
+    with taking_up():
+        run.go_to(whole(state.progress, "position"))
+    check_size(state.current, run.data.n_vertices, run.data.n_frames)
     with taking_up():
         if not (np.isfinite(state.history).all() and (state.history >= 0).all()):
             raise ValueError("history holds negative numbers, NaN or Inf")
@@ -363,3 +366,4 @@ def restore(run: Run, state: SolverState) -> None:
             None if state.best is None else state.best.copy(),
             records,
         )
+        run.recycled = state.recycled

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..solver.alternation import alternate, bone_step, vertex_step
 from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
@@ -25,7 +26,7 @@ from .moves import (
     polish_steps,
     regrow_step,
     reseed_step,
-    shed_influence,
+    shed_influences,
     thin,
 )
 from .run import Run, Stage
@@ -34,6 +35,7 @@ __all__ = [
     "POLISH_STEPS_OF_A_TRY",
     "Alternate",
     "Compress",
+    "Everywhere",
     "Merge",
     "Polish",
     "QuickStart",
@@ -41,6 +43,7 @@ __all__ = [
     "Regrow",
     "Relax",
     "Reseed",
+    "Sample",
     "Search",
     "Spread",
     "Start",
@@ -89,7 +92,11 @@ class Start(Stage):
         return True
 
     def _model(self, run: Run) -> Model:
-        data, prescribed, influences = run.data, run.prescribed, self.influences or run.influences
+        data, prescribed, influences = (
+            run.data,
+            run.present_parts,
+            self.influences or run.influences,
+        )
         rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
         bones, joints, weights = prescribed.transforms, prescribed.joints, prescribed.weights
         if joints is not None and weights is not None:
@@ -159,8 +166,75 @@ class Compress(Stage):
     cost: float = 4
 
     def step(self, run: Run) -> bool:
-        run.compress()
+        self.prepare(run)
         return True
+
+    def prepare(self, run: Run) -> None:
+        run.compress()
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sample(Stage):
+    """From here on some vertices alone, where they are many: they tell where bones belong.
+
+    A third of them, within bounds; all, where that leaves less than half out.
+
+    Attributes
+    ----------
+    least, most : int
+        Vertices for each bone asked for.
+    """
+
+    phase: ClassVar[str] = "sample"
+    least: int = 48
+    most: int = 128
+
+    def step(self, run: Run) -> bool:
+        self.prepare(run)
+        if run.model is not None and run.chosen is not None:
+            run.model = run.model.vertices(run.chosen)
+        return True
+
+    def prepare(self, run: Run) -> None:
+        third = run.whole.n_vertices // 3
+        run.take_sample(min(self.most * run.bones, max(self.least * run.bones, third)))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Everywhere(Stage):
+    """From here on all vertices again: each begins with the bones of the nearest of the sample.
+
+    Attributes
+    ----------
+    alternations : int
+        Of all vertices, from there.
+    """
+
+    phase: ClassVar[str] = "everywhere"
+    cost: float = 8
+    alternations: int = 4
+
+    def step(self, run: Run) -> bool:
+        few, chosen = run.present, run.chosen
+        self.prepare(run)
+        if chosen is None:
+            return True
+        data, frame = run.data, run.prescribed.rest_frame
+        rest = data.frame(frame) if run.prescribed.rest is None else run.prescribed.rest.copy()
+        near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
+        model = few.vertices(near)
+        model.rest = rest
+        if run.prescribed.rest is None:
+            model.rest[chosen] = few.rest
+        model.restart_support()
+        vertex_step(data, model, fixed=run.fixed)
+        alternate(data, model, self.alternations, run.fixed)
+        run.iteration += self.alternations
+        run.model = model
+        return True
+
+    def prepare(self, run: Run) -> None:
+        run.take_all()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -230,6 +304,8 @@ class Reseed(Stage):
         After which the move is judged.
     patience : int
         Failures in a row that end the stage.
+    gain : float
+        Relative gain in the objective below which a move counts as a failure, though it stays.
     """
 
     phase: ClassVar[str] = "reseed"
@@ -237,11 +313,12 @@ class Reseed(Stage):
     cost: float = 6
     alternations: int = 4
     patience: int = 4
+    gain: float = 0.0
 
     def step(self, run: Run) -> bool:
         trial = reseed_step(run.data, run.present, run.generator, self.alternations, run.fixed)
         run.iteration += self.alternations
-        return True if trial is None else run.judge(trial, self.patience)
+        return True if trial is None else run.judge(trial, self.patience, self.gain)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -281,19 +358,23 @@ class Relax(Stage):
         Influences more, at most.  A vertex of the polish costs (K + 2)² numbers.
     polish_steps : int
         At each number of influences.
+    shed : int
+        Influences that a step gives up.
     """
 
     phase: ClassVar[str] = "relax"
     steps: int = 4
     cost: float = 40
     polish_steps: int = 8
+    shed: int = 1
 
     def step(self, run: Run) -> bool:
         model, k = run.present, run.influences
         if run.memory.count == 0:
             model = model.with_influences(min(2 * k, k + self.steps, model.n_bones))
         if model.n_influences > k:
-            model = shed_influence(run.data, model, run.fixed, steps=self.polish_steps)
+            left = max(k, model.n_influences - self.shed)
+            model = shed_influences(run.data, model, run.fixed, steps=self.polish_steps, left=left)
             run.iteration += self.polish_steps
         run.model = model
         return model.n_influences <= k
@@ -316,12 +397,18 @@ class Polish(Stage):
     def step(self, run: Run) -> bool:
         model, memory = run.present, run.memory
         if run.polish is None:
-            run.polish = polish_of(run.data, model, fixed=run.fixed, damping=memory.damping)
+            run.polish = polish_of(
+                run.data,
+                model,
+                fixed=run.fixed,
+                damping=memory.damping,
+                recycled=run.recycled,
+            )
         polish = run.polish
         if not memory.recent:
             memory.recent = [polish.value]
         polish.step(entering=entering_at(memory.count))
-        memory.damping = polish.damping
+        memory.damping, run.recycled = polish.damping, polish.recycled
         run.iteration += 1
         memory.recent = [*memory.recent, polish.value][-_POLISH_WINDOW - 1 :]
         full = len(memory.recent) > _POLISH_WINDOW
@@ -412,13 +499,18 @@ class Search(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Recall(Stage):
-    """Go on from the best model so far."""
+    """Go on from the best model so far; on a sample, from what it is there if that is better."""
 
     phase: ClassVar[str] = "recall"
     cost: float = 0
 
     def step(self, run: Run) -> bool:
-        run.model = run.best_model.with_restarted_support()
+        best = run.best_model
+        if run.chosen is not None:
+            best = best.vertices(run.chosen)
+            if best.objective(run.data) >= run.present.objective(run.data):
+                return True
+        run.model = best.with_restarted_support()
         return True
 
 

@@ -18,6 +18,7 @@ from ..checks import LARGEST, check_squarable
 from ..errors import FormatError, InputError, SsdrWarning, is_real, is_whole
 from ..hierarchy import check_parents
 from ..solver.model import ARRAYS, Model
+from ..solver.recycling import Recycled
 from ..solver.tree import Tree
 
 __all__ = [
@@ -33,8 +34,9 @@ __all__ = [
     "whole",
 ]
 
-_VERSION = 4
+_VERSION = 5
 _CHECKPOINT_SECONDS = 60.0  # between two checkpoints: what a killed process loses at most
+_DIRECTIONS, _IMAGES = "recycled_directions", "recycled_images"
 _DRIVER = "driver_"  # prefix, in a file, of the arrays that a driver adds
 
 
@@ -57,6 +59,8 @@ class SolverState:
         Phase of each accepted model.
     current, best : Model or None
         Of the frames that are solved in memory.
+    recycled : Recycled or None
+        What the last step of a polish under way hands on to the next.
     driver : dict of str to array
         What the driver of the run adds: where frames are streamed, what the walks over all of
         them found.
@@ -81,6 +85,7 @@ class SolverState:
     phases: tuple[str, ...]
     current: Model | None
     best: Model | None
+    recycled: Recycled | None = None
     driver: dict[str, NDArray[Any]] = dataclasses.field(default_factory=dict)
     source: str = "a state"
 
@@ -109,6 +114,9 @@ class SolverState:
             "history": self.history,
         }
         arrays |= packed("current_", self.current) | packed("best_", self.best)
+        if self.recycled is not None:
+            arrays[_DIRECTIONS] = self.recycled.directions
+            arrays[_IMAGES] = self.recycled.images
         arrays |= {_DRIVER + name: array for name, array in self.driver.items()}
         write_arrays(path, arrays, compress=False)
         return path
@@ -130,7 +138,7 @@ class SolverState:
         arrays = read_arrays(
             path,
             required=("ssdr_state", "history"),
-            optional=("current_*", "best_*", _DRIVER + "*"),
+            optional=("current_*", "best_*", "recycled_*", _DRIVER + "*"),
         )
         try:
             header = json.loads(bytes(arrays["ssdr_state"]).decode())
@@ -149,6 +157,7 @@ class SolverState:
                 phases=tuple(phases),
                 current=model_of(arrays, "current_"),
                 best=model_of(arrays, "best_"),
+                recycled=_recycled_of(arrays),
                 driver={
                     name[len(_DRIVER) :]: array
                     for name, array in arrays.items()
@@ -288,6 +297,20 @@ def packed(prefix: str, model: Model | None) -> dict[str, Any]:
         arrays[prefix + "points"] = model.tree.points
         arrays[prefix + "rigid"] = np.array([model.tree.rigid])
     return arrays
+
+
+def _recycled_of(arrays: dict[str, Any]) -> Recycled | None:
+    if _DIRECTIONS not in arrays:
+        return None
+    directions, images = arrays[_DIRECTIONS], arrays[_IMAGES]
+    if directions.ndim != 2 or directions.shape != images.shape:
+        raise ValueError(f"recycled directions have shape {directions.shape}")
+    for array in (directions, images):
+        if array.dtype != np.float64 or not np.isfinite(array).all():
+            raise ValueError("recycled directions are no finite float64 numbers")
+    if not (np.einsum("mn,mn->m", directions, images) > 0).all():
+        raise ValueError("recycled directions do not curve upwards")
+    return Recycled(directions, images)
 
 
 def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:

@@ -23,12 +23,14 @@ from ..solver.joints import (
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Array, Trajectories
 from ..solver.tree import Tree
+from ..symmetry import mirror_of
 from .moves import polish_steps, worst_patch
 
 __all__ = [
     "give_up_bone",
     "join_touching",
     "loss_of_bones",
+    "mirror_edge",
     "reparent",
     "replace_bone",
     "seize",
@@ -103,6 +105,37 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     _, edge, a, b = ways[int(rng.choice(len(ways), p=chance / chance.sum()))]
     changed.tree = tree.rehung(edge, a, b, points[a, b])
     stiffen(data, changed, fixed, start=1.0, steps=4)
+    return changed
+
+
+def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    """A joint that one side of a symmetric rest pose has, on the other side, too.
+
+    An edge of the circle that this closes goes, one without a mirror image where there is one.
+    Where the rest pose is not symmetric, or the tree already is, a joint goes elsewhere instead.
+    """
+    mirror = mirror_of(model.rest, model.joints, model.weights, model.n_bones)
+    if mirror is None:
+        return reparent(data, model, rng, fixed)
+    changed, tree, other = model.with_restarted_support(), _tree(model), mirror.partners
+    pairs = {frozenset((int(b), int(tree.parents[b]))) for b in tree.hung}
+    alone = [
+        b
+        for b in tree.hung.tolist()
+        if other[b] >= 0
+        and other[tree.parents[b]] >= 0
+        and frozenset((int(other[b]), int(other[tree.parents[b]]))) not in pairs
+    ]
+    if not alone:
+        return reparent(data, model, rng, fixed)
+    edge = alone[int(rng.integers(len(alone)))]
+    a, b = int(other[edge]), int(other[tree.parents[edge]])
+    up, down = tree.way(a, b)
+    overlap = contacts(changed).overlap
+    gone = min(up + down, key=lambda k: (k not in alone, overlap[k, tree.parents[k]], k))
+    a, b = (a, b) if gone in up else (b, a)
+    changed.tree = tree.rehung(gone, a, b, mirror.image(tree.points[edge]))
+    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
     return changed
 
 

@@ -13,7 +13,15 @@ from ..solver.model import Model
 from .moves import loosen, polish_steps, thin
 from .run import Run, Stage
 from .stages import POLISH_STEPS_OF_A_TRY, Change, Search, Start
-from .tree_moves import give_up_bone, join_touching, reparent, replace_bone, seize, split_bone
+from .tree_moves import (
+    give_up_bone,
+    join_touching,
+    mirror_edge,
+    reparent,
+    replace_bone,
+    seize,
+    split_bone,
+)
 
 __all__ = ["GiveUp", "Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
 
@@ -155,7 +163,14 @@ class SearchTrees(Search):
     steps promise to lead below the model that it has to beat.
     """
 
-    kinds: ClassVar[tuple[Change, ...]] = (join_touching, loosen, reparent, thin, replace_bone)
+    kinds: ClassVar[tuple[Change, ...]] = (
+        join_touching,
+        loosen,
+        reparent,
+        thin,
+        replace_bone,
+        mirror_edge,
+    )
     changes: ClassVar[int] = len(kinds)
 
     def settle(self, run: Run, trial: Model, base: float) -> float:

@@ -15,6 +15,7 @@ from .alternation import bone_step
 from .chain_polish import ChainPolish
 from .model import FREE, Fixed, Model
 from .polish import Polish
+from .recycling import Recycled
 from .trajectories import Array, Trajectories
 
 __all__ = ["AffinePolish", "SimilarityPolish", "fit_motion", "normalise_gauge", "polish_of"]
@@ -177,10 +178,16 @@ def fit_motion(data: Trajectories, model: Model, *, fixed: Fixed, sweeps: int, l
 
 
 def polish_of(
-    data: Trajectories, model: Model, *, fixed: Fixed = FREE, damping: float | None = None
+    data: Trajectories,
+    model: Model,
+    *,
+    fixed: Fixed = FREE,
+    damping: float | None = None,
+    recycled: Recycled | None = None,
 ) -> Polish:
     """The polish of the bones that `fixed` allows, or of those that hang on joints."""
     if model.tree is not None:
-        return ChainPolish(data, model, fixed=fixed, damping=damping)
+        return ChainPolish(data, model, fixed=fixed, damping=damping, recycled=recycled)
     kinds = {"rigid": Polish, "similarity": SimilarityPolish, "affine": AffinePolish}
-    return kinds[fixed.bone_model](data, model, fixed=fixed, damping=damping)
+    kind = kinds[fixed.bone_model]
+    return kind(data, model, fixed=fixed, damping=damping, recycled=recycled)

@@ -11,6 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ..kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ..parallel import chunk_bounds, run_chunks
+from .dense import inverse_of
 from .model import FREE, Model
 from .polish import Polish
 from .trajectories import Array, Trajectories
@@ -22,6 +23,9 @@ _MEMORY = 64 << 20  # bytes of these factors, at most, unless they are few
 _FEW = 8
 _DAMPED = 1e-9  # of the diagonal, so that what nothing determines stays put
 _ROUNDING = 1e-12
+# Products with the Schur complement a step, at most: what a joint turns moves all that hangs on
+# it, and with as few as for free bones exact data takes twice the steps.
+_CONJUGATE_STEPS = 30
 _LEAST = 1e-12, 1e-9  # of the largest diagonal entry: of rotations and roots, and of joints
 
 
@@ -47,7 +51,7 @@ class ChainPolish(Polish):
         self._moved = tree.points
         # bones whose ω follows from their parent's, with their rotation relative to it
         self._tied = options.get("fixed", FREE).kept_turns(tree)
-        super().__init__(data, model, **options)
+        super().__init__(data, model, **({"conjugate_steps": _CONJUGATE_STEPS} | options))
 
     @property
     def points(self) -> Array:
@@ -171,8 +175,7 @@ class ChainPolish(Polish):
             side = full[np.ix_(inner, outer)] / count
             block[tied], block[:, tied], side[tied] = 0.0, 0.0, 0.0
             block[tied, tied] = own[tied]
-            inverse = np.linalg.inv(block)
-            inverse = 0.5 * (inverse + inverse.T)
+            inverse = inverse_of(block)
             answer = inverse @ side
             left = full[np.ix_(outer, outer)] - count * (side.T @ answer)
             return inverse, answer, left

@@ -43,8 +43,9 @@ __all__ = [
 _AWAY, _APART = 1e-3, 1e-2
 _HARDLY = 1e-6  # of either, where gaps alone shall decide
 # Of the mesh's size, the root mean square distance from its centroid: parts that are further away
-# from each other than the first, and would come apart by more than the second, share no joint.
-_FAR, _LOOSE = 0.1, 0.03
+# from each other than one number, and would come apart by more than the other, share no joint.
+# Three pairs of them: touching parts in any case, near ones, those that move together.
+_FAR, _LOOSE = (0.1, 0.3, np.inf), (np.inf, 0.1, 0.03)
 _STAY = 1e-4  # of a joint's place, while bones are brought to it
 _SWEEPS = 3
 _MEMBER = 0.5  # weight from which a vertex is of a bone
@@ -159,8 +160,11 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
         cost = pair * (gap + extra)
     cost += 1e-12 * max(float(cost.max()), 1e-300)  # nothing is no edge to the search
     edges = minimum_spanning_tree(np.triu(cost, 1)).toarray() > 0
-    _, part = connected_components((meet.apart <= _FAR) | (meet.overlap > 0), directed=False)
-    edges &= (part[:, None] == part) | (gap <= _LOOSE**2 * n_frames)
+    joined = meet.overlap > 0
+    for far, loose in zip(_FAR, _LOOSE, strict=True):
+        joined |= (meet.apart <= far) & (gap <= loose**2 * n_frames)
+    _, part = connected_components(joined, directed=False)
+    edges &= part[:, None] == part
     parents = rooted(edges | edges.T, mass)
     index = np.arange(model.n_bones)
     points = np.where((parents >= 0)[:, None], point[index, np.maximum(parents, 0)], 0.0)

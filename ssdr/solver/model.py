@@ -49,6 +49,15 @@ class Model:
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
         return Model(**arrays, tree=self.tree)
 
+    def vertices(self, chosen: NDArray[np.intp]) -> Model:
+        """A copy of the chosen vertices alone, with all bones."""
+        arrays = {
+            name: np.ascontiguousarray(getattr(self, name)[chosen])
+            for name in ARRAYS
+            if name != "transforms"
+        }
+        return Model(transforms=self.transforms.copy(), **arrays, tree=self.tree)
+
     @staticmethod
     def start(
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
@@ -190,6 +199,11 @@ class Fixed:
     joints: bool = False  # joints of a tree
     # (F, B0, 3, 3) rotations relative to the parent that bones of a tree keep; NaN: free
     turns: NDArray[np.float64] | None = None
+
+    def of_vertices(self, chosen: NDArray[np.intp]) -> Fixed:
+        """The same for the chosen vertices alone."""
+        weights = None if self.weights is None else self.weights[chosen]
+        return dataclasses.replace(self, weights=weights)
 
     def keep_weights(self, n: int) -> NDArray[np.bool_]:
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights

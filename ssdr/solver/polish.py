@@ -29,8 +29,10 @@ from ..kernels.schur import (
 )
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine import flat_blocks
+from .dense import cross_product, inverse_of, product
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, transform_sums
+from .recycling import Recycled
 from .trajectories import Array, Trajectories
 from .vertex_newton import newton_vertices
 
@@ -38,6 +40,7 @@ __all__ = ["Polish"]
 
 # at most so many tasks: each holds B×B 4×4 sums of its own (memory), fewer use fewer cores
 _TASKS = 8
+_TRANSFORMS = 4096  # moved by a task at least: fewer are not worth a thread
 _GROUPS = 32  # at most this many factors in the preconditioner
 # E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6
 _GENERATORS = np.array(
@@ -123,6 +126,8 @@ class Polish:
     damping : float, optional
         λ of an earlier polish of this very model, to go on exactly where it
         stopped; by default the vertices are optimised first.
+    recycled : Recycled, optional
+        Directions of the last step of an earlier polish of this very model.
     conjugate_steps : int
         Most products with the Schur complement a step.
     group : int
@@ -138,16 +143,18 @@ class Polish:
         *,
         fixed: Fixed = FREE,
         damping: float | None = None,
-        conjugate_steps: int = 30,
+        recycled: Recycled | None = None,
+        conjugate_steps: int = 12,
         group: int = 24,
     ) -> None:
         self.data, self.model, self.fixed = data, model, fixed
         self.damping = 1e-3 if damping is None else damping
-        self.group = group
+        self.group, self.recycled = group, recycled
         self.conjugate_steps = conjugate_steps
         self._keep = fixed.keep_weights(data.n_vertices)
         self._locked = fixed.locked(model.n_bones)
-        self._frames = chunk_bounds(data.n_frames, max(16, -(-data.n_frames // 16)))
+        frames = max(-(-_TRANSFORMS // model.n_bones), -(-data.n_frames // 16))
+        self._frames = chunk_bounds(data.n_frames, frames)
         n = data.n_vertices
         self._vertices = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         # a damping handed over means that the model comes from an earlier polish: only factor it
@@ -232,20 +239,20 @@ class Polish:
         hat = self._left.hat
         u_flat = flat_blocks(u)
         # half gradient of the objective in the stacked transforms: hat·U − C
-        slope = hat @ u_flat - (c * scale[:, None, None, None]).reshape(hat.shape)
+        slope = product(hat, u_flat) - (c * scale[:, None, None, None]).reshape(hat.shape)
         gradient = self._pullback(slope)
-        no_cross = np.zeros((n_bones, n_bones, 4, 4))
-        _, total = self._eliminate(no_cross, 1.0)
-        rhs = -(gradient - self._pullback(hat @ flat_blocks(total)))
+        _, total = self._eliminate(np.zeros_like(u_flat), 1.0)
+        rhs = -(gradient - self._pullback(product(hat, total)))
         self._hold(rhs)
 
         precondition, damp = self._preconditioner(u)
+        if self.recycled is not None:
+            precondition = self.recycled.around(precondition, rhs.size)
 
         def apply(x: Array) -> Array:
             image = self._image(x)
-            cross = (hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
-            _, total = self._eliminate(np.ascontiguousarray(cross), 0.0)
-            out = self._pullback(image @ u_flat - hat @ flat_blocks(total))
+            _, total = self._eliminate(cross_product(hat, image), 0.0)
+            out = self._pullback(product(image, u_flat) - product(hat, total))
             out += damp(x)
             self._hold(out)
             return out
@@ -255,7 +262,7 @@ class Polish:
         z = precondition(residual)
         direction = z.copy()
         rho = float(np.vdot(residual, z))
-        first = rho
+        first, pairs = rho, list[tuple[Array, Array]]()
         for _ in range(self.conjugate_steps):
             if not rho > 1e-10 * first:
                 break
@@ -263,12 +270,14 @@ class Polish:
             curvature = float(np.vdot(direction, image))
             if not curvature > 0:
                 break
+            pairs.append((direction, image))
             alpha = rho / curvature
             x += alpha * direction
             residual -= alpha * image
             z = precondition(residual)
             rho, last = float(np.vdot(residual, z)), rho
             direction = z + (rho / last) * direction
+        self.recycled = Recycled.of(pairs) or self.recycled
         # decrease of the undamped quadratic: 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
         applied = rhs - residual - damp(x)
         return x, float(2.0 * np.vdot(rhs, x) - np.vdot(x, applied))
@@ -286,7 +295,6 @@ class Polish:
         n_frames, n_bones = model.transforms.shape[:2]
         frame_weight = data.frame_scale**2
         generators = self.generators
-        terms = np.argwhere(generators != 0)
         n_tangent = generators.shape[2]
         size = n_tangent * n_bones
         index = np.arange(n_bones)
@@ -295,20 +303,19 @@ class Polish:
         own = np.maximum(own, 1e-12 * own.max())
         groups = chunk_bounds(n_frames, max(self.group, -(-n_frames // _GROUPS)))
         rotation = np.ascontiguousarray(model.transforms[..., :3])
-        table = np.ascontiguousarray(u.transpose(2, 3, 0, 1))
+        table = u.transpose(2, 3, 0, 1).reshape(1, 16, -1)
+        # of the products of turn[c, f] and table[d, e]
+        signs = np.einsum("dca,efb->abcfde", generators, generators).reshape(n_tangent**2, 144)
 
         def invert(_: int, i: int, k: int) -> Array:
             stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
             turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
-            mean = np.zeros((n_tangent, n_tangent, n_bones, n_bones))
-            for d, c, a in terms:
-                for e, f, b in terms:
-                    sign = generators[d, c, a] * generators[e, f, b]
-                    mean[a, b] += sign * (turn[c, :, f] * table[d, e])
+            turn = turn.transpose(0, 2, 1, 3).reshape(9, 1, -1)
+            mean = signs @ (turn * table).reshape(144, -1)
+            mean = mean.reshape(n_tangent, n_tangent, n_bones, n_bones)
             matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
             matrix[np.diag_indices(size)] += (self.damping + 1e-9) * own.ravel()
-            inverse = np.linalg.inv(matrix)
-            return np.asarray(0.5 * (inverse + inverse.T))
+            return inverse_of(matrix)
 
         inverses = run_chunks(invert, groups)
 
@@ -333,27 +340,24 @@ class Polish:
 
     def _image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]
+        m, scale = self.model.transforms, self.data.frame_scale
         out = np.empty((3 * n_frames, 4, n_bones))
-        tangent_image(self.model.transforms, x, self.data.frame_scale, out, 0, n_frames)
+        run_chunks(lambda _, i, k: tangent_image(m, x, scale, out, i, k), self._frames)
         return out.reshape(3 * n_frames, 4 * n_bones)
 
     def _pullback(self, g: Array) -> Array:
-        n_frames, n_bones = self.model.transforms.shape[:2]
+        m, scale = self.model.transforms, self.data.frame_scale
+        n_frames, n_bones = m.shape[:2]
         out = np.empty((n_frames, n_bones, 6))
-        tangent_pullback(
-            self.model.transforms,
-            np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones),
-            self.data.frame_scale,
-            out,
-            0,
-            n_frames,
-        )
+        g = np.ascontiguousarray(g).reshape(3 * n_frames, 4, n_bones)
+        run_chunks(lambda _, i, k: tangent_pullback(m, g, scale, out, i, k), self._frames)
         return out
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
         """What the vertices answer to a change of the transforms, and its image.
 
-        The first (V, D) is in the order of the groups.
+        `cross` is hatᵀ times the change of the stacked transforms, (4B, 4B), and so is the image;
+        the answer (V, D) is in the order of the groups.
         """
         model, left = self.model, self._left
         n_bones = model.n_bones
@@ -362,11 +366,12 @@ class Polish:
         own = left.grouped
         step = np.empty((len(own.order), model.n_influences + 2))
         move_rest = not self.fixed.rest
+        table = np.ascontiguousarray(cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0))
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
             schur_vertices(
-                cross,
+                table,
                 own.start,
                 own.bones,
                 own.count,
@@ -391,14 +396,12 @@ class Polish:
         total = parts[0]
         for part in parts[1:]:
             total += part
-        return step, total
+        return step, np.ascontiguousarray(total.transpose(3, 1, 2, 0)).reshape(cross.shape)
 
     def _back_substitute(self, x: Array) -> Array:
-        n_bones = self.model.n_bones
         with serial_blas():
             image = self._image(x)
-            cross = (self._left.hat.T @ image).reshape(4, n_bones, 4, n_bones).transpose(1, 3, 0, 2)
-            grouped, _ = self._eliminate(np.ascontiguousarray(cross), 1.0)
+            grouped, _ = self._eliminate(cross_product(self._left.hat, image), 1.0)
         assert self._left.grouped is not None
         step = np.empty_like(grouped)
         step[self._left.grouped.order] = grouped

@@ -152,6 +152,15 @@ class Trajectories(Alignment):
             frame_scale=self.frame_scale[frames],
         )
 
+    def vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
+        """The chosen vertices alone, in the same frames and the same basis."""
+        return dataclasses.replace(
+            self,
+            z=np.ascontiguousarray(self.z[chosen]),
+            x2=self.x2[chosen],
+            importance=self.importance[chosen],
+        )
+
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
         """In the fewest columns that hold what a model of `bones` needs; itself if all of them do.

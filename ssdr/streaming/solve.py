@@ -106,7 +106,7 @@ def solve(problem: Problem) -> Outcome:
         few.alignment,
         streamed.model,
         [(*record, "all frames") for record in streamed.passes],
-        importance=run.data.importance,
+        importance=run.whole.importance,
         reason=reason,
         state=state(),
         idle=idle,
@@ -190,11 +190,11 @@ def _all_frames(
     fixed = problem.fixed
     if run.smoothness is not None:
         # a pass knows nothing of the penalty: weights stay as the run left them
-        fixed = dataclasses.replace(fixed, weights=np.ones(run.data.n_vertices, dtype=bool))
+        fixed = dataclasses.replace(fixed, weights=np.ones(run.whole.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
         chosen,
-        run.data,
+        run.whole,
         run.best_model,
         fixed=fixed,
         prescribed=problem.prescribed.inside(chosen.alignment).transforms,

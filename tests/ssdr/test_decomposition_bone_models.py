@@ -126,7 +126,8 @@ def test_fitted_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: 
     parts = {"rest": model.rest, "joints": model.joints, "weights": model.weights}
     rigid, found = (ssdr.fit_bones(frames, bone_model=k, **parts) for k in ("rigid", kind))
     check_kind(found.transforms, kind)
-    assert rigid.rmse <= 1.001 * result.rmse  # two of the frames are stuck at first
+    # frames that are stuck start again from those beside them; one of the cloth stays stuck
+    assert rigid.rmse <= 1.02 * result.rmse
     assert found.rmse <= rigid.rmse
 
 

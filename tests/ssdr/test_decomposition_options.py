@@ -29,6 +29,7 @@ def test_given_exact_rest_pose() -> None:
     assert fixed.rmse < 1e-4 * diagonal(exact)
 
 
+@pytest.mark.filterwarnings("ignore:1 of 5 bones could")  # the fifth has next to no weight
 def test_given_weights_stay() -> None:
     w = rig().weights + 1e-5
     w /= w.sum(axis=1, keepdims=True)

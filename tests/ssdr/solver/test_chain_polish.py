@@ -165,7 +165,7 @@ def test_resumed_polish_goes_on_to_the_bit() -> None:
     for _ in range(5):
         one.step(entering=3)
         two.step(entering=3)
-        two = ChainPolish(data, parts, damping=two.damping)
+        two = ChainPolish(data, parts, damping=two.damping, recycled=two.recycled)
     for name in ("transforms", "rest", "joints", "weights", "error"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
     assert np.array_equal(whole.tree.points, parts.tree.points)

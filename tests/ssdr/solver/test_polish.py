@@ -135,7 +135,11 @@ def test_resumed_polish_goes_on_to_the_bit() -> None:
     for k in range(6):
         parts.polish.step(entering=3 if k % 3 == 0 else 0)
         parts.polish = Polish(
-            parts.data, parts.model, damping=parts.polish.damping, conjugate_steps=2000
+            parts.data,
+            parts.model,
+            damping=parts.polish.damping,
+            recycled=parts.polish.recycled,
+            conjugate_steps=2000,
         )
     for name in ("transforms", "rest", "joints", "weights", "error"):
         assert np.array_equal(getattr(whole.model, name), getattr(parts.model, name)), name
