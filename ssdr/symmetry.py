@@ -13,7 +13,14 @@ from .hierarchy import rest_diagonal
 from .shapes import floats_of
 from .skinning import Skinning
 
-__all__ = ["Mirror", "find_mirror", "mirror_of", "mirrored_edges", "side_names"]
+__all__ = [
+    "Mirror",
+    "edges_with_image",
+    "find_mirror",
+    "mirror_of",
+    "mirrored_edges",
+    "side_names",
+]
 
 Array = NDArray[np.float64]
 _MOST_POINTS = 4000  # by which planes are compared
@@ -46,10 +53,8 @@ class Mirror:
 
     Examples
     --------
-    >>> rest = np.array([[-1, 0, 0], [1, 0, 0], [-1, 1, 0], [1, 1, 0], [0, 3, 1.0]])
-    >>> joints = np.array([[0], [1], [0], [1], [2]])
-    >>> still = np.broadcast_to(np.eye(3, 4), (2, 3, 3, 4))
-    >>> mirror = ssdr.find_mirror(ssdr.Skinning(rest, joints, np.ones((5, 1)), still))
+    >>> one = np.zeros(1, int)
+    >>> mirror = ssdr.Mirror(np.array([1.0, 0, 0]), 0.0, gap=0.0, partners=one, sides=one)
     >>> mirror.image([0.5, 1, 2]).tolist()
     [-0.5, 1.0, 2.0]
     """
@@ -62,9 +67,7 @@ class Mirror:
 
     def image(self, points: ArrayLike) -> Array:
         """Mirror images of points (..., 3)."""
-        at = np.asarray(points, dtype=np.float64)
-        beyond = at @ self.normal - self.offset
-        return np.asarray(at - 2 * beyond[..., None] * self.normal)
+        return _reflected(np.asarray(points, dtype=np.float64), self.normal, self.offset)
 
 
 def find_mirror(skinning: Skinning) -> Mirror | None:
@@ -82,6 +85,11 @@ def find_mirror(skinning: Skinning) -> Mirror | None:
     -------
     Mirror or None
 
+    Raises
+    ------
+    InputError
+        If there is one vertex alone.
+
     Examples
     --------
     >>> rest = np.array([[-1, 0, 0], [1, 0, 0], [-1, 1, 0], [1, 1, 0], [0, 3, 1.0]])
@@ -91,16 +99,16 @@ def find_mirror(skinning: Skinning) -> Mirror | None:
     >>> mirror.normal.tolist(), mirror.partners.tolist(), mirror.sides.tolist()
     ([1.0, 0.0, 0.0], [1, 0, 2], [-1, 1, 0])
     """
+    if skinning.n_vertices < 2:
+        raise InputError("rest", "2 vertices or more", str(skinning.n_vertices))
     return mirror_of(skinning.rest, skinning.joints, skinning.weights, skinning.n_bones)
 
 
 def mirror_of(
     rest: ArrayLike, joints: NDArray[np.integer], weights: NDArray[np.floating], n_bones: int
 ) -> Mirror | None:
-    """As :func:`find_mirror`, from a model's arrays."""
+    """As :func:`find_mirror`, from a model's arrays; None for a vertex alone, too."""
     points = floats_of(rest, "rest", ("V", 3)).astype(np.float64)
-    if len(points) < 2:
-        raise InputError("rest", "2 vertices or more", str(len(points)))
     size = rest_diagonal(points)
     if not size > 0:
         return None
@@ -116,8 +124,7 @@ def mirror_of(
     normal = np.where(np.abs(normal) < 1e-12, 0.0, normal)
     if normal[np.abs(normal).argmax()] < 0:
         normal, offset = -normal, -offset
-    image = points - 2 * (points @ normal - offset)[:, None] * normal
-    gap, near = map(np.asarray, every.query(image))
+    gap, near = map(np.asarray, every.query(_reflected(points, normal, offset)))
     dense = np.zeros((len(points), n_bones))
     np.add.at(dense, (np.arange(len(points))[:, None], joints), weights)
     partners = _partners(dense, near)
@@ -128,6 +135,17 @@ def mirror_of(
     return Mirror(normal, offset, float(gap.mean()), partners, sides)
 
 
+def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, bool]:
+    """For each bone on an edge whose two bones have partners: is it on the other side, too?"""
+    edges = {b: frozenset((b, int(a))) for b, a in enumerate(parents) if a >= 0}
+    there = set(edges.values())
+    return {
+        b: frozenset(int(mirror.partners[k]) for k in edge) in there
+        for b, edge in edges.items()
+        if all(mirror.partners[k] >= 0 for k in edge)
+    }
+
+
 def mirrored_edges(mirror: Mirror, parents: NDArray[np.integer]) -> tuple[int, int]:
     """How many of the edges whose two bones have partners are there on the other side, too.
 
@@ -135,10 +153,8 @@ def mirrored_edges(mirror: Mirror, parents: NDArray[np.integer]) -> tuple[int, i
     -------
     mirrored, edges : int
     """
-    pairs = {frozenset((b, int(a))) for b, a in enumerate(parents) if a >= 0}
-    known = [p for p in pairs if all(mirror.partners[k] >= 0 for k in p)]
-    other = [frozenset(int(mirror.partners[k]) for k in p) for p in known]
-    return sum(p in pairs for p in other), len(known)
+    there = edges_with_image(mirror, parents)
+    return sum(there.values()), len(there)
 
 
 def side_names(mirror: Mirror | None, n_bones: int, stem: str = "joint") -> tuple[str, ...]:
@@ -157,14 +173,18 @@ def side_names(mirror: Mirror | None, n_bones: int, stem: str = "joint") -> tupl
     return tuple(names)
 
 
+def _reflected(points: Array, normal: Array, offset: float) -> Array:
+    beyond = points @ normal - offset
+    return np.asarray(points - 2 * beyond[..., None] * normal)
+
+
 def _fitted(
     points: Array, every: cKDTree, normal: Array, offset: float
 ) -> tuple[Array, float, float, float]:
     """A plane fitted to the pairs that it makes: normal, offset, median and 95 % of the gaps."""
     best = (normal, offset, np.inf, np.inf)
     for _ in range(_ROUNDS):
-        image = points - 2 * (points @ normal - offset)[:, None] * normal
-        gap, near = map(np.asarray, every.query(image))
+        gap, near = map(np.asarray, every.query(_reflected(points, normal, offset)))
         median, most = (float(q) for q in np.quantile(gap, (0.5, _NEARLY_ALL)))
         if not median < best[2]:
             break

@@ -16,7 +16,7 @@ from ..clips import Clip
 from ..hierarchy import RIGID, depths, rest_diagonal
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from ..symmetry import find_mirror, mirrored_edges
+from ..symmetry import mirror_of, mirrored_edges
 from .output import (
     Fps,
     JsonFlag,
@@ -155,7 +155,7 @@ def _about_hierarchy(skinning: Skinning) -> dict[str, Any] | None:
 
 def _about_mirror(skinning: Skinning) -> dict[str, Any] | None:
     """The rest pose's plane of symmetry, and how much of the tree is its own image in it."""
-    mirror = find_mirror(skinning)
+    mirror = mirror_of(skinning.rest, skinning.joints, skinning.weights, skinning.n_bones)
     if mirror is None or skinning.parents is None:
         return None
     mirrored, edges = mirrored_edges(mirror, skinning.parents)

@@ -27,7 +27,7 @@ __all__ = [
     "regrow_step",
     "relax",
     "reseed_step",
-    "shed_influences",
+    "shed_influence",
     "thin",
     "worst_patch",
 ]
@@ -158,17 +158,14 @@ def relax(data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: 
     most = min(model.n_influences + extra, model.n_bones)
     relaxed = model.with_influences(most)
     for _ in range(most - model.n_influences):
-        left = relaxed.n_influences - 1
-        relaxed = shed_influences(data, relaxed, fixed, steps=steps, left=left)
+        relaxed = shed_influence(data, relaxed, fixed, steps=steps)
     return relaxed
 
 
-def shed_influences(
-    data: Trajectories, model: Model, fixed: Fixed, *, steps: int, left: int
-) -> Model:
-    """`steps` of the polish (in place), then a copy with `left` influences a vertex."""
+def shed_influence(data: Trajectories, model: Model, fixed: Fixed, *, steps: int) -> Model:
+    """`steps` of the polish (in place), then a copy with one influence a vertex less."""
     polish_steps(data, model, steps, fixed)
-    smaller = model.with_influences(left)
+    smaller = model.with_influences(model.n_influences - 1)
     # solved on all bones, of which the largest weights stay
     vertex_step(data, smaller, fixed=fixed)
     return smaller

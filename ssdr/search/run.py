@@ -280,15 +280,12 @@ class Run:
     def start_branch(self) -> None:
         self.branch_rng = copy.deepcopy(self.rng)
 
-    def judge(self, trial: Model, patience: int, gain: float = 0.0) -> bool:
-        """Go on from the trial if it is better; whether too many in a row hardly were.
-
-        `gain` is relative, in the objective.
-        """
-        before, after = self.value(self.present), self.value(trial)
-        if after < before:
-            self.model = trial
-        self.memory.failures = 0 if after < (1.0 - gain) * before else self.memory.failures + 1
+    def judge(self, trial: Model, patience: int) -> bool:
+        """Go on from the trial if it is better; whether too many in a row were not."""
+        if self.value(trial) < self.value(self.present):
+            self.model, self.memory.failures = trial, 0
+        else:
+            self.memory.failures += 1
         return self.memory.failures >= patience
 
     def compress(self) -> None:

@@ -289,6 +289,7 @@ def tree_start(factor: float = 1.6, *, branch: bool = False) -> Schedule:
 _TREES, _TREES_OF_LARGE = 4, 3
 # A search of trees gives up that is this many times behind before its first try, and later.
 _RACE_OF_TREES = (4.0, 1.5)
+_LAST_OF_TREES = Polish(steps=40, gain=0.002)
 
 
 def rigid_joints(effort: Effort, size: float) -> Schedule:
@@ -307,9 +308,6 @@ def rigid_joints(effort: Effort, size: float) -> Schedule:
     )
     last = SearchTrees(steps=24, patience=24)
     return (*_FIRST_TREE, *starts, Recall(), last, _LAST_OF_TREES)
-
-
-_LAST_OF_TREES = Polish(steps=40, gain=0.002)
 
 
 def on_skeleton(effort: Effort, *, placed: bool, rigid: bool) -> Schedule:

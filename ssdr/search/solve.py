@@ -25,7 +25,7 @@ from ..solver.joints import settled, spanning_tree
 from ..solver.model import Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
 from ..solver.tree import Tree
-from ..symmetry import find_mirror, side_names
+from ..symmetry import mirror_of, side_names
 from .prescribed import Prescribed
 from .problem import Problem
 from .progress import Clock, Record, Reporter
@@ -295,7 +295,11 @@ def with_tree(
     positions, _ = alignment.to_world(tree.points, np.zeros((alignment.n_frames, 0, 3, 4)))
     roots = tree.roots
     positions[roots] = skinning.centroids()[roots]
-    found = side_names(None if names else find_mirror(skinning), skinning.n_bones)
+    n_bones = skinning.n_bones
+    mirror = None
+    if not names:
+        mirror = mirror_of(skinning.rest, skinning.joints, skinning.weights, n_bones)
+    found = side_names(mirror, n_bones)
     return dataclasses.replace(
         skinning,
         parents=tree.parents,

@@ -26,7 +26,7 @@ from .moves import (
     polish_steps,
     regrow_step,
     reseed_step,
-    shed_influences,
+    shed_influence,
     thin,
 )
 from .run import Run, Stage
@@ -304,8 +304,6 @@ class Reseed(Stage):
         After which the move is judged.
     patience : int
         Failures in a row that end the stage.
-    gain : float
-        Relative gain in the objective below which a move counts as a failure, though it stays.
     """
 
     phase: ClassVar[str] = "reseed"
@@ -313,12 +311,11 @@ class Reseed(Stage):
     cost: float = 6
     alternations: int = 4
     patience: int = 4
-    gain: float = 0.0
 
     def step(self, run: Run) -> bool:
         trial = reseed_step(run.data, run.present, run.generator, self.alternations, run.fixed)
         run.iteration += self.alternations
-        return True if trial is None else run.judge(trial, self.patience, self.gain)
+        return True if trial is None else run.judge(trial, self.patience)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -358,23 +355,19 @@ class Relax(Stage):
         Influences more, at most.  A vertex of the polish costs (K + 2)² numbers.
     polish_steps : int
         At each number of influences.
-    shed : int
-        Influences that a step gives up.
     """
 
     phase: ClassVar[str] = "relax"
     steps: int = 4
     cost: float = 40
     polish_steps: int = 8
-    shed: int = 1
 
     def step(self, run: Run) -> bool:
         model, k = run.present, run.influences
         if run.memory.count == 0:
             model = model.with_influences(min(2 * k, k + self.steps, model.n_bones))
         if model.n_influences > k:
-            left = max(k, model.n_influences - self.shed)
-            model = shed_influences(run.data, model, run.fixed, steps=self.polish_steps, left=left)
+            model = shed_influence(run.data, model, run.fixed, steps=self.polish_steps)
             run.iteration += self.polish_steps
         run.model = model
         return model.n_influences <= k

@@ -23,7 +23,7 @@ from ..solver.joints import (
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Array, Trajectories
 from ..solver.tree import Tree
-from ..symmetry import mirror_of
+from ..symmetry import edges_with_image, mirror_of
 from .moves import polish_steps, worst_patch
 
 __all__ = [
@@ -118,14 +118,7 @@ def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixe
     if mirror is None:
         return reparent(data, model, rng, fixed)
     changed, tree, other = model.with_restarted_support(), _tree(model), mirror.partners
-    pairs = {frozenset((int(b), int(tree.parents[b]))) for b in tree.hung}
-    alone = [
-        b
-        for b in tree.hung.tolist()
-        if other[b] >= 0
-        and other[tree.parents[b]] >= 0
-        and frozenset((int(other[b]), int(other[tree.parents[b]]))) not in pairs
-    ]
+    alone = [b for b, there in edges_with_image(mirror, tree.parents).items() if not there]
     if not alone:
         return reparent(data, model, rng, fixed)
     edge = alone[int(rng.integers(len(alone)))]

@@ -109,6 +109,14 @@ def test_points_in_one_place_and_a_single_vertex():
         find_mirror(ssdr.Skinning(rest[:1], joints[:1], np.ones((1, 1)), still))
 
 
+@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
+@pytest.mark.parametrize("hierarchy", ["loose", "rigid"])
+def test_a_vertex_alone_is_decomposed_all_the_same(hierarchy):
+    frames = np.random.default_rng(0).normal(size=(5, 1, 3))
+    found = ssdr.decompose(frames, bones=1, hierarchy=hierarchy, effort="fast").skinning
+    assert found.joint_names == ("joint_0",)
+
+
 def test_a_bone_without_vertices_has_no_partner():
     figure = _figure()
     grown = np.concatenate([figure.transforms, figure.transforms[:, :1]], axis=1)

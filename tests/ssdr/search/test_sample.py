@@ -86,9 +86,7 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     assert len(model.rest) == run.whole.n_vertices
     assert run.chosen is None
     value = model.objective(run.whole)  # in a basis that loses a little
-    assert value == pytest.approx(
-        true_error(run.whole, model), rel=0.02
-    )  # the basis loses a little
+    assert value == pytest.approx(true_error(run.whole, model), rel=0.02)
     # as good as a search among all vertices, about
     alone = new_run(*search, rest=rest)
     alone.drive()
