@@ -20,8 +20,9 @@ from ..checks import LARGEST
 from ..search.prescribed import Prescribed
 from ..search.problem import Measure
 from ..search.run import Run
+from ..search.sampling import Recall
 from ..search.schedule import Effort, Schedule, merged_start
-from ..search.stages import Alternate, Merge, Polish, Recall, Reseed, Search
+from ..search.stages import Alternate, Merge, Polish, Reseed, Search
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Array, Trajectories

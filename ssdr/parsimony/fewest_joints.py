@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..search.sampling import Recall
 from ..search.schedule import Schedule, tree_start
-from ..search.stages import Polish, Recall
+from ..search.stages import Polish
 from ..search.tree_moves import loss_of_bones
 from ..search.tree_stages import GiveUp, SearchTrees
 from ..solver.model import Model

@@ -17,18 +17,16 @@ from typing import Literal, get_args
 from ..solver.model import Fixed
 from .prescribed import Prescribed
 from .run import Stage
+from .sampling import Everywhere, Recall, Sample
 from .stages import (
     Alternate,
     Compress,
-    Everywhere,
     Merge,
     Polish,
     QuickStart,
-    Recall,
     Regrow,
     Relax,
     Reseed,
-    Sample,
     Search,
     Spread,
     Start,

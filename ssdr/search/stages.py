@@ -10,9 +10,8 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from ..solver.alternation import alternate, bone_step, vertex_step
+from ..solver.alternation import alternate, bone_step, carry_over, vertex_step
 from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
 from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
 from ..solver.model import Fixed, Model
@@ -35,15 +34,12 @@ __all__ = [
     "POLISH_STEPS_OF_A_TRY",
     "Alternate",
     "Compress",
-    "Everywhere",
     "Merge",
     "Polish",
     "QuickStart",
-    "Recall",
     "Regrow",
     "Relax",
     "Reseed",
-    "Sample",
     "Search",
     "Spread",
     "Start",
@@ -149,10 +145,7 @@ class QuickStart(Start):
         )
         vertex_step(few, model, fixed=run.fixed)
         alternate(few, model, _FEW_ALTERNATIONS, run.fixed)
-        between = 0.5 * (chosen[1:] + chosen[:-1])
-        nearest = np.searchsorted(between, np.arange(data.n_frames))
-        model.transforms = np.ascontiguousarray(model.transforms[nearest])
-        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed)
+        carry_over(data, model, chosen, run.fixed, sweeps=_FIRST_SWEEPS)
         vertex_step(data, model, fixed=run.fixed)
         run.model = model
         return True
@@ -171,70 +164,6 @@ class Compress(Stage):
 
     def prepare(self, run: Run) -> None:
         run.compress()
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Sample(Stage):
-    """From here on some vertices alone, where they are many: they tell where bones belong.
-
-    A third of them, within bounds; all, where that leaves less than half out.
-
-    Attributes
-    ----------
-    least, most : int
-        Vertices for each bone asked for.
-    """
-
-    phase: ClassVar[str] = "sample"
-    least: int = 48
-    most: int = 128
-
-    def step(self, run: Run) -> bool:
-        self.prepare(run)
-        if run.model is not None and run.chosen is not None:
-            run.model = run.model.vertices(run.chosen)
-        return True
-
-    def prepare(self, run: Run) -> None:
-        third = run.whole.n_vertices // 3
-        run.take_sample(min(self.most * run.bones, max(self.least * run.bones, third)))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Everywhere(Stage):
-    """From here on all vertices again: each begins with the bones of the nearest of the sample.
-
-    Attributes
-    ----------
-    alternations : int
-        Of all vertices, from there.
-    """
-
-    phase: ClassVar[str] = "everywhere"
-    cost: float = 8
-    alternations: int = 4
-
-    def step(self, run: Run) -> bool:
-        few, chosen = run.present, run.chosen
-        self.prepare(run)
-        if chosen is None:
-            return True
-        data, frame = run.data, run.prescribed.rest_frame
-        rest = data.frame(frame) if run.prescribed.rest is None else run.prescribed.rest.copy()
-        near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-        model = few.vertices(near)
-        model.rest = rest
-        if run.prescribed.rest is None:
-            model.rest[chosen] = few.rest
-        model.restart_support()
-        vertex_step(data, model, fixed=run.fixed)
-        alternate(data, model, self.alternations, run.fixed)
-        run.iteration += self.alternations
-        run.model = model
-        return True
-
-    def prepare(self, run: Run) -> None:
-        run.take_all()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -488,23 +417,6 @@ class Search(Stage):
             for turn, missed in zip(run.memory.turns, run.memory.misses, strict=True)
         ]
         return int(np.argmax(waited))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Recall(Stage):
-    """Go on from the best model so far; on a sample, from what it is there if that is better."""
-
-    phase: ClassVar[str] = "recall"
-    cost: float = 0
-
-    def step(self, run: Run) -> bool:
-        best = run.best_model
-        if run.chosen is not None:
-            best = best.vertices(run.chosen)
-            if best.objective(run.data) >= run.present.objective(run.data):
-                return True
-        run.model = best.with_restarted_support()
-        return True
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

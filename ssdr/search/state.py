@@ -34,9 +34,10 @@ __all__ = [
     "whole",
 ]
 
-_VERSION = 5
+_VERSION = 6
 _CHECKPOINT_SECONDS = 60.0  # between two checkpoints: what a killed process loses at most
 _DIRECTIONS, _IMAGES = "recycled_directions", "recycled_images"
+_CURVATURE = 1e-2  # of recycled directions, off 1 at most: they are of single precision
 _DRIVER = "driver_"  # prefix, in a file, of the arrays that a driver adds
 
 
@@ -306,9 +307,10 @@ def _recycled_of(arrays: dict[str, Any]) -> Recycled | None:
     if directions.ndim != 2 or directions.shape != images.shape:
         raise ValueError(f"recycled directions have shape {directions.shape}")
     for array in (directions, images):
-        if array.dtype != np.float64 or not np.isfinite(array).all():
-            raise ValueError("recycled directions are no finite float64 numbers")
-    if not (np.einsum("mn,mn->m", directions, images) > 0).all():
+        if array.dtype != np.float32 or not np.isfinite(array).all():
+            raise ValueError("recycled directions are no finite float32 numbers")
+    curvature = np.einsum("mn,mn->m", directions, images, dtype=np.float64)
+    if not (np.abs(curvature - 1.0) < _CURVATURE).all():
         raise ValueError("recycled directions do not curve upwards")
     return Recycled(directions, images)
 

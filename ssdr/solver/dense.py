@@ -8,7 +8,7 @@ from scipy.linalg import lapack
 from ..parallel import chunk_bounds, run_chunks
 from .trajectories import Array
 
-__all__ = ["cross_product", "inverse_of", "product"]
+__all__ = ["cross_product", "grouped_product", "inverse_of", "product"]
 
 # Rows or columns of a piece: fewer make a product slow, more leave threads idle.  Where its
 # multiplications are few, handing it out costs more than it saves.
@@ -29,6 +29,19 @@ def cross_product(left: Array, right: Array) -> Array:
     bounds = _pieces(right.shape[1], left.size)
     run_chunks(lambda _, i, k: np.matmul(right[:, i:k].T, left, out=out[i:k]), bounds)
     return out.T
+
+
+def grouped_product(left: Array, groups: list[tuple[int, int]], right: list[Array]) -> Array:
+    """Each group of rows of left, by its bounds, times a matrix of its own."""
+    out = np.empty((len(left), right[0].shape[1]))
+    each = left.size * right[0].shape[1] // len(groups)
+
+    def multiply(_: int, first: int, last: int) -> None:
+        for (i, k), matrix in zip(groups[first:last], right[first:last], strict=True):
+            np.matmul(left[i:k], matrix, out=out[i:k])
+
+    run_chunks(multiply, chunk_bounds(len(groups), -(-_MULTIPLICATIONS // max(1, each))))
+    return out
 
 
 def _pieces(count: int, each: int) -> list[tuple[int, int]]:

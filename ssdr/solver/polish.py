@@ -29,7 +29,7 @@ from ..kernels.schur import (
 )
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine import flat_blocks
-from .dense import cross_product, inverse_of, product
+from .dense import cross_product, grouped_product, inverse_of, product
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, transform_sums
 from .recycling import Recycled
@@ -321,8 +321,7 @@ class Polish:
 
         def precondition(r: Array) -> Array:
             flat = r.reshape(n_frames, size) / frame_weight[:, None]
-            parts = [flat[i:k] @ m for (i, k), m in zip(groups, inverses, strict=True)]
-            out = np.concatenate(parts).reshape(r.shape)
+            out = grouped_product(flat, groups, inverses).reshape(r.shape)
             out[:, self._locked] = 0.0  # the search stays among the bones that may move
             return out
 

@@ -11,31 +11,34 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..parallel import chunk_bounds, run_chunks
 from .trajectories import Array
 
 __all__ = ["Recycled"]
 
 _NUMBERS = 1 << 21  # at most so many of the directions, and of their images, are kept
+_COLUMNS = 1 << 14  # of both, that a thread works on at once
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recycled:
-    """Conjugate directions s with their images y = A s.
+    """Conjugate directions s with their images y = A s, scaled to sᵀ y = 1.
 
     Steps of one polish solve nearly the same system again and again.  What a solve has learned of
-    it is handed on: with V = I − Σ y sᵀ / (sᵀ y) the next one is preconditioned by
-    Vᵀ P V + Σ s sᵀ / (sᵀ y) in place of P, which is A⁻¹ on the span of the directions and positive
-    definite wherever P is.
+    it is handed on: with V = I − Σ y sᵀ the next one is preconditioned by Vᵀ P V + Σ s sᵀ in place
+    of P, which is A⁻¹ on the span of the directions and positive definite wherever P is.  In single
+    precision: reading them takes most of the time, and a preconditioner need not be exact.
 
     Attributes
     ----------
-    directions, images : (m, n) float64
+    directions, images : (m, n) float32
     """
 
-    directions: Array
-    images: Array
+    directions: NDArray[np.float32]
+    images: NDArray[np.float32]
 
     @staticmethod
     def of(pairs: list[tuple[Array, Array]]) -> Recycled | None:
@@ -43,7 +46,14 @@ class Recycled:
         few = pairs[: _NUMBERS // max(1, pairs[0][0].size)] if pairs else []
         if not few:
             return None
-        directions, images = (np.stack([p[k].ravel() for p in few]) for k in (0, 1))
+        n = few[0][0].size
+        directions, images = (np.empty((len(few), n), dtype=np.float32) for _ in range(2))
+        with np.errstate(over="ignore"):
+            for k, (direction, image) in enumerate(few):
+                scale = 1.0 / np.sqrt(np.vdot(direction, image))
+                directions[k], images[k] = scale * direction.ravel(), scale * image.ravel()
+        if not (np.isfinite(directions).all() and np.isfinite(images).all()):
+            return None  # beyond single precision
         return Recycled(directions, images)
 
     def around(self, precondition: Callable[[Array], Array], size: int) -> Callable[[Array], Array]:
@@ -57,13 +67,22 @@ class Recycled:
         s, y = self.directions, self.images
         if s.shape[1] != size:
             raise InputError("recycled", f"directions of {size} numbers", s.shape[1])
-        curvature = np.einsum("mn,mn->m", s, y)
+        pieces = chunk_bounds(size, _COLUMNS)
+
+        def along(rows: NDArray[np.float32], x: Array) -> NDArray[np.float32]:
+            parts = run_chunks(lambda _, i, k: rows[:, i:k] @ x[i:k].astype(np.float32), pieces)
+            total: NDArray[np.float32] = np.sum(parts, axis=0)
+            return total
+
+        def plus(x: Array, factors: NDArray[np.float32], rows: NDArray[np.float32]) -> Array:
+            out = np.empty_like(x)
+            run_chunks(lambda _, i, k: np.add(x[i:k], factors @ rows[:, i:k], out=out[i:k]), pieces)
+            return out
 
         def apply(r: Array) -> Array:
             flat = r.ravel()
-            along = (s @ flat) / curvature
-            z = precondition((flat - along @ y).reshape(r.shape)).ravel()
-            out: Array = z + (along - (y @ z) / curvature) @ s
-            return out.reshape(r.shape)
+            share = along(s, flat)
+            z = precondition(plus(flat, -share, y).reshape(r.shape)).ravel()
+            return plus(z, share - along(y, z), s).reshape(r.shape)
 
         return apply
