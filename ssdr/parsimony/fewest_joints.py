@@ -25,7 +25,7 @@ class FewestJoints(FewestBones):
     rigid_joints = True
 
     def _begin(self, factor: float) -> Schedule:
-        return (*tree_start(factor), Recall())
+        return (*tree_start(factor), Polish(steps=12, gain=0.01), Recall())
 
     def _settle(self) -> Schedule:
         return (_search(_FEW), Polish(steps=24, gain=0.01))

@@ -130,6 +130,8 @@ class Run:
     best : Model or None
         Lowest objective so far with exactly the bones asked for.
     best_value : float
+    aside : Model or None
+        The lowest of several starts so far, while others are made.
     iteration : int
         Alternations and polish steps so far.
     converged : bool
@@ -169,6 +171,7 @@ class Run:
         self.model: Model | None = None
         self.best: Model | None = None
         self.best_value = np.inf
+        self.aside: Model | None = None
         self.records: list[tuple[int, float, float, str]] = []
         self.position, self.iteration, self.converged = 0, 0, False
         self.branch_rng = rng
@@ -371,6 +374,7 @@ class Run:
         progress: dict[str, Any],
         model: Model | None,
         best: Model | None,
+        aside: Model | None,
         records: list[tuple[int, float, float, str]],
     ) -> None:
         """Go on where a saved run was.
@@ -380,7 +384,7 @@ class Run:
         KeyError, TypeError, ValueError
             If `progress` is damaged.
         """
-        self.model, self.best, self.records = model, best, records
+        self.model, self.best, self.aside, self.records = model, best, aside, records
         self.memory = self._memory_of(progress)
         begun = self.position > 0 or self.memory.count > 0
         if (begun and model is None) or (self.finished and best is None):

@@ -340,6 +340,7 @@ def state_of(
         phases=tuple(phase for _, _, _, phase in run.records),
         current=run.model,
         best=run.best,
+        aside=run.aside,
         recycled=run.recycled,
         driver=driver or {},
     )
@@ -356,7 +357,8 @@ def restore(run: Run, state: SolverState) -> None:
     check_size(state.best, run.whole.n_vertices, run.whole.n_frames)
     with taking_up():
         run.go_to(whole(state.progress, "position"))
-    check_size(state.current, run.data.n_vertices, run.data.n_frames)
+    for model in (state.current, state.aside):
+        check_size(model, run.data.n_vertices, run.data.n_frames)
     with taking_up():
         if not (np.isfinite(state.history).all() and (state.history >= 0).all()):
             raise ValueError("history holds negative numbers, NaN or Inf")
@@ -368,6 +370,7 @@ def restore(run: Run, state: SolverState) -> None:
             state.progress,
             None if state.current is None else state.current.copy(),
             None if state.best is None else state.best.copy(),
+            None if state.aside is None else state.aside.copy(),
             records,
         )
         run.recycled = state.recycled

@@ -37,7 +37,6 @@ __all__ = [
 _VERSION = 6
 _CHECKPOINT_SECONDS = 60.0  # between two checkpoints: what a killed process loses at most
 _DIRECTIONS, _IMAGES = "recycled_directions", "recycled_images"
-_CURVATURE = 1e-2  # of recycled directions, off 1 at most: they are of single precision
 _DRIVER = "driver_"  # prefix, in a file, of the arrays that a driver adds
 
 
@@ -60,6 +59,8 @@ class SolverState:
         Phase of each accepted model.
     current, best : Model or None
         Of the frames that are solved in memory.
+    aside : Model or None
+        The lowest of several starts, while others are made.
     recycled : Recycled or None
         What the last step of a polish under way hands on to the next.
     driver : dict of str to array
@@ -86,6 +87,7 @@ class SolverState:
     phases: tuple[str, ...]
     current: Model | None
     best: Model | None
+    aside: Model | None = None
     recycled: Recycled | None = None
     driver: dict[str, NDArray[Any]] = dataclasses.field(default_factory=dict)
     source: str = "a state"
@@ -115,6 +117,7 @@ class SolverState:
             "history": self.history,
         }
         arrays |= packed("current_", self.current) | packed("best_", self.best)
+        arrays |= packed("aside_", self.aside)
         if self.recycled is not None:
             arrays[_DIRECTIONS] = self.recycled.directions
             arrays[_IMAGES] = self.recycled.images
@@ -139,7 +142,7 @@ class SolverState:
         arrays = read_arrays(
             path,
             required=("ssdr_state", "history"),
-            optional=("current_*", "best_*", "recycled_*", _DRIVER + "*"),
+            optional=("current_*", "best_*", "aside_*", "recycled_*", _DRIVER + "*"),
         )
         try:
             header = json.loads(bytes(arrays["ssdr_state"]).decode())
@@ -158,6 +161,7 @@ class SolverState:
                 phases=tuple(phases),
                 current=model_of(arrays, "current_"),
                 best=model_of(arrays, "best_"),
+                aside=model_of(arrays, "aside_"),
                 recycled=_recycled_of(arrays),
                 driver={
                     name[len(_DRIVER) :]: array
@@ -307,10 +311,9 @@ def _recycled_of(arrays: dict[str, Any]) -> Recycled | None:
     if directions.ndim != 2 or directions.shape != images.shape:
         raise ValueError(f"recycled directions have shape {directions.shape}")
     for array in (directions, images):
-        if array.dtype != np.float32 or not np.isfinite(array).all():
-            raise ValueError("recycled directions are no finite float32 numbers")
-    curvature = np.einsum("mn,mn->m", directions, images, dtype=np.float64)
-    if not (np.abs(curvature - 1.0) < _CURVATURE).all():
+        if array.dtype != np.float64 or not np.isfinite(array).all():
+            raise ValueError("recycled directions are no finite float64 numbers")
+    if not np.allclose(np.einsum("mn,mn->m", directions, images), 1.0):
         raise ValueError("recycled directions do not curve upwards")
     return Recycled(directions, images)
 

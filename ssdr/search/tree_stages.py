@@ -23,7 +23,7 @@ from .tree_moves import (
     split_bone,
 )
 
-__all__ = ["GiveUp", "Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
+__all__ = ["Contend", "GiveUp", "Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
 
 # Stiffness of the joints, of the lighter bone's mass, from the first step of a ramp to the last.
 _RAMP = (1e-2, 100.0)
@@ -60,6 +60,27 @@ class Hang(Stage):
         if at == self.steps - 1:
             hang(run.data, model, run.fixed)
         return at == self.steps - 1
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Contend(Stage):
+    """Of several starts the lowest is set aside; the run goes on from it after the last.
+
+    Attributes
+    ----------
+    last : bool
+    """
+
+    phase: ClassVar[str] = "contend"
+    cost: float = 0
+    last: bool = False
+
+    def step(self, run: Run) -> bool:
+        if run.aside is None or run.value(run.present) < run.value(run.aside):
+            run.aside = run.present.copy()
+        if self.last:
+            run.model, run.aside = run.aside, None
+        return True
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

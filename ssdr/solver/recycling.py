@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..parallel import chunk_bounds, run_chunks
@@ -29,16 +28,15 @@ class Recycled:
 
     Steps of one polish solve nearly the same system again and again.  What a solve has learned of
     it is handed on: with V = I − Σ y sᵀ the next one is preconditioned by Vᵀ P V + Σ s sᵀ in place
-    of P, which is A⁻¹ on the span of the directions and positive definite wherever P is.  In single
-    precision: reading them takes most of the time, and a preconditioner need not be exact.
+    of P, which is A⁻¹ on the span of the directions and positive definite wherever P is.
 
     Attributes
     ----------
-    directions, images : (m, n) float32
+    directions, images : (m, n) float64
     """
 
-    directions: NDArray[np.float32]
-    images: NDArray[np.float32]
+    directions: Array
+    images: Array
 
     @staticmethod
     def of(pairs: list[tuple[Array, Array]]) -> Recycled | None:
@@ -46,14 +44,10 @@ class Recycled:
         few = pairs[: _NUMBERS // max(1, pairs[0][0].size)] if pairs else []
         if not few:
             return None
-        n = few[0][0].size
-        directions, images = (np.empty((len(few), n), dtype=np.float32) for _ in range(2))
-        with np.errstate(over="ignore"):
-            for k, (direction, image) in enumerate(few):
-                scale = 1.0 / np.sqrt(np.vdot(direction, image))
-                directions[k], images[k] = scale * direction.ravel(), scale * image.ravel()
-        if not (np.isfinite(directions).all() and np.isfinite(images).all()):
-            return None  # beyond single precision
+        directions, images = (np.empty((len(few), few[0][0].size)) for _ in range(2))
+        for k, (direction, image) in enumerate(few):
+            scale = 1.0 / np.sqrt(np.vdot(direction, image))
+            directions[k], images[k] = scale * direction.ravel(), scale * image.ravel()
         return Recycled(directions, images)
 
     def around(self, precondition: Callable[[Array], Array], size: int) -> Callable[[Array], Array]:
@@ -69,12 +63,11 @@ class Recycled:
             raise InputError("recycled", f"directions of {size} numbers", s.shape[1])
         pieces = chunk_bounds(size, _COLUMNS)
 
-        def along(rows: NDArray[np.float32], x: Array) -> NDArray[np.float32]:
-            parts = run_chunks(lambda _, i, k: rows[:, i:k] @ x[i:k].astype(np.float32), pieces)
-            total: NDArray[np.float32] = np.sum(parts, axis=0)
-            return total
+        def along(rows: Array, x: Array) -> Array:
+            parts = run_chunks(lambda _, i, k: rows[:, i:k] @ x[i:k], pieces)
+            return np.asarray(np.sum(parts, axis=0))
 
-        def plus(x: Array, factors: NDArray[np.float32], rows: NDArray[np.float32]) -> Array:
+        def plus(x: Array, factors: Array, rows: Array) -> Array:
             out = np.empty_like(x)
             run_chunks(lambda _, i, k: np.add(x[i:k], factors @ rows[:, i:k], out=out[i:k]), pieces)
             return out

@@ -43,13 +43,13 @@ def test_it_is_the_formula_and_positive_definite(rng: np.random.Generator) -> No
     pairs, _ = _directions(a, p, rng.standard_normal(12), 5)
     recycled = Recycled.of(pairs)
     assert recycled is not None
-    s, y = (x.T.astype(np.float64) for x in (recycled.directions, recycled.images))
+    s, y = recycled.directions.T, recycled.images.T
     v = np.eye(12) - y @ s.T
     got = _dense(recycled, p)
-    assert np.allclose(got, v.T @ p @ v + s @ s.T, rtol=1e-4, atol=1e-5)
+    assert np.allclose(got, v.T @ p @ v + s @ s.T, rtol=1e-10, atol=1e-12)
     assert np.linalg.eigvalsh(0.5 * (got + got.T)).min() > 0
     # On the span of the directions it is the inverse.
-    assert np.allclose(got @ y, s, rtol=1e-4, atol=1e-4)
+    assert np.allclose(got @ y, s, rtol=1e-8, atol=1e-10)
 
 
 def test_a_long_vector_is_taken_in_pieces(monkeypatch) -> None:
@@ -59,7 +59,7 @@ def test_a_long_vector_is_taken_in_pieces(monkeypatch) -> None:
     assert recycled is not None
     whole = _dense(recycled, p)
     monkeypatch.setattr(recycling, "_COLUMNS", 5)
-    assert np.allclose(_dense(recycled, p), whole, rtol=1e-5, atol=1e-6)
+    assert np.allclose(_dense(recycled, p), whole, rtol=1e-10, atol=1e-12)
 
 
 def test_a_system_near_by_is_solved_in_fewer_steps(rng: np.random.Generator) -> None:
