@@ -122,9 +122,9 @@ class Run:
     whole : Trajectories
         Of all vertices.
     data : Trajectories
-        What the present step works on: all of it, or a sample.
-    chosen, chosen_frames : (n,), (f,) int arrays or None
-        The vertices and the frames of that sample, where not all of them.
+        What the present step works on: all vertices, or a sample of them.
+    chosen : (n,) int array or None
+        The vertices of that sample.
     model : Model or None
         What the next step starts from; may have more bones than asked for.
     best : Model or None
@@ -164,7 +164,6 @@ class Run:
         self.rigid_joints = rigid_joints
         self.whole, self.data, self.schedule = data, data, tuple(schedule)
         self.chosen: NDArray[np.intp] | None = None
-        self.chosen_frames: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.prescribed, self.smoothness = fixed, prescribed, smoothness
         self.clock = clock or Clock()
@@ -201,19 +200,11 @@ class Run:
         return dataclasses.replace(fixed, bone_model="rigid")
 
     @property
-    def sampled(self) -> bool:
-        """Whether the present step works on a sample."""
-        return self.chosen is not None or self.chosen_frames is not None
-
-    @property
     def present_parts(self) -> Prescribed:
-        """What the caller handed over, of what the present step works on."""
-        parts = self.prescribed
-        if self.chosen is not None and parts.rest is not None:
-            parts = dataclasses.replace(parts, rest=parts.rest[self.chosen])
-        if self.chosen_frames is not None:
-            parts = parts.of_frames(self.chosen_frames)
-        return parts
+        """What the caller handed over, of the vertices that the present step works on."""
+        if self.chosen is None or self.prescribed.rest is None:
+            return self.prescribed
+        return dataclasses.replace(self.prescribed, rest=self.prescribed.rest[self.chosen])
 
     @property
     def generator(self) -> np.random.Generator:
@@ -303,28 +294,21 @@ class Run:
     def compress(self) -> None:
         self.whole = self.data = self.whole.compressed(self.bones)
 
-    def take_sample(self, vertices: int, frames: int) -> None:
-        """Work on about so many vertices and frames from now on.
+    def take_sample(self, count: int) -> None:
+        """Work on about so many vertices from now on, evenly from still to wild ones.
 
-        Vertices evenly from still to wild ones, frames evenly over time, with the rest frame.
-        All of them as before where there are few more, and all frames where bones of every frame
-        were handed over.
+        Where there are few more, on all of them as before.
         """
-        n, f = self.whole.n_vertices, self.whole.n_frames
-        self.take_all()
-        if 2 * vertices < n:
+        n = self.whole.n_vertices
+        if 2 * count < n:
             order = np.argsort(self.whole.x2, kind="stable")
-            every = np.linspace(0, n - 1, vertices).round().astype(np.intp)
+            every = np.linspace(0, n - 1, count).round().astype(np.intp)
             self.chosen = np.sort(order[every])
             self.data = self.whole.vertices(self.chosen)
-        if 2 * frames < f and self.prescribed.transforms is None:
-            every = np.linspace(0, f - 1, frames).round().astype(np.intp)
-            self.chosen_frames = np.union1d(every, [self.prescribed.rest_frame])
-            self.data = self.data.some(self.chosen_frames).compressed(self.bones)
 
     def take_all(self) -> None:
-        """Work on everything again."""
-        self.data, self.chosen, self.chosen_frames = self.whole, None, None
+        """Work on all vertices again."""
+        self.data, self.chosen = self.whole, None
 
     def release(self) -> None:
         """Free the trajectories; no further step can be made."""
@@ -432,7 +416,7 @@ class Run:
 
     def _record(self, phase: str) -> None:
         model = self.model
-        if self.sampled:
+        if self.chosen is not None:
             return
         if model is None or model.n_bones != self.bones or model.n_influences > self.influences:
             return

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..solver.alternation import alternate, bone_step, carry_over, vertex_step
+from ..solver.alternation import alternate, bone_step, vertex_step
 from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
 from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
 from ..solver.model import Fixed, Model
@@ -145,7 +145,10 @@ class QuickStart(Start):
         )
         vertex_step(few, model, fixed=run.fixed)
         alternate(few, model, _FEW_ALTERNATIONS, run.fixed)
-        carry_over(data, model, chosen, run.fixed, sweeps=_FIRST_SWEEPS)
+        between = 0.5 * (chosen[1:] + chosen[:-1])
+        nearest = np.searchsorted(between, np.arange(data.n_frames))
+        model.transforms = np.ascontiguousarray(model.transforms[nearest])
+        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed)
         vertex_step(data, model, fixed=run.fixed)
         run.model = model
         return True

@@ -113,16 +113,6 @@ def sweep(
     run_chunks(work, chunk_bounds(len(transforms), max(1, -(-len(transforms) // 16))))
 
 
-def carry_over(
-    data: Trajectories, model: Model, frames: NDArray[np.intp], fixed: Fixed, *, sweeps: int
-) -> None:
-    """A model of some frames, ascending, in all of them (in place): each begins as the nearest."""
-    between = 0.5 * (frames[1:] + frames[:-1])
-    nearest = np.searchsorted(between, np.arange(data.n_frames))
-    model.transforms = np.ascontiguousarray(model.transforms[nearest])
-    bone_step(data, model, sweeps=sweeps, fixed=fixed)
-
-
 def bone_costs(data: Trajectories, model: Model) -> Array:
     """(B,) rise of the objective without each bone, its vertices' weights solved again."""
     n_bones = model.n_bones

@@ -58,12 +58,6 @@ class Model:
         }
         return Model(transforms=self.transforms.copy(), **arrays, tree=self.tree)
 
-    def frames(self, chosen: NDArray[np.intp]) -> Model:
-        """A copy in the chosen frames alone; its errors stay those of all."""
-        copy = self.copy()
-        copy.transforms = np.ascontiguousarray(copy.transforms[chosen])
-        return copy
-
     @staticmethod
     def start(
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int

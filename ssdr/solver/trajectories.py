@@ -139,14 +139,13 @@ class Trajectories(Alignment):
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
     def some(self, frames: NDArray[np.intp]) -> Trajectories:
-        """The chosen frames alone, not compressed; of what a basis holds where there is one."""
-        rows = (3 * frames[:, None] + np.arange(3)).ravel()
-        flat = np.ascontiguousarray(self.z[:, rows] if self.q is None else self.z @ self.q[rows].T)
+        """The chosen frames alone; for what is not compressed."""
+        assert self.q is None
+        z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
+        flat = z.reshape(self.n_vertices, -1)
         return dataclasses.replace(
             self,
             z=flat,
-            q=None,
-            lost=0.0,
             x2=np.einsum("ij,ij->i", flat, flat),
             centre=self.centre[frames],
             turn=self.turn[frames],

@@ -29,11 +29,8 @@ def strip(frames: int = 12, columns: int = 150) -> np.ndarray:
     return np.concatenate([flat, z[..., None]], -1).reshape(frames, -1, 3)
 
 
-def new_run(
-    *stages: object, rest: bool = False, frames: int = 12, columns: int = 150, rest_frame: int = 0
-) -> Run:
-    moving = ssdr.MeshSequence(strip(frames, columns))
-    data = gather([moving], bones=BONES, compress=False)
+def new_run(*stages: object, rest: bool = False) -> Run:
+    data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
     return Run(
         data,
         [*FIRST_MODEL, *stages],
@@ -41,7 +38,7 @@ def new_run(
         influences=INFLUENCES,
         rng=np.random.default_rng(0),
         fixed=Fixed(rest=rest),
-        prescribed=Prescribed(rest=data.frame(3).copy() if rest else None, rest_frame=rest_frame),
+        prescribed=Prescribed(rest=data.frame(3).copy()) if rest else Prescribed(),
     )
 
 
@@ -97,64 +94,6 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     assert value < 1.3 * alone.best_value
     if rest:
         np.testing.assert_array_equal(model.rest, run.prescribed.rest)
-
-
-@pytest.mark.parametrize("columns", [30, 150])  # all vertices, and a sample of them
-def test_a_sample_of_the_frames(columns: int) -> None:
-    stage = Sample(least=EACH, most=EACH, frames=20)
-    run = new_run(stage, frames=150, columns=columns, rest_frame=7)
-    run.drive()
-    assert run.chosen_frames is not None
-    assert (run.chosen is None) == (columns == 30)
-    assert 7 in run.chosen_frames
-    assert run.present_parts.rest_frame == np.searchsorted(run.chosen_frames, 7)
-    assert 50 <= len(run.chosen_frames) <= 51
-    assert np.diff(run.chosen_frames).max() <= 4
-    rows = slice(None) if run.chosen is None else run.chosen
-    for k in (0, 20, len(run.chosen_frames) - 1):
-        there = run.whole.frame(int(run.chosen_frames[k]))[rows]
-        np.testing.assert_allclose(run.data.frame(k), there, atol=0.02)  # a basis of few columns
-    # the error of these frames alone
-    few = true_error(run.data, run.present)
-    assert run.present.objective(run.data) == pytest.approx(few, rel=0.02)
-
-
-@pytest.mark.parametrize("columns", [30, 150])
-def test_the_way_back_from_a_sample_of_the_frames(columns: int) -> None:
-    search = (*merged_start(1.6, 12, 6), Recall(), Reseed(steps=4))
-    size = {"frames": 150, "columns": columns}
-    run = new_run(Sample(least=EACH, most=EACH, frames=20), *search, Everywhere(), **size)
-    run.drive()
-    assert run.present.transforms.shape[0] == 150
-    assert not run.sampled
-    value = run.present.objective(run.whole)
-    assert value == pytest.approx(true_error(run.whole, run.present), rel=0.02)
-    alone = new_run(*search, **size)
-    alone.drive()
-    assert value < 1.3 * alone.best_value
-
-
-def test_frames_stay_all_where_bones_of_every_frame_are_handed_over() -> None:
-    run = new_run(frames=150, columns=30)
-    moves = np.zeros((150, 1, 3, 4))
-    run.prescribed = dataclasses.replace(run.prescribed, transforms=moves)
-    run.take_sample(1000, 20)
-    assert not run.sampled
-
-
-def test_stopped_on_a_sample_of_the_frames_and_taken_up_ends_on_the_same_bits() -> None:
-    frames, options = strip(150, 20), {"bones": 2, "influences": 2, "effort": "balanced"}
-    whole = ssdr.decompose(frames, **options)
-    sampled = 0
-    for steps in range(8, 60, 6):
-        part = ssdr.decompose(frames, **options, max_iterations=steps)
-        if part.stop_reason != "iterations":
-            break
-        if part.state.current is not None:
-            sampled += len(part.state.current.transforms) < 150
-        assert len(part.skinning.transforms) == 150
-        assert bits(ssdr.decompose(frames, **options, resume=part.state)) == bits(whole)
-    assert sampled
 
 
 def test_nothing_is_recorded_on_a_sample() -> None:
