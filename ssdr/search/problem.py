@@ -277,6 +277,7 @@ def check_problem(
         bones=prescribed.fixed_bones,
         bone_model=bone_model,
         joints=skeleton is not None and rest is not None,
+        near_skin=hierarchy == "rigid" and skeleton is None,
         turns=prescribed.turns,
     )
     problem = Problem(

@@ -20,6 +20,7 @@ from ..parallel import serial_blas
 from ..solver.model import Fixed, Model
 from ..solver.polish import Polish
 from ..solver.recycling import Recycled
+from ..solver.skin_contact import judged
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .prescribed import Prescribed
@@ -236,11 +237,16 @@ class Run:
         assert self.best is not None
         return self.best
 
+    @property
+    def best_error(self) -> float:
+        """Squared error of the best model; infinite while there is none."""
+        return np.inf if self.best is None else self.best.objective(self.whole)
+
     def begin_with(self, model: Model) -> None:
         """Start from a copy of a model in place of a stage that makes one."""
         self.model = model.copy()
         if model.n_bones == self.bones:
-            self.best, self.best_value = model.copy(), model.objective(self.data)
+            self.best, self.best_value = model.copy(), self.value(model)
 
     def drive(self, after_step: Callable[[str], str | None] | None = None) -> str | None:
         """Steps until the schedule ends, or `after_step` gives a reason to stop.
@@ -276,9 +282,9 @@ class Run:
             self.position, self.converged = len(self.schedule), True
 
     def value(self, model: Model) -> float:
-        """The objective: squared error, and the smoothness penalty where asked for."""
+        """The objective: squared error, and what joints and weights add where asked to."""
         penalty = 0.0 if self.smoothness is None else self.smoothness.penalty(model)
-        return model.objective(self.data) + penalty
+        return judged(self.data, model, self.asked) + penalty
 
     def start_branch(self) -> None:
         self.branch_rng = copy.deepcopy(self.rng)

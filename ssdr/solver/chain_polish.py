@@ -14,7 +14,9 @@ from ..parallel import chunk_bounds, run_chunks
 from .dense import inverse_of
 from .model import FREE, Model
 from .polish import Polish
+from .skin_contact import PULL, judged, meeting_points, stray
 from .trajectories import Array, Trajectories
+from .tree import Tree
 
 __all__ = ["ChainPolish"]
 
@@ -49,21 +51,47 @@ class ChainPolish(Polish):
         kept = options.get("fixed", FREE).joints
         self.movable = tree.hung[:0] if kept else tree.hung  # bones whose joints are unknowns
         self._moved = tree.points
+        self._spring, self._away = 0.0, np.zeros((len(self.movable), 3))
         # bones whose ω follows from their parent's, with their rotation relative to it
         self._tied = options.get("fixed", FREE).kept_turns(tree)
         super().__init__(data, model, **({"conjugate_steps": _CONJUGATE_STEPS} | options))
 
     @property
     def points(self) -> Array:
-        assert self.model.tree is not None
-        return self.model.tree.points
+        return self._tree.points
 
     def step(self, *, entering: int = 0) -> bool:
         accepted = super().step(entering=entering)
         if accepted:
-            assert self.model.tree is not None
-            self.model.tree = dataclasses.replace(self.model.tree, points=self._moved)
+            self.model.tree = dataclasses.replace(self._tree, points=self._moved)
         return accepted
+
+    def _judged(self, model: Model) -> float:
+        tree = dataclasses.replace(self._tree, points=self._moved)
+        return judged(self.data, dataclasses.replace(model, tree=tree), self.fixed)
+
+    @property
+    def _tree(self) -> Tree:
+        assert self.model.tree is not None
+        return self.model.tree
+
+    # --- joints that are drawn to the skin -------------------------------------------------------
+
+    def _solve(self) -> tuple[Array, float]:
+        if not self.fixed.near_skin or not len(self.movable):
+            return super()._solve()
+        factor = 1.0 + PULL * stray(self.model)
+        # of the objective over this factor: the error, and a spring for every joint
+        self._spring = PULL * self.model.objective(self.data) / (len(self._tree.hung) * factor)
+        self._away = (self.points - meeting_points(self.model)[0])[self.movable]
+        x, predicted = super()._solve()
+        return x, factor * predicted
+
+    def _add_pull(self, rhs: Array) -> None:
+        self._parts(rhs)[1][:] -= self._spring * self._away
+
+    def _add_stiffness(self, x: Array, out: Array) -> None:
+        self._parts(out)[1][:] += self._spring * self._parts(x)[1]
 
     # --- vectors of unknowns ---------------------------------------------------------------------
 
@@ -182,7 +210,7 @@ class ChainPolish(Polish):
 
         factors = run_chunks(factor, chunk_bounds(len(groups), 1))
         schur = np.sum([left for _, _, left in factors], axis=0)
-        schur[np.diag_indices(len(outer))] += damping * own_joints + open_ways
+        schur[np.diag_indices(len(outer))] += damping * own_joints + open_ways + self._spring
         lower = cho_factor(schur, lower=True) if len(outer) else None
 
         def precondition(r: Array) -> Array:

@@ -197,6 +197,7 @@ class Fixed:
     bones: NDArray[np.bool_] | None = None  # (B,) bones whose transforms stay
     bone_model: BoneModel = "rigid"
     joints: bool = False  # joints of a tree
+    near_skin: bool = False  # whether a tree's joints are drawn to where skin meets
     # (F, B0, 3, 3) rotations relative to the parent that bones of a tree keep; NaN: free
     turns: NDArray[np.float64] | None = None
 

@@ -160,11 +160,11 @@ class Polish:
         # a damping handed over means that the model comes from an earlier polish: only factor it
         first = (3, 2) if damping is None else (-1, 0)
         self._left = self._vertex_step(model, entering=first[0], rounds=first[1])
-        self.value = model.objective(data)
+        self.value = self._judged(model)
 
     def step(self, *, entering: int = 0) -> bool:
         """One step; True if it was accepted.  The objective never rises."""
-        data, model = self.data, self.model
+        model = self.model
         with serial_blas():
             x, predicted = self._solve()
         trial = dataclasses.replace(
@@ -194,7 +194,7 @@ class Polish:
 
         run_chunks(work, self._vertices)
         left = self._vertex_step(trial, entering=entering, rounds=2)
-        value = trial.objective(data)
+        value = self._judged(trial)
         if not value <= self.value:
             self.damping = min(self.damping * 8.0, 1e6)
             return False
@@ -207,6 +207,9 @@ class Polish:
             setattr(model, name, getattr(trial, name))
         self._left, self.value = left, value
         return True
+
+    def _judged(self, model: Model) -> float:
+        return model.objective(self.data)
 
     def _vertex_step(self, model: Model, *, entering: int, rounds: int) -> _Eliminated:
         data, size = self.data, model.n_influences + 2
@@ -243,6 +246,7 @@ class Polish:
         gradient = self._pullback(slope)
         _, total = self._eliminate(np.zeros_like(u_flat), 1.0)
         rhs = -(gradient - self._pullback(product(hat, total)))
+        self._add_pull(rhs)
         self._hold(rhs)
 
         precondition, damp = self._preconditioner(u)
@@ -254,6 +258,7 @@ class Polish:
             _, total = self._eliminate(cross_product(hat, image), 0.0)
             out = self._pullback(product(image, u_flat) - product(hat, total))
             out += damp(x)
+            self._add_stiffness(x, out)
             self._hold(out)
             return out
 
@@ -330,6 +335,12 @@ class Polish:
 
     def _hold(self, x: Array) -> None:
         x[:, self._locked] = 0.0
+
+    def _add_pull(self, rhs: Array) -> None:
+        """Add what lowers the objective beside the error; nothing here."""
+
+    def _add_stiffness(self, x: Array, out: Array) -> None:
+        """Add its second derivative times x."""
 
     def _move(self, transforms: Array, x: Array) -> None:
         run_chunks(

@@ -1,0 +1,76 @@
+"""Where the skin of bones that hang on each other meets, and joints that are drawn there.
+
+Motion often hardly tells where a joint is: a leg that swings in a plane leaves its hip anywhere on
+a line, and a wrong place costs next to nothing.  What is left open is decided by the skin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .model import Fixed, Model
+from .trajectories import Array, Trajectories
+
+__all__ = ["PULL", "judged", "meeting_points", "stray"]
+
+# What joints cost that are away from where the skin of their bones meets, of the objective: a
+# tenth for a distance of a tenth of the mesh's size (root mean square distance from its
+# centroid).  A part of the objective, so that exact data keeps its exact joints.
+PULL = 10.0
+_SHARED = 1e-2  # overlap of weights at which half of a place is where they overlap
+
+
+def meeting_points(model: Model) -> tuple[Array, Array]:
+    """Where the skin of each bone and of its parent meets (B, 3), and how far it is apart (B,).
+
+    By the weights that both share; the fewer, the more it is the middle between what they move.
+    Of roots, and beside bones that move nothing, joints are where they should be.
+    """
+    tree = model.tree
+    assert tree is not None
+    n_bones, weights, joints = model.n_bones, model.weights, model.joints
+    # of each influence, the weight of its parent at the same vertex
+    parents = tree.parents[joints]
+    both = np.where(parents[:, :, None] == joints[:, None, :], weights[:, None, :], 0.0)
+    share = weights * both.sum(axis=2)
+
+    def sums(each: Array) -> Array:
+        out = np.bincount(joints.ravel(), each.ravel(), minlength=n_bones)
+        return np.asarray(out, dtype=np.float64)
+
+    overlap, mass = sums(share), sums(weights**2)
+    places = np.stack([sums(share * model.rest[:, None, d]) for d in range(3)], axis=1)
+    centres = np.stack([sums(weights**2 * model.rest[:, None, d]) for d in range(3)], axis=1)
+    centres /= np.maximum(mass, 1e-300)[:, None]
+    up = np.maximum(tree.parents, 0)
+    relative = overlap / np.maximum(np.sqrt(mass * mass[up]), 1e-300)
+    near = relative / (relative + _SHARED)
+    middle = 0.5 * (centres + centres[up])
+    shared = places / np.maximum(overlap, 1e-300)[:, None]
+    point = np.where((overlap > 0)[:, None], shared, middle)
+    point = near[:, None] * point + (1.0 - near)[:, None] * middle
+    apart = (1.0 - near) * 0.5 * np.linalg.norm(centres - centres[up], axis=1)
+    open_ = (tree.parents < 0) | ~(mass > 0) | ~(mass[up] > 0)
+    point[open_], apart[open_] = tree.points[open_], 0.0
+    return point, apart
+
+
+def stray(model: Model) -> float:
+    """Mean squared distance of the joints from where the skin of their bones meets."""
+    tree = model.tree
+    assert tree is not None
+    hung: NDArray[np.intp] = tree.hung
+    if not len(hung):
+        return 0.0
+    point, apart = meeting_points(model)
+    away = ((tree.points - point)[hung] ** 2).sum(axis=1) + apart[hung] ** 2
+    return float(away.mean())
+
+
+def judged(data: Trajectories, model: Model, fixed: Fixed) -> float:
+    """The objective, times 1 + :data:`PULL` · :func:`stray` where joints are drawn to the skin."""
+    value = model.objective(data)
+    if not fixed.near_skin or model.tree is None:
+        return value
+    return value * (1.0 + PULL * stray(model))
