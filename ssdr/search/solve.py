@@ -318,7 +318,9 @@ def _history(
     """
     last = errors[-1]
     proportional = last > 0 and rmse < _MOST_RATIO * last
-    errors = np.maximum(errors * (rmse / last) if proportional else errors, rmse)
+    errors = errors * (rmse / last) if proportional else errors
+    # where joints are drawn to the skin a better model may have a little more error
+    errors = np.maximum(np.minimum.accumulate(errors), rmse)
     errors[-1] = rmse
     return tuple(
         Record(iteration=iteration, elapsed=elapsed, rmse=float(error), phase=phase)
