@@ -237,11 +237,6 @@ class Run:
         assert self.best is not None
         return self.best
 
-    @property
-    def best_error(self) -> float:
-        """Squared error of the best model; infinite while there is none."""
-        return np.inf if self.best is None else self.best.objective(self.whole)
-
     def begin_with(self, model: Model) -> None:
         """Start from a copy of a model in place of a stage that makes one."""
         self.model = model.copy()

@@ -197,7 +197,7 @@ def walk(
         return "time limit" if report.out_of_time else None
 
     def after_step(phase: str) -> str | None:
-        rmse = unit * math.sqrt(run.best_error)
+        rmse = unit * math.sqrt(run.best_value)
         _logger.debug("%s, iteration %d, rmse %.6g", phase, run.iteration, rmse)
         if save is not None:
             save()

