@@ -44,8 +44,9 @@ _AWAY, _APART = 1e-3, 1e-2
 _HARDLY = 1e-6  # of either, where gaps alone shall decide
 # Of the mesh's size, the root mean square distance from its centroid: parts that are further away
 # from each other than one number, and would come apart by more than the other, share no joint.
-# Three pairs of them: touching parts in any case, near ones, those that move together.
-_FAR, _LOOSE = (0.1, 0.3, np.inf), (np.inf, 0.1, 0.03)
+# Three pairs of them: touching parts in any case, near ones, those that move together.  Near is
+# what lies a ring of a game character apart (the tail of glTF's fox: 0.37).
+_FAR, _LOOSE = (0.1, 0.5, np.inf), (np.inf, 0.1, 0.03)
 _STAY = 1e-4  # of a joint's place, while bones are brought to it
 _SWEEPS = 3
 _MEMBER = 0.5  # weight from which a vertex is of a bone
@@ -158,8 +159,11 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     else:
         pair = mass[:, None] * mass / np.maximum(mass[:, None] + mass, 1e-12)
         cost = pair * (gap + extra)
-    cost += 1e-12 * max(float(cost.max()), 1e-300)  # nothing is no edge to the search
-    edges = minimum_spanning_tree(np.triu(cost, 1)).toarray() > 0
+    # SciPy takes costs below 1e-8 for no edge at all, and only their order matters
+    above = np.triu_indices(model.n_bones, 1)
+    order = np.zeros_like(cost)
+    order[above] = 1 + cost[above].argsort(kind="stable").argsort()
+    edges = minimum_spanning_tree(order).toarray() > 0
     joined = meet.overlap > 0
     for far, loose in zip(_FAR, _LOOSE, strict=True):
         joined |= (meet.apart <= far) & (gap <= loose**2 * n_frames)

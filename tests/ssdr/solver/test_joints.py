@@ -67,6 +67,34 @@ def test_exact_bones_give_their_tree_and_joints():
         assert np.linalg.norm(points[k] - made.points[child]) < 0.02
 
 
+def test_a_bone_that_moves_nothing_hangs_on_the_tree_too():
+    _, model = _model(trees.skeleton(9, 40, seed=1))
+    empty = model.with_bone(model.transforms[:, 3])
+    assert (spanning_tree(empty).parents < 0).sum() == 1
+
+
+def test_rings_a_third_of_the_size_apart_that_move_together_share_a_tree():
+    """A game character's tail has a few rings of vertices; what flies about apart has none."""
+    angle = np.linspace(0, 2 * np.pi, 7)[:-1]
+    ring = 0.1 * np.stack([np.zeros(6), np.cos(angle), np.sin(angle)], axis=1)
+    rest = np.concatenate(
+        [ring + np.array([x, 0.0, 0.0]) for x in (-1.4, -1.0, -0.6, 0.6, 1.0, 1.4)]
+    )
+    bones = np.repeat([0, 1], 18)  # 1.2 apart, the size is 1.06
+    near = np.where(np.arange(36)[:, None] < 18, rest + np.array([0.75, 0, 0]), rest)  # 0.45
+    turn = motions.motions(np.random.default_rng(0), 20, 1)
+    turn[..., 3] = 0.0  # about where both hang together
+    for points, roots in ((near, 1), (rest, 2)):
+        transforms = np.repeat(np.eye(3, 4)[None, None], 20, axis=0).repeat(2, axis=1)
+        transforms[:, 1] = turn[:, 0]
+        transforms[:, 1, 2, 3] += 0.07 * np.tile([1.0, -1.0], 10)  # and come apart a little
+        if roots == 2:
+            transforms[:, 1, 0, 3] += np.linspace(0, 2, 20)
+            transforms[:, 1, 1, 3] += np.linspace(0, 2, 20) ** 2
+        model = Model.start(transforms, points, bones, 1)
+        assert (spanning_tree(model).parents < 0).sum() == roots
+
+
 def test_what_motion_leaves_open_is_where_the_skin_meets():
     still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)).copy()
     rest = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
