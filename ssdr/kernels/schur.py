@@ -34,31 +34,34 @@ def schur_vertices(
 ):
     """Eliminate the vertices of groups first..last from the normal equations.
 
-    cross       (B, B, 4, 4)  float64  of bones k, j: (Mⱼᵀ δMₖ)ᵀ summed over frames, in
+    cross       (B, B, 4, 4)  real     of bones k, j: (Mⱼᵀ δMₖ)ᵀ summed over frames, in
     start       (G + 1,)      integer  group g is vertices start[g]..start[g + 1], in
     bones       (G, K)        integer  bones that all vertices of a group use, in
     count       (G,)          integer  how many, in
     slot        (V, K)        integer  place of each weight in the order of `inverse`, in
-    rest        (V, 3)        float64  rest positions, in
-    weights     (V, K)        float64  weights in the order of the group's bones, in
-    importance  (V,)          float64  factor of each vertex's error, in
+    rest        (V, 3)        real     rest positions, in
+    weights     (V, K)        real     weights in the order of the group's bones, in
+    importance  (V,)          real     factor of each vertex's error, in
     free        (V,)          bool     vertices whose weights may change, in
-    inverse     (V, D, D)     float64  of the Gauss–Newton matrix, D = K + 2, in
-    gradient    (V, D)        float64  half gradient of the error, in
-    step        (V, D)        float64  inverse times (H_vm δM + share·gradient), out
+    inverse     (V, D, D)     real     of the Gauss–Newton matrix, D = K + 2, in
+    gradient    (V, D)        real     half gradient of the error, in
+    step        (V, D)        real     inverse times (H_vm δM + share·gradient), out
     total       (B, B, 4, 4)  float64  added to: the image Σ a δaᵀ of the step, as `cross`
+
+    Every real array has the same type, float32 or float64, in which a group is summed up.
     """
+    real = inverse.dtype
     n_keep = bones.shape[1]
     # Rows of whole vectors: what is beyond 4·count holds anything finite, and nothing reads it.
     width = 16 * ((4 * n_keep + 15) // 16)
-    block = np.zeros((4 * n_keep, width))
-    sums = np.zeros((4 * n_keep, width))
-    a = np.zeros((4, 4 * n_keep))
-    delta = np.zeros((4, width))
-    image = np.empty(width)
-    along = np.empty(n_keep)
-    b = np.empty(n_keep + 2)
-    x = np.empty(n_keep + 2)
+    block = np.zeros((4 * n_keep, width), dtype=real)
+    sums = np.zeros((4 * n_keep, width), dtype=real)
+    a = np.zeros((4, 4 * n_keep), dtype=real)
+    delta = np.zeros((4, width), dtype=real)
+    image = np.empty(width, dtype=real)
+    along = np.empty(n_keep, dtype=real)
+    b = np.empty(n_keep + 2, dtype=real)
+    x = np.empty(n_keep + 2, dtype=real)
     for g in range(first, last):
         n = count[g]
         width = 16 * ((4 * n + 15) // 16)
@@ -106,9 +109,9 @@ def schur_vertices(
             for q in range(n_keep + 2):
                 x[q] = 0.0
             for q in range(size):
-                value = b[q] + share * gradient[i, q]
+                b[q] += share * gradient[i, q]
                 for s in range(n_keep + 2):
-                    x[s] += value * inverse[i, q, s]
+                    x[s] += b[q] * inverse[i, q, s]
             sum_w = 0.0
             for q in range(k):
                 sum_w += x[q]
@@ -187,7 +190,7 @@ def tangent_image(transforms, x, scale, out, first, last):
     transforms  (F, B, 3, 4)  float64  bones, in
     x           (F, B, 6)     float64  tangents (ω, τ), in
     scale       (F,)          float64  root of each frame's importance, in
-    out         (3F, 4, B)    float64  scale times δM, out
+    out         (3F, 4, B)    real     scale times δM, out
     """
     for t in range(first, last):
         s = scale[t]
@@ -195,11 +198,12 @@ def tangent_image(transforms, x, scale, out, first, last):
             m = transforms[t, j]
             for c in range(3):
                 row = out[3 * t + c]
-                row[3, j] = 0.0
+                shift = 0.0
                 for d in range(3):
                     e, f = (d + 1) % 3, (d + 2) % 3
                     row[d, j] = s * (m[c, e] * x[t, j, f] - m[c, f] * x[t, j, e])
-                    row[3, j] += s * m[c, d] * x[t, j, 3 + d]
+                    shift += s * m[c, d] * x[t, j, 3 + d]
+                row[3, j] = shift
 
 
 @kernel
@@ -207,7 +211,7 @@ def tangent_pullback(transforms, g, scale, out, first, last):
     """Transpose of :func:`tangent_image`.
 
     transforms  (F, B, 3, 4)  float64  bones, in
-    g           (3F, 4, B)    float64  gradient in the entries of the transforms, in
+    g           (3F, 4, B)    real     gradient in the entries of the transforms, in
     scale       (F,)          float64  root of each frame's importance, in
     out         (F, B, 6)     float64  gradient in the tangents (ω, τ), out
     """

@@ -32,6 +32,7 @@ class SimilarityPolish(Polish):
     """Tangents (ω, τ, σ): δM = M [[ω]× + σI, τ; 0 0]."""
 
     generators = np.concatenate([Polish.generators, _GROWTH], axis=2)
+    precision = np.float64
 
     def _image(self, x: Array) -> Array:
         scale = self.data.frame_scale
@@ -71,6 +72,7 @@ class AffinePolish(Polish):
     """Tangents are the twelve numbers of a transform: H_mm is the same U in every frame."""
 
     generators = np.zeros((4, 3, 12))  # only their number is used
+    precision = np.float64
 
     def _image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]

@@ -42,6 +42,8 @@ class ChainPolish(Polish):
     The model's bones must hang on their joints.
     """
 
+    precision = np.float64  # long chains need it
+
     def __init__(self, data: Trajectories, model: Model, **options: Any) -> None:
         tree = model.tree
         assert tree is not None

@@ -17,7 +17,7 @@ _PIECE, _MULTIPLICATIONS = 96, 2_000_000
 
 def product(left: Array, right: Array) -> Array:
     """left @ right, rows beside each other."""
-    out = np.empty((len(left), right.shape[1]))
+    out = np.empty((len(left), right.shape[1]), dtype=left.dtype)
     bounds = _pieces(len(left), right.size)
     run_chunks(lambda _, i, k: np.matmul(left[i:k], right, out=out[i:k]), bounds)
     return out
@@ -25,7 +25,7 @@ def product(left: Array, right: Array) -> Array:
 
 def cross_product(left: Array, right: Array) -> Array:
     """leftᵀ @ right, columns beside each other: no sum is split."""
-    out = np.empty((right.shape[1], left.shape[1]))
+    out = np.empty((right.shape[1], left.shape[1]), dtype=left.dtype)
     bounds = _pieces(right.shape[1], left.size)
     run_chunks(lambda _, i, k: np.matmul(right[:, i:k].T, left, out=out[i:k]), bounds)
     return out.T

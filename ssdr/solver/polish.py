@@ -16,6 +16,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +87,11 @@ class _Grouped:
 
     @staticmethod
     def build(
-        data: Trajectories, model: Model, left: _Eliminated, keep: NDArray[np.bool_]
+        data: Trajectories,
+        model: Model,
+        left: _Eliminated,
+        keep: NDArray[np.bool_],
+        precision: type[np.floating[Any]],
     ) -> _Grouped:
         n_bones = model.n_bones
         bones = np.where(model.weights > 0, model.joints, n_bones)
@@ -99,18 +104,23 @@ class _Grouped:
         order = code.argsort(kind="stable")
         bones, slot = bones[order], slot[order]
         first = np.flatnonzero(np.append(True, (bones[1:] != bones[:-1]).any(axis=1)))
+        largest = np.finfo(precision).max
+
+        def real(x: Array) -> Array:
+            return np.clip(x, -largest, largest).astype(precision, copy=False)
+
         return _Grouped(
             order=order,
             start=np.append(first, len(bones)),
             bones=bones[first],
             count=(bones[first] < n_bones).sum(axis=1),
             slot=slot,
-            rest=model.rest[order],
-            weights=np.take_along_axis(model.weights[order], slot, axis=1),
-            importance=data.importance[order],
+            rest=real(model.rest[order]),
+            weights=real(np.take_along_axis(model.weights[order], slot, axis=1)),
+            importance=real(data.importance[order]),
             free=~keep[order],
-            inverse=left.inverse[order],
-            gradient=left.gradient[order],
+            inverse=real(left.inverse[order]),
+            gradient=real(left.gradient[order]),
         )
 
 
@@ -135,6 +145,8 @@ class Polish:
     """
 
     generators = _GENERATORS  # rows of p̃, 3 × the dimension of a tangent
+    # of the products with the Schur complement; gradient, residual and preconditioner are double
+    precision: type[np.floating[Any]] = np.float32
 
     def __init__(
         self,
@@ -241,11 +253,11 @@ class Polish:
         scale = data.frame_scale
         hat = self._left.hat
         u_flat = flat_blocks(u)
-        # half gradient of the objective in the stacked transforms: hat·U − C
-        slope = product(hat, u_flat) - (c * scale[:, None, None, None]).reshape(hat.shape)
-        gradient = self._pullback(slope)
         _, total = self._eliminate(np.zeros_like(u_flat), 1.0)
-        rhs = -(gradient - self._pullback(product(hat, total)))
+        # half gradient of the objective in the stacked transforms: hat·U − C
+        slope = product(hat, u_flat - total) - (c * scale[:, None, None, None]).reshape(hat.shape)
+        rhs = -self._pullback(slope)
+        hat, u_flat = (x.astype(self.precision, copy=False) for x in (hat, u_flat))
         self._add_pull(rhs)
         self._hold(rhs)
 
@@ -256,6 +268,7 @@ class Polish:
         def apply(x: Array) -> Array:
             image = self._image(x)
             _, total = self._eliminate(cross_product(hat, image), 0.0)
+            total = total.astype(self.precision, copy=False)
             out = self._pullback(product(image, u_flat) - product(hat, total))
             out += damp(x)
             self._add_stiffness(x, out)
@@ -351,7 +364,7 @@ class Polish:
     def _image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]
         m, scale = self.model.transforms, self.data.frame_scale
-        out = np.empty((3 * n_frames, 4, n_bones))
+        out = np.empty((3 * n_frames, 4, n_bones), dtype=self.precision)
         run_chunks(lambda _, i, k: tangent_image(m, x, scale, out, i, k), self._frames)
         return out.reshape(3 * n_frames, 4 * n_bones)
 
@@ -372,11 +385,13 @@ class Polish:
         model, left = self.model, self._left
         n_bones = model.n_bones
         if left.grouped is None:
-            left.grouped = _Grouped.build(self.data, model, left, self._keep)
+            left.grouped = _Grouped.build(self.data, model, left, self._keep, self.precision)
         own = left.grouped
-        step = np.empty((len(own.order), model.n_influences + 2))
+        step = np.empty((len(own.order), model.n_influences + 2), dtype=self.precision)
         move_rest = not self.fixed.rest
-        table = np.ascontiguousarray(cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0))
+        table = np.ascontiguousarray(
+            cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0), dtype=self.precision
+        )
 
         def work(_: int, i: int, k: int) -> Array:
             total = np.zeros((n_bones, n_bones, 4, 4))
@@ -411,8 +426,9 @@ class Polish:
     def _back_substitute(self, x: Array) -> Array:
         with serial_blas():
             image = self._image(x)
-            grouped, _ = self._eliminate(cross_product(self._left.hat, image), 1.0)
+            hat = self._left.hat.astype(self.precision, copy=False)
+            grouped, _ = self._eliminate(cross_product(hat, image), 1.0)
         assert self._left.grouped is not None
-        step = np.empty_like(grouped)
+        step = np.empty(grouped.shape)
         step[self._left.grouped.order] = grouped
         return step
