@@ -13,8 +13,9 @@ from ..errors import InputError
 from ..skinning import BoneModel, Skinning
 from ..solver.trajectories import Alignment, Array
 from ..solver.tree import Tree
+from .limbs import limb_distances
 
-__all__ = ["Prescribed", "check_prescribed", "nearest_limb", "single_joint"]
+__all__ = ["Prescribed", "check_prescribed", "single_joint"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,7 +155,7 @@ def check_prescribed(
             skin = _largest(skeleton, influences)
             start = np.asarray(skeleton.rest, dtype=np.float64)
         elif start is not None:
-            label = nearest_limb(start if rest is None else rest, tree)
+            label = limb_distances(start if rest is None else rest, tree).argmin(axis=1)
         turns = _kept_turns(skeleton, locked_joints, n_frames)
     return Prescribed(
         skeleton=tree,
@@ -217,29 +218,6 @@ def single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
         expected = f"names of single joints of the skeleton ({some}, ...)"
         raise InputError(argument, expected, f"{name!r}, {len(there)} joints of that name")
     return there[0]
-
-
-def nearest_limb(points: Array, tree: Tree) -> NDArray[np.intp]:
-    """The bone (V,) whose limbs, from its joint to those of its children, are nearest.
-
-    The limb of a bone without children goes on from that of its parent, as far again.
-    """
-    best = np.full(len(points), np.inf)
-    bone = np.zeros(len(points), dtype=np.intp)
-    for k in range(len(tree.parents)):
-        ends = tree.points[tree.parents == k]
-        if not len(ends):
-            above = tree.parents[k]
-            ends = 2 * tree.points[[k]] - tree.points[[above if above >= 0 else k]]
-        for end in ends:
-            along = end - tree.points[k]
-            length = float(along @ along)
-            off = points - tree.points[k]
-            part = np.clip(off @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(off))
-            away = ((off - part[:, None] * along) ** 2).sum(axis=1)
-            nearer = away < best
-            best[nearer], bone[nearer] = away[nearer], k
-    return bone
 
 
 def _check_skin(

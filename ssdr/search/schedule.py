@@ -287,7 +287,9 @@ def tree_start(factor: float = 1.6, *, branch: bool = False) -> Schedule:
 # are searched.  After eight polish steps the lowest are the same as in the end: so many begin, and
 # the lowest goes on.
 _FEW_TREES, _TREES = 3, 6
-_SEARCHES = 2  # of the lowest of so many, with "best"
+# Of the lowest of so many, with "best": on exact data one in four ends on the skeleton itself.
+# By the size of the problem, as tries are.
+_SEARCHES_SMALL, _SEARCHES_MIDDLE, _SEARCHES_LARGE = 6, 4, 3
 # A search of trees gives up that is this many times behind before its first try, and later.
 _RACE_OF_TREES = (4.0, 1.5)
 _LAST_OF_TREES = Polish(steps=40, gain=0.002)
@@ -299,7 +301,7 @@ def best_of(starts: int) -> Schedule:
     return (*(starts - 1) * each, *each[:-1], Contend(last=True), Polish(steps=20, gain=0.01))
 
 
-def rigid_joints(effort: Effort) -> Schedule:
+def rigid_joints(effort: Effort, size: float) -> Schedule:
     """A tree early, then better ones; searched, as long as the effort allows."""
     if effort == "fast":
         return (*_FIRST_TREE, Contend(), *best_of(1))
@@ -311,25 +313,37 @@ def rigid_joints(effort: Effort) -> Schedule:
     search = SearchTrees(steps=10, patience=10, race=_RACE_OF_TREES)
     searched = (*best_of(_TREES), *relaxed, search)
     last = SearchTrees(steps=24, patience=24)
-    return (*first, *_SEARCHES * searched, Recall(), last, _LAST_OF_TREES)
+    count = _SEARCHES_SMALL if size < _MIDDLE_SIZE else _SEARCHES_MIDDLE
+    count = _SEARCHES_LARGE if size >= _LARGE_SIZE else count
+    return (*first, *count * searched, Recall(), last, _LAST_OF_TREES)
 
 
-def on_skeleton(effort: Effort, *, placed: bool, rigid: bool) -> Schedule:
-    """Weights and motion of bones whose tree is known; `placed`: the weights are, too."""
+def on_skeleton(effort: Effort, *, placed: bool, rigid: bool, skinned: bool) -> Schedule:
+    """Weights and motion of bones whose tree is known; `placed`: the weights are, too.
+
+    `skinned`: the skeleton brings weights to start from.  Without them the vertices near each limb
+    are one start, those that move together another, and the lower goes on.
+    """
     steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
+    start: Schedule = (Compress(), StartOnSkeleton())
+    settle = Polish(steps=steps, gain=1e-3)
     if not rigid:  # bones that are free, from where the skeleton puts them
-        free = (Compress(), StartOnSkeleton(), Alternate(steps=20, gain=1e-3))
-        if placed or effort == "fast":
-            return (*free, Polish(steps=steps, gain=1e-3))
-        return (*free, Polish(steps=8), *RELAXED, Polish(steps=steps, gain=1e-3))
-    start = (Compress(), StartOnSkeleton(), Hang(), Polish(steps=20, gain=0.01))
+        relaxed = () if placed or effort == "fast" else (Polish(steps=8), *RELAXED)
+        return (*start, Alternate(steps=20, gain=1e-3), *relaxed, settle)
+    hung = (*start, Hang(), Polish(steps=20, gain=0.01))
     if placed:
-        return (*start, Polish(steps=steps, gain=1e-3))
+        return (*hung, settle)
     if effort == "fast":
-        return (*start, Sprout(), Polish(steps=6))
-    tries = {"balanced": 4, "best": 16}[effort]
+        return (*hung, Sprout(), Polish(steps=6))
+    tries, starts = {"balanced": (4, 1), "best": (16, 2)}[effort]
+    if not skinned:
+        contend = (Hang(), Polish(steps=8), Contend())
+        place = (*merged_start(1.6, 12, 6, influences=1), Reseed())
+        by_motion = starts * (*place, StartOnSkeleton(matched=True), *contend)
+        last = (Contend(last=True), Polish(steps=20, gain=0.01))
+        hung = (*start, *contend, *by_motion[:-1], *last)
     return (
-        *start,
+        *hung,
         Sprout(),
         Relax(polish_steps=6, cost=30),
         Polish(steps=24, gain=0.01),
@@ -367,9 +381,10 @@ def schedule_for(
     """
     if prescribed.skeleton is not None:
         placed = prescribed.weights is not None
-        return on_skeleton(effort, placed=placed, rigid=hierarchy == "rigid")
+        skinned = prescribed.skin is not None
+        return on_skeleton(effort, placed=placed, rigid=hierarchy == "rigid", skinned=skinned)
     if hierarchy == "rigid":
-        return rigid_joints(effort)
+        return rigid_joints(effort, size)
     all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
     placed = prescribed.weights is not None or all_bones
     if smoothed:

@@ -10,6 +10,7 @@ import numpy as np
 from ..solver.initialization import fit_patches
 from ..solver.joints import hang, soft_step, spanning_tree
 from ..solver.model import Model
+from .limbs import moved_like
 from .moves import loosen, polish_steps, thin
 from .run import Run, Stage
 from .stages import POLISH_STEPS_OF_A_TRY, Change, Search, Start
@@ -85,7 +86,15 @@ class Contend(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartOnSkeleton(Start):
-    """Bones of a skeleton that was handed over, as the vertices move that are theirs."""
+    """Bones of a skeleton that was handed over, as the vertices move that are theirs.
+
+    Attributes
+    ----------
+    matched : bool
+        Whether the free bones of the model so far say which, else the nearest limb does.
+    """
+
+    matched: bool = False
 
     def _model(self, run: Run) -> Model:
         data, prescribed = run.data, run.prescribed
@@ -99,6 +108,9 @@ class StartOnSkeleton(Start):
         if joints is not None:
             label = joints[:, 0].astype(np.intp)
         assert label is not None
+        if self.matched:
+            free = run.present
+            label = moved_like(data, rest, free.joints[:, 0].astype(np.intp), free.n_bones, tree)
         count = len(tree.parents)
         bones = fit_patches(data, rest, label, count)
         used = np.bincount(label, minlength=count)

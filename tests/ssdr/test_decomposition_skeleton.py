@@ -13,7 +13,7 @@ import ssdr
 from helpers import promises, trees
 from helpers.measures import bits, diagonal, rmse_of
 from ssdr.errors import InputError
-from ssdr.search.prescribed import nearest_limb
+from ssdr.search.limbs import limb_distances
 from ssdr.solver.tree import Tree
 
 NAMES = ("hips", "spine", "arm", "leg", "hand", "foot")
@@ -181,9 +181,9 @@ def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
 def test_limbs_end_at_children_and_go_on_beyond_the_last() -> None:
     arm = Tree(np.array([-1, 0, 1]), np.array([[0.0, 0, 0], [2, 0, 0], [3, 0, 0]]), rigid=False)
     points = np.array([[0.5, 1, 0], [1.9, 0.1, 0], [2.4, 1, 0], [3.6, 0, 0], [9, 0, 0]])
-    assert nearest_limb(points, arm).tolist() == [0, 0, 1, 2, 2]
+    assert limb_distances(points, arm).argmin(axis=1).tolist() == [0, 0, 1, 2, 2]
     alone = Tree(np.array([-1]), np.zeros((1, 3)), rigid=False)
-    assert nearest_limb(points, alone).tolist() == [0] * 5
+    assert limb_distances(points, alone).argmin(axis=1).tolist() == [0] * 5
 
 
 def test_zero_length_bones() -> None:
