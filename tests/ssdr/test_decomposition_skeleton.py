@@ -175,7 +175,7 @@ def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
     )
     result = ssdr.decompose(frames, influences=2, skeleton=other)
     assert np.array_equal(result.skinning.parents, made.parents)
-    assert result.rmse < 0.02 * diagonal(frames)
+    assert result.rmse < 1e-6 * diagonal(frames)
 
 
 def test_limbs_end_at_children_and_go_on_beyond_the_last() -> None:
