@@ -287,9 +287,10 @@ def tree_start(factor: float = 1.6, *, branch: bool = False) -> Schedule:
 # are searched.  After eight polish steps the lowest are the same as in the end: so many begin, and
 # the lowest goes on.
 _FEW_TREES, _TREES = 3, 6
-# Of the lowest of so many, with "best": on exact data one in four ends on the skeleton itself.
-# By the size of the problem, as tries are.
-_SEARCHES_SMALL, _SEARCHES_MIDDLE, _SEARCHES_LARGE = 6, 4, 3
+# Searches of the lowest of so many, with "best", and tries of the last one, by the size of the
+# problem: on exact data one in four ends on the skeleton itself, and a few dozen pairs of bones that
+# share skin can become neighbours.
+_SEARCHES_SMALL, _SEARCHES_MIDDLE, _SEARCHES_LARGE = (6, 80), (4, 48), (3, 24)
 # A search of trees gives up that is this many times behind before its first try, and later.
 _RACE_OF_TREES = (4.0, 1.5)
 _LAST_OF_TREES = Polish(steps=40, gain=0.002)
@@ -312,9 +313,10 @@ def rigid_joints(effort: Effort, size: float) -> Schedule:
         return (*first, *best_of(_FEW_TREES), *relaxed, search, _LAST_OF_TREES)
     search = SearchTrees(steps=10, patience=10, race=_RACE_OF_TREES)
     searched = (*best_of(_TREES), *relaxed, search)
-    last = SearchTrees(steps=24, patience=24)
-    count = _SEARCHES_SMALL if size < _MIDDLE_SIZE else _SEARCHES_MIDDLE
-    count = _SEARCHES_LARGE if size >= _LARGE_SIZE else count
+    count, tries = _SEARCHES_SMALL if size < _MIDDLE_SIZE else _SEARCHES_MIDDLE
+    if size >= _LARGE_SIZE:
+        count, tries = _SEARCHES_LARGE
+    last = SearchTrees(steps=tries, patience=tries)
     return (*first, *count * searched, Recall(), last, _LAST_OF_TREES)
 
 
