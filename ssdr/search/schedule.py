@@ -288,8 +288,8 @@ def tree_start(factor: float = 1.6, *, branch: bool = False) -> Schedule:
 # the lowest goes on.
 _FEW_TREES, _TREES = 3, 6
 # Searches of the lowest of so many, with "best", and tries of the last one, by the size of the
-# problem: on exact data one in four ends on the skeleton itself, and a few dozen pairs of bones that
-# share skin can become neighbours.
+# problem: on exact data one in four ends on the skeleton itself, and a few dozen pairs of bones
+# share skin.
 _SEARCHES_SMALL, _SEARCHES_MIDDLE, _SEARCHES_LARGE = (6, 80), (4, 48), (3, 24)
 # A search of trees gives up that is this many times behind before its first try, and later.
 _RACE_OF_TREES = (4.0, 1.5)
