@@ -28,6 +28,16 @@ def test_products_are_numpys_and_the_same_whatever_the_threads(
         assert np.array_equal(one, two)
 
 
+def test_products_keep_single_precision(rng: np.random.Generator) -> None:
+    left, right = (rng.standard_normal((130, 7)).astype(np.float32) for _ in "ab")
+    for got, want in (
+        (product(left, right.T), left @ right.T),
+        (cross_product(left, right), left.T @ right),
+    ):
+        assert got.dtype == np.float32
+        np.testing.assert_allclose(got, want, atol=1e-5)
+
+
 @pytest.mark.parametrize("size", [6, 150])
 def test_groups_of_rows_each_with_a_matrix_of_its_own(rng: np.random.Generator, size: int) -> None:
     groups = [(0, 70), (70, 140), (140, 173)]

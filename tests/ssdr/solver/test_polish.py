@@ -56,6 +56,22 @@ def test_step_solves_the_dense_reduced_system(tiny: Tiny, damping: float) -> Non
     assert predicted == pytest.approx(decrease, rel=1e-3)
 
 
+def test_single_precision_changes_a_step_by_rounding_alone(tiny: Tiny) -> None:
+    polish, found = tiny.polish, []
+    for precision in (np.float32, np.float64):
+        polish.precision, polish._left.grouped, polish.recycled = precision, None, None
+        x, predicted = polish._solve()
+        grouped = polish._left.grouped
+        assert grouped is not None
+        assert grouped.inverse.dtype == precision
+        assert x.dtype == np.float64
+        found.append((x, predicted, polish._back_substitute(x)))
+    (x, predicted, answer), (want_x, want_predicted, want_answer) = found
+    np.testing.assert_allclose(x, want_x, atol=1e-3 * np.abs(want_x).max())
+    np.testing.assert_allclose(answer, want_answer, atol=1e-3 * np.abs(want_answer).max())
+    assert predicted == pytest.approx(want_predicted, rel=1e-5)
+
+
 def test_gradient_is_that_of_the_objective(tiny: Tiny) -> None:
     """With all the damping in the world the step is the gradient over the diagonal."""
     _, right, diagonal = reduced_system(tiny)
