@@ -14,7 +14,7 @@ from ..parallel import chunk_bounds, run_chunks
 from .dense import inverse_of
 from .model import FREE, Model
 from .polish import Polish
-from .skin_contact import PULL, judged, meeting_points, stray
+from .skin_contact import PULL, judged, stray, strays
 from .trajectories import Array, Trajectories
 from .tree import Tree
 
@@ -53,7 +53,8 @@ class ChainPolish(Polish):
         kept = options.get("fixed", FREE).joints
         self.movable = tree.hung[:0] if kept else tree.hung  # bones whose joints are unknowns
         self._moved = tree.points
-        self._spring, self._away = 0.0, np.zeros((len(self.movable), 3))
+        self._spring = np.zeros((len(self.movable), 1))
+        self._away = np.zeros((len(self.movable), 3))
         # bones whose ω follows from their parent's, with their rotation relative to it
         self._tied = options.get("fixed", FREE).kept_turns(tree)
         super().__init__(data, model, **({"conjugate_steps": _CONJUGATE_STEPS} | options))
@@ -84,8 +85,9 @@ class ChainPolish(Polish):
             return super()._solve()
         factor = 1.0 + PULL * stray(self.model)
         # of the objective over this factor: the error, and a spring for every joint
-        self._spring = PULL * self.model.objective(self.data) / (len(self._tree.hung) * factor)
-        self._away = (self.points - meeting_points(self.model)[0])[self.movable]
+        spring = PULL * self.model.objective(self.data) / (len(self._tree.hung) * factor)
+        off, squared = (x[self.movable] for x in strays(self.model))
+        self._spring, self._away = spring * (1.0 + 2.0 * squared[:, None]), off
         x, predicted = super()._solve()
         return x, factor * predicted
 
@@ -212,7 +214,8 @@ class ChainPolish(Polish):
 
         factors = run_chunks(factor, chunk_bounds(len(groups), 1))
         schur = np.sum([left for _, _, left in factors], axis=0)
-        schur[np.diag_indices(len(outer))] += damping * own_joints + open_ways + self._spring
+        schur[np.diag_indices(len(outer))] += damping * own_joints + open_ways
+        schur[np.diag_indices(len(outer))] += np.repeat(self._spring, 3)
         lower = cho_factor(schur, lower=True) if len(outer) else None
 
         def precondition(r: Array) -> Array:

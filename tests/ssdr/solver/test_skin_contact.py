@@ -72,7 +72,9 @@ def test_the_objective_grows_with_the_distance(rng: np.random.Generator) -> None
     assert stray(there) < stray(model)
     away = dataclasses.replace(model, tree=dataclasses.replace(at_skin, points=at_skin.points + 1))
     grown = stray(away) - stray(there)
-    assert grown == pytest.approx(3.0 * 2 / 3)  # of three joints one is where it should be
+    apart = meeting_points(there)[1][1:3] ** 2  # of three joints one is where it should be
+    want = ((3.0 + apart) * (4.0 + apart) - apart * (1.0 + apart)).sum() / 3
+    assert grown == pytest.approx(want)
     assert judged(data, away, NEAR) == pytest.approx(
         model.objective(data) * (1 + PULL * stray(away))
     )
@@ -102,7 +104,8 @@ def test_the_spring_is_the_derivative(rng: np.random.Generator) -> None:
 
     def spread(points: np.ndarray) -> float:
         hung = tree.hung
-        return float((((points - meet)[hung] ** 2).sum(axis=1) + apart[hung] ** 2).mean())
+        squared = ((points - meet)[hung] ** 2).sum(axis=1) + apart[hung] ** 2
+        return float((squared + squared**2).mean())
 
     factor = 1 + PULL * stray(model)
     for k, joint in enumerate(polish.movable):
@@ -111,7 +114,7 @@ def test_the_spring_is_the_derivative(rng: np.random.Generator) -> None:
             up[joint, d] += h
             down[joint, d] -= h
             slope = PULL * model.objective(data) * (spread(up) - spread(down)) / (2 * h) / factor
-            assert polish._spring * polish._away[k, d] == pytest.approx(0.5 * slope, rel=1e-5)
+            assert polish._spring[k, 0] * polish._away[k, d] == pytest.approx(0.5 * slope, rel=1e-5)
 
 
 def test_a_hinge_has_its_joint_where_skin_meets() -> None:
