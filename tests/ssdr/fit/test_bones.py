@@ -104,7 +104,7 @@ def test_every_sweep_descends() -> None:
         ).rmse
         for sweeps in (1, 2, 3, 4, 8, 16, 50)
     ]
-    assert (np.diff(errors) <= 0).all()
+    assert (np.diff(errors) <= 1e-15 * errors[0]).all()  # measured anew: but for rounding
     assert errors[0] > 1.001 * errors[-1]
 
 
