@@ -52,7 +52,7 @@ from ssdr.solver.model import Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 CASES = [("horse_gallop", 20), ("samba", 60)]
-PAPER = ("paper_size", 80)  # 2,000 of its frames, of full rank; only alternations
+PAPER = ("paper_size", 80)  # 2,000 of its frames, of full rank
 PAPER_FRAMES = 2000
 INFLUENCES, SWEEPS = 4, 3
 
@@ -366,6 +366,8 @@ def main() -> None:
             rows += outer_iterations(*PAPER, max(2, args.repeats // 4))
         for name, bones in CASES:
             rows += polish_steps(name, bones, max(3, args.repeats // 2))
+        if not args.short:
+            rows += polish_steps(*PAPER, 3)
     peaks = [memory_apart(name, bones) for name, bones in CASES]
     write_json(args.out, {"question": __doc__.splitlines()[0], "steps": rows, "memory": peaks})
     chart(rows, args.chart)
