@@ -313,9 +313,8 @@ def rigid_joints(effort: Effort, size: float) -> Schedule:
         return (*first, *best_of(_FEW_TREES), *relaxed, search, _LAST_OF_TREES)
     search = SearchTrees(steps=10, patience=10, race=_RACE_OF_TREES)
     searched = (*best_of(_TREES), *relaxed, search)
-    count, tries = _SEARCHES_SMALL if size < _MIDDLE_SIZE else _SEARCHES_MIDDLE
-    if size >= _LARGE_SIZE:
-        count, tries = _SEARCHES_LARGE
+    below = _SEARCHES_MIDDLE if size >= _MIDDLE_SIZE else _SEARCHES_SMALL
+    count, tries = _SEARCHES_LARGE if size >= _LARGE_SIZE else below
     last = SearchTrees(steps=tries, patience=tries)
     return (*first, *count * searched, Recall(), last, _LAST_OF_TREES)
 

@@ -14,7 +14,7 @@ from ..parallel import chunk_bounds, run_chunks
 from .dense import inverse_of
 from .model import FREE, Model
 from .polish import Polish
-from .skin_contact import PULL, judged, stray, strays
+from .skin_contact import PULL, judged, spread, strays
 from .trajectories import Array, Trajectories
 from .tree import Tree
 
@@ -83,11 +83,12 @@ class ChainPolish(Polish):
     def _solve(self) -> tuple[Array, float]:
         if not self.fixed.near_skin or not len(self.movable):
             return super()._solve()
-        factor = 1.0 + PULL * stray(self.model)
+        off, squared = strays(self.model)
+        factor = 1.0 + PULL * spread(squared[self._tree.hung])
         # of the objective over this factor: the error, and a spring for every joint
         spring = PULL * self.model.objective(self.data) / (len(self._tree.hung) * factor)
-        off, squared = (x[self.movable] for x in strays(self.model))
-        self._spring, self._away = spring * (1.0 + 2.0 * squared[:, None]), off
+        self._spring = spring * (1.0 + 2.0 * squared[self.movable, None])
+        self._away = off[self.movable]
         x, predicted = super()._solve()
         return x, factor * predicted
 

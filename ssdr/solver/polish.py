@@ -107,7 +107,7 @@ class _Grouped:
         largest = np.finfo(precision).max
 
         def real(x: Array) -> Array:
-            return np.clip(x, -largest, largest).astype(precision, copy=False)
+            return x if x.dtype == precision else np.clip(x, -largest, largest).astype(precision)
 
         return _Grouped(
             order=order,

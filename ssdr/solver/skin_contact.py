@@ -11,7 +11,7 @@ import numpy as np
 from .model import Fixed, Model
 from .trajectories import Array, Trajectories
 
-__all__ = ["PULL", "judged", "meeting_points", "stray", "strays"]
+__all__ = ["PULL", "judged", "meeting_points", "spread", "stray", "strays"]
 
 # What joints cost that are away from where the skin of their bones meets, of the objective: mean of
 # d² + d⁴ over them, of distances d in the mesh's size (root mean square distance from its
@@ -71,12 +71,16 @@ def strays(model: Model) -> tuple[Array, Array]:
     return off, squared
 
 
+def spread(squared: Array) -> float:
+    """Mean of d² + d⁴ over joints, from their d²; 0 of none."""
+    return float((squared * (1.0 + squared)).mean()) if len(squared) else 0.0
+
+
 def stray(model: Model) -> float:
-    """Mean of d² + d⁴ over the joints, d the distances of :func:`strays`."""
+    """:func:`spread` of the joints of a model."""
     tree = model.tree
     assert tree is not None
-    squared = strays(model)[1][tree.hung]
-    return float((squared * (1.0 + squared)).mean()) if len(squared) else 0.0
+    return spread(strays(model)[1][tree.hung])
 
 
 def judged(data: Trajectories, model: Model, fixed: Fixed) -> float:
