@@ -198,6 +198,7 @@ class SearchTrees(Search):
 
     kinds: ClassVar[tuple[Change, ...]] = (
         join_touching,
+        seize,
         loosen,
         reparent,
         thin,
