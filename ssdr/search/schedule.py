@@ -296,9 +296,9 @@ _SEARCHES_SMALL, _SEARCHES_MIDDLE, _SEARCHES_LARGE = 6, 4, 3
 _TIMES, _TRIES_A_TIME = 6, 14
 # Of the weights on a skeleton that was handed over: horse_gallop 1.74 for 1.81 with one time.
 _TIMES_OF_WEIGHTS = 3
-# Starts from free bones where the skeleton brings no weights: on the fox with joints 2 % off each
-# takes two seconds, and the lowest of eight ends at 1.0e-6, that of two at 5.8e-5.
-_STARTS_BY_MOTION = 8
+# Starts from free bones where the skeleton brings no weights: the lowest goes on, and once more.
+# On the fox each takes two seconds.
+_STARTS_BY_MOTION = 4
 # A search of trees gives up that is this many times behind before its first try, and later.
 _RACE_OF_TREES = (4.0, 1.5)
 _RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
@@ -345,25 +345,20 @@ def on_skeleton(effort: Effort, *, placed: bool, rigid: bool, skinned: bool) -> 
         return (*hung, settle)
     if effort == "fast":
         return (*hung, Sprout(), Polish(steps=6))
-    tries, times, starts = (
-        (4, 1, 1) if effort == "balanced" else (16, _TIMES_OF_WEIGHTS, _STARTS_BY_MOTION)
-    )
-    search = SearchWeights(steps=tries, patience=tries)
+    tries = 4 if effort == "balanced" else 16
+    relaxed = (Sprout(), *_RELAXED_TREE, SearchWeights(steps=tries, patience=tries))
     if not skinned:
         contend = (Hang(), Polish(steps=8), Contend())
         place = (*merged_start(1.6, 12, 6, influences=1), Reseed())
-        by_motion = starts * (*place, StartOnSkeleton(matched=True), *contend)
-        last = (Contend(last=True), Polish(steps=20, gain=0.01))
-        hung = (*start, *contend, *by_motion[:-1], *last)
-    return (
-        *hung,
-        Sprout(),
-        *_RELAXED_TREE,
-        search,
-        *(times - 1) * (Recall(), *_RELAXED_TREE, search),
-        Recall(),
-        _LAST_OF_TREES,
-    )
+        by_motion = (*place, StartOnSkeleton(matched=True), *contend)
+        nearest, last = (*start, *contend), (*by_motion[:-1], Contend(last=True))
+        lowest = (*last, Polish(steps=20, gain=0.01))
+        if effort == "balanced":
+            return (*nearest, *lowest, *relaxed, Recall(), _LAST_OF_TREES)
+        few = (_STARTS_BY_MOTION - 1) * by_motion
+        hung = (*nearest, *few, *lowest, *relaxed, *few, *lowest)
+    again = 0 if effort == "balanced" else _TIMES_OF_WEIGHTS - 1
+    return (*hung, *relaxed, *again * (Recall(), *relaxed), Recall(), _LAST_OF_TREES)
 
 
 # --- which of them -----------------------------------------------------------------------------
