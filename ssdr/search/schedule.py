@@ -305,22 +305,22 @@ _RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain
 _LAST_OF_TREES = Polish(steps=40, gain=0.002)
 
 
-def best_of(starts: int) -> Schedule:
-    """The lowest of so many starts, and of one that is set aside already."""
-    each = (*tree_start(), Contend())
-    return (*(starts - 1) * each, *each[:-1], Contend(last=True), Polish(steps=20, gain=0.01))
+def best_of(starts: int, start: Schedule) -> Schedule:
+    """The lowest of so many starts, and of one where one is set aside already."""
+    each = (*start, Contend())
+    return (*(starts - 1) * each, *start, Contend(last=True), Polish(steps=20, gain=0.01))
 
 
 def rigid_joints(effort: Effort, size: float) -> Schedule:
     """A tree early, then better ones; searched, as long as the effort allows."""
     if effort == "fast":
-        return (*_FIRST_TREE, Contend(), *best_of(1))
+        return (*_FIRST_TREE, Contend(), *best_of(1, tree_start()))
     first = (*_FIRST_TREE, Contend())
     if effort == "balanced":
         search = SearchTrees(steps=10, patience=10)
-        return (*first, *best_of(_FEW_TREES), *_RELAXED_TREE, search, _LAST_OF_TREES)
+        return (*first, *best_of(_FEW_TREES, tree_start()), *_RELAXED_TREE, search, _LAST_OF_TREES)
     search = SearchTrees(steps=10, patience=10, race=_RACE_OF_TREES)
-    searched = (*best_of(_TREES), *_RELAXED_TREE, search)
+    searched = (*best_of(_TREES, tree_start()), *_RELAXED_TREE, search)
     below = _SEARCHES_MIDDLE if size >= _MIDDLE_SIZE else _SEARCHES_SMALL
     count = _SEARCHES_LARGE if size >= _LARGE_SIZE else below
     longer = SearchTrees(steps=_TRIES_A_TIME, patience=_TRIES_A_TIME)
@@ -345,19 +345,18 @@ def on_skeleton(effort: Effort, *, placed: bool, rigid: bool, skinned: bool) -> 
         return (*hung, settle)
     if effort == "fast":
         return (*hung, Sprout(), Polish(steps=6))
-    tries = 4 if effort == "balanced" else 16
+    longest = effort == "best"
+    tries = 16 if longest else 4
     relaxed = (Sprout(), *_RELAXED_TREE, SearchWeights(steps=tries, patience=tries))
     if not skinned:
-        contend = (Hang(), Polish(steps=8), Contend())
+        hang = (Hang(), Polish(steps=8))
         place = (*merged_start(1.6, 12, 6, influences=1), Reseed())
-        by_motion = (*place, StartOnSkeleton(matched=True), *contend)
-        nearest, last = (*start, *contend), (*by_motion[:-1], Contend(last=True))
-        lowest = (*last, Polish(steps=20, gain=0.01))
-        if effort == "balanced":
-            return (*nearest, *lowest, *relaxed, Recall(), _LAST_OF_TREES)
-        few = (_STARTS_BY_MOTION - 1) * by_motion
-        hung = (*nearest, *few, *lowest, *relaxed, *few, *lowest)
-    again = 0 if effort == "balanced" else _TIMES_OF_WEIGHTS - 1
+        by_motion = (*place, StartOnSkeleton(matched=True), *hang)
+        lowest = best_of(_STARTS_BY_MOTION if longest else 1, by_motion)
+        hung = (*start, *hang, Contend(), *lowest)
+        if longest:
+            hung = (*hung, *relaxed, *lowest)
+    again = _TIMES_OF_WEIGHTS - 1 if longest else 0
     return (*hung, *relaxed, *again * (Recall(), *relaxed), Recall(), _LAST_OF_TREES)
 
 

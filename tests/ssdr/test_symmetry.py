@@ -159,12 +159,14 @@ def test_a_joint_of_one_side_gets_its_image_on_the_other():
     assert any(good)
 
 
-def test_a_decomposition_names_the_sides():
+@pytest.mark.parametrize(("rng", "kept"), [(0, True), (1, False)])
+def test_a_decomposition_names_the_sides(rng: int, kept: bool):
     figure = _figure(frames=30)
     sequence = ssdr.MeshSequence(figure.skin())
-    # with one influence any pose of the parts is as good a rest pose: this one is its mirror image
+    # with one influence any pose of the parts is as good a rest pose; this one is its mirror image
+    rest = figure.rest if kept else None
     found = ssdr.decompose(
-        sequence, bones=6, influences=1, hierarchy="rigid", rest=figure.rest
+        sequence, bones=6, influences=1, hierarchy="rigid", rest=rest, rng=rng
     ).skinning
     assert sorted(n[-2:] for n in found.joint_names if n[-2] == "_" and n[-1] in "LR") == [
         "_L",
