@@ -32,7 +32,6 @@ HEAVY = {
     "numba",
     "numpy",
     "pxr",
-    "pygltflib",
     "scipy",
     "torch",
     "trimesh",

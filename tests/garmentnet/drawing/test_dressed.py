@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("zarr")
+pytest.importorskip("torch")
 
 from garmentnet.drawing.dressed import (
     camera_track,

@@ -41,7 +41,7 @@ def test_best_is_no_worse_than_balanced(
     balanced, best = (
         ssdr.decompose(moving, effort=effort, **options).rmse for effort in ("balanced", "best")
     )
-    assert best < 1.05 * balanced + 1e-13  # of a beam of length one: rounding
+    assert best < 1.05 * balanced + 1e-11  # of a beam of length four: rounding
 
 
 def test_bones_that_are_given_and_not_locked_are_no_more_than_a_start() -> None:
