@@ -118,16 +118,16 @@ def tell(rates: dict[str, Any]) -> str:
 
 
 def reskin(
-    rest: np.ndarray, joints: np.ndarray, weights: np.ndarray, transforms: np.ndarray
+    rest: np.ndarray, indices: np.ndarray, weights: np.ndarray, transforms: np.ndarray
 ) -> np.ndarray:
     """Positions (F, V, 3) in float64, one slot of the influences after the other."""
     p = np.asarray(rest, dtype=np.float64)
     m = np.asarray(transforms, dtype=np.float64)
     out = np.zeros((len(m), len(p), 3))
-    for k in range(joints.shape[1]):
+    for k in range(indices.shape[1]):
         w = np.asarray(weights[:, k], dtype=np.float64)
         for t in range(len(m)):
-            bone = m[t, joints[:, k]]
+            bone = m[t, indices[:, k]]
             out[t] += w[:, None] * (np.einsum("vij,vj->vi", bone[..., :3], p) + bone[..., 3])
     return out
 
@@ -140,7 +140,7 @@ def error_e(reference: np.ndarray, other: np.ndarray) -> float:
 
 def e_of(frames: np.ndarray, model: Any) -> float:
     """E of a skinned model against the frames, re-skinned here."""
-    return error_e(frames, reskin(model.rest, model.joints, model.weights, model.transforms))
+    return error_e(frames, reskin(model.rest, model.indices, model.weights, model.transforms))
 
 
 def defects(model: Any, bones: int, influences: int) -> list[str]:

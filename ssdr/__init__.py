@@ -18,7 +18,7 @@ _HOME = {
     "InputError": "errors",
     "Material": "sequence",
     "MeshSequence": "sequence",
-    "Mirror": "symmetry",
+    "Mirror": "joints.mirror",
     "MissingDependencyError": "errors",
     "Skinning": "skinning",
     "SolverState": "search.state",
@@ -27,7 +27,7 @@ _HOME = {
     "Surface": "sequence",
     "WeldReport": "sequence",
     "decompose": "decomposition",
-    "find_mirror": "symmetry",
+    "find_mirror": "joints.mirror",
     "fit_bones": "fit.bones",
     "fit_rest_pose": "fit.rest_pose",
     "fit_weights": "fit.weights",
@@ -114,13 +114,13 @@ if TYPE_CHECKING:
     from .fit.rest_pose import fit_rest_pose
     from .fit.weights import fit_weights
     from .io import list_clips, load, load_skinning, save
+    from .joints.mirror import Mirror, find_mirror
     from .parallel import get_threads, set_threads
     from .result import Decomposition
     from .rigid import kabsch
     from .search.state import SolverState
     from .sequence import Material, MeshSequence, Surface, WeldReport
     from .skinning import Skinning, skin
-    from .symmetry import Mirror, find_mirror
 
 
 def __getattr__(name: str) -> Any:

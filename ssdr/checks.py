@@ -207,19 +207,19 @@ def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "ri
     return clean
 
 
-def check_weights(joints: Any, weights: Any, n_vertices: int) -> tuple[NDArray[np.int32], Array]:
+def check_weights(indices: Any, weights: Any, n_vertices: int) -> tuple[NDArray[np.int32], Array]:
     """Joints and weights (V, K): non-negative rows that sum to 1 within 1e-4."""
     w = _finite(weights, "weights", (n_vertices, "K"))
     try:
-        j = np.asarray(joints)
+        j = np.asarray(indices)
     except (TypeError, ValueError) as error:
-        raise InputError("joints", f"integers of shape {w.shape}", str(error)) from error
+        raise InputError("indices", f"integers of shape {w.shape}", str(error)) from error
     if j.shape != w.shape or j.dtype.kind not in "iu":
-        raise InputError("joints", f"integers of shape {w.shape}", f"{j.dtype} {j.shape}")
+        raise InputError("indices", f"integers of shape {w.shape}", f"{j.dtype} {j.shape}")
     if j.size and j.min() < 0:
-        raise InputError("joints", "indices >= 0", int(j.min()))
+        raise InputError("indices", "indices >= 0", int(j.min()))
     if j.size and j.max() > _LARGEST_INDEX:
-        raise InputError("joints", f"indices up to {_LARGEST_INDEX}", int(j.max()))
+        raise InputError("indices", f"indices up to {_LARGEST_INDEX}", int(j.max()))
     if (w < 0).any():
         raise InputError("weights", "numbers >= 0", float(w.min()))
     total = w.sum(axis=1)

@@ -9,21 +9,21 @@ from typing import Any
 
 import numpy as np
 
+from .drivers.in_memory import Outcome
+from .drivers.in_memory import solve as solve_in_memory
+from .drivers.problem import Measure, check_problem
+from .drivers.scan import needs_streaming
+from .drivers.schedule import Effort, HierarchyKind
+from .drivers.streamed import solve as solve_streamed
 from .errors import InputError, SsdrWarning
 from .parsimony.solve import SmallestModel
 from .parsimony.solve import solve as solve_within_tolerance
 from .result import Decomposition
-from .search.problem import Measure, check_problem
 from .search.progress import Callback
-from .search.schedule import Effort, HierarchyKind
-from .search.solve import Outcome
-from .search.solve import solve as solve_in_memory
 from .search.state import SolverState
 from .sequence import MeshSequence
 from .skinning import BoneModel, Skinning
 from .solver.warmup import compile_kernels
-from .streaming.scan import needs_streaming
-from .streaming.solve import solve as solve_streamed
 
 __all__ = ["decompose"]
 
@@ -48,7 +48,7 @@ def decompose(
     checkpoint: str | Path | None = None,
     rest: Any = None,
     rest_frame: int = 0,
-    joints: Any = None,
+    indices: Any = None,
     weights: Any = None,
     locked_vertices: Any = None,
     transforms: Any = None,
@@ -96,7 +96,7 @@ def decompose(
     skeleton : Skinning, optional
         A rig, such as :func:`load_skinning` reads, whose parents and names are kept
         while weights, rest pose, motion and places of the joints are fitted; with
-        `joints` and `weights` those are kept, with `rest` that and the joints.  If it
+        `indices` and `weights` those are kept, with `rest` that and the joints.  If it
         moves another mesh, its joints are taken to lie in the rest frame, and its weights
         say nothing.
     extra_bones : int or mapping
@@ -128,7 +128,7 @@ def decompose(
         A rest pose to keep.
     rest_frame : int
         Frame at which the rest pose starts, where it is not given.
-    joints, weights : (V, K) arrays, optional
+    indices, weights : (V, K) arrays, optional
         Weights to start from; kept at `locked_vertices`, everywhere by default.
     locked_vertices : mask or indices, optional
     transforms : (F, B0, 3, 4) array, optional
@@ -207,7 +207,7 @@ def decompose(
         checkpoint=checkpoint,
         rest=rest,
         rest_frame=rest_frame,
-        joints=joints,
+        indices=indices,
         weights=weights,
         locked_vertices=locked_vertices,
         transforms=transforms,

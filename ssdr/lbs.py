@@ -18,7 +18,7 @@ _VERTEX_CHUNK = 1024  # vertices in a task: fewer cost more calls, more balance 
 
 def skin(
     rest: ArrayLike,
-    joints: ArrayLike,
+    indices: ArrayLike,
     weights: ArrayLike,
     transforms: ArrayLike,
     *,
@@ -29,7 +29,7 @@ def skin(
     Parameters
     ----------
     rest : (V, 3) array
-    joints : (V, K) int array
+    indices : (V, K) int array
     weights : (V, K) array
     transforms : (F, B, 3, 4) or (B, 3, 4) array
     dtype : float32 or float64, optional
@@ -58,11 +58,11 @@ def skin(
     True
     """
     p, w, m = np.asarray(rest), np.asarray(weights), np.asarray(transforms)
-    j = np.asarray(joints)
+    j = np.asarray(indices)
     if p.ndim != 2 or p.shape[1] != 3:
         raise InputError("rest", "shape (V, 3)", f"shape {p.shape}")
     if j.ndim != 2 or len(j) != len(p) or j.shape[1] < 1 or j.dtype.kind not in "iu":
-        raise InputError("joints", f"integers of shape ({len(p)}, K)", f"{j.dtype} {j.shape}")
+        raise InputError("indices", f"integers of shape ({len(p)}, K)", f"{j.dtype} {j.shape}")
     if w.shape != j.shape:
         raise InputError("weights", f"shape {j.shape}", f"shape {w.shape}")
     single = m.ndim == 3
@@ -70,7 +70,7 @@ def skin(
         raise InputError("transforms", "shape (F, B, 3, 4) or (B, 3, 4)", f"shape {m.shape}")
     if j.size and (j.min() < 0 or j.max() >= m.shape[-3]):
         raise InputError(
-            "joints", f"indices from 0 to {m.shape[-3] - 1}", f"{j.min()} to {j.max()}"
+            "indices", f"indices from 0 to {m.shape[-3] - 1}", f"{j.min()} to {j.max()}"
         )
     for name, array in (("rest", p), ("weights", w), ("transforms", m)):
         if array.dtype.kind not in "fiu":

@@ -23,7 +23,7 @@ class Decomposition:
     Attributes
     ----------
     skinning : Skinning
-        Rest pose, joints, weights and transforms (frames of all shots in order).
+        Rest pose, indices, weights and transforms (frames of all shots in order).
     rmse : float
         sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units, measured by
         skinning the result and comparing it with the input.

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from .clips import Clip, check_clips, in_order, pick
 from .errors import InputError, check_choice, is_real, is_whole
-from .hierarchy import (
+from .hierarchy.transforms import (
     Freedom,
     check_parents,
     from_local,
@@ -37,7 +37,7 @@ class Skinning:
     ----------
     rest : (V, 3) float array
         Rest pose.
-    joints : (V, K) int array
+    indices : (V, K) int array
         Bones that move each vertex; padded with bone 0, weight 0.
     weights : (V, K) float array
         Non-negative, summing to 1 over K.
@@ -80,15 +80,15 @@ class Skinning:
 
     Examples
     --------
-    >>> rest, joints, weights = np.eye(3), np.zeros((3, 1), int), np.ones((3, 1))
+    >>> rest, indices, weights = np.eye(3), np.zeros((3, 1), int), np.ones((3, 1))
     >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 1, 3, 4))
-    >>> skinning = ssdr.Skinning(rest, joints, weights, transforms)
+    >>> skinning = ssdr.Skinning(rest, indices, weights, transforms)
     >>> skinning.n_frames, skinning.n_bones, skinning.skin().shape
     (5, 1, (5, 3, 3))
     """
 
     rest: Any
-    joints: Any
+    indices: Any
     weights: Any
     transforms: Any
     _: dataclasses.KW_ONLY
@@ -110,17 +110,17 @@ class Skinning:
         put = object.__setattr__
         rest = floats_of(self.rest, "rest", ("V", 3))
         n_vertices = len(rest)
-        joints = np.asarray(self.joints)
-        if joints.ndim != 2 or len(joints) != n_vertices or joints.shape[1] < 1:
-            raise InputError("joints", f"shape ({n_vertices}, K)", f"shape {joints.shape}")
-        if joints.dtype.kind not in "iu":
-            raise InputError("joints", "integers", f"dtype {joints.dtype}")
-        weights = floats_of(self.weights, "weights", joints.shape)
+        indices = np.asarray(self.indices)
+        if indices.ndim != 2 or len(indices) != n_vertices or indices.shape[1] < 1:
+            raise InputError("indices", f"shape ({n_vertices}, K)", f"shape {indices.shape}")
+        if indices.dtype.kind not in "iu":
+            raise InputError("indices", "integers", f"dtype {indices.dtype}")
+        weights = floats_of(self.weights, "weights", indices.shape)
         transforms = floats_of(self.transforms, "transforms", ("F", "B", 3, 4))
         n_bones = transforms.shape[1]
-        if joints.min() < 0 or joints.max() >= n_bones:
+        if indices.min() < 0 or indices.max() >= n_bones:
             raise InputError(
-                "joints", f"indices from 0 to {n_bones - 1}", f"{joints.min()} to {joints.max()}"
+                "indices", f"indices from 0 to {n_bones - 1}", f"{indices.min()} to {indices.max()}"
             )
         if weights.min() < 0:
             raise InputError("weights", "numbers >= 0", f"{weights.min()}")
@@ -161,7 +161,7 @@ class Skinning:
             positions = floats_of(self.joint_positions, "joint_positions", (n_bones, 3))
             put(self, "joint_positions", positions)
         put(self, "rest", rest)
-        put(self, "joints", np.ascontiguousarray(joints, dtype=np.int32))
+        put(self, "indices", np.ascontiguousarray(indices, dtype=np.int32))
         put(self, "weights", weights)
         put(self, "transforms", transforms)
         put(self, "faces", faces)
@@ -174,7 +174,7 @@ class Skinning:
 
     @property
     def n_influences(self) -> int:
-        return int(self.joints.shape[1])
+        return int(self.indices.shape[1])
 
     @property
     def n_frames(self) -> int:
@@ -212,11 +212,11 @@ class Skinning:
 
         Examples
         --------
-        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
         >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
         >>> arm = ssdr.Skinning(
         ...     rest,
-        ...     joints,
+        ...     indices,
         ...     weights,
         ...     transforms,
         ...     parents=[-1, 0],
@@ -240,11 +240,11 @@ class Skinning:
 
         Examples
         --------
-        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
         >>> apart = np.array(np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)))
         >>> apart[4, 1, :, 3] = [0, 0.5, 0]
         >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
-        >>> ssdr.Skinning(rest, joints, weights, apart, **tree).joint_gaps().max()
+        >>> ssdr.Skinning(rest, indices, weights, apart, **tree).joint_gaps().max()
         0.5
         """
         parents, positions = self._hierarchy("joint_gaps")
@@ -269,10 +269,10 @@ class Skinning:
 
         Examples
         --------
-        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
         >>> tree = {"parents": [-1, 0], "joint_positions": np.zeros((2, 3))}
         >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
-        >>> ssdr.Skinning(rest, joints, weights, still, **tree).joint_freedom()
+        >>> ssdr.Skinning(rest, indices, weights, still, **tree).joint_freedom()
         ('root', 'nothing')
         """
         parents, _ = self._hierarchy("joint_freedom")
@@ -305,10 +305,10 @@ class Skinning:
 
         Examples
         --------
-        >>> rest, joints, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
+        >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
         >>> arm = ssdr.Skinning(
         ...     rest,
-        ...     joints,
+        ...     indices,
         ...     weights,
         ...     np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)),
         ...     parents=[-1, 0],
@@ -339,7 +339,7 @@ class Skinning:
         chosen = self.transforms
         if frames is not None:
             chosen = chosen[frame_index(frames, self.n_frames)]
-        return skin(self.rest, self.joints, self.weights, chosen, dtype=dtype)
+        return skin(self.rest, self.indices, self.weights, chosen, dtype=dtype)
 
     def select(self, *clips: str | int) -> Skinning:
         """The model with the named clips alone, in that order.
@@ -351,10 +351,10 @@ class Skinning:
 
         Examples
         --------
-        >>> rest, joints, weights = np.eye(3), np.zeros((3, 1), int), np.ones((3, 1))
+        >>> rest, indices, weights = np.eye(3), np.zeros((3, 1), int), np.ones((3, 1))
         >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 1, 3, 4))
         >>> clips = ssdr.Clip("walk", 0, 3, 24), ssdr.Clip("jump", 3, 5, 60)
-        >>> skinning = ssdr.Skinning(rest, joints, weights, transforms, clips=clips)
+        >>> skinning = ssdr.Skinning(rest, indices, weights, transforms, clips=clips)
         >>> jump = skinning.select("jump")
         >>> jump.n_frames, jump.fps, jump.clips
         (2, 60.0, (Clip(name='jump', start=0, stop=2, fps=60.0),))
@@ -384,10 +384,10 @@ class Skinning:
 
     def sparse_weights(self) -> csr_array:
         """Weights as a sparse ``(V, B)`` matrix."""
-        n, k = self.joints.shape
+        n, k = self.indices.shape
         rows = np.repeat(np.arange(n), k)
         matrix = csr_array(
-            (self.weights.ravel(), (rows, self.joints.ravel())), shape=(n, self.n_bones)
+            (self.weights.ravel(), (rows, self.indices.ravel())), shape=(n, self.n_bones)
         )
         matrix.eliminate_zeros()
         return matrix
@@ -422,13 +422,13 @@ class Skinning:
         k = min(int(influences), self.n_influences)
         order = np.argsort(-self.weights, axis=1, kind="stable")[:, :k]
         weights = np.take_along_axis(self.weights, order, axis=1).astype(np.float64)
-        joints = np.take_along_axis(self.joints, order, axis=1)
+        indices = np.take_along_axis(self.indices, order, axis=1)
         drop = weights < minimum
         drop[:, 0] = False
         weights[drop] = 0.0
         weights /= weights.sum(axis=1, keepdims=True)
         return dataclasses.replace(
             self,
-            joints=np.where(weights > 0, joints, 0).astype(np.int32),
+            indices=np.where(weights > 0, indices, 0).astype(np.int32),
             weights=weights.astype(self.weights.dtype),
         )

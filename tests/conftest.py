@@ -99,8 +99,8 @@ def skinned(wave: ssdr.MeshSequence, rng: np.random.Generator) -> ssdr.Skinning:
     weights /= weights.sum(axis=1, keepdims=True)
     order = np.argsort(-weights, axis=1)
     weights = np.take_along_axis(weights, order, axis=1)
-    joints = np.argsort(rng.random((12, 4)), axis=1)[:, :3]  # bone 4 moves nothing
-    joints[weights == 0] = 0
+    indices = np.argsort(rng.random((12, 4)), axis=1)[:, :3]  # bone 4 moves nothing
+    indices[weights == 0] = 0
     angle = rng.normal(0, 0.3, (6, 5))
     transforms = np.zeros((6, 5, 3, 4))
     transforms[..., 2, 2] = 1
@@ -109,5 +109,5 @@ def skinned(wave: ssdr.MeshSequence, rng: np.random.Generator) -> ssdr.Skinning:
     transforms[..., 0, 1] = -np.sin(angle)
     transforms[..., 3] = rng.normal(0, 0.2, (6, 5, 3))
     return ssdr.Skinning(
-        wave.vertices[0], joints, weights, transforms, faces=wave.faces, fps=30.0, name="arm"
+        wave.vertices[0], indices, weights, transforms, faces=wave.faces, fps=30.0, name="arm"
     )

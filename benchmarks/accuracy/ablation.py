@@ -46,7 +46,8 @@ from benchmarks.common import (
     write_json,
 )
 from helpers.motions import chain, cloth, wings, wobble
-from ssdr.search import schedule, stages
+from ssdr.drivers import schedule
+from ssdr.search import stages
 from ssdr.solver.warmup import compile_kernels
 
 

@@ -47,7 +47,7 @@ def main() -> None:
     motion = ssdr.decompose(
         unseen,
         skeleton=rig,
-        joints=rig.joints,
+        indices=rig.indices,
         weights=rig.weights,
         rest=rig.rest,
         influences=rig.n_influences,

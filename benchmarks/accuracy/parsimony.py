@@ -69,14 +69,14 @@ def overlapping(bones: int = 6, vertices: int = 300, frames: int = 24, seed: int
     """Exact skinning: unrelated bones, three random influences a vertex."""
     rng = np.random.default_rng(seed)
     rest = rng.uniform(-1, 1, (vertices, 3))
-    joints = np.argsort(rng.random((vertices, bones)), axis=1)[:, :3]
+    indices = np.argsort(rng.random((vertices, bones)), axis=1)[:, :3]
     weights = rng.dirichlet([1.0, 1.0, 1.0], vertices)
     transforms = np.empty((frames, bones, 3, 4))
     for t in range(frames):
         for b in range(bones):
             transforms[t, b, :, :3] = _turn(0.7 * rng.standard_normal(3))
             transforms[t, b, :, 3] = 0.5 * rng.standard_normal(3)
-    return reskin(rest, joints, weights, transforms)
+    return reskin(rest, indices, weights, transforms)
 
 
 def noisy(amount: float = 0.01) -> np.ndarray:
@@ -118,7 +118,7 @@ SCENES: dict[str, tuple[Callable[[], np.ndarray], str, int | None]] = {
 
 
 def rmse_of(frames: np.ndarray, model: Any) -> float:
-    gone = reskin(model.rest, model.joints, model.weights, model.transforms) - frames
+    gone = reskin(model.rest, model.indices, model.weights, model.transforms) - frames
     return float(np.sqrt((gone**2).sum() / (gone.shape[0] * gone.shape[1])))
 
 

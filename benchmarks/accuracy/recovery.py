@@ -48,8 +48,8 @@ def chain(bones: int = 6, frames: int = 60, seed: int = 7) -> np.ndarray:
     x, a = (m.ravel() for m in np.meshgrid(along, angle, indexing="ij"))
     rest = np.stack([x, 0.35 * np.cos(a), 0.25 * np.sin(a)], axis=1)
     dense = np.exp(-(((x[:, None] - np.arange(bones) - 0.5) / 0.8) ** 2))
-    joints = np.argsort(-dense, axis=1, kind="stable")[:, :INFLUENCES]
-    weights = np.take_along_axis(dense, joints, axis=1)
+    indices = np.argsort(-dense, axis=1, kind="stable")[:, :INFLUENCES]
+    weights = np.take_along_axis(dense, indices, axis=1)
     weights[weights < 0.01] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
     time = np.arange(frames) / 24.0
@@ -65,7 +65,7 @@ def chain(bones: int = 6, frames: int = 60, seed: int = 7) -> np.ndarray:
             local[:3, 3] = pivot - local[:3, :3] @ pivot
             world = world @ local
             transforms[t, j] = world[:3]
-    return reskin(rest, joints, weights, transforms)
+    return reskin(rest, indices, weights, transforms)
 
 
 def _euler(angles: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ def _euler(angles: np.ndarray) -> np.ndarray:
 
 
 def distances(frames: np.ndarray, model: Any) -> np.ndarray:
-    again = reskin(model.rest, model.joints, model.weights, model.transforms)
+    again = reskin(model.rest, model.indices, model.weights, model.transforms)
     return np.linalg.norm(np.asarray(frames, dtype=np.float64) - again, axis=-1)
 
 

@@ -70,7 +70,7 @@ def known(name: str) -> Truth:
     else:
         skinning = random_tree(*RANDOM[name])
     weights = np.asarray(skinning.dense_weights(), dtype=np.float64)
-    frames = reskin(skinning.rest, skinning.joints, skinning.weights, skinning.transforms)
+    frames = reskin(skinning.rest, skinning.indices, skinning.weights, skinning.transforms)
     # vertices at seams are one vertex: they move alike in every frame
     size = 1e-6 * np.ptp(frames)
     way = np.round(frames.transpose(1, 0, 2).reshape(frames.shape[1], -1) / size)
@@ -126,15 +126,17 @@ def random_tree(bones: int, seed: int, frames: int = 120) -> ssdr.Skinning:
         if b:
             near[b, parents[b]] = near[parents[b], b] = True
     dense = np.where(near[own], np.exp(-((away / 0.25) ** 2)), 0.0)
-    joints = np.argsort(-dense, axis=1, kind="stable")[:, :INFLUENCES]
-    weights = np.take_along_axis(dense, joints, axis=1)
+    indices = np.argsort(-dense, axis=1, kind="stable")[:, :INFLUENCES]
+    weights = np.take_along_axis(dense, indices, axis=1)
     weights[weights < 0.02 * weights[:, :1]] = 0.0
     weights /= weights.sum(axis=1, keepdims=True)
     clock = np.linspace(0, 4 * np.pi, frames)[:, None, None]
     pace, phase = rng.uniform(0.5, 2.5, (bones, 3)), rng.uniform(0, 6, (bones, 3))
     turns = 0.6 * np.sin(pace * clock + phase) * rng.uniform(0.2, 1, (bones, 3))
     still = np.broadcast_to(np.eye(3, 4), (1, bones, 3, 4))
-    model = ssdr.Skinning(vertices, joints, weights, still, parents=parents, joint_positions=points)
+    model = ssdr.Skinning(
+        vertices, indices, weights, still, parents=parents, joint_positions=points
+    )
     local = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(frames, bones, 3, 3)
     return model.pose(local, 0.5 * np.sin(0.5 * clock + phase[0]))
 
@@ -236,7 +238,7 @@ def exact(name: str, effort: Any, seed: int) -> dict[str, Any]:
         rng=seed,
     )
     found = result.skinning
-    again = reskin(found.rest, found.joints, found.weights, found.transforms)
+    again = reskin(found.rest, found.indices, found.weights, found.transforms)
     rmse = float(np.sqrt(((again - truth.frames) ** 2).sum(axis=-1).mean()))
     return {
         "bones": bones,
@@ -276,7 +278,7 @@ def real(name: str, effort: Any, seed: int) -> dict[str, Any]:
 
 
 def _e(frames: np.ndarray, model: ssdr.Skinning) -> float:
-    return error_e(frames, reskin(model.rest, model.joints, model.weights, model.transforms))
+    return error_e(frames, reskin(model.rest, model.indices, model.weights, model.transforms))
 
 
 # --- the rest ------------------------------------------------------------------------------------
@@ -291,7 +293,7 @@ def held_out(name: str, effort: Any, seed: int) -> dict[str, Any]:
     other = ssdr.decompose(
         frames[1::2],
         skeleton=rig,
-        joints=rig.joints,
+        indices=rig.indices,
         weights=rig.weights,
         rest=rig.rest,
         effort="best",
@@ -321,7 +323,7 @@ def seeds(name: str, effort: Any, seed: int) -> dict[str, Any]:
     back = np.argsort(order)
     models.append(
         dataclasses.replace(
-            mixed, rest=mixed.rest[back], joints=mixed.joints[back], weights=mixed.weights[back]
+            mixed, rest=mixed.rest[back], indices=mixed.indices[back], weights=mixed.weights[back]
         )
     )
     first = models[0]
@@ -346,7 +348,7 @@ def given_exact(name: str, effort: Any, seed: int) -> dict[str, Any]:
     truth = known(name)
     model = truth.skinning
     # parents, joints and names alone, as of a rig of another mesh
-    parts = {part: getattr(model, part)[:-1] for part in ("rest", "joints", "weights")}
+    parts = {part: getattr(model, part)[:-1] for part in ("rest", "indices", "weights")}
     alone = dataclasses.replace(model, **parts, faces=None, surface=None, vertex_map=None)
     first = model.transforms[0]
     posed = np.einsum("bij,bj->bi", first[..., :3], model.joint_positions) + first[..., 3]

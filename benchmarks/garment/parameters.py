@@ -139,7 +139,7 @@ def pictures(
     rig = body.skinning
     from ssdr.skinning import skin
 
-    skins = np.asarray(skin(rig.rest, rig.joints, rig.weights, motion.joints), np.float32)
+    skins = np.asarray(skin(rig.rest, rig.indices, rig.weights, motion.joints), np.float32)
     root = body.skeleton.positions(motion.joints)[:, 0]
     size = 300
     parts = outfit_parts(rig.n_vertices, len(garment.rest))

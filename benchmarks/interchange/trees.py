@@ -30,7 +30,7 @@ from benchmarks.interchange.browser import install, played
 from helpers.rig_model import baked_by_usd
 from helpers.rig_tree import creature, tree_of
 from ssdr.errors import MissingDependencyError
-from ssdr.hierarchy import to_local
+from ssdr.hierarchy.transforms import to_local
 from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge, command
 from ssdr.io.rig import unique_names

@@ -37,18 +37,18 @@ def stored_weights(weights: np.ndarray, bits: int) -> np.ndarray:
     return (whole + (rank < missing[:, None])) / top
 
 
-def dense(joints: np.ndarray, weights: np.ndarray, bones: int) -> np.ndarray:
+def dense(indices: np.ndarray, weights: np.ndarray, bones: int) -> np.ndarray:
     """Weights (V, B)."""
-    out = np.zeros((len(joints), bones))
-    np.add.at(out, (np.arange(len(joints))[:, None], joints), weights)
+    out = np.zeros((len(indices), bones))
+    np.add.at(out, (np.arange(len(indices))[:, None], indices), weights)
     return out
 
 
 def sparse(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Joints and weights (V, K), largest first, of dense weights (V, B); K as large as needed."""
     k = max(1, int((weights > 0).sum(axis=1).max()))
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :k]
-    return joints, np.take_along_axis(weights, joints, axis=1)
+    indices = np.argsort(-weights, axis=1, kind="stable")[:, :k]
+    return indices, np.take_along_axis(weights, indices, axis=1)
 
 
 def skinned_e(
@@ -70,7 +70,7 @@ def skinned_e(
 def stored(
     frames: np.ndarray,
     rest: np.ndarray,
-    joints: np.ndarray,
+    indices: np.ndarray,
     weights: np.ndarray,
     transforms: np.ndarray,
     bone_model: str = "rigid",
@@ -79,7 +79,7 @@ def stored(
     n_frames, bones = transforms.shape[:2]
     out: dict[str, Any] = {}
     for bits in (8, 16):
-        w = dense(joints, stored_weights(weights, bits), bones)
+        w = dense(indices, stored_weights(weights, bits), bones)
         used = int(np.count_nonzero(w))
         out[f"bytes{bits}"] = model_bytes(len(rest), n_frames, bones, used, bits, bone_model)
         out[f"E{bits}"] = skinned_e(frames, rest, w, transforms)

@@ -145,9 +145,9 @@ def run_dem_bones(
     }
     if best[1] is not None:
         weights, m = best[1]
-        joints, w = sparse(weights)
-        out |= {"E": best[0], "stated E": None, **stored(frames, rest, joints, w, m)}
-        out["influences found"] = joints.shape[1]
+        indices, w = sparse(weights)
+        out |= {"E": best[0], "stated E": None, **stored(frames, rest, indices, w, m)}
+        out["influences found"] = indices.shape[1]
         out["rows sum to"] = [float(weights.sum(axis=1).min()), float(weights.sum(axis=1).max())]
     return out
 
@@ -176,9 +176,9 @@ def run_2012(
     def note(iteration: int) -> None:
         nonlocal best
         p, m = data.to_world(model.rest, model.transforms)
-        e = skinned_e(frames, p, dense(model.joints, model.weights, bones), m)
+        e = skinned_e(frames, p, dense(model.indices, model.weights, bones), m)
         if e < best[0]:
-            best = e, (p, model.joints.copy(), model.weights.copy(), m)
+            best = e, (p, model.indices.copy(), model.weights.copy(), m)
         curve.append((iteration, pace.wall, pace.cpu, e))
 
     pace.begin()
@@ -194,14 +194,14 @@ def run_2012(
         vertex_step(data, model, fixed=fixed)
         pace.end()
         note(k + 1)
-    p, joints, weights, m = best[1]
+    p, indices, weights, m = best[1]
     return {
         "curve": curve,
         "bones found": m.shape[1],
         "total wall": pace.wall,
         "total cpu": pace.cpu,
         "E": best[0],
-        **stored(frames, p, joints, weights, m),
+        **stored(frames, p, indices, weights, m),
     }
 
 
@@ -258,7 +258,7 @@ def run_ssdr(
     wrong = defects(model, job["bones"], job["influences"])
     e = e_of(frames, model)
     again = skinned_e(
-        frames, model.rest, dense(model.joints, model.weights, job["bones"]), model.transforms
+        frames, model.rest, dense(model.indices, model.weights, job["bones"]), model.transforms
     )
     if abs(e - again) > 1e-7 * e + 1e-9:
         wrong.append(f"two ways of skinning differ: {e}, {again}")
@@ -272,7 +272,7 @@ def run_ssdr(
         "defects": wrong,
         "stopped": result.stop_reason,
         **stored(
-            frames, model.rest, model.joints, model.weights, model.transforms, model.bone_model
+            frames, model.rest, model.indices, model.weights, model.transforms, model.bone_model
         ),
     }
     if job.get("stops"):
@@ -323,8 +323,8 @@ def run_smooth(
         fitted, faces, bones=job["bones"], influences=job["influences"], smoothness=length
     ).skinning
     pace.end()
-    carried = ssdr.fit_bones(kept, rest=model.rest, joints=model.joints, weights=model.weights)
-    weights = dense(model.joints, model.weights, job["bones"])
+    carried = ssdr.fit_bones(kept, rest=model.rest, indices=model.indices, weights=model.weights)
+    weights = dense(model.indices, model.weights, job["bones"])
     edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     jump = 0.5 * np.abs(weights[edges[:, 0]] - weights[edges[:, 1]]).sum(axis=1).mean()
     return {
@@ -346,14 +346,14 @@ def run_published(
     with np.load(file, allow_pickle=False) as z:
         rest, weights, transforms = z["rest"], z["weights"], z["transforms"]
     pace.begin()
-    joints, w = sparse(weights)
+    indices, w = sparse(weights)
     e = skinned_e(frames, rest, weights, transforms)
     return {
         "curve": [],
         "bones found": transforms.shape[1],
         "E": e,
-        "influences found": joints.shape[1],
-        **stored(frames, rest, joints, w, transforms),
+        "influences found": indices.shape[1],
+        **stored(frames, rest, indices, w, transforms),
     }
 
 

@@ -72,7 +72,7 @@ def samples(folder: Path) -> dict[str, Sample]:
     sequence = ssdr.MeshSequence(rig.frames.astype(np.float32), rig.faces, 25.0, surface=surface)
     bare = ssdr.MeshSequence(sequence.vertices, rig.faces, 25.0)
     skinning = ssdr.Skinning(
-        rig.rest, rig.joints, rig.weights, rig.transforms, faces=rig.faces, surface=surface
+        rig.rest, rig.indices, rig.weights, rig.transforms, faces=rig.faces, surface=surface
     )
     found: dict[str, Sample] = {}
 

@@ -42,7 +42,7 @@ def calls() -> Iterator[tuple[str, Callable[[], Any]]]:
     faces = np.array([[0, 1, 2], [3, 4, 5], [6, 7, 8]])
     sequence = ssdr.MeshSequence(frames, faces)
     model = ssdr.initialize(sequence, bones=2)
-    parts = {name: getattr(model, name) for name in ("rest", "joints", "weights", "transforms")}
+    parts = {name: getattr(model, name) for name in ("rest", "indices", "weights", "transforms")}
     valid: dict[str, Any] = parts | {
         "sequence": sequence, "reference": frames, "other": frames + 0.1, "vertices": frames[0],
         "faces": faces, "n_vertices": 9, "length": 0.1, "values": frames, "bones": 2,

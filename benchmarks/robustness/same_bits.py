@@ -147,7 +147,7 @@ def digested(value: Any) -> dict[str, Any]:
                 (p.error, p.held, p.bones, p.least_bones, p.size.total, len(p.attempts))
             ).encode()
         return arrays | {"rmse": value.rmse}
-    fields = ("rest", "joints", "weights", "transforms", "keyframes", "bones", "bytes", "error")
+    fields = ("rest", "indices", "weights", "transforms", "keyframes", "bones", "bytes", "error")
     arrays = {}
     for name in (*fields, "squared_error"):
         part = getattr(value, name, None)
@@ -245,10 +245,10 @@ def calls() -> dict[str, Callable[[], Any]]:
     )
     for model in ("rigid", "similarity", "affine"):
         table[f"fit_bones {model}"] = lambda model=model: ssdr.fit_bones(
-            beam, rest=start.rest, joints=start.joints, weights=start.weights, bone_model=model
+            beam, rest=start.rest, indices=start.indices, weights=start.weights, bone_model=model
         )
     table["fit_rest_pose"] = lambda: ssdr.fit_rest_pose(
-        beam, joints=start.joints, weights=start.weights, transforms=start.transforms
+        beam, indices=start.indices, weights=start.weights, transforms=start.transforms
     )
     return table
 
@@ -258,7 +258,7 @@ def given_parts(beam: np.ndarray) -> dict[str, dict[str, Any]]:
 
     s = ssdr.initialize(beam, bones=4)
     half = np.arange(beam.shape[1]) % 2 == 0
-    skin = {"joints": s.joints, "weights": s.weights}
+    skin = {"indices": s.indices, "weights": s.weights}
     return {
         "weights given": skin,
         "weights locked in part": skin | {"locked_vertices": half},
@@ -291,7 +291,7 @@ def streamed(call: Callable[[], Any]) -> Callable[[], Any]:
     """The same call as if the frames did not fit into memory."""
     import importlib
 
-    homes = ("ssdr.streaming.scan", "ssdr.streaming")
+    homes = ("ssdr.drivers.scan", "ssdr.streaming")
     small = {"_IN_MEMORY": 1000, "_SUBSET": 60_000, "_FEWEST": 20, "_SETTLED": 400_000}
 
     def inner() -> Any:

@@ -85,7 +85,7 @@ def solve(problem: dict[str, Any], folder: Path) -> tuple[ssdr.Decomposition, li
 
 def _bits(result: ssdr.Decomposition) -> list[bytes]:
     s = result.skinning
-    return [a.tobytes() for a in (s.rest, s.joints, s.weights, s.transforms)]
+    return [a.tobytes() for a in (s.rest, s.indices, s.weights, s.transforms)]
 
 
 def faults(result: ssdr.Decomposition, problem: dict[str, Any], ended: bool = True) -> list[str]:
@@ -100,9 +100,9 @@ def faults(result: ssdr.Decomposition, problem: dict[str, Any], ended: bool = Tr
         wrong.append(f"{bones} bones, at most {options['bones']} were asked for")
     if s.transforms.shape[0] != f or s.rest.shape != (v, 3) or len(s.weights) != v:
         return [*wrong, "wrong shapes"]
-    if s.joints.min() < 0 or s.joints.max() >= bones:
+    if s.indices.min() < 0 or s.indices.max() >= bones:
         return [*wrong, "joints out of range"]
-    difference = reskin(s.rest, s.joints, s.weights, s.transforms) - frames
+    difference = reskin(s.rest, s.indices, s.weights, s.transforms) - frames
     squared = (difference**2).sum(axis=-1)
     rmse = float(np.sqrt(squared.mean()))
     # what rounding may do depends on everything that is added up
@@ -134,8 +134,8 @@ def faults(result: ssdr.Decomposition, problem: dict[str, Any], ended: bool = Tr
     if "weights" in options:
         kept = options.get("locked_vertices", np.ones(v, dtype=bool))
         a, b = np.zeros((2, v, bones))
-        np.add.at(a, (np.arange(v)[:, None], s.joints), s.weights)
-        np.add.at(b, (np.arange(v)[:, None], options["joints"]), options["weights"])
+        np.add.at(a, (np.arange(v)[:, None], s.indices), s.weights)
+        np.add.at(b, (np.arange(v)[:, None], options["indices"]), options["weights"])
         if kept.any() and np.abs(a - b)[kept].max() > 1e-9:
             wrong.append("locked weights changed")
     return wrong

@@ -71,8 +71,8 @@ def draw_motion(rng: np.random.Generator, rest: np.ndarray, f: int) -> tuple[np.
         return np.repeat(rest[None], f, axis=0), motion
     b = 1 if motion == "one body" else int(rng.integers(1, 9))
     moves = motions.motions(rng, f, b, turn=float(rng.choice([1e-4, 0.3, 1.0, 3.0])))
-    joints, weights = motions.weights_of(rng, v, b, 1 if motion == "bodies" else 4)
-    frames = motions.blend(rest, joints, weights, moves)
+    indices, weights = motions.weights_of(rng, v, b, 1 if motion == "bodies" else 4)
+    frames = motions.blend(rest, indices, weights, moves)
     if motion == "waves":
         t = np.arange(f)[:, None, None]
         frames = rest + np.sin(0.5 * t + rest @ rng.standard_normal((3, 3)))
@@ -172,8 +172,8 @@ def draw_options(
             out["effort"] = "fast"
         return out
     if rng.random() < 0.1:
-        joints, weights = motions.weights_of(rng, v, bones, min(out["influences"], 4))
-        out["joints"], out["weights"] = joints, weights
+        indices, weights = motions.weights_of(rng, v, bones, min(out["influences"], 4))
+        out["indices"], out["weights"] = indices, weights
         if rng.random() < 0.5:
             out["locked_vertices"] = rng.random(v) < 0.4
     if rng.random() < 0.1:

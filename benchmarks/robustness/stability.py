@@ -105,8 +105,8 @@ def dem_bones(name: str, setting: str, checked: bool, before: bool) -> dict[str,
         return out | {"not finite": True}
     if weights.shape != (len(rest), solver.nB) or not solver.nB:
         return out | {"error": None}
-    joints = np.broadcast_to(np.arange(solver.nB), weights.shape)
-    gap = motions.blend(rest, joints, weights, m) - frames
+    indices = np.broadcast_to(np.arange(solver.nB), weights.shape)
+    gap = motions.blend(rest, indices, weights, m) - frames
     with np.errstate(over="ignore"):
         figure = float(np.sqrt((gap**2).sum(axis=-1).mean())) / problem.size
     out["mirrored"] = bool(np.linalg.det(m[..., :3]).min() < 0)
@@ -298,8 +298,8 @@ def collapse(path: Path, bones: int = 12, at: int = 12) -> None:
     faces = np.arange(soup.shape[1]).reshape(-1, 3)
     theirs = solve_skinning(soup[0], soup, bones, faces=faces, iterations=ITERATIONS)
     weights = theirs.weights.T
-    joints = np.broadcast_to(np.arange(weights.shape[1]), weights.shape)
-    bent = motions.blend(soup[0], joints, weights, theirs.transforms[:, :, :3])
+    indices = np.broadcast_to(np.arange(weights.shape[1]), weights.shape)
+    bent = motions.blend(soup[0], indices, weights, theirs.transforms[:, :, :3])
     ours = ssdr.decompose(soup, faces, bones=bones)
     size = diagonal(soup)
 

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import ssdr
 from benchmarks import common
-from ssdr.streaming.state import StreamedState
+from ssdr.drivers.streamed_state import StreamedState
 
 VERTICES, FRAMES, BONES, INFLUENCES = 12_273, 40_000, 80, 8
 COLUMNS, RINGS, REACH, SWING = 16, 5, 0.18, 0.08
@@ -71,7 +71,7 @@ class Source:
         middle = _tube(around[:, None], level - 1.0 / RINGS).reshape(self.bones, 3)
         distance, near = cKDTree(middle).query(self.rest, k=influences)
         weights = np.exp(-((distance / REACH) ** 2)) + 1e-9
-        self.weights, self.joints = weights / weights.sum(1, keepdims=True), near.astype(np.int32)
+        self.weights, self.indices = weights / weights.sum(1, keepdims=True), near.astype(np.int32)
         # Swing out, swing sideways and twist of every joint: a slow field around the skirt, and
         # each bone's own; nine sines of incommensurate rates.
         self.rates = 2 * np.pi * rng.uniform(0.05, 1.6, 9) / 30
@@ -116,7 +116,7 @@ class Source:
     def block(self, first: int, count: int) -> tuple[np.ndarray, float]:
         """Frames as float32 ``(F, V, 3)`` and their squared distance to their own LBS."""
         frames = np.arange(first, first + count)
-        exact = ssdr.skin(self.rest, self.joints, self.weights, self.transforms(frames))
+        exact = ssdr.skin(self.rest, self.indices, self.weights, self.transforms(frames))
         out = np.empty((count, self.vertices, 3), np.float32)
         square, turned = 0.0, frames[:, None] * self.speed
         # cos(x - st), taken apart: one product for all frames.
@@ -172,7 +172,7 @@ def true_error(vertices: Any, model: Any, frames: np.ndarray) -> float:
     """RMSE of a model on the named frames by plain NumPy."""
     square = 0.0
     for t in frames:
-        again = common.reskin(model.rest, model.joints, model.weights, model.transforms[t : t + 1])
+        again = common.reskin(model.rest, model.indices, model.weights, model.transforms[t : t + 1])
         square += float(((again[0] - vertices[t]) ** 2).sum())
     return float(np.sqrt(square / (len(frames) * len(model.rest))))
 
@@ -264,8 +264,8 @@ def one(path: Path, source: Source, frames: int, effort: str, resume: bool) -> t
 
 def beside(path: Path, source: Source, streamed: Any, count: int, effort: str) -> dict[str, Any]:
     """A streamed model against one solved in memory, uncompressed, on evenly spread frames."""
+    from ssdr.drivers import scan
     from ssdr.solver import trajectories
-    from ssdr.streaming import scan
 
     frames = len(streamed.skinning.transforms)
     vertices = np.load(path, mmap_mode="r")

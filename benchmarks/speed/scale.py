@@ -98,7 +98,7 @@ def many_clips(folder: Path, effort: str, resume: bool) -> dict[str, Any]:
     model, squared = result.skinning, 0.0
     for k in range(0, CLIPS, 25):  # every 25th clip, by plain NumPy
         span = slice(result.offsets[k], result.offsets[k + 1])
-        again = common.reskin(model.rest, model.joints, model.weights, model.transforms[span])
+        again = common.reskin(model.rest, model.indices, model.weights, model.transforms[span])
         squared += float(((again - np.load(clips / f"{k:04d}.npy")) ** 2).sum())
     count = sum(int(b - a) for a, b in spans[::25]) * CLIP_VERTICES
     return {

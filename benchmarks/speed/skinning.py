@@ -78,33 +78,33 @@ def with_torch() -> Any:
 def measure(n_frames: int, c_loop: ctypes.CDLL | None) -> list[dict[str, float | int | str]]:
     rng = np.random.default_rng(0)
     rest = rng.normal(size=(V, 3)).astype(np.float32)
-    joints = rng.integers(0, B, (V, K)).astype(np.int32)
+    indices = rng.integers(0, B, (V, K)).astype(np.int32)
     weights = rng.dirichlet(np.ones(K), V).astype(np.float32)
     transforms = rng.normal(size=(n_frames, B, 3, 4)).astype(np.float32)
     probe = slice(0, 1)
-    truth = ssdr.skin(rest, joints, weights, transforms[probe], dtype=np.float64)
+    truth = ssdr.skin(rest, indices, weights, transforms[probe], dtype=np.float64)
     homogeneous = np.c_[rest, np.ones(V, dtype=np.float32)]
     buffer = np.empty((n_frames, V, 3), dtype=np.float32)
 
     def with_c() -> np.ndarray:
         pointers = [
-            a.ctypes.data_as(ctypes.c_void_p) for a in (rest, joints, weights, transforms, buffer)
+            a.ctypes.data_as(ctypes.c_void_p) for a in (rest, indices, weights, transforms, buffer)
         ]
         c_loop.skin(*pointers, *(ctypes.c_long(n) for n in (n_frames, V, B, K)))
         return buffer
 
     def with_ssdr(threads: int) -> np.ndarray:
         ssdr.set_threads(threads)
-        return ssdr.skin(rest, joints, weights, transforms)
+        return ssdr.skin(rest, indices, weights, transforms)
 
     def with_einsum() -> np.ndarray:
         for t in range(n_frames):
-            blend = np.einsum("vk,vkxy->vxy", weights, transforms[t][joints])
+            blend = np.einsum("vk,vkxy->vxy", weights, transforms[t][indices])
             buffer[t] = np.einsum("vxy,vy->vx", blend, homogeneous)
         return buffer
 
     rows = np.repeat(np.arange(V), 4 * K)
-    columns = (4 * joints[:, :, None] + np.arange(4)).ravel()
+    columns = (4 * indices[:, :, None] + np.arange(4)).ravel()
     values = (weights[:, :, None] * homogeneous[:, None, :]).ravel()
     basis = csr_array((values, (rows, columns)), shape=(V, 4 * B))
 
@@ -123,7 +123,7 @@ def measure(n_frames: int, c_loop: ctypes.CDLL | None) -> list[dict[str, float |
         "SciPy sparse (product alone)": with_sparse,
     }
     if (torch := with_torch()) is not None:
-        place = [torch.from_numpy(a) for a in (joints.astype(np.int64), weights, homogeneous)]
+        place = [torch.from_numpy(a) for a in (indices.astype(np.int64), weights, homogeneous)]
 
         def blended() -> np.ndarray:
             j, w, p = place

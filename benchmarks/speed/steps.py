@@ -145,7 +145,7 @@ def prepare_paper() -> tuple[Trajectories, Model]:
     del frames
     rest, bones = data.from_world(source.rest, source.transforms(np.arange(PAPER_FRAMES)))
     assert bones is not None
-    largest = source.joints[np.arange(len(rest)), source.weights.argmax(axis=1)]
+    largest = source.indices[np.arange(len(rest)), source.weights.argmax(axis=1)]
     model = Model.start(bones, rest, largest.astype(np.intp), paper_size.INFLUENCES)
     for _ in range(2):
         alternation.vertex_step(data, model)
@@ -163,7 +163,7 @@ def bounds(
     for q in range(model.n_influences):
         for s in range(model.n_influences):
             both = (model.weights[:, q] > 0) & (model.weights[:, s] > 0)
-            shared[model.joints[both, q], model.joints[both, s]] = True
+            shared[model.indices[both, q], model.indices[both, s]] = True
     np.fill_diagonal(shared, False)
     z, y, per_frame = 8.0 * v * r, 8.0 * v * 4 * b, 8.0 * 12 * f * b
     support = float(model.count.sum())

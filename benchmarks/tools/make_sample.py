@@ -235,7 +235,7 @@ class Body:
         self.labels: list[str] = list(model.bone_labels)
         self.faces: NDArray[np.int64] = model.faces.numpy()
         self.weights: Array = model.vertex_bone_weights.numpy()
-        self.joints: NDArray[np.int64] = model.vertex_bone_indices.numpy()
+        self.indices: NDArray[np.int64] = model.vertex_bone_indices.numpy()
         self.floor = float(self.vertices[:, 2].min())
 
     def index(self, name: str) -> int:
@@ -430,7 +430,7 @@ def motion(body: Body) -> Array:
 
 
 def dual_quaternion_skin(
-    rest: Array, joints: NDArray[np.int64], weights: Array, transforms: Array
+    rest: Array, indices: NDArray[np.int64], weights: Array, transforms: Array
 ) -> Array:
     """Positions (F, V, 3) by dual quaternion blending."""
     heaviest = weights.argmax(axis=1)
@@ -444,7 +444,7 @@ def dual_quaternion_skin(
                 -(t * real[:, :3]).sum(axis=1),
             ]
         )
-        q, d = real[joints], dual[joints]
+        q, d = real[indices], dual[indices]
         pivot = q[np.arange(len(rest)), heaviest]
         w = weights * np.where((q * pivot[:, None]).sum(axis=2) < 0, -1.0, 1.0)
         q, d = (w[..., None] * q).sum(axis=1), (w[..., None] * d).sum(axis=1)
@@ -515,7 +515,7 @@ def main() -> None:
     for name, vertices, stride in (("dancer", 4200, 1), ("dancer_small", 620, 3)):
         keep, faces = thin_out(body, vertices)
         moved = dual_quaternion_skin(
-            body.vertices[keep], body.joints[keep], body.weights[keep], transforms[::stride]
+            body.vertices[keep], body.indices[keep], body.weights[keep], transforms[::stride]
         )
         # glTF's axes: y up, the dancer looks along +z; the floor is y = 0.
         moved = np.stack([moved[..., 0], moved[..., 2] - body.floor, -moved[..., 1]], axis=-1)

@@ -241,7 +241,7 @@ class PushOut:
 
     def _posed(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
         b = self.body
-        return np.asarray(skin(b.rest, b.joints, b.weights, joints, dtype=np.float64))
+        return np.asarray(skin(b.rest, b.indices, b.weights, joints, dtype=np.float64))
 
     def _scene(self, body: NDArray[np.float64]) -> tuple[Any, ...]:
         """The posed body as the kernels need it."""

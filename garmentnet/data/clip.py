@@ -113,7 +113,7 @@ class Clip:
     def body(self, frames: Any = slice(None)) -> NDArray[np.float32]:
         """Body vertices ``(f, V, 3)`` in the named frames."""
         rig = self.outfit.body
-        return np.asarray(skin(rig.rest, rig.joints, rig.weights, self.joints[frames]))
+        return np.asarray(skin(rig.rest, rig.indices, rig.weights, self.joints[frames]))
 
     def mirrored(self) -> Clip:
         """The clip reflected in x; of a mirrored clip, the clip itself.

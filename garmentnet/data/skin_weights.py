@@ -44,7 +44,7 @@ class BodyBound:
     index: NDArray[np.int32]
     rest: NDArray[np.float64]
     smooth: NDArray[np.float64]
-    joints: NDArray[np.int32]
+    indices: NDArray[np.int32]
     weights: NDArray[np.float64]
 
     def free(self, n_vertices: int) -> NDArray[np.int64]:
@@ -55,7 +55,7 @@ class BodyBound:
         """A copy of `vertices` ``(F, V, 3)`` with these where joints ``(F, J, 3, 4)`` put them."""
         out = np.array(vertices)
         m = np.asarray(joints, np.float64)
-        out[:, self.index] = ssdr.skin(self.rest, self.joints, self.weights, m)
+        out[:, self.index] = ssdr.skin(self.rest, self.indices, self.weights, m)
         return out
 
 
@@ -92,7 +92,7 @@ def find_body_bound(
         transforms=moved,
         influences=min(_INFLUENCES, moved.shape[1]),
     )
-    gap = np.linalg.norm(ssdr.skin(rest, fit.joints, fit.weights, moved) - truth, axis=2)
+    gap = np.linalg.norm(ssdr.skin(rest, fit.indices, fit.weights, moved) - truth, axis=2)
     index = np.flatnonzero(gap.max(axis=0) < _CLOSE).astype(np.int32)
     if not len(index):
         return None
@@ -101,7 +101,7 @@ def find_body_bound(
         index,
         rest[index],
         smooth[index],
-        np.asarray(fit.joints, np.int32)[index],
+        np.asarray(fit.indices, np.int32)[index],
         np.asarray(fit.weights, np.float64)[index],
     )
 

@@ -45,7 +45,7 @@ class Subject:
         """Hash of the body's mesh, weights and skeleton."""
         b, s = self.body, self.skeleton
         names = ",".join(s.names).encode()
-        return _digest(b.rest, b.joints, b.weights, b.faces, s.parents, s.rest, names)
+        return _digest(b.rest, b.indices, b.weights, b.faces, s.parents, s.rest, names)
 
 
 def mesh_identity(rest: Any, faces: Any) -> str:

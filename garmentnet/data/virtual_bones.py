@@ -176,7 +176,7 @@ class VirtualBones:
             low,
             self.store.faces,
             rest=s.rest,
-            joints=s.joints,
+            indices=s.indices,
             weights=s.weights,
             bones=s.n_bones,
             tolerance=tolerance,

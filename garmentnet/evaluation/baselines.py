@@ -84,8 +84,8 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
     near = 1 / np.maximum(distance, _CLOSEST) ** 2
     near /= near.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])
-    joints, largest = strongest(weights, _INFLUENCES)
-    return Skinning(store.rest, joints, largest, body.transforms, faces=store.faces, fps=store.fps)
+    indices, largest = strongest(weights, _INFLUENCES)
+    return Skinning(store.rest, indices, largest, body.transforms, faces=store.faces, fps=store.fps)
 
 
 class BodySkinned:
@@ -97,7 +97,7 @@ class BodySkinned:
     def predict(self, joints: Any) -> NDArray[np.float32]:
         s = self.skinning
         m = np.asarray(joints, np.float64)
-        return np.asarray(ssdr.skin(s.rest, s.joints, s.weights, m), np.float32)
+        return np.asarray(ssdr.skin(s.rest, s.indices, s.weights, m), np.float32)
 
 
 class Ridge:

@@ -134,7 +134,7 @@ def bones_themselves(bones: VirtualBones) -> Method:
 
     def answer(clip: Clip) -> Answer:
         fitted = bones.clip(clip.name)
-        low = ssdr.skin(s.rest, s.joints, s.weights, fitted.transforms)
+        low = ssdr.skin(s.rest, s.indices, s.weights, fitted.transforms)
         low = np.asarray(low, np.float32)
         if bound is not None:
             low[:, bound.index] = fitted.read("low")[:, bound.index]

@@ -151,7 +151,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
     garment, body, skeleton = subject.garment, subject.body, subject.skeleton
     tensors: dict[str, Tensor] = {}
     for name, part in (("garment", garment), ("body", body)):
-        for field in ("rest", "joints", "weights", "faces"):
+        for field in ("rest", "indices", "weights", "faces"):
             tensors[f"{name}.{field}"] = torch.from_numpy(np.array(getattr(part, field)))
     tensors["skeleton.rest"] = torch.from_numpy(np.array(skeleton.rest))
     tensors["skeleton.parents"] = torch.from_numpy(np.array(skeleton.parents))
@@ -214,7 +214,11 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             raise FormatError("not a checkpoint of garmentnet")
         if d.get("version") not in _READ:
             raise FormatError(f"version {d.get('version')}, this reads {_READ[0]} to {_READ[-1]}")
-        arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("network.")}
+        arrays = {
+            k.replace(".joints", ".indices"): v.numpy()
+            for k, v in tensors.items()
+            if not k.startswith("network.")
+        }
         names = tuple(str(n) for n in d["joint_names"])
         skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
         bones = len(tensors["network.0.low.code.centres"])
@@ -293,12 +297,12 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
 def _skinning(
     arrays: dict[str, Any], name: str, bones: int, names: tuple[str, ...] | None
 ) -> Skinning:
-    rest, joints = arrays[f"{name}.rest"], arrays[f"{name}.joints"]
+    rest, indices = arrays[f"{name}.rest"], arrays[f"{name}.indices"]
     if len(rest) * bones * 16 > _MAX_SKINNING:
         raise FormatError(f"{name}: {len(rest)} vertices and {bones} bones")
     return Skinning(
         rest,
-        joints,
+        indices,
         arrays[f"{name}.weights"],
         np.tile(np.eye(3, 4), (1, bones, 1, 1)),
         faces=arrays[f"{name}.faces"],
@@ -315,12 +319,12 @@ def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
     fits = (
         0 < count <= vertices
         and bound.rest.shape == bound.smooth.shape == (count, 3)
-        and bound.joints.shape == bound.weights.shape == (count, bound.weights.shape[1])
+        and bound.indices.shape == bound.weights.shape == (count, bound.weights.shape[1])
         and (np.diff(bound.index) > 0).all()
         and bound.index[0] >= 0
         and bound.index[-1] < vertices
-        and bound.joints.min() >= 0
-        and bound.joints.max() < joints
+        and bound.indices.min() >= 0
+        and bound.indices.max() < joints
     )
     if not fits:
         raise FormatError("bound: vertices or joints that do not exist")

@@ -40,11 +40,11 @@ class SurfaceTurns(nn.Module):
 
     blend: Tensor
 
-    def __init__(self, joints: Any, weights: Any, n_bones: int, vertices: NDArray[Any]) -> None:
+    def __init__(self, indices: Any, weights: Any, n_bones: int, vertices: NDArray[Any]) -> None:
         super().__init__()
         dense = np.zeros((len(vertices), n_bones))
         rows = np.arange(len(vertices))[:, None]
-        np.add.at(dense, (rows, np.asarray(joints)[vertices]), np.asarray(weights)[vertices])
+        np.add.at(dense, (rows, np.asarray(indices)[vertices]), np.asarray(weights)[vertices])
         self.register_buffer("blend", torch.from_numpy(dense).float(), persistent=False)
 
     def forward(self, transforms: Tensor) -> Tensor:

@@ -123,9 +123,9 @@ class Ensemble:
             a, b = first.subject.garment, other.subject.garment
             same = (
                 a.rest.shape == b.rest.shape
-                and a.joints.shape == b.joints.shape
+                and a.indices.shape == b.indices.shape
                 and np.array_equal(a.rest, b.rest)
-                and np.array_equal(a.joints, b.joints)
+                and np.array_equal(a.indices, b.indices)
                 and np.array_equal(a.weights, b.weights)
                 and first.config.features.frame == other.config.features.frame
             )

@@ -121,13 +121,13 @@ class MotionNetwork(nn.Module):
         n = garment.n_vertices
         # Vertices that the modules predict; the body carries the others.
         self.free = np.arange(n) if bound is None else bound.free(n)
-        self.turns = SurfaceTurns(garment.joints, garment.weights, garment.n_bones, self.free)
+        self.turns = SurfaceTurns(garment.indices, garment.weights, garment.n_bones, self.free)
         self.carried: TorchSkinning | None = None
         if bound is not None:
             # Smooth and true positions of the same vertices, one below the other.
             self.carried = TorchSkinning(
                 np.concatenate([bound.smooth, bound.rest]),
-                np.tile(bound.joints, (2, 1)),
+                np.tile(bound.indices, (2, 1)),
                 np.tile(bound.weights, (2, 1)),
                 subject.body.n_bones,
             )

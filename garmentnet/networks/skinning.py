@@ -46,13 +46,13 @@ class TorchSkinning(nn.Module):
 
     matrix: Tensor
 
-    def __init__(self, rest: Any, joints: Any, weights: Any, n_bones: int) -> None:
+    def __init__(self, rest: Any, indices: Any, weights: Any, n_bones: int) -> None:
         super().__init__()
         rest, weights = np.asarray(rest, np.float64), np.asarray(weights, np.float64)
-        joints = np.asarray(joints)
+        indices = np.asarray(indices)
         n = len(rest)
         dense = np.zeros((n, n_bones))
-        np.add.at(dense, (np.arange(n)[:, None], joints), weights)
+        np.add.at(dense, (np.arange(n)[:, None], indices), weights)
         extended = np.concatenate([rest, np.ones((n, 1))], axis=1)
         matrix = (dense[:, :, None] * extended[:, None]).reshape(n, 4 * n_bones)
         self.n_bones = n_bones
@@ -62,7 +62,7 @@ class TorchSkinning(nn.Module):
     @classmethod
     def of(cls, skinning: Skinning) -> TorchSkinning:
         """From an :class:`ssdr.Skinning`; its transforms are not used."""
-        return cls(skinning.rest, skinning.joints, skinning.weights, skinning.n_bones)
+        return cls(skinning.rest, skinning.indices, skinning.weights, skinning.n_bones)
 
     def forward(self, transforms: Tensor) -> Tensor:
         """Positions ``(..., V, 3)`` under transforms ``(..., B, 3, 4)``.

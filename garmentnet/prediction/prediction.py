@@ -132,7 +132,7 @@ def predict(
         push = PushOut(rig, garment.faces, pinned=held, n_vertices=garment.n_vertices)
         pushed = push(cloth, m)
         cloth, moved, farthest = pushed.vertices, pushed.moved, pushed.farthest
-    body = np.asarray(ssdr.skin(rig.rest, rig.joints, rig.weights, m), np.float32)
+    body = np.asarray(ssdr.skin(rig.rest, rig.indices, rig.weights, m), np.float32)
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
@@ -153,17 +153,17 @@ def _skinning(
     name: str,
 ) -> Skinning:
     garment, bound = subject.garment, subject.bound
-    rest, bones, weights = garment.rest, garment.joints, garment.weights
+    rest, bones, weights = garment.rest, garment.indices, garment.weights
     names = [f"virtual_{b:02d}" for b in range(garment.n_bones)]
     if bound is not None:
-        used = np.unique(bound.joints)
-        width = max(bones.shape[1], bound.joints.shape[1])
+        used = np.unique(bound.indices)
+        width = max(bones.shape[1], bound.indices.shape[1])
         bones, weights, rest = (np.array(x) for x in (bones, weights, rest))
         pad = ((0, 0), (0, width - bones.shape[1]))
         bones, weights = np.pad(bones, pad), np.pad(weights, pad)
         bones[bound.index] = weights[bound.index] = 0
-        columns = slice(0, bound.joints.shape[1])
-        bones[bound.index, columns] = garment.n_bones + np.searchsorted(used, bound.joints)
+        columns = slice(0, bound.indices.shape[1])
+        bones[bound.index, columns] = garment.n_bones + np.searchsorted(used, bound.indices)
         weights[bound.index, columns] = bound.weights
         rest[bound.index] = bound.smooth
         transforms = np.concatenate([transforms, joints[:, used]], axis=1)

@@ -109,7 +109,7 @@ def save_body(body: Body, path: str | os.PathLike[str]) -> None:
     arrays = (
         rig.rest,
         rig.faces,
-        rig.joints,
+        rig.indices,
         rig.weights,
         np.array(tree.names),
         tree.parents,
@@ -121,13 +121,13 @@ def save_body(body: Body, path: str | os.PathLike[str]) -> None:
 def _at_rest(
     rest: NDArray[Any],
     faces: NDArray[Any],
-    joints: NDArray[Any],
+    indices: NDArray[Any],
     weights: NDArray[Any],
     names: tuple[str, ...],
 ) -> Skinning:
     """A skinned mesh in its rest pose: one frame, every transform the identity."""
     identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, len(names), 3, 4))
-    return Skinning(rest, joints, weights, identity, faces=faces, bone_names=names, name="body")
+    return Skinning(rest, indices, weights, identity, faces=faces, bone_names=names, name="body")
 
 
 def make_body(

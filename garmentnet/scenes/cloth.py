@@ -217,8 +217,8 @@ class Cloth:
 
     def _body(self, joints: NDArray[np.float64]) -> NDArray[np.float32]:
         rig = self._rig
-        return np.asarray(skin(rig.rest, rig.joints, rig.weights, joints, dtype=np.float32))
+        return np.asarray(skin(rig.rest, rig.indices, rig.weights, joints, dtype=np.float32))
 
     def _pins(self, joints: NDArray[np.float64]) -> NDArray[np.float32]:
         g, p = self._garment, self._garment.pinned
-        return np.asarray(skin(g.rest[p], g.joints[p], g.weights[p], joints, dtype=np.float32))
+        return np.asarray(skin(g.rest[p], g.indices[p], g.weights[p], joints, dtype=np.float32))

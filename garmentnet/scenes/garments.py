@@ -117,7 +117,7 @@ class Garment:
     rest: NDArray[np.float32]
     faces: NDArray[np.int32]
     pinned: NDArray[np.bool_]
-    joints: NDArray[np.int32]
+    indices: NDArray[np.int32]
     weights: NDArray[np.float32]
     mirror: NDArray[np.int32] | None
 
@@ -177,9 +177,9 @@ def cut_dress(body: Body, dress: Dress | None = None) -> Garment:
     halves = best[1]
     rest, faces, mirror = _reflect(halves)
     pinned = rest[:, 1] >= cut.waist * body.height() - 1e-9
-    joints, weights = _follow(body, rest, mirror)
+    indices, weights = _follow(body, rest, mirror)
     return Garment(
-        rest.astype(np.float32), faces, pinned, joints, weights.astype(np.float32), mirror
+        rest.astype(np.float32), faces, pinned, indices, weights.astype(np.float32), mirror
     )
 
 
@@ -221,9 +221,9 @@ def garment_from_mesh(body: Body, path: str | os.PathLike[str], *, pinned_above:
             "path", "triangles with an area", f"{int((area <= _NO_AREA).sum())} without"
         )
     mirror = mirror_permutation(rest, faces)
-    joints, weights = _follow(body, rest, mirror)
+    indices, weights = _follow(body, rest, mirror)
     return Garment(
-        rest.astype(np.float32), faces, pinned, joints, weights.astype(np.float32), mirror
+        rest.astype(np.float32), faces, pinned, indices, weights.astype(np.float32), mirror
     )
 
 

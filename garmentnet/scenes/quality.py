@@ -100,7 +100,7 @@ def judge(
     depth_of = Depth(rig.rest, rig.faces)
     for frame in range(len(vertices)):
         pose = motion.joints[frame].astype(np.float32)
-        depth[frame] = depth_of(skin(rig.rest, rig.joints, rig.weights, pose), vertices[frame])
+        depth[frame] = depth_of(skin(rig.rest, rig.indices, rig.weights, pose), vertices[frame])
     inside = (depth > _INSIDE).mean(axis=1)
     speed = 0.0
     if len(vertices) > 1:

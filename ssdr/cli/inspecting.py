@@ -13,10 +13,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from ..clips import Clip
-from ..hierarchy import RIGID, depths, rest_diagonal
+from ..hierarchy.transforms import RIGID, depths, rest_diagonal
+from ..joints.mirror import mirror_of, mirrored_edges
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from ..symmetry import mirror_of, mirrored_edges
 from .output import (
     Fps,
     JsonFlag,
@@ -90,10 +90,10 @@ def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:
 def _about_skinning(skinning: Skinning) -> dict[str, Any]:
     used = (skinning.weights > 0).sum(axis=1)
     share = np.bincount(
-        skinning.joints.ravel(), skinning.weights.ravel(), minlength=skinning.n_bones
+        skinning.indices.ravel(), skinning.weights.ravel(), minlength=skinning.n_bones
     )
     rest = skinning.rest.astype(np.float64)
-    arrays = (skinning.rest, skinning.joints, skinning.weights, skinning.transforms)
+    arrays = (skinning.rest, skinning.indices, skinning.weights, skinning.transforms)
     low, high = rest.min(axis=0), rest.max(axis=0)
     return {
         "name": skinning.name,
@@ -155,7 +155,7 @@ def _about_hierarchy(skinning: Skinning) -> dict[str, Any] | None:
 
 def _about_mirror(skinning: Skinning) -> dict[str, Any] | None:
     """The rest pose's plane of symmetry, and how much of the tree is its own image in it."""
-    mirror = mirror_of(skinning.rest, skinning.joints, skinning.weights, skinning.n_bones)
+    mirror = mirror_of(skinning.rest, skinning.indices, skinning.weights, skinning.n_bones)
     if mirror is None or skinning.parents is None:
         return None
     mirrored, edges = mirrored_edges(mirror, skinning.parents)

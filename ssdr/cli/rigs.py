@@ -43,7 +43,7 @@ def skeleton_parts(
     if lock:
         parts["locked_joints"] = [name.strip() for name in lock.split(",")]
     if keep_weights:
-        parts |= {"joints": rig.joints, "weights": rig.weights, "rest": rig.rest}
+        parts |= {"indices": rig.indices, "weights": rig.weights, "rest": rig.rest}
     return parts
 
 

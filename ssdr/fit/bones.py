@@ -57,7 +57,7 @@ class BoneFit:
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
     >>> fit = ssdr.fit_bones(
-    ...     dancer, rest=start.rest, joints=start.joints, weights=start.weights, max_sweeps=2
+    ...     dancer, rest=start.rest, indices=start.indices, weights=start.weights, max_sweeps=2
     ... )
     >>> fit.sweeps >= 1, fit.rmse < 0.1 * dancer.diagonal()
     (True, True)
@@ -74,7 +74,7 @@ def fit_bones(
     faces: Any = None,
     *,
     rest: Any,
-    joints: Any,
+    indices: Any,
     weights: Any,
     bones: int | None = None,
     bone_model: BoneModel = "rigid",
@@ -98,9 +98,9 @@ def fit_bones(
     sequence : MeshSequence, list of them, or (F, V, 3) array
     faces : (T, 3) int array, optional
     rest : (V, 3) array
-    joints, weights : (V, K) arrays
+    indices, weights : (V, K) arrays
     bones : int, optional
-        Number of bones; by default as many as `joints` or `transforms` name.
+        Number of bones; by default as many as `indices` or `transforms` name.
     bone_model : {"rigid", "similarity", "affine"}
     transforms : (F, B, 3, 4) array, optional
         Where to start; by default each bone's own fit.
@@ -131,7 +131,7 @@ def fit_bones(
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
     >>> fit = ssdr.fit_bones(
-    ...     dancer, rest=start.rest, joints=start.joints, weights=start.weights, max_sweeps=2
+    ...     dancer, rest=start.rest, indices=start.indices, weights=start.weights, max_sweeps=2
     ... )
     >>> fit.transforms.shape
     (24, 4, 3, 4)
@@ -139,18 +139,18 @@ def fit_bones(
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     rest = check_rest(rest, n)
-    joints, weights = check_weights(joints, weights, n)
+    indices, weights = check_weights(indices, weights, n)
     bone_model = check_bone_model(bone_model)
     world = None if transforms is None else check_transforms(transforms, n_frames, bone_model)
-    count = int(joints.max()) + 1 if world is None else world.shape[1]
+    count = int(indices.max()) + 1 if world is None else world.shape[1]
     if bones is not None:
         expected = f"an integer >= {count}, as joints and transforms name"
         asked = check_count(bones, "bones", expected)
         if not count <= asked <= np.iinfo(np.int32).max:
             raise InputError("bones", expected, asked)
         count = asked
-    if joints.max() >= count:
-        raise InputError("joints", f"indices from 0 to {count - 1}", int(joints.max()))
+    if indices.max() >= count:
+        raise InputError("indices", f"indices from 0 to {count - 1}", int(indices.max()))
     if world is not None and world.shape[1] != count:
         raise InputError("transforms", f"{count} bones", f"{world.shape[1]}")
     locked = check_mask(locked_bones, "locked_bones", count)
@@ -171,9 +171,9 @@ def fit_bones(
     if start is None:
         if bone_model == "affine":
             kinds = ["rigid", "affine"]
-        start = bones_of_weights(data, inner, joints, count, kinds[0])
-    model = Model.start(start, inner, joints[:, 0], joints.shape[1])
-    model.joints, model.weights = joints.copy(), weights.copy()
+        start = bones_of_weights(data, inner, indices, count, kinds[0])
+    model = Model.start(start, inner, indices[:, 0], indices.shape[1])
+    model.indices, model.weights = indices.copy(), weights.copy()
     sweeps = 0
     for kind in kinds:
         of_kind = dataclasses.replace(fixed, bone_model=kind)
@@ -183,7 +183,7 @@ def fit_bones(
         more, moved = _settle(data, model, fixed, tolerance, max_sweeps)
         sweeps += more
     out_rest, out = data.to_world(model.rest, model.transforms)
-    squared = squared_error(sequences, out_rest, joints, weights, out)
+    squared = squared_error(sequences, out_rest, indices, weights, out)
     return BoneFit(
         transforms=out,
         rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
@@ -214,7 +214,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
 
     Where bones overlap widely, a frame's own start now and then leads nowhere.
     """
-    u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
+    u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     flat = flat_blocks(u)
     energy = np.array(
         [

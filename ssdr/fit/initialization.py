@@ -93,7 +93,7 @@ def initialize(
     out_rest, transforms = data.to_world(model.rest, model.transforms)
     return Skinning(
         out_rest,
-        model.joints,
+        model.indices,
         model.weights,
         transforms,
         faces=sequences[0].faces,

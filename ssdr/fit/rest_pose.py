@@ -43,7 +43,7 @@ class RestPoseFit:
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
     >>> fit = ssdr.fit_rest_pose(
-    ...     dancer, joints=start.joints, weights=start.weights, transforms=start.transforms
+    ...     dancer, indices=start.indices, weights=start.weights, transforms=start.transforms
     ... )
     >>> np.allclose(fit.rmse, np.sqrt(fit.squared_error.sum() / (24 * 799)))
     True
@@ -58,7 +58,7 @@ def fit_rest_pose(
     sequence: MeshSequence | Any,
     faces: Any = None,
     *,
-    joints: Any,
+    indices: Any,
     weights: Any,
     transforms: Any,
     bone_model: BoneModel = "rigid",
@@ -73,7 +73,7 @@ def fit_rest_pose(
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     faces : (T, 3) int array, optional
-    joints, weights : (V, K) arrays
+    indices, weights : (V, K) arrays
     transforms : (F, B, 3, 4) array
         Such as `bone_model` allows.
     bone_model : {"rigid", "similarity", "affine"}
@@ -101,19 +101,19 @@ def fit_rest_pose(
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
     >>> fit = ssdr.fit_rest_pose(
-    ...     dancer, joints=start.joints, weights=start.weights, transforms=start.transforms
+    ...     dancer, indices=start.indices, weights=start.weights, transforms=start.transforms
     ... )
     >>> fit.rest.shape
     (799, 3)
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices
-    joints, weights = check_weights(joints, weights, n)
+    indices, weights = check_weights(indices, weights, n)
     world = check_transforms(
         transforms, sum(len(s) for s in sequences), check_bone_model(bone_model)
     )
-    if joints.max() >= world.shape[1]:
-        raise InputError("joints", f"indices from 0 to {world.shape[1] - 1}", int(joints.max()))
+    if indices.max() >= world.shape[1]:
+        raise InputError("indices", f"indices from 0 to {world.shape[1] - 1}", int(indices.max()))
     locked = check_mask(locked_vertices, "locked_vertices", n)
     if locked is not None and rest is None:
         raise InputError("rest", "the positions of the locked vertices", "None")
@@ -121,8 +121,8 @@ def fit_rest_pose(
     data = gather(sequences, bones=world.shape[1])
     inner, bones = data.from_world(outer, world)
     assert bones is not None
-    model = Model.start(bones, inner, joints[:, 0], joints.shape[1])
-    model.joints, model.weights = joints.copy(), weights.copy()
+    model = Model.start(bones, inner, indices[:, 0], indices.shape[1])
+    model.indices, model.weights = indices.copy(), weights.copy()
     keep = np.ones(n, dtype=bool)
     vertex_step(data, model, fixed=Fixed(weights=keep))
     if locked is not None and locked.any():

@@ -34,7 +34,7 @@ class WeightFit:
 
     Attributes
     ----------
-    joints : (V, K) int32
+    indices : (V, K) int32
     weights : (V, K) float64
         Descending, summing to 1, padded with joint 0, weight 0.
     squared_error : (V,) float64
@@ -47,11 +47,11 @@ class WeightFit:
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
     >>> fit = ssdr.fit_weights(dancer, rest=start.rest, transforms=start.transforms)
-    >>> fit.joints.shape, np.allclose(fit.weights.sum(axis=1), 1)
+    >>> fit.indices.shape, np.allclose(fit.weights.sum(axis=1), 1)
     ((799, 4), True)
     """
 
-    joints: NDArray[np.int32]
+    indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     squared_error: NDArray[np.float64]
     rmse: float
@@ -137,9 +137,9 @@ def fit_weights(
             pull, stiff = smooth.terms(model)
             vertex_step(data, model, fixed=fixed, pull=pull, stiff=stiff)
     squared = model.error * data.scale**2
-    joints, weights = pad_influences(model, k)
+    indices, weights = pad_influences(model, k)
     return WeightFit(
-        joints=joints,
+        indices=indices,
         weights=weights,
         squared_error=squared,
         rmse=float(np.sqrt(squared.sum() / (data.n_frames * n))),

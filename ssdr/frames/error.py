@@ -24,14 +24,14 @@ _CHUNK = 512  # vertices a chunk of work, as in the solver
 def squared_error(
     sequences: Sequence[MeshSequence],
     rest: Array,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     weights: Array,
     transforms: Array,
     *,
     executor: Executor | None = None,
 ) -> Array:
     """(V,) Σ_t |d|² of a skinning against the frames."""
-    walk = _walk(_squared_error_of_span, sequences, rest, joints, weights, transforms)
+    walk = _walk(_squared_error_of_span, sequences, rest, indices, weights, transforms)
     total = np.zeros(len(rest))
     for part in (executor or Local()).map(walk):
         total += part
@@ -41,14 +41,14 @@ def squared_error(
 def largest_error(
     sequences: Sequence[MeshSequence],
     rest: Array,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     weights: Array,
     transforms: Array,
     *,
     executor: Executor | None = None,
 ) -> float:
     """The largest |d| of any vertex in any frame."""
-    walk = _walk(_largest_square_of_span, sequences, rest, joints, weights, transforms)
+    walk = _walk(_largest_square_of_span, sequences, rest, indices, weights, transforms)
     # np.max and not max: NaN must be seen
     return math.sqrt(np.max(list((executor or Local()).map(walk))))
 
@@ -57,7 +57,7 @@ def _walk(
     function: Callable[..., object],
     sequences: Sequence[MeshSequence],
     rest: Array,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     weights: Array,
     transforms: Array,
 ) -> Walk:
@@ -67,12 +67,12 @@ def _walk(
         sequences,
         spans,
         lambda k: (transforms[slice(*spans[k])],),
-        (rest, joints, weights),
+        (rest, indices, weights),
     )
 
 
 def _squared_error_of_span(
-    frames: Frames, transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array
+    frames: Frames, transforms: Array, rest: Array, indices: NDArray[np.int32], weights: Array
 ) -> Array:
     total = np.zeros(len(rest))
     for start, block in frames.blocks():
@@ -80,18 +80,18 @@ def _squared_error_of_span(
         moves = np.ascontiguousarray(transforms[start : start + len(block)])
 
         def work(_: int, i: int, k: int, target: Array = target, moves: Array = moves) -> None:
-            squared_error_range(rest, joints, weights, moves, target, i, k, total)
+            squared_error_range(rest, indices, weights, moves, target, i, k, total)
 
         run_chunks(work, chunk_bounds(len(rest), _CHUNK))
     return total
 
 
 def _largest_square_of_span(
-    frames: Frames, transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array
+    frames: Frames, transforms: Array, rest: Array, indices: NDArray[np.int32], weights: Array
 ) -> float:
     largest = 0.0
     for start, block in frames.blocks():
         moves = transforms[start : start + len(block)]
-        d = skin(rest, joints, weights, moves, dtype=np.float64) - block
+        d = skin(rest, indices, weights, moves, dtype=np.float64) - block
         largest = float(np.maximum(largest, np.einsum("tic,tic->ti", d, d).max()))
     return largest

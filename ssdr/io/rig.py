@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError, check_choice
-from ..hierarchy import from_frames, rest_diagonal, rest_offsets, to_local, to_world, translating
+from ..hierarchy.transforms import (
+    from_frames,
+    rest_diagonal,
+    rest_offsets,
+    to_local,
+    to_world,
+    translating,
+)
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import BoneModel, Skinning, skin
 
@@ -64,7 +71,7 @@ class Rig:
     Attributes
     ----------
     rest : (V, 3) float32
-    joints : (V, K) int32
+    indices : (V, K) int32
     weights : (V, K) float64
         Descending, no joint twice, summing to 1.
     centers : (B, 3) float32
@@ -91,7 +98,7 @@ class Rig:
     """
 
     rest: NDArray[np.float32]
-    joints: NDArray[np.int32]
+    indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     centers: NDArray[np.float32]
     rotations: NDArray[np.float32]
@@ -174,7 +181,7 @@ class Rig:
             for first in range(clip.start, stop, step):
                 last = min(first + step, stop)
                 times = np.arange(first, last, dtype=np.float64) + 0.5 * between
-                stored = skin(rest, self.joints, shown, self.matrices(times))
+                stored = skin(rest, self.indices, shown, self.matrices(times))
                 truth = model.skin(slice(first, last + between), dtype=np.float64)
                 if between:
                     truth = (truth[1:] + truth[:-1]) / 2
@@ -205,12 +212,12 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
         isinstance(influences, bool) or int(influences) != influences or influences < 1
     ):
         raise InputError("influences", "an integer >= 1", repr(influences))
-    joints, weights = _sorted_weights(skinning, influences)
-    if most is not None and joints.shape[1] > most:
+    indices, weights = _sorted_weights(skinning, influences)
+    if most is not None and indices.shape[1] > most:
         raise InputError(
             "influences",
             f"at most {most} influences of a vertex; influences={most} prunes the smallest",
-            joints.shape[1],
+            indices.shape[1],
         )
     rotation, scale = _scaled_rotations(skinning)
     parents = skinning.parents
@@ -248,7 +255,7 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
             keys[[clip.start, clip.stop - 1]] = True
     return Rig(
         rest=skinning.rest.astype(np.float32),
-        joints=joints,
+        indices=indices,
         weights=weights,
         centers=centers,
         rotations=unflip_quaternions(quaternion_from_matrix(rotation)).astype(np.float32),
@@ -274,11 +281,11 @@ def _sorted_weights(
     if influences is not None:
         width = min(width, int(influences))
     keep = place < width
-    joints = np.zeros((skinning.n_vertices, width), dtype=np.int32)
-    weights = np.zeros(joints.shape)
-    joints[row[keep], place[keep]] = matrix.indices[order][keep]
+    indices = np.zeros((skinning.n_vertices, width), dtype=np.int32)
+    weights = np.zeros(indices.shape)
+    indices[row[keep], place[keep]] = matrix.indices[order][keep]
     weights[row[keep], place[keep]] = matrix.data[order][keep]
-    return joints, weights / weights.sum(axis=1, keepdims=True)
+    return indices, weights / weights.sum(axis=1, keepdims=True)
 
 
 def _scaled_rotations(
@@ -312,13 +319,13 @@ def interpolate_quaternions(
 
 
 def quantise(
-    joints: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
+    indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
 ) -> tuple[NDArray[np.int32], NDArray[Any], NDArray[np.float64]]:
     """Weights as stored, summing to exactly 1 in their own steps.
 
     Returns
     -------
-    joints : (V, K) int32
+    indices : (V, K) int32
         0 where the stored weight is 0, as glTF asks.
     stored : (V, K) float32, uint16 or uint8
     values : (V, K) float64
@@ -345,7 +352,7 @@ def quantise(
         whole += rank < np.rint(steps - whole.sum(axis=1))[:, None]
         stored = whole.astype(storage)
         values = whole / steps
-    return np.where(stored > 0, joints, 0).astype(np.int32), stored, values
+    return np.where(stored > 0, indices, 0).astype(np.int32), stored, values
 
 
 def check_size(n_frames: int, n_vertices: int, max_bytes: int) -> None:

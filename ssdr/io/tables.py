@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError
-from ..hierarchy import check_parents
+from ..hierarchy.transforms import check_parents
 from .atomic import write_bytes
 from .registry import SaveReport, reading
 
@@ -35,7 +35,7 @@ class SkinWeights:
 
     Attributes
     ----------
-    joints : (V, K) int32
+    indices : (V, K) int32
         Bones of each vertex, largest weight first; padded with bone 0, weight 0.
     weights : (V, K) float64
         Non-negative, summing to 1 over K.
@@ -56,7 +56,7 @@ class SkinWeights:
     (('hip', 'leg'), (2, 2))
     """
 
-    joints: NDArray[np.int32]
+    indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     bone_names: tuple[str, ...]
     parents: NDArray[np.int32] | None = None
@@ -76,22 +76,22 @@ def write_csv(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveRe
     unweld : bool
         Write the vertices of the mesh before it was welded.
     """
-    joints, weights = _given(skinning, unweld)
+    indices, weights = _given(skinning, unweld)
     names = skinning.names()
     if len(set(names)) != len(names):
         raise InputError("bone_names", "different names", "the same name twice")
     text = io.StringIO(newline="")
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(_COLUMNS)
-    idle = set(range(skinning.n_bones)) - set(joints[weights > 0].tolist())
+    idle = set(range(skinning.n_bones)) - set(indices[weights > 0].tolist())
     rows.writerows((0, names[j], "0") for j in sorted(idle))
-    for i, (bones, values) in enumerate(zip(joints.tolist(), weights.tolist(), strict=True)):
+    for i, (bones, values) in enumerate(zip(indices.tolist(), weights.tolist(), strict=True)):
         rows.writerows(
             (i, names[j], _shortest(w, weights.dtype))
             for j, w in zip(bones, values, strict=True)
             if w > 0
         )
-    return _report(path, text.getvalue(), joints, skinning, unweld)
+    return _report(path, text.getvalue(), indices, skinning, unweld)
 
 
 def write_json(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
@@ -101,7 +101,7 @@ def write_json(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveR
 
     Parameters as for :func:`write_csv`.
     """
-    joints, weights = _given(skinning, unweld)
+    indices, weights = _given(skinning, unweld)
     record: dict[str, Any] = {"format": _FORMAT, "version": 1, "bones": list(skinning.names())}
     if skinning.parents is not None:
         record["parents"] = skinning.parents.tolist()
@@ -113,10 +113,10 @@ def write_json(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveR
     ]
     text = '{},\n "joints": [\n{}\n ],\n "weights": [\n{}\n ]\n}}\n'.format(
         head.removesuffix("\n}"),
-        ",\n".join(f"  {row}" for row in joints.tolist()),
+        ",\n".join(f"  {row}" for row in indices.tolist()),
         ",\n".join(f"  {line}" for line in lines),
     )
-    return _report(path, text, joints, skinning, unweld)
+    return _report(path, text, indices, skinning, unweld)
 
 
 def read_weights(
@@ -153,7 +153,7 @@ def read_weights(
     ...     table = pathlib.Path(folder, "weights.csv")
     ...     _ = table.write_text("vertex,bone,weight\\n0,hip,1\\n1,leg,1\\n")
     ...     skin_weights = ssdr.io.read_weights(table, bones=["leg", "hip"])
-    >>> skin_weights.joints[:, 0].tolist()
+    >>> skin_weights.indices[:, 0].tolist()
     [1, 0]
     """
     source = Path(path)
@@ -182,11 +182,11 @@ def read_weights(
 
 def _given(skinning: Skinning, unweld: bool) -> tuple[NDArray[np.int32], NDArray[Any]]:
     if not unweld:
-        return skinning.joints, skinning.weights
+        return skinning.indices, skinning.weights
     index = skinning.vertex_map
     if index is None:
         raise InputError("unweld", "a skinning that was welded", "one without vertex_map")
-    return skinning.joints[index], skinning.weights[index]
+    return skinning.indices[index], skinning.weights[index]
 
 
 def _shortest(value: float, dtype: np.dtype[Any]) -> str:
@@ -194,7 +194,7 @@ def _shortest(value: float, dtype: np.dtype[Any]) -> str:
 
 
 def _report(
-    path: Path, text: str, joints: NDArray[np.int32], skinning: Skinning, unweld: bool
+    path: Path, text: str, indices: NDArray[np.int32], skinning: Skinning, unweld: bool
 ) -> SaveReport:
     note = ""
     if skinning.vertex_map is not None and not unweld:
@@ -203,7 +203,7 @@ def _report(
             f"{len(skinning.vertex_map)} of the mesh before"
         )
     size = write_bytes(path, text.encode("utf-8", "replace"))
-    return SaveReport(path=path, bytes=size, influences=joints.shape[1], note=note)
+    return SaveReport(path=path, bytes=size, influences=indices.shape[1], note=note)
 
 
 _Table = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], list[str]]
@@ -247,16 +247,16 @@ def _parse_json(path: Path, text: str) -> _Table:
         raise FormatError(f"{path}: bones are not a list of names")
     if len(set(names)) != len(names):
         raise FormatError(f"{path}: two bones have the same name")
-    joints, weights = np.array(table.get("joints")), np.array(table.get("weights"))
-    numbers = joints.dtype.kind == "i" and weights.dtype.kind in "if"
-    if joints.ndim != 2 or joints.shape != weights.shape or not numbers:
+    indices, weights = np.array(table.get("joints")), np.array(table.get("weights"))
+    numbers = indices.dtype.kind == "i" and weights.dtype.kind in "if"
+    if indices.ndim != 2 or indices.shape != weights.shape or not numbers:
         raise FormatError(f"{path}: joints and weights are not two tables of one shape")
-    if joints.size and not 0 <= joints.min() <= joints.max() < len(names):
+    if indices.size and not 0 <= indices.min() <= indices.max() < len(names):
         raise FormatError(f"{path}: a joint is not one of the {len(names)} bones")
-    vertex = np.repeat(np.arange(len(joints)), joints.shape[1])
+    vertex = np.repeat(np.arange(len(indices)), indices.shape[1])
     flat = weights.astype(np.float64).ravel()
     keep = flat != 0
-    return vertex[keep], joints.ravel()[keep].astype(np.int64), flat[keep], names
+    return vertex[keep], indices.ravel()[keep].astype(np.int64), flat[keep], names
 
 
 def _hierarchy(path: Path, text: str) -> tuple[NDArray[np.int32], NDArray[np.float64]] | None:
@@ -313,11 +313,11 @@ def _pack(
         raise FormatError(f"{path}: the weights of vertex {worst} sum to {sums[worst]:.6g}, not 1")
     order = np.lexsort((-weight, vertex))
     slot = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    joints = np.zeros((len(count), count.max()), dtype=np.int32)
-    weights = np.zeros(joints.shape)
-    joints[vertex[order], slot] = joint[order]
+    indices = np.zeros((len(count), count.max()), dtype=np.int32)
+    weights = np.zeros(indices.shape)
+    indices[vertex[order], slot] = joint[order]
     weights[vertex[order], slot] = weight[order]
-    return SkinWeights(joints=joints, weights=weights, bone_names=names)
+    return SkinWeights(indices=indices, weights=weights, bone_names=names)
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -14,10 +14,10 @@ COLUMNS = 512  # of the trajectories that are summed at once
 
 
 @kernel
-def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
+def bone_moments(indices, weights, rest, importance, z, u, az, first, last):
     """Add the sums over vertices first..last from which the bones of every frame are solved.
 
-    joints      (V, K)      int32    bone of each influence, in
+    indices     (V, K)      int32    bone of each influence, in
     weights     (V, K)      float64  its weight, 0 in unused influences, in
     rest        (V, 3)      float64  rest positions, in
     importance  (V,)        float64  factor of each vertex's error, in
@@ -31,14 +31,14 @@ def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
     start = np.zeros(n_bones + 1, dtype=np.int64)
     for i in range(first, last):
         monomials(rest[i], m)
-        for q in range(joints.shape[1]):
+        for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
             if w == 0.0:
                 continue
-            j = joints[i, q]
+            j = indices[i, q]
             start[j + 1] += 1
-            for s in range(joints.shape[1]):
-                k = joints[i, s]
+            for s in range(indices.shape[1]):
+                k = indices[i, s]
                 if k < j or weights[i, s] == 0.0:
                     continue
                 ww = w * weights[i, s]
@@ -52,12 +52,12 @@ def bone_moments(joints, weights, rest, importance, z, u, az, first, last):
     a = np.zeros((4, start[n_bones]))
     place = start.copy()
     for i in range(first, last):
-        for q in range(joints.shape[1]):
+        for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
             if w == 0.0:
                 continue
-            k = place[joints[i, q]]
-            place[joints[i, q]] += 1
+            k = place[indices[i, q]]
+            place[indices[i, q]] += 1
             who[k] = i
             for d in range(3):
                 a[d, k] = w * rest[i, d]

@@ -11,19 +11,19 @@ from .policy import kernel
 
 @kernel
 def skin_range(
-    rest: Any, joints: Any, weights: Any, transforms: Any, out: Any, first: int, last: int
+    rest: Any, indices: Any, weights: Any, transforms: Any, out: Any, first: int, last: int
 ) -> None:
     """Linear blend skinning of vertices first..last in every frame.
 
     rest        (V, 3)        float     rest positions, in
-    joints      (V, K)        int32     bone of each influence, in
+    indices     (V, K)        int32     bone of each influence, in
     weights     (V, K)        float     its weight, 0 in unused influences, in
     transforms  (F, B, 3, 4)  float     bones, in
     out         (F, V, 3)     float     positions, written for first..last
 
     float is float32 or float64, the same for all four.
     """
-    n_slots = joints.shape[1]
+    n_slots = indices.shape[1]
     for t in range(transforms.shape[0]):
         # Blending the twelve entries by flat index is a quarter faster than blending points; the
         # sums start from a typed zero, since a plain one would make them float64.
@@ -35,7 +35,7 @@ def skin_range(
                 w = weights[i, k]
                 if w == 0:  # a padded slot must not touch bone 0
                     continue
-                s = joints[i, k] * 12
+                s = indices[i, k] * 12
                 a += w * m[s]
                 b += w * m[s + 1]
                 c += w * m[s + 2]
@@ -57,7 +57,7 @@ def skin_range(
 @kernel
 def squared_error_range(
     rest: Any,
-    joints: Any,
+    indices: Any,
     weights: Any,
     transforms: Any,
     target: Any,
@@ -68,13 +68,13 @@ def squared_error_range(
     """Add each vertex's squared distance to the target frames.
 
     rest        (V, 3)        float64   rest positions, in
-    joints      (V, K)        int32     bone of each influence, in
+    indices     (V, K)        int32     bone of each influence, in
     weights     (V, K)        float64   its weight, 0 in unused influences, in
     transforms  (F, B, 3, 4)  float64   bones, in
     target      (F, V, 3)     float     positions to reproduce, float32 or float64, in
     per_vertex  (V,)          float64   added to for vertices first..last
     """
-    n_slots = joints.shape[1]
+    n_slots = indices.shape[1]
     for t in range(transforms.shape[0]):
         for i in range(first, last):
             x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
@@ -85,7 +85,7 @@ def squared_error_range(
                 w = weights[i, k]
                 if w == 0:  # a padded slot must not touch bone 0
                     continue
-                m = transforms[t, joints[i, k]]
+                m = transforms[t, indices[i, k]]
                 a += w * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3])
                 b += w * (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3])
                 c += w * (m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])

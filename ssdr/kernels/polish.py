@@ -108,7 +108,7 @@ def polish_vertices(
     gram,
     gram4,
     rest,
-    joints,
+    indices,
     weights,
     error,
     keep_weights,
@@ -127,7 +127,7 @@ def polish_vertices(
     gram          (B, 10, B)    float64  coefficients of p̃ᵀ G_jk p̃, in
     gram4         (B, B, 4, 4)  float64  G_jk, in
     rest          (V, 3)        float64  rest positions, updated where `move_rest`
-    joints        (V, K)        int32    bone of each influence, updated
+    indices       (V, K)        int32    bone of each influence, updated
     weights       (V, K)        float64  its weight, descending, updated
     error         (V,)          float64  squared error, out
     keep_weights  (V,)          bool     vertices whose weights stay, in
@@ -140,7 +140,7 @@ def polish_vertices(
     complement needs `inverse` and `gradient`.
     """
     n_bones = gram.shape[0]
-    n_keep = joints.shape[1]
+    n_keep = indices.shape[1]
     slots = n_keep + 1
     size_max = n_keep + 2
     m = np.empty(10)
@@ -169,7 +169,7 @@ def polish_vertices(
         n = 0
         for q in range(n_keep):
             if weights[i, q] > 0.0:
-                ids[n] = joints[i, q]
+                ids[n] = indices[i, q]
                 w[n] = weights[i, q]
                 n += 1
         with_weights = not keep_weights[i]
@@ -268,11 +268,11 @@ def polish_vertices(
                 else:
                     w[n] = 0.0
             # the largest first: it is the reference of the joint step
-            store(ids, w, n, joints[i], weights[i])
+            store(ids, w, n, indices[i], weights[i])
             n = 0
             for q in range(n_keep):
                 if weights[i, q] > 0.0:
-                    ids[n] = joints[i, q]
+                    ids[n] = indices[i, q]
                     w[n] = weights[i, q]
                     n += 1
         e = 0.0
@@ -327,11 +327,11 @@ def polish_vertices(
             if small:
                 break
         if with_weights and rounds > 0:
-            store(ids, w, n, joints[i], weights[i])
+            store(ids, w, n, indices[i], weights[i])
             n = 0
             for q in range(n_keep):
                 if weights[i, q] > 0.0:
-                    ids[n] = joints[i, q]
+                    ids[n] = indices[i, q]
                     w[n] = weights[i, q]
                     n += 1
         size = joint_system(

@@ -152,22 +152,22 @@ def schur_vertices(
 
 
 @kernel
-def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest, first, last):
+def apply_vertex_step(step, size, rest, indices, weights, keep_weights, move_rest, first, last):
     """Move weights and rest position by −size·step, weights back onto the simplex.
 
     step          (V, K + 2)  float64  weights but the first, then rest position, in
     rest          (V, 3)      float64  rest positions, updated where `move_rest`
-    joints        (V, K)      int32    bone of each influence, updated
+    indices       (V, K)      int32    bone of each influence, updated
     weights       (V, K)      float64  its weight, descending, updated
     keep_weights  (V,)        bool     vertices whose weights stay, in
     """
-    n_keep = joints.shape[1]
+    n_keep = indices.shape[1]
     w = np.empty(n_keep)
     ids = np.empty(n_keep, dtype=np.uint32)
     for i in range(first, last):
         n = 0
         while n < n_keep and weights[i, n] > 0.0:
-            ids[n] = joints[i, n]
+            ids[n] = indices[i, n]
             w[n] = weights[i, n]
             n += 1
         k = 0 if keep_weights[i] else n - 1
@@ -177,7 +177,7 @@ def apply_vertex_step(step, size, rest, joints, weights, keep_weights, move_rest
                 w[q] = max(w[q] - size * step[i, q - 1], 0.0)
                 total += w[q]
             w[0] = max(1.0 - total, 0.0)
-            store(ids, w, n, joints[i], weights[i])
+            store(ids, w, n, indices[i], weights[i])
         if move_rest:
             for c in range(3):
                 rest[i, c] -= size * step[i, k + c]

@@ -96,7 +96,7 @@ def monomials(p, m):
 
 
 @inline
-def form_of(pairs, joints, w, n, form):
+def form_of(pairs, indices, w, n, form):
     """The ten coefficients of Σ w_j w_k p̃ᵀ G_jk p̃; pairs is ``(B, B, 10)``."""
     for d in range(10):
         form[d] = 0.0
@@ -106,7 +106,7 @@ def form_of(pairs, joints, w, n, form):
             if s < q:
                 c *= 2.0
             for d in range(10):
-                form[d] += c * pairs[joints[q], joints[s], d]
+                form[d] += c * pairs[indices[q], indices[s], d]
 
 
 @inline
@@ -124,15 +124,15 @@ def rest_step(form, g, p, a, b):
 
 
 @inline
-def squared_error(x2, gram4, y, joints, w, n, p):
+def squared_error(x2, gram4, y, indices, w, n, p):
     """x2 − 2 fᵀw + wᵀHw at p."""
     e = x2
     for q in range(n):
-        j = joints[q]
+        j = indices[q]
         f = pulled(y, j, p)
         e -= 2.0 * w[q] * f
         for s in range(q + 1):
-            g = gram4[j, joints[s]]
+            g = gram4[j, indices[s]]
             h = 0.0
             for c in range(4):
                 left = p[c] if c < 3 else 1.0
@@ -153,7 +153,7 @@ def solve_vertices(
     support,
     share,
     count,
-    joints,
+    indices,
     weights,
     error,
     keep_weights,
@@ -173,7 +173,7 @@ def solve_vertices(
     support       (V, S)       int32    bones of the solution before pruning, updated
     share         (V, S)       float64  their weights, updated
     count         (V,)         int32    how many of them are used, updated
-    joints        (V, K)       int32    bones of the K largest weights, updated
+    indices       (V, K)       int32    bones of the K largest weights, updated
     weights       (V, K)       float64  those weights, solved again; descending, updated
     error         (V,)         float64  squared error, out
     keep_weights  (V,)         bool     vertices whose weights stay, in
@@ -183,7 +183,7 @@ def solve_vertices(
     """
     n_bones = gram.shape[0]
     n_slots = support.shape[1]
-    n_keep = joints.shape[1]
+    n_keep = indices.shape[1]
     m = np.empty(10)
     form = np.empty(10)
     g = np.empty(4)
@@ -205,7 +205,7 @@ def solve_vertices(
             n = 0
             for q in range(n_keep):
                 if weights[i, q] > 0.0:
-                    ids[n] = joints[i, q]
+                    ids[n] = indices[i, q]
                     w[n] = weights[i, q]
                     n += 1
         else:
@@ -318,11 +318,11 @@ def solve_vertices(
             e += form[d] * m[d]
         error[i] = e
         if not keep_weights[i]:
-            store(ids, w, n, joints[i], weights[i])
+            store(ids, w, n, indices[i], weights[i])
 
 
 @inline
-def store(ids, w, n, joints, weights):
+def store(ids, w, n, indices, weights):
     """Write weights descending, padded with joint 0, weight 0, summing to 1."""
     for q in range(1, n):
         s = q
@@ -335,10 +335,10 @@ def store(ids, w, n, joints, weights):
         total += w[q]
     for q in range(weights.shape[0]):
         if q < n and w[q] > 0.0:
-            joints[q] = ids[q]
+            indices[q] = ids[q]
             weights[q] = w[q] / total
         else:
-            joints[q] = 0
+            indices[q] = 0
             weights[q] = 0.0
 
 

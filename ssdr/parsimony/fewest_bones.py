@@ -17,11 +17,11 @@ from collections.abc import Callable
 import numpy as np
 
 from ..checks import LARGEST
+from ..drivers.problem import Measure
+from ..drivers.schedule import Effort, Schedule, merged_start
 from ..search.prescribed import Prescribed
-from ..search.problem import Measure
 from ..search.run import Run
 from ..search.sampling import Recall
-from ..search.schedule import Effort, Schedule, merged_start
 from ..search.stages import Alternate, Merge, Polish, Reseed, Search
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.model import Fixed, Model

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..drivers.schedule import Schedule, tree_start
+from ..joints.changes import loss_of_bones
+from ..joints.stages import GiveUp, SearchTrees
 from ..search.sampling import Recall
-from ..search.schedule import Schedule, tree_start
 from ..search.stages import Polish
-from ..search.tree_moves import loss_of_bones
-from ..search.tree_stages import GiveUp, SearchTrees
 from ..solver.model import Model
 from ..solver.trajectories import Array
 from .fewest_bones import FewestBones, polish_stage

@@ -61,7 +61,7 @@ class Nested:
         out = self.models[0].copy()
         for m, model in enumerate(self.models):
             rows = level == m
-            for name in ("rest", "joints", "weights", "error"):
+            for name in ("rest", "indices", "weights", "error"):
                 getattr(out, name)[rows] = getattr(model, name)[rows]
         out.restart_support()
         return out
@@ -85,15 +85,15 @@ def nest(data: Trajectories, model: Model, *, fixed: Fixed) -> Nested:
             trial.weights /= trial.weights.sum(axis=1, keepdims=True)
             order = np.argsort(-trial.weights, axis=1, kind="stable")
             trial.weights = np.take_along_axis(trial.weights, order, axis=1)
-            trial.joints = np.ascontiguousarray(np.take_along_axis(trial.joints, order, axis=1))
-            trial.joints[trial.weights == 0] = 0
+            trial.indices = np.ascontiguousarray(np.take_along_axis(trial.indices, order, axis=1))
+            trial.indices[trial.weights == 0] = 0
             refit(data, trial, fixed=fixed, rounds=4)
             trial.error[several & ~used[:, slot]] = np.inf
             if best is None:
                 best = trial
                 continue
             better = trial.error < best.error
-            for name in ("rest", "joints", "weights", "error"):
+            for name in ("rest", "indices", "weights", "error"):
                 getattr(best, name)[better] = getattr(trial, name)[better]
         if best is None:
             break

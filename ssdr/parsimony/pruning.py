@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..drivers.problem import Measure
 from ..frames.error import largest_error, squared_error
 from ..frames.executor import Executor
-from ..search.problem import Measure
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.bone_models import polish_of
@@ -58,7 +58,7 @@ class TrueError:
 
     def rmse(self, s: Skinning) -> float:
         squared = squared_error(
-            self.sequences, s.rest, s.joints, s.weights, s.transforms, executor=self.executor
+            self.sequences, s.rest, s.indices, s.weights, s.transforms, executor=self.executor
         )
         return math.sqrt(float(squared.sum()) / self.count)
 
@@ -67,7 +67,7 @@ class TrueError:
         if self.measure == "rmse":
             return self.rmse(s)
         return largest_error(
-            self.sequences, s.rest, s.joints, s.weights, s.transforms, executor=self.executor
+            self.sequences, s.rest, s.indices, s.weights, s.transforms, executor=self.executor
         )
 
 

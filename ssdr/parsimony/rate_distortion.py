@@ -11,18 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import as_sequences, check_bones, check_influences, check_rng
+from ..drivers.scan import needs_streaming, scan, subset
+from ..drivers.schedule import Effort, Schedule
 from ..errors import Cancelled, InputError, check_choice
 from ..frames.error import squared_error
 from ..search.moves import grow_bone
 from ..search.prescribed import Prescribed
 from ..search.progress import Callback, Clock, Reporter
 from ..search.run import Run
-from ..search.schedule import Effort, Schedule
 from ..search.stages import Alternate, Merge, Polish, Reseed, Start
 from ..sequence import MeshSequence
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories, gather
-from ..streaming.scan import needs_streaming, scan, subset
 from .report import bytes_of
 
 __all__ = ["Curve", "curve", "knee"]
@@ -143,7 +143,7 @@ def curve(
     for i, count in enumerate(ladder):
         model = models[count]
         rest, transforms = data.to_world(model.rest, model.transforms)
-        squared = squared_error(solved, rest, model.joints, model.weights, transforms)
+        squared = squared_error(solved, rest, model.indices, model.weights, transforms)
         rmse[i] = math.sqrt(float(squared.sum()) / (data.n_frames * n))
         used = int(np.count_nonzero(model.weights))
         stored[i] = bytes_of(n, used, frames, np.full(count, frames), "rigid").total

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..hierarchy import rest_diagonal, translating
+from ..hierarchy.transforms import rest_diagonal, translating
 from ..skinning import Skinning
 
 __all__ = [

@@ -10,20 +10,20 @@ import numpy as np
 
 from ..checks import LARGEST, parse_tolerance
 from ..clips import names_of
+from ..drivers.in_memory import Outcome, hierarchy_of, with_tree
+from ..drivers.passes import ENTERING, GAIN, AllFrames
+from ..drivers.problem import Problem
+from ..drivers.scan import Scan, needs_streaming, subset
+from ..drivers.streamed import PASSES, SCANNED, scan_of
 from ..errors import Cancelled, InputError
 from ..frames.executor import Executor, executor_for
+from ..hierarchy.tree import Tree
 from ..parallel import serial_blas
-from ..search.problem import Problem
 from ..search.progress import Clock, Record, Reporter
-from ..search.solve import Outcome, hierarchy_of, with_tree
 from ..search.state import SolverState, check_settings, check_size, number, taking_up, whole
 from ..skinning import Skinning
 from ..solver.model import Fixed, Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
-from ..solver.tree import Tree
-from ..streaming.passes import ENTERING, GAIN, AllFrames
-from ..streaming.scan import Scan, needs_streaming, subset
-from ..streaming.solve import PASSES, SCANNED, scan_of
 from .fewest_bones import FewestBones, Stopped
 from .fewest_joints import FewestJoints
 from .pruning import ErrorBudget, TrueError
@@ -305,14 +305,14 @@ class _Hunt:
     def _named(self, model: Model, alignment: Alignment, tree: Tree | None) -> Skinning:
         rest, transforms = alignment.to_world(model.rest, model.transforms)
         most = max(1, int((model.weights > 0).sum(axis=1).max()))
-        joints, weights = pad_influences(model, self.problem.influences)
+        indices, weights = pad_influences(model, self.problem.influences)
         first, names = self.problem.sequences[0], names_of(self.problem.sequences)
         if len(transforms) != names["clips"][-1].stop:
             # Representative frames alone, of which no clip is whole.
             names = {"name": names["name"], "fps": names["fps"]}
         skinning = Skinning(
             rest,
-            joints[:, :most],
+            indices[:, :most],
             weights[:, :most],
             transforms,
             faces=first.faces,

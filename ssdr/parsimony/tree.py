@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hierarchy import from_local, parents_first, rest_diagonal, to_local, translating
+from ..hierarchy.transforms import from_local, parents_first, rest_diagonal, to_local, translating
 from ..skinning import Skinning
 from ..solver.trajectories import Array
 

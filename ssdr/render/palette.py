@@ -82,13 +82,13 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
     return _linear_from_oklab(candidates[chosen])
 
 
-def mix(colors: NDArray[np.float64], weights: ArrayLike, joints: ArrayLike) -> NDArray[np.float64]:
+def mix(colors: NDArray[np.float64], weights: ArrayLike, indices: ArrayLike) -> NDArray[np.float64]:
     """Blend bone colours ``(B, 3)`` by the weights ``(V, K)`` of each vertex, in OKLab.
 
     Returns linear RGB ``(V, 3)``.
     """
     lab = np.cbrt(colors @ _LMS_FROM_RGB.T) @ _LAB_FROM_LMS.T
-    w, j = np.asarray(weights, dtype=np.float64), np.asarray(joints)
+    w, j = np.asarray(weights, dtype=np.float64), np.asarray(indices)
     return _linear_from_oklab(np.einsum("vk,vkc->vc", w, lab[j]))
 
 

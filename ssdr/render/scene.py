@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
-from ..limbs import limb_ends
+from ..hierarchy.bone_ends import limb_ends
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .materials import Part, checked_parts, checked_regions
@@ -210,7 +210,7 @@ class Scene:
         model = self.skinning
         assert model is not None
         tree = model.joint_positions, model.parents
-        return limb_ends(*tree, model.rest, model.joints, model.weights)
+        return limb_ends(*tree, model.rest, model.indices, model.weights)
 
     @functools.cached_property
     def palette(self) -> Float:
@@ -219,7 +219,7 @@ class Scene:
     @functools.cached_property
     def weight_colors(self) -> Float:
         assert self.skinning is not None
-        colors = mix(self.palette, self.skinning.weights, self.skinning.joints)
+        colors = mix(self.palette, self.skinning.weights, self.skinning.indices)
         return colors if self.vertex_map is None else colors[self.vertex_map]
 
     @functools.cached_property

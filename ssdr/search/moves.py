@@ -189,9 +189,9 @@ def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
             some = rows[i:j]
             y, x2 = data.z[some] @ reduced, data.x2[some]
             least = np.full(len(some), np.inf)
-            joints, weights, rest = model.joints[some], model.weights[some], model.rest[some]
+            indices, weights, rest = model.indices[some], model.weights[some], model.rest[some]
             for q in range(k):
-                t_joints, t_weights, t_rest = joints.copy(), weights.copy(), rest.copy()
+                t_joints, t_weights, t_rest = indices.copy(), weights.copy(), rest.copy()
                 t_weights[:, q] = 0.0
                 t_weights /= t_weights.sum(axis=1, keepdims=True)
                 error = np.empty(len(some))
@@ -207,7 +207,7 @@ def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
                 )
                 better = error < least
                 least[better], at = error[better], some[better]
-                model.joints[at], model.weights[at] = t_joints[better], t_weights[better]
+                model.indices[at], model.weights[at] = t_joints[better], t_weights[better]
                 model.rest[at] = t_rest[better]
             model.error[some] = np.maximum(least, 0.0)
 
@@ -346,5 +346,5 @@ def _costs(data: Trajectories, model: Model, fixed: Fixed) -> Array:
         # all bones that the caller gave: locked ones are known by their place among them
         cost[: len(fixed.bones)] = np.inf
     keep = fixed.keep_weights(data.n_vertices)
-    cost[model.joints[keep][model.weights[keep] > 0]] = np.inf
+    cost[model.indices[keep][model.weights[keep] > 0]] = np.inf
     return cost

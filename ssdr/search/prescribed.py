@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..checks import check_mask, check_rest, check_transforms, check_weights
 from ..errors import InputError
+from ..hierarchy.tree import Tree
+from ..joints.matching import limb_distances
 from ..skinning import BoneModel, Skinning
 from ..solver.trajectories import Alignment, Array
-from ..solver.tree import Tree
-from .limbs import limb_distances
 
 __all__ = ["Prescribed", "check_prescribed", "single_joint"]
 
@@ -28,7 +28,7 @@ class Prescribed:
         To be kept.
     rest_frame : int
         Frame at which the rest pose starts where none is handed over.
-    joints, weights : (V, K) arrays or None
+    indices, weights : (V, K) arrays or None
         Kept at `locked_vertices`.
     transforms : (F, B0, 3, 4) array or None
         Kept for `locked_bones`.
@@ -50,7 +50,7 @@ class Prescribed:
 
     rest: Array | None = None
     rest_frame: int = 0
-    joints: NDArray[np.int32] | None = None
+    indices: NDArray[np.int32] | None = None
     weights: Array | None = None
     transforms: Array | None = None
     locked_vertices: NDArray[np.bool_] | None = None
@@ -105,7 +105,7 @@ def check_prescribed(
     *,
     rest: Any,
     rest_frame: int,
-    joints: Any,
+    indices: Any,
     weights: Any,
     transforms: Any,
     locked_vertices: Any,
@@ -117,17 +117,17 @@ def check_prescribed(
 ) -> Prescribed:
     """Check the parts that a caller hands over; `shape` is (F, V, B, K)."""
     n_frames, n, bones, influences = shape
-    if (joints is None) != (weights is None):
-        missing = "joints" if joints is None else "weights"
-        raise InputError(missing, "an array beside the other of joints and weights", "None")
+    if (indices is None) != (weights is None):
+        missing = "indices" if indices is None else "weights"
+        raise InputError(missing, "an array beside the other of indices and weights", "None")
     rest = None if rest is None else check_rest(rest, n)
     vertex_mask = check_mask(locked_vertices, "locked_vertices", n)
     if weights is not None:
-        joints, weights = _check_skin(joints, weights, n, bones, influences)
+        indices, weights = _check_skin(indices, weights, n, bones, influences)
         if vertex_mask is None:
             vertex_mask = np.ones(n, dtype=bool)
     elif vertex_mask is not None:
-        raise InputError("locked_vertices", "None without joints and weights", "a mask")
+        raise InputError("locked_vertices", "None without indices and weights", "a mask")
     bone_mask = None
     if transforms is not None:
         transforms = check_transforms(transforms, n_frames, bone_model)
@@ -166,7 +166,7 @@ def check_prescribed(
         turns=turns,
         rest=rest,
         rest_frame=rest_frame,
-        joints=joints,
+        indices=indices,
         weights=weights,
         transforms=transforms,
         locked_vertices=vertex_mask,
@@ -179,10 +179,10 @@ def _largest(skeleton: Skinning, influences: int) -> tuple[NDArray[np.int32], Ar
     weights = np.asarray(skeleton.weights, dtype=np.float64)
     order = np.argsort(-weights, axis=1, kind="stable")[:, :influences]
     weights = np.take_along_axis(weights, order, axis=1)
-    joints = np.take_along_axis(np.asarray(skeleton.joints, dtype=np.int32), order, axis=1)
-    joints = np.where(weights > 0, joints, 0).astype(np.int32)
+    indices = np.take_along_axis(np.asarray(skeleton.indices, dtype=np.int32), order, axis=1)
+    indices = np.where(weights > 0, indices, 0).astype(np.int32)
     total = weights.sum(axis=1, keepdims=True)
-    return np.ascontiguousarray(joints), np.ascontiguousarray(weights / total)
+    return np.ascontiguousarray(indices), np.ascontiguousarray(weights / total)
 
 
 def _kept_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
@@ -221,23 +221,23 @@ def single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
 
 
 def _check_skin(
-    joints: Any, weights: Any, n: int, bones: int, influences: int
+    indices: Any, weights: Any, n: int, bones: int, influences: int
 ) -> tuple[NDArray[np.int32], Array]:
     """Joints and weights, the largest weights first, no bone twice at a vertex."""
-    joints, weights = check_weights(joints, weights, n)
-    if joints.max() >= bones:
-        raise InputError("joints", f"indices from 0 to {bones - 1}", int(joints.max()))
+    indices, weights = check_weights(indices, weights, n)
+    if indices.max() >= bones:
+        raise InputError("indices", f"indices from 0 to {bones - 1}", int(indices.max()))
     used = int((weights > 0).sum(axis=1).max())
     if used > influences:
         raise InputError("weights", f"at most {influences} influences a vertex", used)
     order = np.argsort(-weights, axis=1, kind="stable")
     weights = np.ascontiguousarray(np.take_along_axis(weights, order, axis=1))
-    joints = np.ascontiguousarray(np.take_along_axis(joints, order, axis=1))
-    named = np.sort(np.where(weights > 0, joints, -1 - np.arange(joints.shape[1])), axis=1)
+    indices = np.ascontiguousarray(np.take_along_axis(indices, order, axis=1))
+    named = np.sort(np.where(weights > 0, indices, -1 - np.arange(indices.shape[1])), axis=1)
     twice = (named[:, 1:] == named[:, :-1]).any(axis=1)
     if twice.any():
         raise InputError(
-            "joints", "no bone twice at a vertex", f"one twice at vertex {int(twice.argmax())}"
+            "indices", "no bone twice at a vertex", f"one twice at vertex {int(twice.argmax())}"
         )
-    joints[weights == 0] = 0
-    return joints, weights
+    indices[weights == 0] = 0
+    return indices, weights

@@ -94,11 +94,11 @@ class Start(Stage):
             self.influences or run.influences,
         )
         rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
-        bones, joints, weights = prescribed.transforms, prescribed.joints, prescribed.weights
-        if joints is not None and weights is not None:
+        bones, indices, weights = prescribed.transforms, prescribed.indices, prescribed.weights
+        if indices is not None and weights is not None:
             if bones is None:
-                bones = bones_of_weights(data, rest, joints, run.bones, run.fixed.bone_model)
-            return Model.with_weights(bones.copy(), rest, joints, weights, influences)
+                bones = bones_of_weights(data, rest, indices, run.bones, run.fixed.bone_model)
+            return Model.with_weights(bones.copy(), rest, indices, weights, influences)
         if bones is not None and bones.shape[1] == run.bones:
             every = np.arange(data.n_vertices)
             cost, positions = single_bone_errors(data, prescribed.rest, bones, every)

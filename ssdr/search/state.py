@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ..checks import LARGEST, check_squarable
 from ..errors import FormatError, InputError, SsdrWarning, is_real, is_whole
-from ..hierarchy import check_parents
+from ..hierarchy.transforms import check_parents
+from ..hierarchy.tree import Tree
 from ..solver.model import ARRAYS, Model
 from ..solver.recycling import Recycled
-from ..solver.tree import Tree
 
 __all__ = [
     "Checkpoint",
@@ -286,7 +286,7 @@ _ARRAYS: dict[str, tuple[str, str]] = {
     "support": ("i", "VS"),
     "support_weights": ("f", "VS"),
     "count": ("i", "V"),
-    "joints": ("i", "VK"),
+    "indices": ("i", "VK"),
     "weights": ("f", "VK"),
     "error": ("f", "V"),
 }
@@ -332,12 +332,12 @@ def model_of(arrays: dict[str, Any], prefix: str) -> Model | None:
     for name, (_, shape) in _ARRAYS.items():
         if parts[name].ndim != len(shape):
             raise ValueError(f"{prefix}{name} has shape {parts[name].shape}")
-    n, k = parts["joints"].shape
+    n, k = parts["indices"].shape
     frames, bones = parts["transforms"].shape[:2]
     sizes = {"F": frames, "B": bones, "V": n, "K": k, "3": 3, "4": 4}
     sizes["S"] = max(k, parts["support"].shape[1])
     least_and_most = {
-        "joints": (0, bones - 1),
+        "indices": (0, bones - 1),
         "support": (0, bones - 1),
         "count": (1, sizes["S"]),
     }

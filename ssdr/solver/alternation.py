@@ -56,7 +56,7 @@ def vertex_step(
                 model.support[i:k],
                 model.support_weights[i:k],
                 model.count[i:k],
-                model.joints[i:k],
+                model.indices[i:k],
                 model.weights[i:k],
                 model.error[i:k],
                 keep[i:k],
@@ -79,7 +79,7 @@ def bone_step(
     one linear solve for all bones of all frames where they are affine.  `leaps`,
     each with its sweeps, are for rigid bones that may be far from where they belong.
     """
-    u, c = bone_sums(data, model.joints, model.weights, model.rest, model.n_bones)
+    u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     locked = fixed.locked(model.n_bones)
     if fixed.bone_model == "affine":
         solve_affine(model.transforms, u, c, locked)

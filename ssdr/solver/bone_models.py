@@ -137,15 +137,15 @@ def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
         return
     n_bones = model.n_bones
     used = model.weights > 0
-    first = np.broadcast_to(model.joints[:, :1], used.shape)[used]
-    links = coo_array((np.ones(len(first)), (first, model.joints[used])), shape=(n_bones, n_bones))
+    first = np.broadcast_to(model.indices[:, :1], used.shape)[used]
+    links = coo_array((np.ones(len(first)), (first, model.indices[used])), shape=(n_bones, n_bones))
     count, part = connected_components(links, directed=False)
     share = importance[:, None] * model.weights
-    mass = np.bincount(model.joints.ravel(), weights=share.ravel(), minlength=n_bones)
+    mass = np.bincount(model.indices.ravel(), weights=share.ravel(), minlength=n_bones)
     linear, shift = model.transforms[..., :3], model.transforms[..., 3]
     stretch = np.einsum("tjca,tjcb->jab", linear, linear) / len(linear)
     for k in range(count):
-        bones, mine = part == k, part[model.joints[:, 0]] == k
+        bones, mine = part == k, part[model.indices[:, 0]] == k
         if not mass[bones].sum() > 0:
             continue
         mean = np.einsum("j,jab->ab", mass[bones] / mass[bones].sum(), stretch[bones])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from ..hierarchy.tree import Tree
 from ..kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ..parallel import chunk_bounds, run_chunks
 from .dense import inverse_of
@@ -16,7 +17,6 @@ from .model import FREE, Model
 from .polish import Polish
 from .skin_contact import PULL, judged, spread, strays
 from .trajectories import Array, Trajectories
-from .tree import Tree
 
 __all__ = ["ChainPolish"]
 

@@ -230,7 +230,7 @@ def start_model(
 
 
 def bones_of_weights(
-    data: Trajectories, rest: Array, joints: NDArray[np.int32], count: int, bone_model: BoneModel
+    data: Trajectories, rest: Array, indices: NDArray[np.int32], count: int, bone_model: BoneModel
 ) -> Array:
     """Each bone's own fit to the vertices that it moves most."""
-    return fit_patches(data, rest, joints[:, 0].astype(np.intp), count, bone_model)
+    return fit_patches(data, rest, indices[:, 0].astype(np.intp), count, bone_model)

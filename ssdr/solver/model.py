@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
-from .tree import Tree
 
 __all__ = [
     "Fixed",
@@ -32,9 +32,9 @@ class Model:
     support: NDArray[np.int32]  # (V, SLOTS)
     support_weights: Array  # (V, SLOTS)
     count: NDArray[np.int32]  # (V,)
-    joints: NDArray[np.int32]  # (V, K)
+    indices: NDArray[np.int32]  # (V, K)
     weights: Array  # (V, K)
-    error: Array  # (V,) squared error of joints, weights, rest, transforms
+    error: Array  # (V,) squared error of indices, weights, rest, transforms
     tree: Tree | None = None  # the hierarchy of the bones
 
     @property
@@ -43,7 +43,7 @@ class Model:
 
     @property
     def n_influences(self) -> int:
-        return int(self.joints.shape[1])
+        return int(self.indices.shape[1])
 
     def copy(self) -> Model:
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
@@ -67,9 +67,9 @@ class Model:
         slots = max(SLOTS, influences)
         support = np.zeros((n, slots), dtype=np.int32)
         support_weights = np.zeros((n, slots))
-        joints = np.zeros((n, influences), dtype=np.int32)
+        indices = np.zeros((n, influences), dtype=np.int32)
         weights = np.zeros((n, influences))
-        support[:, 0] = joints[:, 0] = label
+        support[:, 0] = indices[:, 0] = label
         support_weights[:, 0] = weights[:, 0] = 1.0
         return Model(
             transforms=transforms,
@@ -77,19 +77,19 @@ class Model:
             support=support,
             support_weights=support_weights,
             count=np.ones(n, dtype=np.int32),
-            joints=joints,
+            indices=indices,
             weights=weights,
             error=np.full(n, np.inf),
         )
 
     @staticmethod
     def with_weights(
-        transforms: Array, rest: Array, joints: NDArray[np.int32], weights: Array, influences: int
+        transforms: Array, rest: Array, indices: NDArray[np.int32], weights: Array, influences: int
     ) -> Model:
         """Weights as they are handed over, the largest first, in `influences` slots."""
-        model = Model.start(transforms, rest, joints[:, 0], influences)
-        k = min(influences, joints.shape[1])
-        model.joints[:, :k], model.weights[:, :k] = joints[:, :k], weights[:, :k]
+        model = Model.start(transforms, rest, indices[:, 0], influences)
+        k = min(influences, indices.shape[1])
+        model.indices[:, :k], model.weights[:, :k] = indices[:, :k], weights[:, :k]
         model.restart_support()
         return model
 
@@ -101,7 +101,7 @@ class Model:
         k = self.n_influences
         self.support[:] = 0
         self.support_weights[:] = 0.0
-        self.support[:, :k] = self.joints
+        self.support[:, :k] = self.indices
         self.support_weights[:, :k] = self.weights
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
@@ -117,11 +117,11 @@ class Model:
         The error is that of before.
         """
         k = self.n_influences
-        joints, weights = self.joints, self.weights
+        indices, weights = self.indices, self.weights
         if count < k:
             # in the order they stand, and to the bit where nothing is lost
             largest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, :count], axis=1)
-            joints = np.take_along_axis(joints, largest, axis=1)
+            indices = np.take_along_axis(indices, largest, axis=1)
             weights = np.take_along_axis(weights, largest, axis=1)
             total = weights.sum(axis=1, keepdims=True)
             lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
@@ -134,7 +134,7 @@ class Model:
             support=np.pad(self.support, wide),
             support_weights=np.pad(self.support_weights, wide),
             count=self.count.copy(),
-            joints=np.ascontiguousarray(np.pad(joints, padding)),
+            indices=np.ascontiguousarray(np.pad(indices, padding)),
             weights=np.ascontiguousarray(np.pad(weights, padding)),
             error=self.error.copy(),
             tree=self.tree,
@@ -171,7 +171,7 @@ class Model:
             support_weights=support_weights,
             count=count,
             # a copy also where all of the support is kept: steps write to both
-            joints=np.array(support[:, :k], dtype=np.int32, order="C"),
+            indices=np.array(support[:, :k], dtype=np.int32, order="C"),
             weights=weights,
             error=self.error.copy(),
         )
@@ -231,6 +231,6 @@ def pad_influences(model: Model, influences: int) -> tuple[NDArray[np.int32], An
     """Joints and weights with exactly K columns."""
     more = influences - model.n_influences
     if more <= 0:
-        return model.joints, model.weights
+        return model.indices, model.weights
     widths = ((0, 0), (0, more))
-    return np.pad(model.joints, widths), np.pad(model.weights, widths)
+    return np.pad(model.indices, widths), np.pad(model.weights, widths)

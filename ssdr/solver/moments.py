@@ -44,7 +44,7 @@ def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array,
 
 def bone_sums(
     data: Trajectories,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     weights: Array,
     rest: Array,
     n_bones: int,
@@ -58,7 +58,15 @@ def bone_sums(
         u = np.zeros((n_bones, n_bones, 10))
         az = np.zeros((4, n_bones, r))
         bone_moments(
-            joints[i:k], weights[i:k], rest[i:k], data.importance[i:k], data.z[i:k], u, az, 0, k - i
+            indices[i:k],
+            weights[i:k],
+            rest[i:k],
+            data.importance[i:k],
+            data.z[i:k],
+            u,
+            az,
+            0,
+            k - i,
         )
         return u, az
 

@@ -94,7 +94,7 @@ class _Grouped:
         precision: type[np.floating[Any]],
     ) -> _Grouped:
         n_bones = model.n_bones
-        bones = np.where(model.weights > 0, model.joints, n_bones)
+        bones = np.where(model.weights > 0, model.indices, n_bones)
         slot = bones.argsort(axis=1, kind="stable")
         bones = np.take_along_axis(bones, slot, axis=1)
         # Should two sets share a code they only make more groups.
@@ -183,7 +183,7 @@ class Polish:
             model,
             transforms=model.transforms.copy(),
             rest=model.rest.copy(),
-            joints=model.joints.copy(),
+            indices=model.indices.copy(),
             weights=model.weights.copy(),
             error=model.error.copy(),
         )
@@ -196,7 +196,7 @@ class Polish:
                 step[i:k],
                 1.0,
                 trial.rest[i:k],
-                trial.joints[i:k],
+                trial.indices[i:k],
                 trial.weights[i:k],
                 self._keep[i:k],
                 move_rest,
@@ -215,7 +215,7 @@ class Polish:
             self.damping = max(self.damping / 5.0, 1e-8)
         elif ratio < 0.25:
             self.damping *= 3.0
-        for name in ("transforms", "rest", "joints", "weights", "error"):
+        for name in ("transforms", "rest", "indices", "weights", "error"):
             setattr(model, name, getattr(trial, name))
         self._left, self.value = left, value
         return True
@@ -249,7 +249,7 @@ class Polish:
         """Tangents (F, B, n) of the damped step and the decrease that they promise."""
         data, model = self.data, self.model
         n_bones = model.n_bones
-        u, c = bone_sums(data, model.joints, model.weights, model.rest, n_bones)
+        u, c = bone_sums(data, model.indices, model.weights, model.rest, n_bones)
         scale = data.frame_scale
         hat = self._left.hat
         u_flat = flat_blocks(u)

@@ -31,14 +31,14 @@ def meeting_points(model: Model) -> tuple[Array, Array]:
     """
     tree = model.tree
     assert tree is not None
-    n_bones, weights, joints = model.n_bones, model.weights, model.joints
+    n_bones, weights, indices = model.n_bones, model.weights, model.indices
     # of each influence, the weight of its parent at the same vertex
-    parents = tree.parents[joints]
-    both = np.where(parents[:, :, None] == joints[:, None, :], weights[:, None, :], 0.0)
+    parents = tree.parents[indices]
+    both = np.where(parents[:, :, None] == indices[:, None, :], weights[:, None, :], 0.0)
     share = weights * both.sum(axis=2)
 
     def sums(each: Array) -> Array:
-        out = np.bincount(joints.ravel(), each.ravel(), minlength=n_bones)
+        out = np.bincount(indices.ravel(), each.ravel(), minlength=n_bones)
         return np.asarray(out, dtype=np.float64)
 
     overlap, mass = sums(share), sums(weights**2)

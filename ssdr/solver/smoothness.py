@@ -76,5 +76,5 @@ class WeightSmoothness:
 
 def _dense(model: Model) -> Array:
     w = np.zeros((len(model.rest), model.n_bones))
-    np.add.at(w, (np.arange(len(w))[:, None], model.joints), model.weights)
+    np.add.at(w, (np.arange(len(w))[:, None], model.indices), model.weights)
     return w

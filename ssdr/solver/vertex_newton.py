@@ -59,7 +59,7 @@ def newton_vertices(
             products(i, k),
             x2[i:k],
             tables,
-            (model.rest[i:k], model.joints[i:k], model.weights[i:k], model.error[i:k]),
+            (model.rest[i:k], model.indices[i:k], model.weights[i:k], model.error[i:k]),
             keep[i:k],
             move_rest=not fixed.rest,
             entering=entering,
@@ -84,17 +84,17 @@ def newton_rows(
     inverse: Array | None = None,
     gradient: Array | None = None,
 ) -> None:
-    """The same for some vertices, whose rest, joints, weights and error are `rows`."""
-    rest, joints, weights, error = rows
+    """The same for some vertices, whose rest, indices, weights and error are `rows`."""
+    rest, indices, weights, error = rows
     gram, gram4 = tables
-    n, size = len(rest), joints.shape[1] + 2
+    n, size = len(rest), indices.shape[1] + 2
     polish_vertices(
         y.reshape(n, 4, len(gram)),
         x2,
         gram,
         gram4,
         rest,
-        joints,
+        indices,
         weights,
         error,
         keep,

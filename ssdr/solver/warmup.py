@@ -35,7 +35,7 @@ def compile_kernels() -> float:
     bone_costs(data, model)
     squared_error_range(
         model.rest,
-        model.joints,
+        model.indices,
         model.weights,
         model.transforms[:1],
         np.zeros((1, data.n_vertices, 3)),

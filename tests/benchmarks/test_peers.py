@@ -23,16 +23,16 @@ def _model(seed: int = 0) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(seed)
     n, f, b, k = 30, 70, 6, 3
     rest = rng.standard_normal((n, 3))
-    joints = np.argsort(rng.random((n, b)), axis=1)[:, :k]
+    indices = np.argsort(rng.random((n, b)), axis=1)[:, :k]
     weights = rng.dirichlet(np.ones(k), n)
-    return rest, joints, weights, rng.standard_normal((f, b, 3, 4))
+    return rest, indices, weights, rng.standard_normal((f, b, 3, 4))
 
 
 def test_the_error_is_the_same_by_two_ways_of_skinning() -> None:
-    rest, joints, weights, transforms = _model()
-    skinned = common.reskin(rest, joints, weights, transforms)
+    rest, indices, weights, transforms = _model()
+    skinned = common.reskin(rest, indices, weights, transforms)
     frames = skinned + 0.1 * np.random.default_rng(1).standard_normal(skinned.shape)
-    fast = model_size.skinned_e(frames, rest, model_size.dense(joints, weights, 6), transforms)
+    fast = model_size.skinned_e(frames, rest, model_size.dense(indices, weights, 6), transforms)
     assert fast == pytest.approx(common.error_e(frames, skinned), rel=1e-12)
 
 
@@ -53,9 +53,9 @@ def test_bytes_by_hand_and_by_the_package() -> None:
     # 10 + 5 positions, 10 counts, 37 pairs of two bytes, 3 x 5 keys of seven float32
     assert model_size.model_bytes(10, 3, 5, 37, 8) == 180 + 10 + 74 + 420
     assert model_size.model_bytes(10, 3, 300, 37, 8, "affine") == 12 * 310 + 10 + 111 + 48 * 900
-    rest, joints, weights, transforms = _model()
+    rest, indices, weights, transforms = _model()
     transforms[..., :3] = np.eye(3)
-    model = ssdr.Skinning(rest, joints, weights, transforms)
+    model = ssdr.Skinning(rest, indices, weights, transforms)
     assert model_size.model_bytes(30, 70, 6, 90, 16) == ssdr.parsimony.size(model).total
 
 

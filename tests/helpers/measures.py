@@ -65,7 +65,7 @@ def pooled(frames: np.ndarray, again: np.ndarray) -> float:
 def played(skinning: ssdr.Skinning) -> np.ndarray:
     """The frames of a model, by code of the tests alone."""
     s = skinning
-    return motions.blend(s.rest, s.joints, s.weights, s.transforms)
+    return motions.blend(s.rest, s.indices, s.weights, s.transforms)
 
 
 def rmse_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
@@ -79,4 +79,4 @@ def largest_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
 
 def bits(result: ssdr.Decomposition) -> list[bytes]:
     s = result.skinning
-    return [a.tobytes() for a in (s.rest, s.joints, s.weights, s.transforms)]
+    return [a.tobytes() for a in (s.rest, s.indices, s.weights, s.transforms)]

@@ -13,24 +13,24 @@ class Rig:
     """An exact linear blend skinning and the frames that it makes."""
 
     rest: np.ndarray
-    joints: np.ndarray
+    indices: np.ndarray
     weights: np.ndarray
     transforms: np.ndarray
     faces: np.ndarray
 
     @property
     def frames(self) -> np.ndarray:
-        return blend(self.rest, self.joints, self.weights, self.transforms)
+        return blend(self.rest, self.indices, self.weights, self.transforms)
 
     @property
     def bones(self) -> int:
         return self.transforms.shape[1]
 
 
-def blend(rest, joints, weights, transforms):
+def blend(rest, indices, weights, transforms):
     """Linear blend skinning by blending whole matrices."""
     dense = np.zeros((len(rest), transforms.shape[1]))
-    np.add.at(dense, (np.arange(len(rest))[:, None], joints), weights)
+    np.add.at(dense, (np.arange(len(rest))[:, None], indices), weights)
     matrices = np.einsum("ij,tjab->tiab", dense, transforms)
     return np.einsum("tiab,ib->tia", matrices[..., :3], rest) + matrices[..., 3]
 
@@ -50,22 +50,22 @@ def motions(rng, n_frames, n_bones, turn=0.6, shift=0.5):
 def weights_of(rng, n_vertices, n_bones, influences):
     """Random joints and weights, descending, some vertices with fewer influences."""
     k = min(influences, n_bones)
-    joints = np.argsort(rng.random((n_vertices, n_bones)), axis=1)[:, :k]
+    indices = np.argsort(rng.random((n_vertices, n_bones)), axis=1)[:, :k]
     weights = rng.random((n_vertices, k)) ** 2
     weights[:, 1:][rng.random((n_vertices, k - 1)) < 0.3] = 0
     weights[:, 0] += 0.1
     weights /= weights.sum(axis=1, keepdims=True)
     order = np.argsort(-weights, axis=1, kind="stable")
     weights = np.take_along_axis(weights, order, axis=1)
-    joints = np.take_along_axis(joints, order, axis=1)
-    joints[weights == 0] = 0
-    return joints.astype(np.int32), weights
+    indices = np.take_along_axis(indices, order, axis=1)
+    indices[weights == 0] = 0
+    return indices.astype(np.int32), weights
 
 
 def random_skinning(rng, rest, n_frames, n_bones, influences):
     """Frames (F, V, 3) of random weights under unrelated bones."""
-    joints, weights = weights_of(rng, len(rest), n_bones, influences)
-    return blend(rest, joints, weights, motions(rng, n_frames, n_bones))
+    indices, weights = weights_of(rng, len(rest), n_bones, influences)
+    return blend(rest, indices, weights, motions(rng, n_frames, n_bones))
 
 
 def still(array):
@@ -86,9 +86,9 @@ def chain(seed=0, *, bones=5, frames=20, rows=20, ring=6, bend=0.6):
     faces = np.concatenate([np.stack([i, j, i + ring], 1), np.stack([j, j + ring, i + ring], 1)])
     dense = np.maximum(0, 1 - np.abs(rest[:, 2:] - (np.arange(bones) + 0.5)))
     dense /= dense.sum(axis=1, keepdims=True)
-    joints = np.argsort(-dense, axis=1, kind="stable")[:, : min(4, bones)]
-    weights = np.take_along_axis(dense, joints, axis=1)
-    joints[weights == 0] = 0
+    indices = np.argsort(-dense, axis=1, kind="stable")[:, : min(4, bones)]
+    weights = np.take_along_axis(dense, indices, axis=1)
+    indices[weights == 0] = 0
     axis, phase = rng.standard_normal((bones, 3)), rng.uniform(0, 6, (bones, 3))
     transforms = np.zeros((frames, bones, 3, 4))
     for t in range(frames):
@@ -100,7 +100,7 @@ def chain(seed=0, *, bones=5, frames=20, rows=20, ring=6, bend=0.6):
             shift = shift + r @ (pivot - hinge @ pivot)
             r = r @ hinge
             transforms[t, b, :, :3], transforms[t, b, :, 3] = r, shift
-    return Rig(rest, joints.astype(np.int32), weights, transforms, faces.astype(np.int32))
+    return Rig(rest, indices.astype(np.int32), weights, transforms, faces.astype(np.int32))
 
 
 def wobble(rig, amount=0.02, seed=1):
@@ -130,10 +130,10 @@ def boxes(n_boxes=2, frames=12, points=30, seed=0):
             centre = rest[b].mean(axis=0)
             transforms[t, b, :, :3] = r = rotation(*(0.2 * t * axis[b]))
             transforms[t, b, :, 3] = centre - r @ centre + 0.1 * t * way[b]
-    joints = np.repeat(np.arange(n_boxes), points)[:, None]
+    indices = np.repeat(np.arange(n_boxes), points)[:, None]
     return Rig(
         rest.reshape(-1, 3),
-        joints.astype(np.int32),
+        indices.astype(np.int32),
         np.ones((n_boxes * points, 1)),
         transforms,
         np.zeros((0, 3), dtype=np.int32),

@@ -13,14 +13,14 @@ from itertools import combinations
 import numpy as np
 
 
-def skin(rest, joints, weights, transforms):
+def skin(rest, indices, weights, transforms):
     """v_i^t = sum_k w_ik M_{j_ik}^t (p_i, 1), in float64 loops."""
     frames = np.zeros((len(transforms), len(rest), 3))
     for t in range(len(transforms)):
         for i in range(len(rest)):
             p = np.append(np.asarray(rest[i], dtype=np.float64), 1.0)
-            for k in range(joints.shape[1]):
-                m = np.asarray(transforms[t][joints[i, k]], dtype=np.float64)
+            for k in range(indices.shape[1]):
+                m = np.asarray(transforms[t][indices[i, k]], dtype=np.float64)
                 frames[t, i] += float(weights[i, k]) * (m @ p)
     return frames
 
@@ -188,9 +188,9 @@ def sted(reference, other, faces, *, neighbourhood, window, dt, normaliser, sign
     return mean[0], mean[1]
 
 
-def squared_error(frames, rest, joints, weights, transforms):
+def squared_error(frames, rest, indices, weights, transforms):
     """Per-vertex sum over frames of the squared distance to the skinned position."""
-    gap = np.asarray(frames, dtype=np.float64) - skin(rest, joints, weights, transforms)
+    gap = np.asarray(frames, dtype=np.float64) - skin(rest, indices, weights, transforms)
     return (gap**2).sum(axis=(0, 2))
 
 
@@ -229,24 +229,24 @@ def best_convex(matrix, target, influences):
     return best, best_w
 
 
-def rest_position(frames, joints, weights, transforms):
+def rest_position(frames, indices, weights, transforms):
     """Rest positions by one dense least-squares problem a vertex."""
     out = np.zeros((frames.shape[1], 3))
     for i in range(len(out)):
         rows, right = [], []
         for t in range(len(frames)):
-            blended = sum(w * transforms[t, j] for j, w in zip(joints[i], weights[i], strict=True))
+            blended = sum(w * transforms[t, j] for j, w in zip(indices[i], weights[i], strict=True))
             rows.append(blended[:, :3])
             right.append(frames[t, i] - blended[:, 3])
         out[i] = np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=None)[0]
     return out
 
 
-def dirichlet(faces, joints, weights, n_bones):
+def dirichlet(faces, indices, weights, n_bones):
     """Sum over the mesh's edges of the squared jump of all weights."""
-    dense = np.zeros((len(joints), n_bones))
-    for i in range(len(joints)):
-        for j, w in zip(joints[i], weights[i], strict=True):
+    dense = np.zeros((len(indices), n_bones))
+    for i in range(len(indices)):
+        for j, w in zip(indices[i], weights[i], strict=True):
             dense[i, j] += w
     edges = {(min(i, j), max(i, j)) for a, b, c in faces for i, j in ((a, b), (b, c), (c, a))}
     return sum(float(((dense[i] - dense[j]) ** 2).sum()) for i, j in edges if i != j)
@@ -297,11 +297,11 @@ def umeyama(source: np.ndarray, target: np.ndarray, w: np.ndarray) -> np.ndarray
     return np.concatenate([size * r, (b - size * r @ a)[:, None]], axis=1)
 
 
-def affine(rest, joints, weights, frame, bones, importance) -> np.ndarray:
+def affine(rest, indices, weights, frame, bones, importance) -> np.ndarray:
     """All bones of one frame by a general least-squares solver on the full design matrix."""
     design = np.zeros((len(rest), 4 * bones))
     for i, p in enumerate(rest):
-        for j, w in zip(joints[i], weights[i], strict=True):
+        for j, w in zip(indices[i], weights[i], strict=True):
             design[i, 4 * j : 4 * j + 4] += w * np.append(p, 1.0)
     root = np.sqrt(importance)[:, None]
     found, *_ = np.linalg.lstsq(root * design, root * frame, rcond=None)

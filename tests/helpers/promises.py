@@ -17,13 +17,13 @@ def check(
     n_frames, n = array.shape[:2]
     assert s.transforms.shape == (n_frames, bones, 3, 4)
     assert s.rest.shape == (n, 3)
-    assert s.joints.shape == s.weights.shape == (n, influences)
-    assert s.joints.min() >= 0
-    assert s.joints.max() < bones
+    assert s.indices.shape == s.weights.shape == (n, influences)
+    assert s.indices.min() >= 0
+    assert s.indices.max() < bones
     assert s.weights.min() >= 0
     assert np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6
     assert (np.diff(s.weights, axis=1) <= 1e-12).all()
-    assert (s.joints[s.weights == 0] == 0).all()
+    assert (s.indices[s.weights == 0] == 0).all()
     r = s.transforms[..., :3]
     assert np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max() < 1e-6
     assert np.abs(np.linalg.det(r) - 1).max() < 1e-6

@@ -64,8 +64,8 @@ def tube(*, bones=5, frames=20, influences=4, rings=21, sides=12, scaled=False, 
     )
     middle = (np.arange(bones) + 0.5) * 4 / bones
     dense = np.exp(-(((rest[:, 1:2] - middle) / (2.2 / bones * 2)) ** 2))
-    joints = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
-    weights = np.take_along_axis(dense, joints, axis=1)
+    indices = np.argsort(-dense, axis=1, kind="stable")[:, :influences]
+    weights = np.take_along_axis(dense, indices, axis=1)
     weights /= weights.sum(axis=1, keepdims=True)
     transforms = np.zeros((frames, bones, 3, 4))
     for t in range(frames):
@@ -91,7 +91,7 @@ def tube(*, bones=5, frames=20, influences=4, rings=21, sides=12, scaled=False, 
                 transforms[t, b, :, 3] += motion[:3, :3] @ joint * (1 - size)
     return ssdr.Skinning(
         rest,
-        joints,
+        indices,
         weights,
         transforms,
         faces=np.array(faces),

@@ -199,7 +199,7 @@ def mirrored(frames: np.ndarray) -> np.ndarray:
 def flat(keep: list[int], effort: str = "best") -> Problem:
     """The exact chain with a rest pose in a plane or on a line."""
     rest = rig().rest * np.isin([0, 1, 2], keep)
-    frames = motions.blend(rest, rig().joints, rig().weights, rig().transforms)
+    frames = motions.blend(rest, rig().indices, rig().weights, rig().transforms)
     return Problem(frames, diagonal(frames), rig().faces, {"effort": effort})
 
 
@@ -219,7 +219,7 @@ def flips() -> Problem:
         axis = np.eye(3)[b]
         for t in range(10):
             moves[t, b, :, :3] = motions.rotation(*(np.pi * (t % 2) * axis))
-    frames = motions.blend(bodies.rest, bodies.joints, bodies.weights, moves)
+    frames = motions.blend(bodies.rest, bodies.indices, bodies.weights, moves)
     return Problem(frames, diagonal(frames), None, {"bones": 3})
 
 
@@ -268,7 +268,7 @@ def one_nearly_still() -> Problem:
     moves = bodies.transforms.copy()
     moves[:, 1] = np.eye(3, 4)
     moves[:, 1, :, 3] = 1e-6 * bodies.transforms[:, 1, :, 3]
-    frames = motions.blend(bodies.rest, bodies.joints, bodies.weights, moves)
+    frames = motions.blend(bodies.rest, bodies.indices, bodies.weights, moves)
     return Problem(frames, diagonal(frames), None, {"bones": 3})
 
 
@@ -555,7 +555,7 @@ def run(case: Case) -> Outcome:
     if fault:
         return Outcome(case.name, f"INVALID: {fault}")
     s = result.skinning
-    gap = motions.blend(s.rest, s.joints, s.weights, s.transforms) - frames
+    gap = motions.blend(s.rest, s.indices, s.weights, s.transforms) - frames
     figure = float(np.sqrt((gap**2).sum(axis=-1).mean())) / problem.size
     reported = result.rmse / problem.size
     if abs(figure - reported) > 1e-4 * figure + 1e-9:
@@ -578,6 +578,6 @@ def invalid(s: ssdr.Skinning, frames: np.ndarray, bones: int) -> str:
         "rotations": bool(turned < 1e-6) and bool(np.linalg.det(r).min() > 0),
         "weights": bool(s.weights.min() >= 0)
         and bool(np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6),
-        "joints": bool(s.joints.min() >= 0) and bool(s.joints.max() < bones),
+        "indices": bool(s.indices.min() >= 0) and bool(s.indices.max() < bones),
     }
     return ", ".join(name for name, good in tests.items() if not good)

@@ -33,7 +33,7 @@ def rig(kind: str, bones: int = 4, **options: Any) -> motions.Rig:
     middle = np.array([[0.0, 0.0, b + 0.5] for b in range(bones)])
     m = stretched(base.transforms, kind)
     m[..., 3] += np.einsum("tjab,jb->tja", base.transforms[..., :3] - m[..., :3], middle)
-    return motions.Rig(base.rest, base.joints, base.weights, m, base.faces)
+    return motions.Rig(base.rest, base.indices, base.weights, m, base.faces)
 
 
 def check_kind(transforms: np.ndarray, kind: str) -> None:

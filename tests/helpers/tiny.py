@@ -22,9 +22,9 @@ class Tiny:
         rng = np.random.default_rng(seed)
         self.n, self.bones, self.frames, self.k = 8, 3, 4, 3
         rest = rng.standard_normal((self.n, 3))
-        joints, weights = motions.weights_of(rng, self.n, self.bones, self.k)
+        indices, weights = motions.weights_of(rng, self.n, self.bones, self.k)
         truth = motions.motions(rng, self.frames, self.bones)
-        frames = motions.blend(rest, joints, weights, truth)
+        frames = motions.blend(rest, indices, weights, truth)
         frames += 0.1 * rng.standard_normal(frames.shape)
         self.data: Trajectories = gather(
             [ssdr.MeshSequence(frames)],
@@ -36,8 +36,8 @@ class Tiny:
         inner, start = self.data.from_world(rest, truth)
         assert start is not None
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
-        self.model = Model.start(start, inner, joints[:, 0].astype(np.intp), self.k)
-        self.model.joints[:], self.model.weights[:] = joints, weights
+        self.model = Model.start(start, inner, indices[:, 0].astype(np.intp), self.k)
+        self.model.indices[:], self.model.weights[:] = indices, weights
         self.model.restart_support()
         self.fixed = fixed
         vertex_step(self.data, self.model, fixed=fixed)
@@ -69,7 +69,7 @@ class Tiny:
             else:
                 rest[i, variable] += value
         inner = np.stack([self.data.frame(t) for t in range(self.frames)])
-        gap = motions.blend(rest, self.model.joints, weights, moved) - inner
+        gap = motions.blend(rest, self.model.indices, weights, moved) - inner
         gap *= np.sqrt(self.data.importance)[None, :, None]
         gap *= self.data.frame_scale[:, None, None]
         return gap.ravel()

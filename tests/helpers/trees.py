@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ssdr.hierarchy import from_local
+from ssdr.hierarchy.transforms import from_local
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class Skeleton:
     parents: np.ndarray
     points: np.ndarray
     rest: np.ndarray
-    joints: np.ndarray
+    indices: np.ndarray
     weights: np.ndarray
     transforms: np.ndarray
     frames: np.ndarray
@@ -39,14 +39,14 @@ def skeleton(
         way[b] = direction / np.linalg.norm(direction)
         if b:
             points[b] = points[parents[b]] + way[parents[b]] + 0.3 * rng.normal(size=3)
-    rest, joints, weights = [], [], []
+    rest, indices, weights = [], [], []
     for b in range(bones):
         along = rng.uniform(0.05, 0.95, around)
         off = 0.15 * rng.normal(size=(around, 3))
         rest.append(points[b] + along[:, None] * way[b] + off)
         other = np.full(around, parents[b] if b else b)
         share = np.clip(0.5 - 1.5 * along, 0.0, 1.0) if b else np.zeros(around)
-        joints.append(np.stack([np.full(around, b), other], axis=1))
+        indices.append(np.stack([np.full(around, b), other], axis=1))
         weights.append(np.stack([1.0 - share, share], axis=1))
     time = np.linspace(0, 2 * np.pi, frames)
     phase, pace = rng.uniform(0, 6, (2, bones, 3)), rng.integers(1, 4, (bones, 3))
@@ -58,10 +58,10 @@ def skeleton(
     local[..., 3] = points - np.where((parents >= 0)[:, None], points[parents], 0.0)
     local[:, 0, :, 3] += 0.5 * np.sin(time[:, None] + phase[1][0])
     transforms = from_local(local, parents, points)
-    rest, joints, weights = (np.concatenate(part) for part in (rest, joints, weights))
-    posed = np.einsum("vk,tvkab,vb->tva", weights, transforms[..., :3][:, joints], rest)
-    posed += np.einsum("vk,tvka->tva", weights, transforms[..., 3][:, joints])
-    return Skeleton(parents, points, rest, joints, weights, transforms, posed)
+    rest, indices, weights = (np.concatenate(part) for part in (rest, indices, weights))
+    posed = np.einsum("vk,tvkab,vb->tva", weights, transforms[..., :3][:, indices], rest)
+    posed += np.einsum("vk,tvka->tva", weights, transforms[..., 3][:, indices])
+    return Skeleton(parents, points, rest, indices, weights, transforms, posed)
 
 
 def edges(parents) -> set[frozenset[int]]:
@@ -76,11 +76,11 @@ def matched(found, truth: Skeleton) -> np.ndarray:
     n = len(truth.parents)
     mine = np.zeros((len(truth.rest), found.n_bones))
     theirs = np.zeros((len(truth.rest), n))
-    for joints, weights, out in (
-        (found.joints, found.weights, mine),
-        (truth.joints, truth.weights, theirs),
+    for indices, weights, out in (
+        (found.indices, found.weights, mine),
+        (truth.indices, truth.weights, theirs),
     ):
-        for joint, weight in zip(joints.T, weights.T, strict=True):
+        for joint, weight in zip(indices.T, weights.T, strict=True):
             np.add.at(out, (np.arange(len(out)), joint), weight)
     rows, columns = linear_sum_assignment(-(theirs.T @ mine))
     place = np.empty(n, dtype=int)

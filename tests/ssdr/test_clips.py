@@ -64,7 +64,7 @@ def test_a_model_without_clips_is_one_and_follows_rate_and_frames():
 def test_the_rate_of_a_model_is_that_of_its_first_clip():
     model = with_clips()
     assert (model.fps, model.clips) == (24.0, CLIPS)
-    arrays = (model.rest, model.joints, model.weights, model.transforms)
+    arrays = (model.rest, model.indices, model.weights, model.transforms)
     assert ssdr.Skinning(*arrays, clips=[Clip("run", 0, 20, 60.0)]).fps == 60.0
     assert ssdr.Skinning(*arrays).fps == 24.0
     with pytest.raises(InputError, match=r"fps: expected 24, as of the first clip"):

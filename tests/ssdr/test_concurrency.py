@@ -47,9 +47,9 @@ def test_a_kernel_releases_the_lock_of_python() -> None:
     """One long call of a kernel, nothing of Python in it, and another thread goes on."""
     bones = 8
     data = gather([ssdr.MeshSequence(np.random.default_rng(0).random((1, 40, 3)))], bones=bones)
-    joints = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
+    indices = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
     weights = np.random.default_rng(1).dirichlet(np.ones(bones), 40)
-    u, c = bone_sums(data, joints, weights, data.frame(0), bones)
+    u, c = bone_sums(data, indices, weights, data.frame(0), bones)
     start, neighbour = neighbours(u)
     transforms = np.tile(np.eye(4)[:3], (1, bones, 1, 1))
     locked = np.zeros(bones, dtype=bool)

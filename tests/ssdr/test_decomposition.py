@@ -54,7 +54,7 @@ def test_separate_boxes_are_exact() -> None:
     assert result.rmse < 1e-10 * diagonal(exact.frames)
     assert result.converged
     assert not result.warnings
-    owner = result.skinning.joints[:, 0]
+    owner = result.skinning.indices[:, 0]
     assert len(set(owner[:30])) == len(set(owner[30:])) == 1
     assert (result.skinning.weights[:, 0] > 1 - 1e-6).all()
 
@@ -137,7 +137,7 @@ def test_plain_alternation_is_beaten() -> None:
         b = ssdr.fit_bones(
             frames(),
             rest=rest,
-            joints=w.joints,
+            indices=w.indices,
             weights=w.weights,
             transforms=transforms,
             locked_bones=[],
@@ -145,7 +145,7 @@ def test_plain_alternation_is_beaten() -> None:
         )
         transforms = b.transforms
         rest = ssdr.fit_rest_pose(
-            frames(), joints=w.joints, weights=w.weights, transforms=transforms, rest=rest
+            frames(), indices=w.indices, weights=w.weights, transforms=transforms, rest=rest
         ).rest
     last = ssdr.fit_weights(frames(), rest=rest, transforms=transforms)
     assert ssdr.decompose(frames(), bones=4).rmse < last.rmse
@@ -373,21 +373,21 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
     "smoothness below 0": ("smoothness", {"smoothness": -1}),
     "smoothness NaN": ("smoothness", {"smoothness": float("nan")}),
     "smoothness without faces": ("smoothness", {"smoothness": 1.0, "faces": None}),
-    "joints alone": ("weights", {"joints": np.zeros((84, 1), int)}),
-    "weights alone": ("joints", {"weights": np.ones((84, 1))}),
+    "joints alone": ("weights", {"indices": np.zeros((84, 1), int)}),
+    "weights alone": ("indices", {"weights": np.ones((84, 1))}),
     "joints out of range": (
-        "joints", {"joints": np.full((84, 1), 4), "weights": np.ones((84, 1))},
+        "indices", {"indices": np.full((84, 1), 4), "weights": np.ones((84, 1))},
     ),
     "joints beyond 32 bits": (
-        "joints", {"joints": np.full((84, 1), 2**32), "weights": np.ones((84, 1))},
+        "indices", {"indices": np.full((84, 1), 2**32), "weights": np.ones((84, 1))},
     ),
-    "ragged joints": ("joints", {"joints": 83 * [[0]] + [[0, 1]], "weights": np.ones((84, 1))}),
+    "ragged joints": ("indices", {"indices": 83 * [[0]] + [[0, 1]], "weights": np.ones((84, 1))}),
     "too many influences": (
-        "weights", {"joints": np.tile(np.arange(3), (84, 1)), "weights": np.full((84, 3), 1 / 3),
+        "weights", {"indices": np.tile(np.arange(3), (84, 1)), "weights": np.full((84, 3), 1 / 3),
                     "influences": 2},
     ),
     "a bone twice": (
-        "joints", {"joints": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)},
+        "indices", {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)},
     ),
     "locked vertices alone": ("locked_vertices", {"locked_vertices": [0]}),
     "locked bones alone": ("locked_bones", {"locked_bones": [0]}),
@@ -412,7 +412,7 @@ REFUSED: dict[str, tuple[str, dict[str, object]]] = {
                        "transforms": np.tile(np.c_[np.eye(3), np.full(3, 1e95)], (15, 2, 1, 1))},
     ),
     "ragged locked vertices": (
-        "locked_vertices", {"joints": np.zeros((84, 1), int), "weights": np.ones((84, 1)),
+        "locked_vertices", {"indices": np.zeros((84, 1), int), "weights": np.ones((84, 1)),
                             "locked_vertices": [[1], [1, 2]]},
     ),
     "ragged locked bones": (

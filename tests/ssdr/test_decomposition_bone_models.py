@@ -17,8 +17,8 @@ from helpers import motions
 from helpers.measures import pooled
 from helpers.stretches import KINDS, MODELS, check_kind, rig, stretched
 from ssdr import cli
+from ssdr.drivers import scan
 from ssdr.frames import executor
-from ssdr.streaming import scan
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -40,15 +40,15 @@ def test_data_of_a_kind_are_recovered_by_it_and_not_by_less(kind: str) -> None:
 def test_warm_started_from_the_smaller_model_is_never_worse(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
     rest = rng.standard_normal((30, 3))
-    joints, weights = motions.weights_of(rng, 30, 3, 3)
-    frames = motions.blend(rest, joints, weights, motions.motions(rng, 5, 3))
+    indices, weights = motions.weights_of(rng, 30, 3, 3)
+    frames = motions.blend(rest, indices, weights, motions.motions(rng, 5, 3))
     frames += noise * rng.standard_normal(frames.shape)
     start, last = None, np.inf
     for kind in MODELS:
         fit = ssdr.fit_bones(
             frames,
             rest=rest,
-            joints=joints,
+            indices=indices,
             weights=weights,
             bone_model=kind,
             transforms=start,
@@ -70,7 +70,7 @@ def test_decompositions_warm_started_along_the_chain_fall() -> None:
         check_kind(s.transforms, kind)
         errors.append(result.rmse)
         part = {
-            "joints": s.joints,
+            "indices": s.indices,
             "weights": s.weights,
             "rest": s.rest,
             "transforms": s.transforms,
@@ -123,7 +123,7 @@ def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) ->
 def test_fitted_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) -> None:
     frames, result = rigid_on(name)
     model = result.skinning
-    parts = {"rest": model.rest, "joints": model.joints, "weights": model.weights}
+    parts = {"rest": model.rest, "indices": model.indices, "weights": model.weights}
     rigid, found = (ssdr.fit_bones(frames, bone_model=k, **parts) for k in ("rigid", kind))
     check_kind(found.transforms, kind)
     # frames that are stuck start again from those beside them; one of the cloth stays stuck
@@ -196,7 +196,7 @@ def test_same_bits_resumed_and_on_any_number_of_threads(kind: str, tmp_path: Pat
         other = ssdr.decompose(frames, **options)
     finally:
         ssdr.set_threads(threads)
-    for name in ("transforms", "rest", "weights", "joints"):
+    for name in ("transforms", "rest", "weights", "indices"):
         want = getattr(whole.skinning, name)
         assert np.array_equal(getattr(again.skinning, name), want), name
         assert np.array_equal(getattr(other.skinning, name), want), name
@@ -260,7 +260,7 @@ def test_weights_and_rest_pose_of_such_bones(kind: str) -> None:
     assert fit.rmse < 1e-5
     pose = ssdr.fit_rest_pose(
         truth.frames,
-        joints=truth.joints,
+        indices=truth.indices,
         weights=truth.weights,
         transforms=truth.transforms,
         bone_model=kind,
@@ -298,7 +298,7 @@ def test_refuses_transforms_of_another_kind(case: str) -> None:
         lambda f: ssdr.fit_bones(
             f,
             rest=f[0],
-            joints=np.zeros((20, 1), int),
+            indices=np.zeros((20, 1), int),
             weights=np.ones((20, 1)),
             bone_model="soft",
         ),
@@ -307,7 +307,7 @@ def test_refuses_transforms_of_another_kind(case: str) -> None:
         ),
         lambda f: ssdr.fit_rest_pose(
             f,
-            joints=np.zeros((20, 1), int),
+            indices=np.zeros((20, 1), int),
             weights=np.ones((20, 1)),
             transforms=np.zeros((5, 2, 3, 4)),
             bone_model="soft",

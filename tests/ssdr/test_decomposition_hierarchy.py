@@ -164,7 +164,7 @@ def test_a_loose_tree_leaves_the_flat_result_as_it_is() -> None:
         ({"hierarchy": "rigid", "smoothness": 0.1}, "smoothness"),
         ({"hierarchy": "rigid", "transforms": _made().transforms}, "transforms"),
         (
-            {"hierarchy": "rigid", "joints": _made().joints, "weights": _made().weights},
+            {"hierarchy": "rigid", "indices": _made().indices, "weights": _made().weights},
             "weights",
         ),
     ],
@@ -319,7 +319,7 @@ def test_renumbered_vertices_give_the_same_tree() -> None:
     options = {"bones": 6, "influences": 2, "hierarchy": "rigid"}
     other = ssdr.decompose(made.frames[:, order], **options).skinning
     back = dataclasses.replace(
-        made, rest=made.rest[order], joints=made.joints[order], weights=made.weights[order]
+        made, rest=made.rest[order], indices=made.indices[order], weights=made.weights[order]
     )
     here, there = trees.matched(_solved().skinning, made), trees.matched(other, back)
 

@@ -33,12 +33,12 @@ def test_given_exact_rest_pose() -> None:
 def test_given_weights_stay() -> None:
     w = rig().weights + 1e-5
     w /= w.sum(axis=1, keepdims=True)
-    joints = np.tile(np.arange(5)[None], (84, 1))
+    indices = np.tile(np.arange(5)[None], (84, 1))
     dense = np.zeros((84, 5))
-    np.put_along_axis(dense, rig().joints, w, axis=1)
+    np.put_along_axis(dense, rig().indices, w, axis=1)
     np.add.at(dense, (np.arange(84), 4), 1 - dense.sum(axis=1))
     dense = np.abs(dense) / np.abs(dense).sum(axis=1, keepdims=True)
-    result = ssdr.decompose(frames(), bones=5, influences=5, joints=joints, weights=dense)
+    result = ssdr.decompose(frames(), bones=5, influences=5, indices=indices, weights=dense)
     check(result, frames(), 5, 5)
     got = result.skinning.sparse_weights().toarray()
     np.testing.assert_allclose(got, dense, atol=1e-14)
@@ -47,11 +47,11 @@ def test_given_weights_stay() -> None:
 def test_given_exact_weights_are_enough() -> None:
     exact = rig().frames
     result = check(
-        ssdr.decompose(exact, bones=5, joints=rig().joints, weights=rig().weights), exact, 5
+        ssdr.decompose(exact, bones=5, indices=rig().indices, weights=rig().weights), exact, 5
     )
     np.testing.assert_allclose(
         result.skinning.sparse_weights().toarray(),
-        ssdr.Skinning(rig().rest, rig().joints, rig().weights, rig().transforms)
+        ssdr.Skinning(rig().rest, rig().indices, rig().weights, rig().transforms)
         .sparse_weights()
         .toarray(),
         atol=1e-14,
@@ -64,17 +64,17 @@ def test_locked_vertices_keep_their_weights() -> None:
     wrong = np.zeros((84, 1), dtype=int)
     result = check(
         ssdr.decompose(
-            frames(), bones=5, joints=wrong, weights=np.ones((84, 1)), locked_vertices=locked
+            frames(), bones=5, indices=wrong, weights=np.ones((84, 1)), locked_vertices=locked
         ),
         frames(),
         5,
     )
     s = result.skinning
-    assert (s.joints[locked] == 0).all()
+    assert (s.indices[locked] == 0).all()
     assert (s.weights[locked] == [1, 0, 0, 0]).all()
     assert (s.weights[~locked, 0] < 1).any()
     with pytest.warns(ssdr.SsdrWarning, match="4 of 5"):
-        everything = ssdr.decompose(frames(), bones=5, joints=wrong, weights=np.ones((84, 1)))
+        everything = ssdr.decompose(frames(), bones=5, indices=wrong, weights=np.ones((84, 1)))
     assert result.rmse < 0.9 * everything.rmse
 
 
@@ -132,7 +132,7 @@ def test_smoothness_trades_error_for_dirichlet_energy() -> None:
         s = result.skinning
         seen.append(values)
         assert result.rmse == pytest.approx(rmse_of(s, frames()), rel=1e-6)
-        return result.rmse, naive.dirichlet(rig().faces, s.joints, s.weights, 5)
+        return result.rmse, naive.dirichlet(rig().faces, s.indices, s.weights, 5)
 
     table = [run(length) for length in (0.0, 0.05, 0.5)]
     errors, energies = zip(*table, strict=True)
@@ -236,7 +236,7 @@ def test_smoothness_finds_what_is_better_with_it(make: Callable[[], Any], share:
     def measured(smoothness: float) -> tuple[float, float]:
         model = ssdr.decompose(shots, faces, bones=6, smoothness=smoothness).skinning
         dense = np.zeros((shots.shape[1], 6))
-        np.add.at(dense, (np.arange(len(dense))[:, None], model.joints), model.weights)
+        np.add.at(dense, (np.arange(len(dense))[:, None], model.indices), model.weights)
         jumps = float(((dense[edges[:, 0]] - dense[edges[:, 1]]) ** 2).sum())
         return float(((model.skin() - shots) ** 2).sum()) + len(shots) * length**2 * jumps, jumps
 
@@ -255,7 +255,7 @@ def test_a_callback_that_writes_to_the_arrays_changes_nothing() -> None:
             "sequence": motions.wobble(rig, 0.1),
             "faces": rig.faces.copy(),
             "rest": rig.rest.copy(),
-            "joints": rig.joints.copy(),
+            "indices": rig.indices.copy(),
             "weights": rig.weights.copy(),
             "transforms": rig.transforms.copy(),
             "vertex_importance": np.linspace(1.0, 2.0, len(rig.rest)),
@@ -274,7 +274,7 @@ def test_a_callback_that_writes_to_the_arrays_changes_nothing() -> None:
     quiet, spoiled = call(), call(True)
     assert spoiled.rmse == quiet.rmse
     assert [r.rmse for r in spoiled.history] == [r.rmse for r in quiet.history]
-    for name in ("rest", "joints", "weights", "transforms", "faces"):
+    for name in ("rest", "indices", "weights", "transforms", "faces"):
         np.testing.assert_array_equal(
             getattr(spoiled.skinning, name), getattr(quiet.skinning, name), err_msg=name
         )

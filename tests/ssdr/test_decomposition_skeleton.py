@@ -13,8 +13,8 @@ import ssdr
 from helpers import promises, trees
 from helpers.measures import bits, diagonal, rmse_of
 from ssdr.errors import InputError
-from ssdr.search.limbs import limb_distances
-from ssdr.solver.tree import Tree
+from ssdr.hierarchy.tree import Tree
+from ssdr.joints.matching import limb_distances
 
 NAMES = ("hips", "spine", "arm", "leg", "hand", "foot")
 
@@ -30,7 +30,7 @@ def _rig() -> ssdr.Skinning:
     still = np.broadcast_to(np.eye(3, 4), (1, 6, 3, 4))
     return ssdr.Skinning(
         made.rest,
-        made.joints,
+        made.indices,
         made.weights,
         still,
         parents=made.parents,
@@ -70,7 +70,7 @@ def test_joints_that_are_a_little_off_end_where_the_right_ones_do() -> None:
 
 def test_motion_alone() -> None:
     made = _made()
-    kept = {"joints": made.joints, "weights": made.weights, "rest": made.rest}
+    kept = {"indices": made.indices, "weights": made.weights, "rest": made.rest}
     result = _solve(**kept)
     model = _check(result)
     assert result.rmse < 1e-6 * diagonal(made.frames)
@@ -87,7 +87,7 @@ def test_motion_alone() -> None:
 def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
     made = _made()
     pulled = made.frames.copy()
-    far = made.weights[:, 0] * (made.joints[:, 0] == 5)
+    far = made.weights[:, 0] * (made.indices[:, 0] == 5)
     away = np.sin(np.linspace(0, 6, len(pulled)))[:, None, None] * [0.0, 0.3, 0.0]
     pulled += far[None, :, None] * away
     result = _solve(frames=pulled, hierarchy="loose", effort=effort)
@@ -171,7 +171,7 @@ def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
     made = _made()
     frames = np.concatenate([made.rest[None], made.frames])
     other = dataclasses.replace(
-        _rig(), rest=made.rest[::2], joints=made.joints[::2], weights=made.weights[::2]
+        _rig(), rest=made.rest[::2], indices=made.indices[::2], weights=made.weights[::2]
     )
     result = ssdr.decompose(frames, influences=2, skeleton=other)
     assert np.array_equal(result.skinning.parents, made.parents)
@@ -243,7 +243,7 @@ def test_resumed_run_ends_on_the_same_bits(tmp_path: Path) -> None:
         ({"hierarchy": "none"}, "hierarchy"),
         ({"transforms": np.broadcast_to(np.eye(3, 4), (40, 6, 3, 4))}, "transforms"),
         ({"bone_model": "affine"}, "bone_model"),
-        ({"joints": _made().joints, "weights": _made().weights, "extra_bones": 1}, "extra_bones"),
+        ({"indices": _made().indices, "weights": _made().weights, "extra_bones": 1}, "extra_bones"),
     ],
 )
 def test_what_does_not_go_with_a_skeleton_is_refused(options, argument) -> None:

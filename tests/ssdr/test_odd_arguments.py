@@ -54,7 +54,7 @@ def test_a_surface_and_names_are_of_their_kind(odd: Any) -> None:
 def test_a_number_of_bones_beyond_any_memory_is_refused() -> None:
     frames, _ = small()
     model = ssdr.initialize(frames, bones=2)
-    fixed = {"rest": model.rest, "joints": model.joints, "weights": model.weights}
+    fixed = {"rest": model.rest, "indices": model.indices, "weights": model.weights}
     for bones in (10**30, np.uint64(2**63), 2**31):
         with pytest.raises(InputError, match="bones: expected"):
             ssdr.fit_bones(frames, **fixed, bones=bones)
@@ -115,7 +115,7 @@ def test_other_odd_arguments() -> None:
     for call in (
         lambda: ssdr.metrics.compare(frames, frames, faces, sted_options={"windoww": 3}),
         lambda: ssdr.laplacian.uniform_laplacian(faces, 10**30),
-        lambda: ssdr.skin(model.rest, model.joints, model.weights, model.transforms, dtype="x"),
+        lambda: ssdr.skin(model.rest, model.indices, model.weights, model.transforms, dtype="x"),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=None),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=(64, 64.5)),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), supersample=np.array([1, 2])),

@@ -63,13 +63,13 @@ def test_two_threads_really_run_beside_each_other():
 def test_same_bits_for_any_number_of_threads():
     rng = np.random.default_rng(0)
     rest = rng.normal(size=(5000, 3)).astype(np.float32)
-    joints = rng.integers(0, 9, (5000, 4))
+    indices = rng.integers(0, 9, (5000, 4))
     weights = rng.dirichlet(np.ones(4), 5000).astype(np.float32)
     transforms = rng.normal(size=(6, 9, 3, 4)).astype(np.float32)
     results = []
     for threads in (1, 2, 3):
         ssdr.set_threads(threads)
-        results.append(ssdr.skin(rest, joints, weights, transforms).tobytes())
+        results.append(ssdr.skin(rest, indices, weights, transforms).tobytes())
     assert results[0] == results[1] == results[2]
 
 

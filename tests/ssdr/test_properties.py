@@ -96,7 +96,7 @@ by_name = {"ids": lambda change: change.__name__}
 def measured(result: ssdr.Decomposition, frames: Frames) -> float:
     """The error by plain NumPy, which is also what the result states."""
     s = result.skinning
-    gap = motions.blend(s.rest, s.joints, s.weights, s.transforms) - frames
+    gap = motions.blend(s.rest, s.indices, s.weights, s.transforms) - frames
     rmse = float(np.sqrt((gap**2).sum(axis=-1).mean()))
     assert result.rmse == pytest.approx(rmse, rel=1e-6)
     return rmse
@@ -125,11 +125,11 @@ def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: s
     rig = motions.chain(0, bones=4, rows=16, frames=16)
     frames = motions.wobble(rig, 0.05)
 
-    def error(frames: Frames, joints: Any, weights: Any, **options: Any) -> float:
+    def error(frames: Frames, indices: Any, weights: Any, **options: Any) -> float:
         result = ssdr.decompose(
             frames,
             bones=4,
-            joints=joints,
+            indices=indices,
             weights=weights,
             locked_vertices=[],
             bone_model=kind,
@@ -143,8 +143,8 @@ def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: s
     order = np.arange(len(rig.rest))
     if change is vertices_renumbered:
         order = change(order[None, :, None], None)[0].ravel()
-    found = error(changed, rig.joints[order], rig.weights[order], **options) / factor
-    wanted = error(frames, rig.joints, rig.weights, faces=rig.faces)
+    found = error(changed, rig.indices[order], rig.weights[order], **options) / factor
+    wanted = error(frames, rig.indices, rig.weights, faces=rig.faces)
     assert found == pytest.approx(wanted, rel=SINGLE if change is float32 else STEPS)
 
 
@@ -163,9 +163,9 @@ def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
     """A finished model and a bone more, a copy of one of its own, go on together."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     bones, influences, n = (int(rng.integers(*r)) for r in ((1, 6), (1, 5), (10, 80)))
-    joints, weights = motions.weights_of(rng, n, 5, 3)
+    indices, weights = motions.weights_of(rng, n, 5, 3)
     moves = motions.motions(rng, int(rng.integers(2, 15)), 5)
-    frames = motions.blend(rng.standard_normal((n, 3)), joints, weights, moves)
+    frames = motions.blend(rng.standard_normal((n, 3)), indices, weights, moves)
     frames += 10 ** rng.uniform(-4, -0.5) * rng.standard_normal(frames.shape)
     options: dict[str, Any] = {
         "influences": influences,
@@ -179,7 +179,7 @@ def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
         frames,
         bones=bones + 1,
         rest=s.rest,
-        joints=s.joints,
+        indices=s.indices,
         weights=s.weights,
         transforms=grown,
         locked_bones=[],
@@ -261,7 +261,7 @@ def spoil(what: str, result: ssdr.Decomposition) -> None:
     elif what == "rotations not orthonormal":
         s.transforms[1, 0, 0, :3] *= 1 + 1e-5
     elif what == "joints out of range":
-        s.joints[2, 0] = s.n_bones
+        s.indices[2, 0] = s.n_bones
     elif what == "says rmse":
         s.transforms[1, :, 0, 3] += 0.1
     elif what == "NaN or Inf":
@@ -272,7 +272,7 @@ def spoil(what: str, result: ssdr.Decomposition) -> None:
     elif what == "more than 2 influences":
         third = np.full((len(s.rest), 1), 0.1)
         object.__setattr__(s, "weights", np.concatenate([0.9 * s.weights, third], axis=1))
-        object.__setattr__(s, "joints", np.concatenate([s.joints, s.joints[:, :1]], axis=1))
+        object.__setattr__(s, "indices", np.concatenate([s.indices, s.indices[:, :1]], axis=1))
     elif what == "history rises":
         object.__setattr__(result, "history", (result.history[-1], *result.history))
     elif what == "history does not end":
@@ -297,7 +297,7 @@ def test_the_checks_can_fail(what: str) -> None:
         result.skinning.weights,
         result.skinning.transforms,
         result.skinning.rest,
-        result.skinning.joints,
+        result.skinning.indices,
     ):
         array.setflags(write=True)
     spoil(what, result)
@@ -307,9 +307,9 @@ def test_the_checks_can_fail(what: str) -> None:
 
 def test_stopped_after_a_merge_with_many_influences(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    joints, weights = motions.weights_of(rng, 700, 10, 8)
+    indices, weights = motions.weights_of(rng, 700, 10, 8)
     frames = motions.blend(
-        rng.standard_normal((700, 3)), joints, weights, motions.motions(rng, 6, 10)
+        rng.standard_normal((700, 3)), indices, weights, motions.motions(rng, 6, 10)
     ) + 0.02 * rng.standard_normal((6, 700, 3))
     options: dict[str, Any] = {"bones": 13, "influences": 13, "effort": "fast"}
     whole = ssdr.decompose(frames, **options)
@@ -321,13 +321,13 @@ def test_stopped_after_a_merge_with_many_influences(tmp_path: Path) -> None:
     )
     assert merged[-1] == "merge"
     again = ssdr.decompose(frames, resume=part.state.save(tmp_path / "s.npz"), **options)
-    for name in ("rest", "joints", "weights", "transforms"):
+    for name in ("rest", "indices", "weights", "transforms"):
         assert np.array_equal(getattr(again.skinning, name), getattr(whole.skinning, name)), name
 
 
 def farthest(result: ssdr.Decomposition, frames: Frames) -> float:
     s = result.skinning
-    return float(np.abs(motions.blend(s.rest, s.joints, s.weights, s.transforms) - frames).max())
+    return float(np.abs(motions.blend(s.rest, s.indices, s.weights, s.transforms) - frames).max())
 
 
 @pytest.mark.parametrize("far", [1.0, 1e4])
@@ -343,7 +343,7 @@ def test_an_affine_bone_of_one_vertex_far_away(far: float) -> None:
             bones=1,
             bone_model="affine",
             effort="balanced",
-            joints=[[0]],
+            indices=[[0]],
             weights=[[1.0]],
             transforms=given,
             locked_bones=[],

@@ -14,13 +14,13 @@ from ssdr import InputError, Skinning, Surface, skin
 
 def make(seed=0, *, V=30, B=5, K=3, F=4, dtype=np.float64):
     rng = np.random.default_rng(seed)
-    joints = np.stack([rng.permutation(B)[:K] for _ in range(V)])
+    indices = np.stack([rng.permutation(B)[:K] for _ in range(V)])
     weights = -np.sort(-rng.dirichlet(np.ones(K), V), axis=1)
     rotation = Rotation.random(F * B, rng=rng).as_matrix().reshape(F, B, 3, 3)
     transforms = np.concatenate([rotation, rng.normal(size=(F, B, 3, 1))], axis=-1)
     return {
         "rest": rng.normal(size=(V, 3)).astype(dtype),
-        "joints": joints,
+        "indices": indices,
         "weights": weights.astype(dtype),
         "transforms": transforms.astype(dtype),
     }
@@ -61,7 +61,7 @@ def test_dtype():
 
 def test_padding_never_touches_its_bone():
     arrays = make(K=2)
-    arrays["joints"][:] = [1, 0]
+    arrays["indices"][:] = [1, 0]
     arrays["weights"][:] = [1.0, 0.0]
     arrays["transforms"][:, 0] = np.nan
     assert np.isfinite(skin(**arrays)).all()
@@ -101,12 +101,12 @@ def test_counts_and_names():
 
 def test_dense_and_sparse_weights():
     arrays = make(K=3)
-    arrays["weights"][0], arrays["joints"][0] = [1, 0, 0], [4, 0, 0]
+    arrays["weights"][0], arrays["indices"][0] = [1, 0, 0], [4, 0, 0]
     model = Skinning(**arrays)
     dense = np.zeros((30, 5))
     for i in range(30):
         for k in range(3):
-            dense[i, arrays["joints"][i, k]] += arrays["weights"][i, k]
+            dense[i, arrays["indices"][i, k]] += arrays["weights"][i, k]
     np.testing.assert_allclose(model.dense_weights(), dense, atol=1e-16)
     assert model.sparse_weights().nnz == np.count_nonzero(dense)
     blend = np.einsum("vb,fbxy->fvxy", dense, model.transforms)
@@ -116,7 +116,7 @@ def test_dense_and_sparse_weights():
 
 def test_centroids():
     arrays = make(K=2)
-    arrays["joints"][arrays["joints"] == 4] = 3  # bone 4 moves nothing
+    arrays["indices"][arrays["indices"] == 4] = 3  # bone 4 moves nothing
     model = Skinning(**arrays)
     dense = model.dense_weights()
     for j in range(4):
@@ -136,12 +136,12 @@ def test_prune_keeps_the_largest(seed, keep, minimum):
     pruned = model.prune(keep, minimum=minimum)
     assert pruned.n_influences == min(keep, 4)
     for i in range(30):
-        rank = sorted(zip(-model.weights[i], model.joints[i], strict=True))[:keep]
+        rank = sorted(zip(-model.weights[i], model.indices[i], strict=True))[:keep]
         kept = {j: -w for n, (w, j) in enumerate(rank) if n == 0 or -w >= minimum}
         total = sum(kept.values())
-        got = {j: w for j, w in zip(pruned.joints[i], pruned.weights[i], strict=True) if w > 0}
+        got = {j: w for j, w in zip(pruned.indices[i], pruned.weights[i], strict=True) if w > 0}
         assert got == pytest.approx({j: w / total for j, w in kept.items()})
-        assert (pruned.joints[i][pruned.weights[i] == 0] == 0).all()
+        assert (pruned.indices[i][pruned.weights[i] == 0] == 0).all()
     np.testing.assert_allclose(pruned.weights.sum(axis=1), 1, atol=1e-12)
 
 
@@ -169,7 +169,7 @@ def test_everything_given_is_kept():
     assert model.surface is surface
     assert (model.fps, model.bone_model, model.name) == (30.0, "affine", "tail")
     assert model.rest.dtype == model.weights.dtype == model.transforms.dtype == np.float32
-    assert model.joints.dtype == np.int32
+    assert model.indices.dtype == np.int32
     assert len(model.prune(2).faces) == 2
 
 
@@ -186,11 +186,11 @@ def broken(name, where, value):
         ({"rest": np.zeros((0, 3))}, "rest"),
         ({"rest": np.zeros((30, 3), dtype=complex)}, "rest"),
         (broken("rest", (3, 1), np.nan), "rest"),
-        ({"joints": np.zeros((29, 3), dtype=int)}, "joints"),
-        ({"joints": np.zeros((30, 0), dtype=int)}, "joints"),
-        ({"joints": np.zeros((30, 3))}, "joints"),
-        (broken("joints", (3, 1), 5), "joints"),
-        (broken("joints", (3, 1), -1), "joints"),
+        ({"indices": np.zeros((29, 3), dtype=int)}, "indices"),
+        ({"indices": np.zeros((30, 0), dtype=int)}, "indices"),
+        ({"indices": np.zeros((30, 3))}, "indices"),
+        (broken("indices", (3, 1), 5), "indices"),
+        (broken("indices", (3, 1), -1), "indices"),
         ({"weights": np.full((30, 2), 0.5)}, "weights"),
         (broken("weights", (3, 1), np.inf), "weights"),
         (broken("weights", (3, slice(None)), [1.5, -0.5, 0]), "weights"),
@@ -224,11 +224,11 @@ def test_model_refuses(change, argument):
     [
         ({"rest": np.zeros((30, 2))}, "rest"),
         ({"rest": np.full((30, 3), "a")}, "rest"),
-        ({"joints": np.zeros((30, 3))}, "joints"),
-        ({"joints": np.zeros((3, 3), dtype=int)}, "joints"),
-        ({"joints": np.zeros((30, 0), dtype=int), "weights": np.zeros((30, 0))}, "joints"),
-        (broken("joints", (3, 1), 5), "joints"),
-        (broken("joints", (3, 1), -1), "joints"),
+        ({"indices": np.zeros((30, 3))}, "indices"),
+        ({"indices": np.zeros((3, 3), dtype=int)}, "indices"),
+        ({"indices": np.zeros((30, 0), dtype=int), "weights": np.zeros((30, 0))}, "indices"),
+        (broken("indices", (3, 1), 5), "indices"),
+        (broken("indices", (3, 1), -1), "indices"),
         ({"weights": np.zeros((30, 2))}, "weights"),
         ({"transforms": np.zeros((3, 4))}, "transforms"),
         ({"transforms": np.zeros((4, 5, 3, 3))}, "transforms"),

@@ -47,6 +47,6 @@ def test_the_suite_itself_can_fail() -> None:
     good = Problem(frames, 1.0, None, {"bones": 2}).solve().skinning
     assert invalid(good, frames, 2) == ""
     mirrored = good.transforms * np.array([1, 1, -1, 1.0])
-    bad = ssdr.Skinning(good.rest, good.joints, good.weights, mirrored)
+    bad = ssdr.Skinning(good.rest, good.indices, good.weights, mirrored)
     assert invalid(bad, frames, 2) == "rotations"
     assert invalid(good, frames, 3).startswith("number of bones")

@@ -1,6 +1,6 @@
 """NumPy archives (``.npz``), the package's own format.
 
-A sequence is ``vertices, faces, fps``; a skinning ``rest, joints, weights,
+A sequence is ``vertices, faces, fps``; a skinning ``rest, indices, weights,
 transforms, faces, fps, format_version``, with ``parents, joint_positions`` where it has a
 hierarchy.
 """
@@ -37,9 +37,9 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-FORMAT_VERSION = 1  # of the arrays' names and meaning; raised when an old reader would misread
+FORMAT_VERSION = 2  # of the arrays' names and meaning; raised when an old reader would misread
 _SURFACE = ("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*")
-_SKINNING = ("rest", "joints", "weights", "transforms", "faces", "fps", "format_version")
+_SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
 
 
 def read(
@@ -158,6 +158,7 @@ def read_skinning(
         path,
         required=_SKINNING,
         optional=(
+            *("indices", "joints"),  # as version 1 called them
             *("bone_model", "keyframes", "bone_names", "name", "vertex_map"),
             *("clip_names", "clip_offsets", "clip_fps", "parents", "joint_positions"),
             *_SURFACE,
@@ -177,7 +178,7 @@ def read_skinning(
             clips = [dataclasses.replace(clip, fps=fps) for clip in clips]
         return Skinning(
             arrays["rest"],
-            arrays["joints"],
+            arrays["joints" if version == 1 else "indices"],
             arrays["weights"],
             arrays["transforms"],
             faces=arrays["faces"],
@@ -195,10 +196,10 @@ def read_skinning(
 
 
 def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``rest, joints, weights, transforms, faces, fps, format_version`` and more; exact."""
+    """Write ``rest, indices, weights, transforms, faces, fps, format_version`` and more; exact."""
     arrays: dict[str, Any] = {
         "rest": skinning.rest,
-        "joints": skinning.joints,
+        "indices": skinning.indices,
         "weights": skinning.weights,
         "transforms": skinning.transforms,
         "faces": skinning.faces,

@@ -179,7 +179,7 @@ def read_skinning(
         parents, positions = join_trees([(arrays["parents"], arrays["joint_positions"])])
         model = Skinning(
             arrays["rest"],
-            arrays["joints"],
+            arrays["indices"],
             arrays["weights"],
             arrays["transforms"],
             faces=arrays["faces"],

@@ -77,15 +77,15 @@ class Skin:
         rows = [
             row if sum(w for w, _ in row) > _LEAST_TOTAL else [(1.0, -len(names))] for row in rows
         ]
-        joints = np.zeros((len(rows), max(map(len, rows))), dtype=np.int32)
-        weights = np.zeros(joints.shape, dtype=np.float32)
+        indices = np.zeros((len(rows), max(map(len, rows))), dtype=np.int32)
+        weights = np.zeros(indices.shape, dtype=np.float32)
         for k, row in enumerate(rows):
-            joints[k, : len(row)] = [-b for _, b in row]
+            indices[k, : len(row)] = [-b for _, b in row]
             weights[k, : len(row)] = [w for w, _ in row]
         total = weights.sum(axis=1, dtype=np.float64, keepdims=True)
         # Weights that do sum to 1 stay as they are, to the bit.
         scaled = (weights / total).astype(np.float32)
-        return joints, np.where(np.abs(total - 1) > 1e-6, scaled, weights)
+        return indices, np.where(np.abs(total - 1) > 1e-6, scaled, weights)
 
 
 class Armature:
@@ -182,7 +182,7 @@ class Model:
         transforms: list[Any] = []
         parents: list[int] = []
         heads: list[Any] = []  # joints, where the rest pose is
-        joints: list[Any] = []
+        indices: list[Any] = []
         weights: list[Any] = []
         shared: dict[str, int] = {}
         for k, skin in enumerate(self.skins):
@@ -211,16 +211,16 @@ class Model:
                 transforms.append(np.array(self.places[k])[:, None])
                 parents.append(-1)
                 heads.append(skin.place[None, :3, 3])
-            joints.append(np.where(amounts > 0, numbers, 0))
+            indices.append(np.where(amounts > 0, numbers, 0))
             weights.append(amounts)
-        width = max(j.shape[1] for j in joints)
+        width = max(j.shape[1] for j in indices)
 
         def wide(values: Any) -> Any:
             return np.pad(values, ((0, 0), (0, width - values.shape[1])))
 
         return {
             "rest": np.concatenate([skin.rest for skin in self.skins]),
-            "joints": np.concatenate([wide(j) for j in joints]).astype(np.int32),
+            "indices": np.concatenate([wide(j) for j in indices]).astype(np.int32),
             "weights": np.concatenate([wide(w) for w in weights]),
             "transforms": np.concatenate(transforms, axis=1)[:, :, :3],
             "bones": np.array(json.dumps(names)),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...limbs import limb_axes, limb_ends
+from ...hierarchy.bone_ends import limb_axes, limb_ends
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning
 from ..axes import Up, turn_skinning_up
@@ -46,15 +46,15 @@ def write_limbs(
     model = turn_skinning_up(skinning, up, "y")
     rig = build_rig(model, influences=influences, most=8)
     assert rig.parents is not None
-    joints, stored, values = quantise(rig.joints, rig.weights, "float32")
+    indices, stored, values = quantise(rig.indices, rig.weights, "float32")
     ends = limb_ends(
-        rig.centers, rig.parents, rig.rest, rig.joints, rig.weights, sliding=rig.translating
+        rig.centers, rig.parents, rig.rest, rig.indices, rig.weights, sliding=rig.translating
     )
     rig = oriented(rig, limb_axes(rig.centers, rig.parents, ends))
     error = rig.error(model, weights=values)
     between = rig.error(model, weights=values, between=True)
     notes = ["glTF takes the unit for metres"]
-    size = plain(model, rig, joints, stored, name or skinning.name or path.stem, notes).save(path)
+    size = plain(model, rig, indices, stored, name or skinning.name or path.stem, notes).save(path)
     report = SaveReport(
         path=path,
         bytes=size,

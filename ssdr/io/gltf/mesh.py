@@ -31,7 +31,7 @@ class Part:
     skin: int | None
     positions: NDArray[np.float64]
     targets: NDArray[np.float64]
-    joints: NDArray[np.int32]
+    indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     vertex: NDArray[np.int64]  # the file's vertex that stands for each of ours
     label: NDArray[np.int64]  # which of ours each of the file's vertices is
@@ -209,7 +209,7 @@ def _part(
         if len(moved) != count:
             raise document.error(f"a morph target of {len(moved)} for {count} vertices")
         targets.append(moved)
-    joints, weights = _influences(document, skin, attributes, attribute, count)
+    indices, weights = _influences(document, skin, attributes, attribute, count)
     blocks = [_triangles(document, primitive, count) for primitive in group]
     faces = np.concatenate(blocks)
     materials = len(document.items("materials"))
@@ -238,7 +238,7 @@ def _part(
     if uv is not None:
         uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
     vertex, label = _closed_seams(
-        document, attribute("_VERTEX", ("SCALAR",)), positions, targets, joints, weights
+        document, attribute("_VERTEX", ("SCALAR",)), positions, targets, indices, weights
     )
     return Part(
         node=node,
@@ -246,7 +246,7 @@ def _part(
         skin=skin,
         positions=positions[vertex],
         targets=np.array(targets)[:, vertex] if targets else np.zeros((0, len(vertex), 3)),
-        joints=joints[vertex],
+        indices=indices[vertex],
         weights=weights[vertex],
         vertex=vertex,
         label=label,
@@ -308,11 +308,11 @@ def _influences(
     for k in range(64):
         if f"JOINTS_{k}" not in attributes:
             break
-        joints = attribute(f"JOINTS_{k}", ("VEC4",), integers=True)
+        indices = attribute(f"JOINTS_{k}", ("VEC4",), integers=True)
         weights = attribute(f"WEIGHTS_{k}", ("VEC4",))
         if weights is None:
             raise document.error(f"JOINTS_{k} without WEIGHTS_{k}")
-        blocks.append((joints.astype(np.int64), weights))
+        blocks.append((indices.astype(np.int64), weights))
     if not blocks:
         raise document.error("a skinned mesh has no JOINTS_0")
     joint = np.concatenate([j for j, _ in blocks], axis=1)
@@ -338,7 +338,7 @@ def _closed_seams(
     mark: NDArray[Any] | None,
     positions: NDArray[np.float64],
     targets: list[NDArray[np.float64]],
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     weights: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Undo the writer's splitting of vertices: representative of each vertex, and its label."""
@@ -350,7 +350,7 @@ def _closed_seams(
     if (label != mark).any() or found[0] != 0 or found[-1] != len(found) - 1:
         return same, same  # the mark of somebody else
     first = vertex[label]
-    compared: list[NDArray[Any]] = [positions, *targets, joints, weights]
+    compared: list[NDArray[Any]] = [positions, *targets, indices, weights]
     for values in compared:
         if (values[first] != values).any():
             _log.warning("%s: edited since it was written, seams stay open", document.path)

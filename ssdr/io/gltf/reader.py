@@ -170,9 +170,10 @@ def read_skinning(
                 names += part.bone_names(document)
         check_size(sum(one.n_frames for one in chosen), 4 * len(names), MAX_BYTES)
         transforms = np.concatenate([matrices[key] for key in order], axis=1)
-        width = max(part.joints.shape[1] for part in parts)
-        joints = [
-            _widen(part.joints + starts[key], width) for part, key in zip(parts, bones, strict=True)
+        width = max(part.indices.shape[1] for part in parts)
+        indices = [
+            _widen(part.indices + starts[key], width)
+            for part, key in zip(parts, bones, strict=True)
         ]
         weights = np.concatenate([_widen(part.weights, width) for part in parts])
         faces = _join_faces(parts)
@@ -180,7 +181,7 @@ def read_skinning(
         parents, positions = join_trees([trees[key] for key in order])
         return Skinning(
             np.concatenate([part.rest(world) for part in parts]),
-            np.where(weights > 0, np.concatenate(joints), 0),
+            np.where(weights > 0, np.concatenate(indices), 0),
             weights,
             transforms,
             faces=faces,
@@ -216,11 +217,11 @@ def _bake(part: Part, clip: Animation, world: World, out: NDArray[np.float32]) -
         last = min(first + step, clip.n_frames)
         if amounts is None:
             out[first:last] = skin(
-                part.positions, part.joints, part.weights, matrices[first:last], dtype=np.float64
+                part.positions, part.indices, part.weights, matrices[first:last], dtype=np.float64
             )
             continue
         for frame in range(first, last):
             shape = part.positions + np.einsum("k,kvc->vc", amounts[frame], part.targets)
-            out[frame] = skin(shape, part.joints, part.weights, matrices[frame], dtype=np.float64)
+            out[frame] = skin(shape, part.indices, part.weights, matrices[frame], dtype=np.float64)
     if not np.isfinite(out).all():
         raise InputError("vertices", "finite numbers in float32", "an overflow")

@@ -89,20 +89,20 @@ def write_skinning(
     rig = build_rig(model, influences=influences, most=8)
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
-    joints, stored, values = quantise(rig.joints, rig.weights, weights)
+    indices, stored, values = quantise(rig.indices, rig.weights, weights)
     error = rig.error(model, weights=values)
     between = rig.error(model, weights=values, between=True)
     title = name or skinning.name or path.stem
     notes = ["glTF takes the unit for metres"]
     lost: list[str] = []
     if template is None:
-        size = plain(model, rig, joints, stored, title, notes).save(path)
+        size = plain(model, rig, indices, stored, title, notes).save(path)
     else:
         if up != "y":
             raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
         old = open_template(Path(template), skinning, meshes)
         old.clip_names.update(clip_names or {})
-        _put(old, rig, joints, stored, title)
+        _put(old, rig, indices, stored, title)
         lost, notes = old.lost, old.notes
         if lost and strict:
             raise InputError("template", "a file all of which can be kept", "; ".join(lost))
@@ -124,7 +124,7 @@ def write_skinning(
 def plain(
     model: Skinning,
     rig: Rig,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     stored: NDArray[Any],
     title: str,
     notes: list[str],
@@ -137,7 +137,7 @@ def plain(
         None if model.surface is None else model.surface.uv,
         corner_normals(rig.rest, model.faces, model.surface) if len(model.faces) else None,
     )
-    _mesh(document, model, rig, corners, joints, stored, title, notes)
+    _mesh(document, model, rig, corners, indices, stored, title, notes)
     # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
     document.json["nodes"] = [
@@ -155,12 +155,12 @@ def plain(
 
 
 def _put(
-    old: Template, rig: Rig, joints: NDArray[np.int32], stored: NDArray[Any], title: str
+    old: Template, rig: Rig, indices: NDArray[np.int32], stored: NDArray[Any], title: str
 ) -> None:
     """The model in the place of the template's meshes."""
     document, json = old.builder, old.json
     old.put_meshes(
-        rig.rest, lambda index: _influences(document, joints[index], stored[index], rig.n_bones)
+        rig.rest, lambda index: _influences(document, indices[index], stored[index], rig.n_bones)
     )
     skins = json.setdefault("skins", [])
     first = len(json["nodes"]) + 1
@@ -197,16 +197,16 @@ def _name(rig: Rig, clip: Clip, model: Skinning, title: str) -> str:
 
 
 def _influences(
-    document: Builder, joints: NDArray[np.int32], stored: NDArray[Any], n_bones: int
+    document: Builder, indices: NDArray[np.int32], stored: NDArray[Any], n_bones: int
 ) -> dict[str, int]:
     """Attributes of the skin weights, four of them in each."""
     narrow = np.uint8 if n_bones <= 256 else np.uint16
     attributes = {}
     for k in range(0, stored.shape[1], 4):
-        four_joints = np.zeros((len(joints), 4), dtype=narrow)
-        four_weights = np.zeros((len(joints), 4), dtype=stored.dtype)
+        four_joints = np.zeros((len(indices), 4), dtype=narrow)
+        four_weights = np.zeros((len(indices), 4), dtype=stored.dtype)
         width = min(4, stored.shape[1] - k)
-        four_joints[:, :width] = joints[:, k : k + width]
+        four_joints[:, :width] = indices[:, k : k + width]
         four_weights[:, :width] = stored[:, k : k + width]
         attributes[f"JOINTS_{k // 4}"] = document.accessor(four_joints, "VEC4", target=ARRAY)
         attributes[f"WEIGHTS_{k // 4}"] = document.accessor(
@@ -220,7 +220,7 @@ def _mesh(
     model: Skinning,
     rig: Rig,
     corners: Corners,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     stored: NDArray[Any],
     title: str,
     notes: list[str],
@@ -235,7 +235,7 @@ def _mesh(
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
-    attributes |= _influences(document, joints[vertex], stored[vertex], rig.n_bones)
+    attributes |= _influences(document, indices[vertex], stored[vertex], rig.n_bones)
     # Which of the model's vertices this is, so that seams can be closed on reading;
     # float32 as attributes may not be uint32, exact up to 2^24.
     if model.n_vertices <= 1 << 24:

@@ -37,7 +37,7 @@ class Mesh:
         self.polygons.check(self.n_points)
         self.bones_key: Any = str(prim.GetPath())
         self.bone_names = [str(prim.GetName())]
-        self.joints = np.zeros((self.n_points, 1), dtype=np.int32)
+        self.indices = np.zeros((self.n_points, 1), dtype=np.int32)
         self.weights = np.ones((self.n_points, 1))
         if self._skeleton is not None:
             self._read_influences()
@@ -52,17 +52,17 @@ class Mesh:
         found = query.ComputeVaryingJointInfluences(self.n_points)
         if not found:
             raise self._fail("its joint influences do not match its points")
-        joints = np.array(found[0], dtype=np.int64).reshape(self.n_points, -1)
+        indices = np.array(found[0], dtype=np.int64).reshape(self.n_points, -1)
         weights = np.array(found[1], dtype=np.float64).reshape(self.n_points, -1)
         order = query.GetJointOrder() or self._skeleton.GetJointOrder()
-        if not joints.shape[1] or joints.min() < 0 or joints.max() >= len(order):
+        if not indices.shape[1] or indices.min() < 0 or indices.max() >= len(order):
             raise self._fail(f"a joint index outside 0 to {len(order) - 1}")
         total = weights.sum(axis=1, keepdims=True)
         if not np.isfinite(weights).all() or (weights < 0).any() or (total <= 0).any():
             raise self._fail("skin weights that are negative, not finite or all zero")
         if np.abs(total - 1).max() > 1e-3:
             _log.warning("%s: skin weights that do not sum to 1 are scaled", self.prim.GetPath())
-        self.joints = np.where(weights > 0, joints, 0).astype(np.int32)
+        self.indices = np.where(weights > 0, indices, 0).astype(np.int32)
         self.weights = weights / total
         self._bind = np.array(query.GetGeomBindTransform(), dtype=np.float64).T
         self._order = [str(token) for token in order]
@@ -188,7 +188,7 @@ class Mesh:
         for frame, code in enumerate(codes):
             out[frame] = skin(
                 self.points(float(code)),
-                self.joints,
+                self.indices,
                 self.weights,
                 self._transforms_at(float(code)),
                 dtype=np.float64,

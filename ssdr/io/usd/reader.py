@@ -139,18 +139,18 @@ def read_skinning(path: Path, *, fps: float | None = None, up: Up | None = None)
                 polygons = [mesh.polygons for mesh in meshes]
                 faces, surface = join_surface(path, stage, polygons, codes[0])
                 parents, positions = _hierarchy(meshes)
-        width = max(mesh.joints.shape[1] for mesh in meshes)
+        width = max(mesh.indices.shape[1] for mesh in meshes)
 
         def wide(values: NDArray[Any]) -> NDArray[Any]:
             return np.pad(values, ((0, 0), (0, width - values.shape[1])))
 
         starts, names = _bones(meshes)
-        joints = np.concatenate([wide(m.joints + starts[m.bones_key]) for m in meshes])
+        indices = np.concatenate([wide(m.indices + starts[m.bones_key]) for m in meshes])
         weights = np.concatenate([wide(m.weights) for m in meshes])
         transforms = np.concatenate(moved)
         model = Skinning(
             np.concatenate(points),
-            np.where(weights > 0, joints, 0),
+            np.where(weights > 0, indices, 0),
             weights,
             transforms,
             faces=faces,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...clips import Clip
-from ...hierarchy import parents_first
+from ...hierarchy.transforms import parents_first
 from ..rig import Rig, unique_names
 
 __all__ = ["bind", "identifier", "put_skeleton"]
@@ -92,7 +92,7 @@ def _keys(
 
 def bind(
     prim: Any,
-    joints: NDArray[np.int32],
+    indices: NDArray[np.int32],
     weights: NDArray[np.float64],
     skeleton: Any,
     place: Any,
@@ -105,8 +105,8 @@ def bind(
     from pxr import UsdSkel, Vt
 
     binding = UsdSkel.BindingAPI.Apply(prim)
-    width = joints.shape[1]
-    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(joints.reshape(-1)))
+    width = indices.shape[1]
+    binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(indices.reshape(-1)))
     binding.CreateJointWeightsPrimvar(False, width).Set(
         Vt.FloatArray.FromNumpy(weights.astype(np.float32).reshape(-1))
     )

@@ -299,7 +299,7 @@ def _put_mesh(
         extent.Set(Vt.Vec3fArray.FromNumpy(box))
     _put_normals(prim, mesh, source, points)
     prim.RemoveProperty("skel:joints")  # the order of the old skeleton
-    bind(prim, rig.joints[index], rig.weights[index], skeleton, local, tokens)
+    bind(prim, rig.indices[index], rig.weights[index], skeleton, local, tokens)
 
 
 def _put_normals(

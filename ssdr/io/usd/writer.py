@@ -99,7 +99,7 @@ def write_skinning(
         notes.append("UsdSkel holds scales in half precision")
     first = rig.clips[0]
     lost: list[str] = []
-    width = rig.joints.shape[1]
+    width = rig.indices.shape[1]
     if template is not None:
         from .template import put
 
@@ -122,7 +122,7 @@ def write_skinning(
             normals = corner_normals(rig.rest, skinning.faces, skinning.surface)
             _primvar(mesh, "normals", Sdf.ValueTypeNames.Normal3fArray, normals.reshape(-1, 3))
         skeleton = top.AppendChild("Skeleton")
-        bind(mesh.GetPrim(), rig.joints, rig.weights, skeleton, Gf.Matrix4d(1.0), tokens)
+        bind(mesh.GetPrim(), rig.indices, rig.weights, skeleton, Gf.Matrix4d(1.0), tokens)
     return _report(path, width, error, between, notes, lost)
 
 

@@ -92,7 +92,7 @@ def naive_signed_distance(points, vertices, faces):
 def test_distances_are_those_of_all_pairs(rng, distance):
     body, joints = two_spheres(distance)
     points = rng.uniform([-1.3, -1.3, -1.3], [distance + 1.3, 1.3, 1.3], (300, 3))
-    posed = ssdr.skin(body.rest, body.joints, body.weights, joints)[0]
+    posed = ssdr.skin(body.rest, body.indices, body.weights, joints)[0]
     expected = naive_signed_distance(points, np.asarray(posed, float), body.faces)
     found = PushOut(body, FLAT[0]).signed_distance(points[None], joints)[0]
     assert np.abs(found - expected).max() < 1e-9
@@ -255,7 +255,7 @@ def test_the_winding_number_of_the_simulator_agrees(rng):
     joints = np.repeat(joints, 4, axis=0)
     out = PushOut(body, faces)(v, joints)
     depth = Depth(np.asarray(body.rest, np.float32), np.asarray(body.faces, np.int32))
-    posed = ssdr.skin(body.rest, body.joints, body.weights, joints).astype(np.float32)
+    posed = ssdr.skin(body.rest, body.indices, body.weights, joints).astype(np.float32)
     deep = [
         np.stack([depth(p, x) for p, x in zip(posed, y, strict=True)]) for y in (v, out.vertices)
     ]

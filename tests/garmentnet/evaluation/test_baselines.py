@@ -53,5 +53,5 @@ def test_ridge_finds_a_linear_rule(toy_bones, toy_store):
     ridge = Ridge(fake, TRAIN[:3], HELD)
     ridge.high = 0 * ridge.high
     s = toy_bones.skinning
-    expected = ssdr.skin(s.rest, s.joints, s.weights, posed(HELD[0]).transforms)
+    expected = ssdr.skin(s.rest, s.indices, s.weights, posed(HELD[0]).transforms)
     assert rmse(ridge.predict(toy_store.clip(HELD[0]).joints), expected) < 5e-3

@@ -26,7 +26,7 @@ def test_santesteban_offsets_then_poses(toy_bones, toy_store, toy_network):
     joints = toy_store.clip(TRAIN[0]).joints[20:24]
     got = module.pose(torch.from_numpy(offsets), torch.from_numpy(joints)).detach().numpy()
     for t in range(4):
-        expected = ssdr.skin(s.rest + offsets[t], s.joints, s.weights, joints[t])
+        expected = ssdr.skin(s.rest + offsets[t], s.indices, s.weights, joints[t])
         assert np.abs(got[t] - expected).max() < 1e-5
 
 

@@ -80,7 +80,7 @@ def test_bones_are_a_bound(toy_bones, toy_network):
     assert bones.high.rmse < 1e-3
     # What the body carries is exact; the others are where the fitted bones put them.
     s, fitted = toy_bones.skinning, toy_bones.clip(CLIP)
-    gap = ssdr.skin(s.rest, s.joints, s.weights, fitted.transforms) - fitted.read("low")
+    gap = ssdr.skin(s.rest, s.indices, s.weights, fitted.transforms) - fitted.read("low")
     whole = np.sqrt((gap.astype(float) ** 2).sum(-1).mean())
     assert np.isclose(whole, fitted.rmse, rtol=1e-3)
     gap[:, toy_bones.bound.index] = 0

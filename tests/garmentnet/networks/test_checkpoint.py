@@ -186,7 +186,7 @@ def test_other_safetensors(file, tmp_path):
         lambda t, d: d["networks"].append(d["networks"][0]),
         lambda t, d: d.update(kernel={"sizes": [3, 10**9, 4], "sigma": 1.0}),
         lambda t, d: t.pop("network.0.low.out.bias"),
-        lambda t, d: t.update({"garment.joints": t["garment.joints"] + 1000}),
+        lambda t, d: t.update({"garment.indices": t["garment.indices"] + 1000}),
         lambda t, d: t.update({"garment.rest": t["garment.rest"][:5]}),
         lambda t, d: t.update({"body.rest": t["body.rest"] + 1}),
         lambda t, d: t.update({"skeleton.parents": t["skeleton.parents"] * 0}),

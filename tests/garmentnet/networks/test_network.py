@@ -48,7 +48,7 @@ def test_world_transforms_skin_to_the_low_part(toy_network, toy_store):
     network, joints = toy_network.networks[0], toy_store.clip("base-test-1").joints[:12]
     motion, _ = network.run(joints, detail=False)
     g = network.subject.garment
-    posed = ssdr.skin(g.rest, g.joints, g.weights, motion.world_transforms())
+    posed = ssdr.skin(g.rest, g.indices, g.weights, motion.world_transforms())
     # The body carries the others.
     assert len(network.free) < g.n_vertices
     assert np.abs(posed - motion.vertices())[:, network.free].max() < 1e-5
@@ -101,7 +101,7 @@ def test_what_the_body_carries_is_exact(toy_network, toy_store):
     smooth = network.predict(clip.joints, detail=False)
     import ssdr
 
-    skinned = ssdr.skin(bound.smooth, bound.joints, bound.weights, clip.joints.astype(float))
+    skinned = ssdr.skin(bound.smooth, bound.indices, bound.weights, clip.joints.astype(float))
     assert np.abs(smooth[:, bound.index] - skinned).max() < 1e-5
 
 

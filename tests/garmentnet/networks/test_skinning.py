@@ -22,20 +22,20 @@ from ssdr.errors import InputError
 
 def random_model(rng, frames=4, vertices=13, bones=5, influences=3):
     rest = rng.normal(size=(vertices, 3))
-    joints = rng.integers(0, bones, size=(vertices, influences))
+    indices = rng.integers(0, bones, size=(vertices, influences))
     weights = rng.random((vertices, influences))
     weights /= weights.sum(axis=1, keepdims=True)
     r = Rotation.random(frames * bones, rng=rng).as_matrix().reshape(frames, bones, 3, 3)
-    return rest, joints, weights, np.concatenate([r, rng.normal(size=(frames, bones, 3, 1))], -1)
+    return rest, indices, weights, np.concatenate([r, rng.normal(size=(frames, bones, 3, 1))], -1)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_same_as_ssdr(seed):
     # Joints may repeat within a vertex: their weights add up.
-    rest, joints, weights, transforms = random_model(np.random.default_rng(seed))
-    expected = ssdr.skin(rest, joints, weights, transforms)
-    module = TorchSkinning(rest, joints, weights, 5)
+    rest, indices, weights, transforms = random_model(np.random.default_rng(seed))
+    expected = ssdr.skin(rest, indices, weights, transforms)
+    module = TorchSkinning(rest, indices, weights, 5)
     single = module(torch.from_numpy(transforms).float()).numpy()
     assert np.abs(single - expected).max() < 4e-6
     lead = module(torch.from_numpy(transforms).float().reshape(2, 2, 5, 3, 4))
@@ -44,27 +44,27 @@ def test_same_as_ssdr(seed):
 
 
 def test_same_as_ssdr_to_double_rounding():
-    rest, joints, weights, transforms = random_model(np.random.default_rng(0))
-    module = TorchSkinning(rest, joints, weights, 5)
+    rest, indices, weights, transforms = random_model(np.random.default_rng(0))
+    module = TorchSkinning(rest, indices, weights, 5)
     dense = np.zeros((13, 5))
-    np.add.at(dense, (np.arange(13)[:, None], joints), weights)
+    np.add.at(dense, (np.arange(13)[:, None], indices), weights)
     extended = np.concatenate([rest, np.ones((13, 1))], axis=1)
     module.matrix = torch.from_numpy((dense[:, :, None] * extended[:, None]).reshape(13, 20))
     got = module(torch.from_numpy(transforms)).numpy()
-    assert np.abs(got - ssdr.skin(rest, joints, weights, transforms)).max() < 1e-13
+    assert np.abs(got - ssdr.skin(rest, indices, weights, transforms)).max() < 1e-13
 
 
 def test_gradient():
-    rest, joints, weights, transforms = random_model(np.random.default_rng(1))
-    module = TorchSkinning(rest, joints, weights, 5).double()
+    rest, indices, weights, transforms = random_model(np.random.default_rng(1))
+    module = TorchSkinning(rest, indices, weights, 5).double()
     m = torch.from_numpy(transforms).requires_grad_()
     assert torch.autograd.gradcheck(module, (m,))
 
 
 def test_wrong_number_of_bones():
-    rest, joints, weights, transforms = random_model(np.random.default_rng(1))
+    rest, indices, weights, transforms = random_model(np.random.default_rng(1))
     with pytest.raises(InputError, match="transforms"):
-        TorchSkinning(rest, joints, weights, 5)(torch.from_numpy(transforms[:, :4]).float())
+        TorchSkinning(rest, indices, weights, 5)(torch.from_numpy(transforms[:, :4]).float())
 
 
 @settings(max_examples=25, deadline=None)

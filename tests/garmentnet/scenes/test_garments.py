@@ -75,7 +75,7 @@ def test_mirror_is_exact() -> None:
     np.testing.assert_array_equal(turned, own)
     np.testing.assert_array_equal(dress.pinned[dress.mirror], dress.pinned)
     weights = np.zeros((dress.n_vertices, BODY.skeleton.n_joints))
-    np.add.at(weights, (np.arange(dress.n_vertices)[:, None], dress.joints), dress.weights)
+    np.add.at(weights, (np.arange(dress.n_vertices)[:, None], dress.indices), dress.weights)
     np.testing.assert_allclose(weights[dress.mirror][:, BODY.skeleton.mirror()], weights, atol=1e-6)
     np.testing.assert_array_equal(mirror_permutation(dress.rest, dress.faces), dress.mirror)
 
@@ -152,7 +152,7 @@ def test_bodies_of_other_builds_can_be_dressed() -> None:
     wide = BODY.skinning.rest * np.array([1.2, 1.05, 1.15], dtype=np.float32)
     rig = ssdr.Skinning(
         wide,
-        BODY.skinning.joints,
+        BODY.skinning.indices,
         BODY.skinning.weights,
         BODY.skinning.transforms,
         faces=BODY.skinning.faces,

@@ -55,7 +55,7 @@ def test_pins_follow_the_body_and_the_rest_moves(spin: Motion) -> None:
     made = simulate(BODY, DRESS, spin, SimulationParameters(), solver=QUICK).vertices
     p = DRESS.pinned
     joints = spin.joints.astype(np.float32)
-    held = skin(DRESS.rest[p], DRESS.joints[p], DRESS.weights[p], joints)
+    held = skin(DRESS.rest[p], DRESS.indices[p], DRESS.weights[p], joints)
     np.testing.assert_allclose(made[:, p], held, atol=1e-5)
     # Relative to the pelvis the hem moves: not frozen.
     root = spin.joints[:, 0]
@@ -131,7 +131,7 @@ def test_depth_has_the_sign_of_the_winding_number(rng: np.random.Generator) -> N
     # A dancing body, whose limbs overlap, and points all about and within it.
     rig = BODY.skinning
     pose = dance(BODY.skeleton, seed=2000, frames=120).joints[102].astype(np.float32)
-    skin_ = skin(rig.rest, rig.joints, rig.weights, pose)
+    skin_ = skin(rig.rest, rig.indices, rig.weights, pose)
     pick = rng.integers(0, len(skin_), (2, 300))
     at = (skin_[pick[0]] + skin_[pick[1]]) / 2
     a, b, c = (skin_[rig.faces[:, k]][None].astype(float) - at[:, None] for k in range(3))

@@ -19,7 +19,7 @@ def files(tmp_path_factory):
     made = trees.skeleton(4, 16, seed=3)
     rig = ssdr.Skinning(
         made.rest,
-        made.joints,
+        made.indices,
         made.weights,
         np.broadcast_to(np.eye(3, 4), (1, 4, 3, 4)),
         parents=made.parents,

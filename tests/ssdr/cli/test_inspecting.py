@@ -37,9 +37,9 @@ def test_info_of_a_skinning(run, wave, tmp_path):
     model = model_of(wave, bones=3)
     weights = model.weights.copy()
     weights[0, :2] = 0.5
-    joints = model.joints.copy()
-    joints[0, 1] = 1
-    model = dataclasses.replace(model, weights=weights, joints=joints)
+    indices = model.indices.copy()
+    indices[0, 1] = 1
+    model = dataclasses.replace(model, weights=weights, indices=indices)
     ssdr.save(model, tmp_path / "m.npz")
     d = json.loads(run("info", tmp_path / "m.npz", "--json")[1])
     assert d["kind"] == "skinning"
@@ -76,9 +76,9 @@ def test_info_of_a_skinning_counts_seams(run, seam, tmp_path):
     # Vertices at one place that bones pull apart are no seam.
     rest = model.rest
     same = [np.flatnonzero((rest == point).all(axis=1)) for point in rest]
-    joints = model.joints.copy()
-    joints[next(k for k in same if len(k) > 1)[0], 0] = 1
-    ssdr.save(dataclasses.replace(model, joints=joints), tmp_path / "m.npz")
+    indices = model.indices.copy()
+    indices[next(k for k in same if len(k) > 1)[0], 0] = 1
+    ssdr.save(dataclasses.replace(model, indices=indices), tmp_path / "m.npz")
     assert json.loads(run("info", tmp_path / "m.npz", "--json")[1])["seams"] == d["seams"] - 1
     ssdr.save(model_of(welded), tmp_path / "w.npz")
     assert json.loads(run("info", tmp_path / "w.npz", "--json")[1])["seams"] == 0

@@ -26,14 +26,14 @@ def check_rigid(transforms: np.ndarray) -> None:
 def test_single_influence_is_kabsch(seed: int, turn: float) -> None:
     rng = np.random.default_rng(seed)
     rest = rng.standard_normal((24, 3))
-    joints = np.repeat(np.arange(3), 8)[:, None]
+    indices = np.repeat(np.arange(3), 8)[:, None]
     frames = motions.blend(
-        rest, joints, np.ones((24, 1)), motions.motions(rng, 4, 3, turn=turn)
+        rest, indices, np.ones((24, 1)), motions.motions(rng, 4, 3, turn=turn)
     ) + 0.3 * rng.standard_normal((4, 24, 3))
-    fit = ssdr.fit_bones(frames, rest=rest, joints=joints, weights=np.ones((24, 1)))
+    fit = ssdr.fit_bones(frames, rest=rest, indices=indices, weights=np.ones((24, 1)))
     check_rigid(fit.transforms)
     for j in range(3):
-        mine = joints[:, 0] == j
+        mine = indices[:, 0] == j
         expected = ssdr.kabsch(np.broadcast_to(rest[mine], (4, 8, 3)), frames[:, mine])
         np.testing.assert_allclose(fit.transforms[:, j], expected, atol=1e-7)
     assert fit.converged
@@ -46,7 +46,7 @@ def test_importance_is_that_of_weighted_kabsch(rng: np.random.Generator) -> None
     fit = ssdr.fit_bones(
         frames,
         rest=rest,
-        joints=np.zeros((10, 1), int),
+        indices=np.zeros((10, 1), int),
         weights=np.ones((10, 1)),
         vertex_importance=importance,
     )
@@ -60,14 +60,14 @@ def test_blended_weights_against_least_squares() -> None:
     rng = np.random.default_rng(11)
     n, bones = 20, 3
     rest = rng.standard_normal((n, 3))
-    joints, weights = motions.weights_of(rng, n, bones, 3)
+    indices, weights = motions.weights_of(rng, n, bones, 3)
     truth = motions.motions(rng, 2, bones, turn=0.3)
-    frames = motions.blend(rest, joints, weights, truth)
+    frames = motions.blend(rest, indices, weights, truth)
     frames += 0.05 * rng.standard_normal(frames.shape)
     fit = ssdr.fit_bones(
         frames,
         rest=rest,
-        joints=joints,
+        indices=indices,
         weights=weights,
         transforms=truth,
         locked_bones=[],
@@ -80,13 +80,13 @@ def test_blended_weights_against_least_squares() -> None:
             m = x.reshape(bones, 6)
             r = Rotation.from_rotvec(m[:, :3]).as_matrix()
             here = np.concatenate([r, m[:, 3:, None]], axis=-1)[None]
-            return (motions.blend(rest, joints, weights, here)[0] - frames[t]).ravel()
+            return (motions.blend(rest, indices, weights, here)[0] - frames[t]).ravel()
 
         start = np.concatenate(
             [Rotation.from_matrix(truth[t, :, :, :3]).as_rotvec(), truth[t, :, :, 3]], axis=1
         )
         found = least_squares(residual, start.ravel(), xtol=1e-15, ftol=1e-15, gtol=1e-12)
-        ours = ((motions.blend(rest, joints, weights, fit.transforms)[t] - frames[t]) ** 2).sum()
+        ours = ((motions.blend(rest, indices, weights, fit.transforms)[t] - frames[t]) ** 2).sum()
         assert ours == pytest.approx(2 * found.cost, rel=1e-6)
 
 
@@ -97,7 +97,7 @@ def test_every_sweep_descends() -> None:
         ssdr.fit_bones(
             frames,
             rest=rig.rest,
-            joints=rig.joints,
+            indices=rig.indices,
             weights=rig.weights,
             max_sweeps=sweeps,
             tolerance=0.0,
@@ -112,11 +112,11 @@ def test_widely_overlapping_bones_settle(monkeypatch: pytest.MonkeyPatch) -> Non
     """Beside sweeps alone, and a start at the bones that made the frames."""
     rng = np.random.default_rng(5)
     rest = rng.standard_normal((200, 3))
-    joints, weights = np.tile(np.arange(6), (200, 1)), rng.dirichlet(np.full(6, 8.0), size=200)
+    indices, weights = np.tile(np.arange(6), (200, 1)), rng.dirichlet(np.full(6, 8.0), size=200)
     truth = motions.motions(rng, 5, 6, turn=0.5)
-    frames = motions.blend(rest, joints, weights, truth)
+    frames = motions.blend(rest, indices, weights, truth)
     frames += 0.01 * rng.standard_normal(frames.shape)
-    known = {"rest": rest, "joints": joints, "weights": weights}
+    known = {"rest": rest, "indices": indices, "weights": weights}
     fit = ssdr.fit_bones(frames, **known)
     assert fit.converged
     near = ssdr.fit_bones(frames, **known, transforms=truth, locked_bones=[])
@@ -135,12 +135,12 @@ def test_new_motion_of_a_known_model() -> None:
         frames,
         rig.faces,
         rest=rig.rest,
-        joints=rig.joints,
+        indices=rig.indices,
         weights=rig.weights,
         max_sweeps=3000,
         tolerance=1e-9,
     )
-    again = motions.blend(rig.rest, rig.joints, rig.weights, fit.transforms)
+    again = motions.blend(rig.rest, rig.indices, rig.weights, fit.transforms)
     assert np.abs(again - frames).max() < 1e-3
     assert fit.rmse == pytest.approx(np.sqrt(((again - frames) ** 2).sum(-1).mean()), rel=1e-6)
 
@@ -148,9 +148,9 @@ def test_new_motion_of_a_known_model() -> None:
 def test_order_of_influences_does_not_matter() -> None:
     rig = motions.chain(bones=4)
     frames = motions.wobble(rig)
-    one = ssdr.fit_bones(frames, rest=rig.rest, joints=rig.joints, weights=rig.weights)
+    one = ssdr.fit_bones(frames, rest=rig.rest, indices=rig.indices, weights=rig.weights)
     other = ssdr.fit_bones(
-        frames, rest=rig.rest, joints=rig.joints[:, ::-1], weights=rig.weights[:, ::-1]
+        frames, rest=rig.rest, indices=rig.indices[:, ::-1], weights=rig.weights[:, ::-1]
     )
     assert other.rmse == pytest.approx(one.rmse, rel=1e-3)
 
@@ -162,7 +162,7 @@ def test_locked_bones_stay() -> None:
     fit = ssdr.fit_bones(
         rig.frames,
         rest=rig.rest,
-        joints=rig.joints,
+        indices=rig.indices,
         weights=rig.weights,
         transforms=start,
         locked_bones=[2],
@@ -172,7 +172,7 @@ def test_locked_bones_stay() -> None:
     free = ssdr.fit_bones(
         rig.frames,
         rest=rig.rest,
-        joints=rig.joints,
+        indices=rig.indices,
         weights=rig.weights,
         transforms=start,
         locked_bones=[],
@@ -183,8 +183,8 @@ def test_locked_bones_stay() -> None:
 def test_reflection_gets_a_rotation(rng: np.random.Generator) -> None:
     rest = rng.standard_normal((30, 3))
     frames = np.stack([rest, rest * [1, 1, -1], rest @ motions.rotation(0, 0, 3).T])
-    joints, weights = motions.weights_of(rng, 30, 2, 2)
-    fit = ssdr.fit_bones(frames, rest=rest, joints=joints, weights=weights)
+    indices, weights = motions.weights_of(rng, 30, 2, 2)
+    fit = ssdr.fit_bones(frames, rest=rest, indices=indices, weights=weights)
     check_rigid(fit.transforms)
     assert fit.rmse > 0.1
 
@@ -195,14 +195,18 @@ def test_collinear_and_planar(axes: list[int], rng: np.random.Generator) -> None
     rest[:, axes] = rng.standard_normal((12, len(axes)))
     truth = motions.motions(rng, 5, 1, turn=1.0)
     frames = motions.blend(rest, np.zeros((12, 1), int), np.ones((12, 1)), truth)
-    fit = ssdr.fit_bones(frames, rest=rest, joints=np.zeros((12, 1), int), weights=np.ones((12, 1)))
+    fit = ssdr.fit_bones(
+        frames, rest=rest, indices=np.zeros((12, 1), int), weights=np.ones((12, 1))
+    )
     check_rigid(fit.transforms)
     assert fit.rmse < 1e-7
 
 
 def test_bones_without_vertices() -> None:
     rig = motions.chain(bones=3)
-    fit = ssdr.fit_bones(rig.frames, rest=rig.rest, joints=rig.joints, weights=rig.weights, bones=6)
+    fit = ssdr.fit_bones(
+        rig.frames, rest=rig.rest, indices=rig.indices, weights=rig.weights, bones=6
+    )
     assert fit.transforms.shape[1] == 6
     check_rigid(fit.transforms)
     assert np.isfinite(fit.transforms).all()
@@ -211,8 +215,8 @@ def test_bones_without_vertices() -> None:
 @pytest.mark.parametrize(
     ("argument", "change"),
     [
-        ("joints", {"joints": np.full((120, 4), -1)}),
-        ("joints", {"joints": np.zeros((120, 4))}),
+        ("indices", {"indices": np.full((120, 4), -1)}),
+        ("indices", {"indices": np.zeros((120, 4))}),
         ("weights", {"weights": np.full((120, 4), 0.3)}),
         ("weights", {"weights": np.full((120, 4), np.nan)}),
         ("bones", {"bones": 2}),
@@ -224,7 +228,7 @@ def test_bones_without_vertices() -> None:
 )
 def test_refuses(argument: str, change: dict[str, object]) -> None:
     rig = motions.chain(bones=5)
-    parts = {"rest": rig.rest, "joints": rig.joints, "weights": rig.weights} | change
+    parts = {"rest": rig.rest, "indices": rig.indices, "weights": rig.weights} | change
     with pytest.raises(ssdr.InputError) as caught:
         ssdr.fit_bones(rig.frames, **parts)
     assert caught.value.argument == argument
@@ -235,14 +239,14 @@ def test_refuses(argument: str, change: dict[str, object]) -> None:
 def test_single_influence_is_umeyama(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rest, importance = rng.standard_normal((24, 3)), 0.1 + rng.random(24)
-    joints = np.repeat(np.arange(3), 8)[:, None]
+    indices = np.repeat(np.arange(3), 8)[:, None]
     truth = stretched(motions.motions(rng, 4, 3), "similarity", seed)
-    frames = motions.blend(rest, joints, np.ones((24, 1)), truth)
+    frames = motions.blend(rest, indices, np.ones((24, 1)), truth)
     frames += 0.3 * rng.standard_normal(frames.shape)
     fit = ssdr.fit_bones(
         frames,
         rest=rest,
-        joints=joints,
+        indices=indices,
         weights=np.ones((24, 1)),
         bone_model="similarity",
         vertex_importance=importance,
@@ -251,7 +255,7 @@ def test_single_influence_is_umeyama(seed: int) -> None:
     check_kind(fit.transforms, "similarity")
     for t in range(4):
         for j in range(3):
-            mine = joints[:, 0] == j
+            mine = indices[:, 0] == j
             want = naive.umeyama(rest[mine], frames[t, mine], importance[mine])
             np.testing.assert_allclose(fit.transforms[t, j], want, atol=1e-5)
 
@@ -261,21 +265,21 @@ def test_single_influence_is_umeyama(seed: int) -> None:
 def test_affine_bones_are_the_least_squares_of_the_design_matrix(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rest, importance = rng.standard_normal((60, 3)), 0.1 + rng.random(60)
-    joints, weights = motions.weights_of(rng, 60, 3, 2)
+    indices, weights = motions.weights_of(rng, 60, 3, 2)
     truth = stretched(motions.motions(rng, 4, 3), "affine", seed)
-    frames = motions.blend(rest, joints, weights, truth)
+    frames = motions.blend(rest, indices, weights, truth)
     frames += 0.02 * rng.standard_normal(frames.shape)
     fit = ssdr.fit_bones(
         frames,
         rest=rest,
-        joints=joints,
+        indices=indices,
         weights=weights,
         bone_model="affine",
         vertex_importance=importance,
         tolerance=1e-12,
     )
     for t in range(4):
-        want = naive.affine(rest, joints, weights, frames[t], 3, importance)
+        want = naive.affine(rest, indices, weights, frames[t], 3, importance)
         np.testing.assert_allclose(fit.transforms[t], want, atol=1e-6)
     assert fit.converged
 
@@ -284,10 +288,10 @@ def test_affine_bones_are_the_least_squares_of_the_design_matrix(seed: int) -> N
 def test_fit_bones_finds_the_bones_that_made_the_data(kind: str) -> None:
     truth = rig(kind)
     # a vertex moves with its main bone alone, so that every bone is determined
-    joints, weights = truth.joints[:, :1], np.ones((len(truth.rest), 1))
-    frames = motions.blend(truth.rest, joints, weights, truth.transforms)
+    indices, weights = truth.indices[:, :1], np.ones((len(truth.rest), 1))
+    frames = motions.blend(truth.rest, indices, weights, truth.transforms)
     fit = ssdr.fit_bones(
-        frames, rest=truth.rest, joints=joints, weights=weights, bone_model=kind, tolerance=1e-9
+        frames, rest=truth.rest, indices=indices, weights=weights, bone_model=kind, tolerance=1e-9
     )
     np.testing.assert_allclose(fit.transforms, truth.transforms, atol=1e-5)
     assert fit.rmse < 1e-6

@@ -14,7 +14,7 @@ def test_separate_bodies_get_a_bone_each() -> None:
     found = ssdr.initialize(rig.frames, bones=6)
     assert found.n_bones == 6
     assert np.abs(found.skin() - rig.frames).max() < 1e-6
-    owner = found.joints[:, 0].reshape(6, -1)
+    owner = found.indices[:, 0].reshape(6, -1)
     assert (owner == owner[:, :1]).all()
     assert len(set(owner[:, 0])) == 6
 

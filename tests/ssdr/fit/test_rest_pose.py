@@ -20,12 +20,12 @@ from helpers import motions, naive
 def test_against_dense_least_squares(seed: int, influences: int, offset: float) -> None:
     rng = np.random.default_rng(seed)
     transforms = motions.motions(rng, 5, 4)
-    joints, weights = motions.weights_of(rng, 6, 4, influences)
+    indices, weights = motions.weights_of(rng, 6, 4, influences)
     frames = offset + rng.standard_normal((5, 6, 3))
-    fit = ssdr.fit_rest_pose(frames, joints=joints, weights=weights, transforms=transforms)
-    want = naive.rest_position(frames, joints, weights, transforms)
+    fit = ssdr.fit_rest_pose(frames, indices=indices, weights=weights, transforms=transforms)
+    want = naive.rest_position(frames, indices, weights, transforms)
     np.testing.assert_allclose(fit.rest, want, atol=1e-8 * max(1.0, offset))
-    error = naive.squared_error(frames, want, joints, weights, transforms)
+    error = naive.squared_error(frames, want, indices, weights, transforms)
     np.testing.assert_allclose(fit.squared_error, error, rtol=1e-6)
     assert fit.rmse == pytest.approx(np.sqrt(error.sum() / 30), rel=1e-6)
 
@@ -36,7 +36,7 @@ def test_locked_vertices_stay_to_the_bit() -> None:
     locked = np.arange(len(start)) % 3 == 0
     fit = ssdr.fit_rest_pose(
         motions.wobble(rig),
-        joints=rig.joints,
+        indices=rig.indices,
         weights=rig.weights,
         transforms=rig.transforms,
         rest=start,
@@ -45,7 +45,7 @@ def test_locked_vertices_stay_to_the_bit() -> None:
     assert np.array_equal(fit.rest[locked], start[locked])
     assert (np.abs(fit.rest[~locked] - start[~locked]).max(axis=1) > 1e-3).all()
     error = naive.squared_error(
-        motions.wobble(rig), fit.rest, rig.joints, rig.weights, rig.transforms
+        motions.wobble(rig), fit.rest, rig.indices, rig.weights, rig.transforms
     )
     np.testing.assert_allclose(fit.squared_error, error, rtol=1e-6)
 
@@ -55,12 +55,12 @@ def test_what_the_motion_leaves_open_stays() -> None:
     transforms = np.zeros((3, 2, 3, 4))
     transforms[:, 0, :, :3] = motions.rotation(np.pi / 2, 0, 0)
     transforms[:, 1, :, :3] = motions.rotation(-np.pi / 2, 0, 0)
-    joints = np.array([[0, 1], [0, 0]], dtype=np.int32)
+    indices = np.array([[0, 1], [0, 0]], dtype=np.int32)
     weights = np.array([[0.5, 0.5], [1.0, 0.0]])
     start = np.array([[9.0, 0.25, -0.5], [0.0, 0.0, 0.0]])
     frames = np.tile(np.array([[2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), (3, 1, 1))
     fit = ssdr.fit_rest_pose(
-        frames, joints=joints, weights=weights, transforms=transforms, rest=start
+        frames, indices=indices, weights=weights, transforms=transforms, rest=start
     )
     np.testing.assert_allclose(fit.rest[0], [2.0, 0.25, -0.5], atol=1e-2)
     np.testing.assert_allclose(fit.rest[1], [0.0, 0.0, -1.0], atol=1e-6)
@@ -70,7 +70,7 @@ def test_what_the_motion_leaves_open_stays() -> None:
     ("argument", "change"),
     [
         ("rest", {"locked_vertices": [0]}),
-        ("joints", {"joints": np.full((120, 4), 7)}),
+        ("indices", {"indices": np.full((120, 4), 7)}),
         ("transforms", {"transforms": np.zeros((20, 3, 4))}),
         ("locked_vertices", {"rest": np.zeros((120, 3)), "locked_vertices": [120]}),
         ("locked_vertices", {"rest": np.zeros((120, 3)), "locked_vertices": [True]}),
@@ -78,7 +78,7 @@ def test_what_the_motion_leaves_open_stays() -> None:
 )
 def test_refuses(argument: str, change: dict[str, object]) -> None:
     rig = motions.chain(bones=5)
-    parts = {"joints": rig.joints, "weights": rig.weights, "transforms": rig.transforms} | change
+    parts = {"indices": rig.indices, "weights": rig.weights, "transforms": rig.transforms} | change
     with pytest.raises(ssdr.InputError) as caught:
         ssdr.fit_rest_pose(rig.frames, **parts)
     assert caught.value.argument == argument

@@ -16,16 +16,16 @@ from ssdr.fit.weights import WeightFit
 
 
 def check_simplex(fit: WeightFit, n_bones: int, influences: int) -> None:
-    assert fit.joints.shape == fit.weights.shape
+    assert fit.indices.shape == fit.weights.shape
     assert fit.weights.shape[1] == influences
     assert fit.weights.min() >= 0
     assert np.abs(fit.weights.sum(axis=1) - 1).max() < 1e-12
     assert (np.diff(fit.weights, axis=1) <= 0).all()
-    assert fit.joints.min() >= 0
-    assert fit.joints.max() < n_bones
-    assert (fit.joints[fit.weights == 0] == 0).all()
-    for joints, weights in zip(fit.joints, fit.weights, strict=True):
-        used = joints[weights > 0]
+    assert fit.indices.min() >= 0
+    assert fit.indices.max() < n_bones
+    assert (fit.indices[fit.weights == 0] == 0).all()
+    for indices, weights in zip(fit.indices, fit.weights, strict=True):
+        used = indices[weights > 0]
         assert len(set(used)) == len(used)
 
 
@@ -41,8 +41,8 @@ def test_against_every_support(seed: int, bones: int, influences: int, noise: fl
     n = 9
     rest = rng.standard_normal((n, 3))
     transforms = motions.motions(rng, 4, bones)
-    joints, weights = motions.weights_of(rng, n, bones, influences)
-    frames = motions.blend(rest, joints, weights, transforms)
+    indices, weights = motions.weights_of(rng, n, bones, influences)
+    frames = motions.blend(rest, indices, weights, transforms)
     frames += noise * rng.standard_normal(frames.shape)
     fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=influences)
     check_simplex(fit, bones, influences)
@@ -80,7 +80,7 @@ def test_many_bones_against_slsqp(rng: np.random.Generator) -> None:
         )
         assert fit.squared_error[i] == pytest.approx(found.fun, rel=1e-5)
         dense = np.zeros(bones)
-        np.add.at(dense, fit.joints[i], fit.weights[i])
+        np.add.at(dense, fit.indices[i], fit.weights[i])
         np.testing.assert_allclose(dense, found.x, atol=2e-3)
 
 
@@ -90,8 +90,8 @@ def test_sparse_choice_is_near_the_best_support() -> None:
     n, bones, k = 40, 6, 2
     rest = rng.standard_normal((n, 3))
     transforms = motions.motions(rng, 8, bones, shift=0.3)
-    joints, weights = motions.weights_of(rng, n, bones, 4)
-    frames = motions.blend(rest, joints, weights, transforms)
+    indices, weights = motions.weights_of(rng, n, bones, 4)
+    frames = motions.blend(rest, indices, weights, transforms)
     fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=k)
     images = naive.bone_images(rest, transforms)
     targets = frames.transpose(1, 0, 2).reshape(n, -1)
@@ -104,7 +104,7 @@ def test_error_is_that_of_skinning(rng: np.random.Generator) -> None:
     transforms = motions.motions(rng, 5, 4)
     frames = 30 + rest + 0.5 * rng.standard_normal((5, 7, 3))
     fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=3)
-    expected = naive.squared_error(frames, rest, fit.joints, fit.weights, transforms)
+    expected = naive.squared_error(frames, rest, fit.indices, fit.weights, transforms)
     np.testing.assert_allclose(fit.squared_error, expected, rtol=1e-8)
     assert fit.rmse == pytest.approx(np.sqrt(expected.sum() / 35), rel=1e-8)
 
@@ -132,8 +132,8 @@ def test_bones_that_move_alike() -> None:
     rng = np.random.default_rng(5)
     rest = rng.standard_normal((12, 3))
     own = motions.motions(rng, 6, 3)
-    joints, weights = motions.weights_of(rng, 12, 3, 3)
-    frames = motions.blend(rest, joints, weights, own)
+    indices, weights = motions.weights_of(rng, 12, 3, 3)
+    frames = motions.blend(rest, indices, weights, own)
     fit = ssdr.fit_weights(
         frames, rest=rest, transforms=np.concatenate([own, own, own], axis=1), influences=4
     )
@@ -155,7 +155,7 @@ def test_smoothness_lowers_the_dirichlet_energy() -> None:
             iterations=300,
         )
         check_simplex(fit, 4, 4)
-        energy.append(naive.dirichlet(rig.faces, fit.joints, fit.weights, 4))
+        energy.append(naive.dirichlet(rig.faces, fit.indices, fit.weights, 4))
         error.append(fit.rmse)
     assert energy == sorted(energy, reverse=True)
     assert energy[-1] < 0.01 * energy[0]
@@ -176,8 +176,8 @@ def test_smoothness_descends_the_penalised_error() -> None:
             smoothness=length,
             iterations=sweeps,
         )
-        error = naive.squared_error(frames, rig.rest, fit.joints, fit.weights, rig.transforms)
-        energy = naive.dirichlet(rig.faces, fit.joints, fit.weights, 4)
+        error = naive.squared_error(frames, rig.rest, fit.indices, fit.weights, rig.transforms)
+        energy = naive.dirichlet(rig.faces, fit.indices, fit.weights, 4)
         values.append(error.sum() + len(frames) * length**2 * energy)
     assert (np.diff(values) < 0).all()
     assert values[0] > 1.01 * values[-1]

@@ -52,7 +52,7 @@ def play(path, name, seconds):
     inverse = accessor(document, binary, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
     where = document["meshes"][node["mesh"]]["primitives"][0]["attributes"]
     points = accessor(document, binary, where["POSITION"])
-    joints = accessor(document, binary, where["JOINTS_0"]).astype(int)
+    indices = accessor(document, binary, where["JOINTS_0"]).astype(int)
     weights = accessor(document, binary, where["WEIGHTS_0"])
     frames = []
     for second in seconds:
@@ -84,7 +84,7 @@ def play(path, name, seconds):
             local[:3, :3] *= pose[joint]["scale"]
             local[:3, 3] = pose[joint]["translation"]
             full = local @ inverse[k].T
-            share = np.where(joints == k, weights, 0).sum(axis=1)
+            share = np.where(indices == k, weights, 0).sum(axis=1)
             posed += share[:, None] * (points @ full[:3, :3].T + full[:3, 3])
         frames.append(posed)
     return np.array(frames), accessor(document, binary, where["_VERTEX"])[:, 0].astype(int)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import ssdr
 from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat
-from ssdr.hierarchy import joint_gaps
+from ssdr.hierarchy.transforms import joint_gaps
 from ssdr.io.axes import turn_skinning_up
 from ssdr.io.rig import build_rig, frame_rate, quantise, unique_names
 
@@ -42,7 +42,7 @@ def test_between_frames_against_scipy():
             ends = ends + model.transforms[frame : frame + 2, bone, :, 3]
             moved[bone, :, :3] = middle
             moved[bone, :, 3] = ends.mean(axis=0) - middle @ c
-        shown = ssdr.skin(model.rest, model.joints, model.weights, moved)
+        shown = ssdr.skin(model.rest, model.indices, model.weights, moved)
         total += ((shown - model.skin([frame, frame + 1]).mean(axis=0)) ** 2).sum(axis=1).mean()
     assert rig.error(model, between=True).rmse == pytest.approx(np.sqrt(total / 11), rel=1e-4)
     assert build_rig(tube(frames=1)).error(model, between=True).rmse is None

@@ -24,7 +24,7 @@ def test_weights_go_round(tmp_path, skinned, suffix, dtype):
     assert (report.influences, report.bytes) == (3, path.stat().st_size)
     back = read_weights(path, bones=names)
     assert back.bone_names == names
-    np.testing.assert_array_equal(back.joints, given.joints)
+    np.testing.assert_array_equal(back.indices, given.indices)
     np.testing.assert_array_equal(back.weights.astype(dtype), given.weights)
     in_file = read_weights(path).bone_names
     assert in_file == (names if suffix == "json" else tuple(sorted(names, key=_natural)))
@@ -51,7 +51,7 @@ def test_weights_are_what_they_say(tmp_path, skinned):
     ssdr.save(skinned, tmp_path / "w.json")
     table = json.loads((tmp_path / "w.json").read_text())
     assert table["bones"] == list(skinned.names())
-    np.testing.assert_array_equal(table["joints"], skinned.joints)
+    np.testing.assert_array_equal(table["joints"], skinned.indices)
     np.testing.assert_array_equal(table["weights"], skinned.weights)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ssdr.hierarchy import joint_gaps, parents_first
+from ssdr.hierarchy.transforms import joint_gaps, parents_first
 from ssdr.kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 
 PARENTS = np.array([2, 0, -1, 0, -1])

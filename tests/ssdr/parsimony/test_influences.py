@@ -24,7 +24,7 @@ def test_dropped_influences_cost_what_is_said() -> None:
     assert (level >= cheap).all()
     model = nested.build(level)
     rest, transforms = data.to_world(model.rest, model.transforms)
-    built = ssdr.Skinning(rest, model.joints, model.weights, transforms)
+    built = ssdr.Skinning(rest, model.indices, model.weights, transforms)
     count = 15 * 84
     assert rmse_of(built, wavy()) == pytest.approx(data.scale * np.sqrt(error / count), rel=1e-6)
     assert (model.weights > 0).sum() == np.take_along_axis(nested.counts, level[None], 0).sum()

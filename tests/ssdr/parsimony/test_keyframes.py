@@ -20,7 +20,7 @@ def test_keys_are_the_best_of_all_subsets(price: float) -> None:
     rig = motions.boxes(1, frames=7, seed=3)
     rng = np.random.default_rng(0)
     transforms = motions.motions(rng, 7, 1, turn=0.05, shift=0.05)
-    model = ssdr.Skinning(rig.rest, rig.joints, rig.weights, transforms)
+    model = ssdr.Skinning(rig.rest, rig.indices, rig.weights, transforms)
     tracks = Tracks(model, np.array([0, 7]))
     keys, said = tracks.choose(price)
     best = np.inf

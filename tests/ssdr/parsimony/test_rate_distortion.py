@@ -9,8 +9,8 @@ import ssdr
 from helpers import motions
 from helpers.measures import diagonal, wavy
 from ssdr import parsimony
+from ssdr.drivers import scan
 from ssdr.parsimony.rate_distortion import knee
-from ssdr.streaming import scan
 
 
 def test_curve_of_exact_skinning_has_its_knee_there() -> None:

@@ -9,14 +9,14 @@ from ssdr import parsimony
 
 
 def test_size_by_hand() -> None:
-    joints = np.array([[0, 1], [1, 0], [2, 0]])
+    indices = np.array([[0, 1], [1, 0], [2, 0]])
     weights = np.array([[0.5, 0.5], [1.0, 0.0], [1.0, 0.0]])
     keys = np.zeros((5, 3), dtype=bool)
     keys[:, 0] = True  # every frame: no times
     keys[[0, 4], 1] = True
     keys[0, 2] = True
     model = ssdr.Skinning(
-        np.zeros((3, 3)), joints, weights, np.tile(np.eye(4)[:3], (5, 3, 1, 1)), keyframes=keys
+        np.zeros((3, 3)), indices, weights, np.tile(np.eye(4)[:3], (5, 3, 1, 1)), keyframes=keys
     )
     size = parsimony.size(model)
     assert size == parsimony.Size(

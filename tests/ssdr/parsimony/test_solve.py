@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal, largest_of, rmse_of, small, wavy
+from ssdr.drivers import scan
 from ssdr.search.progress import Reporter
-from ssdr.streaming import scan
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ from ssdr.streaming import scan
         ("bones", {"bones": 0}),
         ("bones", {"bones": 85}),
         ("smoothness", {"smoothness": 0.1}),
-        ("weights", {"joints": np.zeros((84, 1), int), "weights": np.ones((84, 1))}),
+        ("weights", {"indices": np.zeros((84, 1), int), "weights": np.ones((84, 1))}),
         ("transforms", {"transforms": np.tile(np.eye(4)[:3], (15, 2, 1, 1))}),
         ("vertex_importance", {"vertex_importance": np.arange(84) < 42}),
         ("vertex_importance", {"vertex_importance": np.where(np.arange(84) < 42, 5.0, 4e-6)}),
@@ -69,7 +69,7 @@ def test_rigid_boxes_get_a_bone_each(count: int) -> None:
     result = ssdr.decompose(rig.frames, tolerance="0.01%")
     assert result.skinning.n_bones == count
     assert result.skinning.n_influences == 1
-    bone = result.skinning.joints[:, 0].reshape(count, -1)
+    bone = result.skinning.indices[:, 0].reshape(count, -1)
     assert (bone == bone[:, :1]).all()
     assert len(set(bone[:, 0])) == count
 
@@ -163,7 +163,7 @@ def test_the_same_bits_again_and_with_two_threads() -> None:
         again = ssdr.decompose(wavy(), tolerance="0.8%", effort="fast").skinning
     finally:
         ssdr.set_threads(None)
-    for name in ("rest", "joints", "weights", "transforms", "keyframes"):
+    for name in ("rest", "indices", "weights", "transforms", "keyframes"):
         assert (getattr(first, name) == getattr(again, name)).all(), name
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
 from helpers.rig_tree import NAMES, PARENTS, POSITIONS, creature, flat
-from ssdr.hierarchy import from_local
+from ssdr.hierarchy.transforms import from_local
 from ssdr.io.rig import build_rig
 from ssdr.parsimony.keyframes import Tracks
 

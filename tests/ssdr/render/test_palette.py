@@ -31,6 +31,6 @@ def test_neighbouring_bones_get_colors_far_apart(rng):
 
 def test_a_vertex_of_one_bone_has_the_color_of_the_bone(rng):
     colors = palette.bone_colors(rng.normal(size=(7, 3)))
-    joints = np.stack([np.arange(7), np.zeros(7, dtype=int)], axis=1)
-    mixed = palette.mix(colors, np.tile([1.0, 0.0], (7, 1)), joints)
+    indices = np.stack([np.arange(7), np.zeros(7, dtype=int)], axis=1)
+    mixed = palette.mix(colors, np.tile([1.0, 0.0], (7, 1)), indices)
     np.testing.assert_allclose(mixed, colors, atol=1e-6)

@@ -41,7 +41,7 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     assert grown.n_influences == model.n_influences
     assert grown.objective(data) <= model.objective(data)
     rest, transforms = data.to_world(grown.rest, grown.transforms)
-    built = ssdr.Skinning(rest, grown.joints, grown.weights, transforms)
+    built = ssdr.Skinning(rest, grown.indices, grown.weights, transforms)
     measured = rmse_of(built, frames)
     said = data.scale * np.sqrt(max(grown.objective(data), 0.0) / (5 * 30))
     assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
@@ -58,7 +58,7 @@ def test_room_for_influences_and_back_is_the_same_model(count: int) -> None:
     assert wide.support.shape[1] >= count
     assert (wide.weights[:, INFLUENCES:] == 0).all()
     back = wide.with_influences(INFLUENCES)
-    for name in ("transforms", "rest", "joints", "weights", "error"):
+    for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(back, name), getattr(model, name))
 
 
@@ -66,13 +66,13 @@ def test_fewer_influences_keep_the_largest() -> None:
     _, model = problem(0)
     rng = np.random.default_rng(0)
     model = model.with_influences(4)
-    model.joints[:] = np.argsort(rng.random((90, BONES)), axis=1)[:, :4]
+    model.indices[:] = np.argsort(rng.random((90, BONES)), axis=1)[:, :4]
     model.weights[:] = rng.dirichlet(np.ones(4), size=90)
     small = model.with_influences(2)
     for i in range(90):
-        largest = sorted(zip(model.weights[i], model.joints[i], strict=True))[-2:]
+        largest = sorted(zip(model.weights[i], model.indices[i], strict=True))[-2:]
         total = sum(w for w, _ in largest)
-        found = {int(j): w for j, w in zip(small.joints[i], small.weights[i], strict=True)}
+        found = {int(j): w for j, w in zip(small.indices[i], small.weights[i], strict=True)}
         assert found == pytest.approx({int(j): w / total for w, j in largest})
 
 
@@ -86,7 +86,7 @@ def test_relaxed_model_is_one_of_the_same_size(extra: int) -> None:
     assert (relaxed.weights >= 0).all()
     assert relaxed.weights.sum(axis=1) == pytest.approx(1.0)
     assert relaxed.objective(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
-    for name in ("transforms", "rest", "joints", "weights", "error"):
+    for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
 
 
@@ -96,7 +96,7 @@ def test_relaxing_leaves_locked_weights_and_bones_alone() -> None:
     keep[::3] = True
     fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
     relaxed = relax(data, model, fixed, extra=2, steps=2)
-    assert np.array_equal(relaxed.joints[keep], model.joints[keep])
+    assert np.array_equal(relaxed.indices[keep], model.indices[keep])
     assert np.array_equal(relaxed.weights[keep], model.weights[keep])
     assert np.array_equal(relaxed.transforms[:, :2], model.transforms[:, :2])
     assert not np.array_equal(relaxed.transforms[:, 2:], model.transforms[:, 2:])
@@ -128,7 +128,7 @@ def test_changes_go_by_the_generator_alone(change: Change) -> None:
     one, same, other = (change(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
     assert np.array_equal(one.transforms, same.transforms)
     assert not np.array_equal(one.transforms, other.transforms)
-    for name in ("transforms", "rest", "joints", "weights", "error"):
+    for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
 
 
@@ -153,8 +153,8 @@ def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
     assert np.array_equal(changed.transforms[:, :2], model.transforms[:, :2])
     for i in np.flatnonzero(keep):
         was, now = np.zeros(BONES), np.zeros(BONES)
-        was[model.joints[i]] += model.weights[i]
-        now[changed.joints[i]] += changed.weights[i]
+        was[model.indices[i]] += model.weights[i]
+        now[changed.indices[i]] += changed.weights[i]
         assert np.array_equal(was[:2], now[:2])
 
 
@@ -189,11 +189,11 @@ def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
     ratios = []
     for i in range(90):
         if not full[i]:
-            assert np.array_equal(dropped.joints[i], model.joints[i])
+            assert np.array_equal(dropped.indices[i], model.indices[i])
             assert np.array_equal(dropped.weights[i], model.weights[i])
             continue
-        kept = set(dropped.joints[i][dropped.weights[i] > 0].tolist())
-        assert kept < set(model.joints[i].tolist())
+        kept = set(dropped.indices[i][dropped.weights[i] > 0].tolist())
+        assert kept < set(model.indices[i].tolist())
         least = min(without_slot(data, model, i, q) for q in range(INFLUENCES + 1))
         ratios.append(dropped.error[i] / least)
     # two rounds of Gauss–Newton, and not as many as it takes
@@ -203,7 +203,7 @@ def test_the_dropped_influence_is_the_one_that_is_missed_least() -> None:
 
 def without_slot(data: Trajectories, model: Model, i: int, q: int) -> float:
     """Squared error of vertex i without its q-th bone, by alternating least squares."""
-    bones = np.delete(model.joints[i], q)
+    bones = np.delete(model.indices[i], q)
     weights = np.delete(model.weights[i], q)
     weights = weights / weights.sum()
     target = np.stack([data.frame(t)[i] for t in range(data.n_frames)])[:, None]

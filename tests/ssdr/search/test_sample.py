@@ -9,10 +9,10 @@ import pytest
 
 import ssdr
 from helpers.measures import bits
+from ssdr.drivers.schedule import FIRST_MODEL, merged_start
 from ssdr.search.prescribed import Prescribed
 from ssdr.search.run import Run
 from ssdr.search.sampling import Everywhere, Recall, Sample
-from ssdr.search.schedule import FIRST_MODEL, merged_start
 from ssdr.search.stages import Alternate, Reseed
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import Trajectories, gather
@@ -48,7 +48,7 @@ def true_error(data: Trajectories, model: Model) -> float:
     for t in range(data.n_frames):
         moved = np.einsum("jab,vb->vja", model.transforms[t, :, :, :3], model.rest)
         moved += model.transforms[t, :, :, 3]
-        mixed = np.take_along_axis(moved, model.joints[..., None], axis=1)
+        mixed = np.take_along_axis(moved, model.indices[..., None], axis=1)
         gap = data.frame(t) - np.einsum("vk,vka->va", model.weights, mixed)
         total += float((gap**2).sum())
     return total

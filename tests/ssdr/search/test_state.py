@@ -54,7 +54,7 @@ def stopped_after(step: int, **options: object) -> ssdr.Decomposition:
 
 
 def assert_same_model(a: ssdr.Skinning, b: ssdr.Skinning) -> None:
-    for name in ("rest", "joints", "weights", "transforms"):
+    for name in ("rest", "indices", "weights", "transforms"):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
 
 
@@ -105,7 +105,7 @@ def test_resumed_within_the_best_effort(tmp_path: Path) -> None:
         for step in (at[0] + 1, at[-1] + 1):
             part = stopped_after(step, effort="best")
             assert part.stop_reason == "cancelled"
-            assert part.skinning.joints.shape[1] == result.skinning.joints.shape[1]
+            assert part.skinning.indices.shape[1] == result.skinning.indices.shape[1]
             path = part.state.save(tmp_path / f"{phase}{step}.npz")
             again = ssdr.decompose(frames(), rig().faces, resume=path, effort="best", **OPTIONS)
             assert_same_model(again.skinning, result.skinning)
@@ -216,7 +216,7 @@ CHANGES: dict[str, Callable[[], dict[str, object]]] = {
     "a given rest pose": lambda: {"rest": rig().rest},
     "given bones": lambda: {"transforms": rig().transforms[:, :2]},
     "given weights": lambda: {
-        "joints": np.zeros((84, 1), dtype=int), "weights": np.ones((84, 1)),
+        "indices": np.zeros((84, 1), dtype=int), "weights": np.ones((84, 1)),
     },
 }  # fmt: skip
 
@@ -383,6 +383,6 @@ def test_models_are_plain_arrays() -> None:
 def test_a_result_shares_no_memory_with_its_state() -> None:
     result, _ = whole()
     assert result.state.best is not None
-    for name in ("rest", "joints", "weights", "transforms"):
+    for name in ("rest", "indices", "weights", "transforms"):
         mine, its = getattr(result.skinning, name), getattr(result.state.best, name)
         assert not np.shares_memory(mine, its), name

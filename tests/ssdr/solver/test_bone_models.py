@@ -29,9 +29,9 @@ def test_step_solves_the_dense_reduced_system(kind: str, fixed: str) -> None:
     }[fixed]
     what = Fixed(bone_model=kind, **hold)  # type: ignore[arg-type]
     rest = rng.standard_normal((n, 3))
-    joints, weights = motions.weights_of(rng, n, bones, k)
+    indices, weights = motions.weights_of(rng, n, bones, k)
     truth = stretched(motions.motions(rng, n_frames, bones), kind, amount=0.2)
-    frames = motions.blend(rest, joints, weights, truth)
+    frames = motions.blend(rest, indices, weights, truth)
     frames += 0.1 * rng.standard_normal(frames.shape)
     data = gather(
         [ssdr.MeshSequence(frames)],
@@ -41,8 +41,8 @@ def test_step_solves_the_dense_reduced_system(kind: str, fixed: str) -> None:
     )
     inner, start = data.from_world(rest, truth)
     assert start is not None
-    model = Model.start(start, inner, joints[:, 0].astype(np.intp), k)
-    model.joints[:], model.weights[:] = joints, weights
+    model = Model.start(start, inner, indices[:, 0].astype(np.intp), k)
+    model.indices[:], model.weights[:] = indices, weights
     model.restart_support()
     vertex_step(data, model, fixed=what)
     polish = polish_of(data, model, fixed=what)
@@ -66,7 +66,7 @@ def test_step_solves_the_dense_reduced_system(kind: str, fixed: str) -> None:
             w[i, 0] -= value
         for value, (i, c) in zip(v[len(free) :], coordinates, strict=True):
             p[i, c] += value
-        gap = motions.blend(p, model.joints, w, m) - goal
+        gap = motions.blend(p, model.indices, w, m) - goal
         return (gap * np.sqrt(data.importance)[:, None] * data.frame_scale[:, None, None]).ravel()
 
     n_m, n_v = n_frames * bones * size, len(free) + len(coordinates)
@@ -81,7 +81,7 @@ def test_step_solves_the_dense_reduced_system(kind: str, fixed: str) -> None:
     lift = j_m.T @ j_v @ np.linalg.inv(j_v.T @ j_v)
     a, right = j_m.T @ j_m - lift @ j_v.T @ j_m, -(j_m.T @ r - lift @ (j_v.T @ r))
     polish.damping = 0.1
-    u, _ = bone_sums(data, model.joints, model.weights, model.rest, bones)
+    u, _ = bone_sums(data, model.indices, model.weights, model.rest, bones)
     _, damp = polish._preconditioner(u)
     shape = (n_frames, bones, size)
     extra = np.stack([damp(e.reshape(shape)).ravel() for e in np.eye(n_m)])
@@ -131,7 +131,7 @@ def test_polish_descends_and_keeps_the_kind(kind: str) -> None:
     data = gather([ssdr.MeshSequence(frames)], bones=3)
     rest, m = data.from_world(start.rest, start.transforms)
     assert m is not None
-    model = Model.start(m, rest, start.joints[:, 0].astype(np.intp), 3)
+    model = Model.start(m, rest, start.indices[:, 0].astype(np.intp), 3)
     fixed = Fixed(bone_model=kind)  # type: ignore[arg-type]
     vertex_step(data, model, fixed=fixed)
     polish = polish_of(data, model, fixed=fixed)
@@ -143,7 +143,7 @@ def test_polish_descends_and_keeps_the_kind(kind: str) -> None:
     assert values[-1] < 0.9 * values[0]
     check_kind(model.transforms, kind)
     goal = np.stack([data.frame(t) for t in range(10)])
-    gap = motions.blend(model.rest, model.joints, model.weights, model.transforms) - goal
+    gap = motions.blend(model.rest, model.indices, model.weights, model.transforms) - goal
     assert (gap**2).sum() == pytest.approx(values[-1], rel=1e-6)
 
 
@@ -159,11 +159,11 @@ def test_gauge_moves_nothing_and_makes_the_mean_stretch_one(kind: str) -> None:
     rest = boxes.rest.copy()
     rest[:20] = rest[:20] @ skew.T
     m[:, 0, :, :3] = m[:, 0, :, :3] @ np.linalg.inv(skew)
-    model = Model.start(m.copy(), rest, boxes.joints[:, 0].astype(np.intp), 2)
-    before = motions.blend(model.rest, model.joints, model.weights, model.transforms)
+    model = Model.start(m.copy(), rest, boxes.indices[:, 0].astype(np.intp), 2)
+    before = motions.blend(model.rest, model.indices, model.weights, model.transforms)
     importance = 0.5 + rng.random(40)
     normalise_gauge(model, importance, Fixed(bone_model=kind))  # type: ignore[arg-type]
-    after = motions.blend(model.rest, model.joints, model.weights, model.transforms)
+    after = motions.blend(model.rest, model.indices, model.weights, model.transforms)
     np.testing.assert_allclose(after, before, atol=1e-9)
     linear = model.transforms[..., :3]
     mean = np.einsum("tjca,tjcb->jab", linear, linear) / len(linear)

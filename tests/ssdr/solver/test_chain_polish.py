@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 import ssdr
 from helpers import naive, trees
 from helpers.tiny import Tiny
-from ssdr.hierarchy import joint_gaps
+from ssdr.hierarchy.transforms import joint_gaps
+from ssdr.hierarchy.tree import Tree
+from ssdr.joints.placement import hang
 from ssdr.kernels.chains import chain_image
 from ssdr.solver import chain_polish
 from ssdr.solver.chain_polish import ChainPolish
-from ssdr.solver.joints import hang
 from ssdr.solver.model import FREE, Fixed, Model
 from ssdr.solver.trajectories import gather
-from ssdr.solver.tree import Tree
 
 CASES = {
     "free": FREE,
@@ -85,7 +85,7 @@ def polish_damp(polish: ChainPolish, x: np.ndarray) -> np.ndarray:
     from ssdr.solver.moments import bone_sums
 
     model = polish.model
-    u, _ = bone_sums(polish.data, model.joints, model.weights, model.rest, model.n_bones)
+    u, _ = bone_sums(polish.data, model.indices, model.weights, model.rest, model.n_bones)
     return polish._preconditioner(u)[1](x)
 
 
@@ -108,7 +108,7 @@ def test_the_preconditioner_is_symmetric_and_positive(hung: Tiny) -> None:
     from ssdr.solver.moments import bone_sums
 
     polish, model = hung.polish, hung.model
-    u, _ = bone_sums(hung.data, model.joints, model.weights, model.rest, model.n_bones)
+    u, _ = bone_sums(hung.data, model.indices, model.weights, model.rest, model.n_bones)
     precondition, _ = polish._preconditioner(u)
     matrix = np.stack([precondition(e) for e in np.eye(len(polish._zeros()))])
     scale = np.sqrt(np.abs(np.diag(matrix)))
@@ -129,7 +129,7 @@ def test_steps_descend_and_bones_stay_on_their_joints(hung: Tiny) -> None:
     inner = np.stack([hung.data.frame(t) for t in range(hung.frames)])
     scaled = inner * hung.data.frame_scale[:, None, None]
     m = model.transforms * hung.data.frame_scale[:, None, None, None]
-    want = naive.squared_error(scaled, model.rest, model.joints, model.weights, m)
+    want = naive.squared_error(scaled, model.rest, model.indices, model.weights, m)
     np.testing.assert_allclose(model.error, want, rtol=1e-8, atol=1e-12)
 
 
@@ -139,8 +139,8 @@ def _near_exact(frames: int) -> tuple:
     rest, transforms = data.from_world(made.rest, made.transforms)
     points, _ = data.from_world(made.points, None)
     rng = np.random.default_rng(0)
-    model = Model.start(transforms.copy(), rest, made.joints[:, 0], 2)
-    model.joints[:], model.weights[:] = made.joints, made.weights
+    model = Model.start(transforms.copy(), rest, made.indices[:, 0], 2)
+    model.indices[:], model.weights[:] = made.indices, made.weights
     points = points + 0.03 * rng.normal(size=points.shape)
     model.tree = Tree(made.parents, points, rigid=False)
     hang(data, model, FREE)
@@ -166,6 +166,6 @@ def test_resumed_polish_goes_on_to_the_bit() -> None:
         one.step(entering=3)
         two.step(entering=3)
         two = ChainPolish(data, parts, damping=two.damping, recycled=two.recycled)
-    for name in ("transforms", "rest", "joints", "weights", "error"):
+    for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(whole, name), getattr(parts, name)), name
     assert np.array_equal(whole.tree.points, parts.tree.points)

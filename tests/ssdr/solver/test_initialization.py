@@ -62,12 +62,12 @@ def test_single_bone_errors_against_loops(rng: np.random.Generator) -> None:
     assert position is not None
     one = np.ones((12, 1))
     for j in range(3):
-        joints = np.full((12, 1), j)
-        want = naive.squared_error(inner, rest, joints, one, transforms)
+        indices = np.full((12, 1), j)
+        want = naive.squared_error(inner, rest, indices, one, transforms)
         np.testing.assert_allclose(cost[:, j], want[rows], rtol=1e-9)
-        free = naive.rest_position(inner, joints, one, transforms)
+        free = naive.rest_position(inner, indices, one, transforms)
         np.testing.assert_allclose(position[:, :, j], free[rows], atol=1e-9)
-        want = naive.squared_error(inner, free, joints, one, transforms)
+        want = naive.squared_error(inner, free, indices, one, transforms)
         np.testing.assert_allclose(best[:, j], want[rows], rtol=1e-9)
 
 

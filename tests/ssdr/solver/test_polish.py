@@ -114,11 +114,11 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
     inner = np.stack([tiny.data.frame(t) for t in range(tiny.frames)])
     scaled = inner * tiny.data.frame_scale[:, None, None]
     m = model.transforms * tiny.data.frame_scale[:, None, None, None]
-    want = naive.squared_error(scaled, model.rest, model.joints, model.weights, m)
+    want = naive.squared_error(scaled, model.rest, model.indices, model.weights, m)
     np.testing.assert_allclose(model.error, want, rtol=1e-8, atol=1e-12)
     keep = tiny.fixed.keep_weights(tiny.n)
     assert np.array_equal(model.weights[keep], before.weights[keep])
-    assert np.array_equal(model.joints[keep], before.joints[keep])
+    assert np.array_equal(model.indices[keep], before.indices[keep])
     if tiny.fixed.rest:
         assert np.array_equal(model.rest, before.rest)
     locked = tiny.fixed.locked(tiny.bones)
@@ -135,7 +135,7 @@ def test_exact_data_converges_fast() -> None:
     assert transforms is not None
     rng = np.random.default_rng(0)
     transforms[..., 3] += 0.02 * rng.standard_normal(transforms[..., 3].shape)
-    model = Model.start(transforms, rest, rig.joints[:, 0].astype(np.intp), 4)
+    model = Model.start(transforms, rest, rig.indices[:, 0].astype(np.intp), 4)
     vertex_step(data, model)
     polish = Polish(data, model)
     first = np.sqrt(polish.value)
@@ -157,5 +157,5 @@ def test_resumed_polish_goes_on_to_the_bit() -> None:
             recycled=parts.polish.recycled,
             conjugate_steps=2000,
         )
-    for name in ("transforms", "rest", "joints", "weights", "error"):
+    for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(whole.model, name), getattr(parts.model, name)), name

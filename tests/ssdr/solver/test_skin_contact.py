@@ -10,12 +10,12 @@ import pytest
 import ssdr
 from helpers import motions
 from helpers.measures import diagonal
+from ssdr.hierarchy.tree import Tree
+from ssdr.joints.placement import hang
 from ssdr.solver.chain_polish import ChainPolish
-from ssdr.solver.joints import hang
 from ssdr.solver.model import FREE, Fixed, Model
 from ssdr.solver.skin_contact import PULL, judged, meeting_points, stray
 from ssdr.solver.trajectories import gather
-from ssdr.solver.tree import Tree
 
 NEAR = Fixed(near_skin=True)
 
@@ -26,8 +26,8 @@ def _model(rng: np.random.Generator, frames: int = 6):
     data = gather([ssdr.MeshSequence(rig.frames)], bones=4)
     rest, moves = data.from_world(rig.rest, rig.transforms)
     moves = np.concatenate([moves, moves[:, :1]], axis=1)
-    model = Model.with_weights(moves, rest, rig.joints, rig.weights, rig.joints.shape[1])
-    points = np.array([rest[rig.joints[:, 0] == min(b, 2)].min(axis=0) for b in range(4)])
+    model = Model.with_weights(moves, rest, rig.indices, rig.weights, rig.indices.shape[1])
+    points = np.array([rest[rig.indices[:, 0] == min(b, 2)].min(axis=0) for b in range(4)])
     points += 0.1 * rng.standard_normal(points.shape)
     model.tree = Tree(np.array([-1, 0, 1, 0]), points, rigid=False)
     hang(data, model, FREE)
@@ -36,8 +36,8 @@ def _model(rng: np.random.Generator, frames: int = 6):
 
 def _by_loops(model: Model) -> tuple[np.ndarray, np.ndarray]:
     dense = np.zeros((len(model.rest), model.n_bones))
-    for i, (joints, weights) in enumerate(zip(model.joints, model.weights, strict=True)):
-        for j, w in zip(joints, weights, strict=True):
+    for i, (indices, weights) in enumerate(zip(model.indices, model.weights, strict=True)):
+        for j, w in zip(indices, weights, strict=True):
             dense[i, j] += w
     points, apart = model.tree.points.copy(), np.zeros(model.n_bones)
     for b, a in enumerate(model.tree.parents):

@@ -25,6 +25,6 @@ def test_the_penalty_of_equal_weights_is_not_below_zero() -> None:
         )
         for _ in range(50):
             shares = np.sort(rng.dirichlet(np.ones(3)))[::-1]
-            model.joints[:], model.weights[:] = np.arange(3), shares
+            model.indices[:], model.weights[:] = np.arange(3), shares
             assert smooth is not None
             assert 0 <= smooth.penalty(model) < 1e-9

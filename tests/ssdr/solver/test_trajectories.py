@@ -44,8 +44,8 @@ def test_normalising_changes_no_error(importance: bool, rng: np.random.Generator
     moved[..., 3] += 7.1
     rest, transforms = data.from_world(rig.rest, moved)
     inner = np.stack([data.frame(t) for t in range(8)])
-    got = naive.squared_error(inner, rest, rig.joints, rig.weights, transforms)
-    want = naive.squared_error(frames, rig.rest, rig.joints, rig.weights, moved)
+    got = naive.squared_error(inner, rest, rig.indices, rig.weights, transforms)
+    want = naive.squared_error(frames, rig.rest, rig.indices, rig.weights, moved)
     np.testing.assert_allclose(got * data.scale**2, want, rtol=1e-9)
 
 
@@ -146,10 +146,10 @@ def test_vertex_error_is_that_of_skinning(n_frames: int, rng: np.random.Generato
     data = gathered(frames, bones=4)
     assert (data.q is not None) == (n_frames == 120)
     rest, transforms = data.from_world(rig.rest, rig.transforms)
-    model = Model.start(transforms, rest, rig.joints[:, 0].astype(np.intp), 2)
+    model = Model.start(transforms, rest, rig.indices[:, 0].astype(np.intp), 2)
     vertex_step(data, model)
     rest, transforms = data.to_world(model.rest, model.transforms)
-    want = naive.squared_error(frames, rest, model.joints, model.weights, transforms)
+    want = naive.squared_error(frames, rest, model.indices, model.weights, transforms)
     np.testing.assert_allclose(model.error * data.scale**2, want, rtol=0.02)
     assert model.objective(data) * data.scale**2 == pytest.approx(want.sum(), rel=5e-3)
 

@@ -59,8 +59,8 @@ def test_our_own_fbx_comes_back(tmp_path, options, up):
     assert (back.n_vertices, back.n_influences) == (model.n_vertices, model.n_influences)
     assert back.weights.dtype == np.float32
     rig = build_rig(model)
-    joints, stored, _ = quantise(rig.joints, rig.weights, "float32")
-    as_stored = dataclasses.replace(model, joints=joints, weights=stored)
+    indices, stored, _ = quantise(rig.indices, rig.weights, "float32")
+    as_stored = dataclasses.replace(model, indices=indices, weights=stored)
     np.testing.assert_array_equal(back.dense_weights(), as_stored.dense_weights())
     diagonal = np.linalg.norm(np.ptp(model.skin().reshape(-1, 3), axis=0))
     assert largest_distance(back.rest, model.rest) < 1e-6 * diagonal
@@ -171,7 +171,7 @@ save()
     model = as_blender_shows(path)
     # One bone more: it carries what no bone moves.
     assert model.names() == ("bone_0", "bone_1", "bone_2", "bone_3", "sheet")
-    assert set(model.joints[model.weights > 0]) == {0, 2, 4}
+    assert set(model.indices[model.weights > 0]) == {0, 2, 4}
     np.testing.assert_allclose(model.weights.sum(axis=1), 1, atol=1e-6)
 
 

@@ -23,11 +23,11 @@ def model_for(sequence, bones=5, frames=7, seed=3, clips=None):
     rng = np.random.default_rng(seed)
     rest = sequence.vertices[0].astype(np.float64)
     size = sequence.diagonal()
-    joints = np.argsort(rng.random((len(rest), bones)), axis=1)[:, :3]
+    indices = np.argsort(rng.random((len(rest), bones)), axis=1)[:, :3]
     weights = rng.dirichlet(np.ones(3), len(rest))
     if sequence.vertex_map is None:  # copies at seams move together
         _, first, back = np.unique(rest, axis=0, return_index=True, return_inverse=True)
-        joints, weights = joints[first][back.ravel()], weights[first][back.ravel()]
+        indices, weights = indices[first][back.ravel()], weights[first][back.ravel()]
     steps = np.cumsum(rng.normal(0, 0.1, (frames, bones, 3)), axis=0)
     turns = Rotation.from_rotvec(steps.reshape(-1, 3)).as_matrix().reshape(frames, bones, 3, 3)
     middle = rest.mean(axis=0)
@@ -36,7 +36,7 @@ def model_for(sequence, bones=5, frames=7, seed=3, clips=None):
     clips = clips or (ssdr.Clip(sequence.clip or sequence.name, 0, frames, sequence.fps),)
     return ssdr.Skinning(
         rest,
-        joints,
+        indices,
         weights,
         transforms,
         faces=sequence.faces,

@@ -64,9 +64,9 @@ def test_quantised_weights_sum_to_one_and_cost_is_told(tmp_path, storage, steps)
     model = tube(influences=5)
     report = ssdr.save(model, tmp_path / "a.glb", weights=storage)
     rig = build_rig(model)
-    joints, stored, _ = quantise(rig.joints, rig.weights, storage)
+    indices, stored, _ = quantise(rig.indices, rig.weights, storage)
     assert (stored.sum(axis=1, dtype=int) == steps).all()
-    assert (joints[stored == 0] == 0).all()
+    assert (indices[stored == 0] == 0).all()
     assert np.abs(stored / steps - rig.weights).max() < 1 / steps
     back = ssdr.load_skinning(tmp_path / "a.glb")
     gap = back.skin(dtype=np.float64) - model.skin()
@@ -92,7 +92,7 @@ def test_shear_is_refused_before_anything_is_written(tmp_path):
     sheared = model.transforms.copy()
     sheared[3, 2, 0, 1] += 0.5
     affine = ssdr.Skinning(
-        model.rest, model.joints, model.weights, sheared, faces=model.faces, bone_model="affine"
+        model.rest, model.indices, model.weights, sheared, faces=model.faces, bone_model="affine"
     )
     with pytest.raises(ssdr.InputError, match=r"bone 2, frame 3"):
         ssdr.save(affine, tmp_path / "a.glb")
@@ -105,7 +105,12 @@ def test_keyframes_alone_are_written(tmp_path):
     keys[[0, 20]] = True
     keys[::4, 1] = True
     sparse = ssdr.Skinning(
-        model.rest, model.joints, model.weights, model.transforms, faces=model.faces, keyframes=keys
+        model.rest,
+        model.indices,
+        model.weights,
+        model.transforms,
+        faces=model.faces,
+        keyframes=keys,
     )
     report = ssdr.save(sparse, tmp_path / "a.glb")
     back = ssdr.load_skinning(tmp_path / "a.glb")
@@ -128,7 +133,7 @@ def test_up_axis_is_turned(tmp_path):
 
 def test_points_without_faces_and_one_frame(tmp_path):
     model = tube(frames=1)
-    bare = ssdr.Skinning(model.rest, model.joints, model.weights, model.transforms, fps=30)
+    bare = ssdr.Skinning(model.rest, model.indices, model.weights, model.transforms, fps=30)
     report = ssdr.save(bare, tmp_path / "a.glb")
     assert report.between_frames is None
     back = ssdr.load(tmp_path / "a.glb")

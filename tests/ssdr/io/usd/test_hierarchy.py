@@ -120,7 +120,7 @@ def test_a_joint_that_no_mesh_names_is_passed_over(tmp_path):
     dense[:, 4] = 0
     order = np.argsort(-dense, axis=1, kind="stable")[:, :2]
     model = dataclasses.replace(
-        model, joints=order, weights=np.take_along_axis(dense, order, axis=1)
+        model, indices=order, weights=np.take_along_axis(dense, order, axis=1)
     )
     ssdr.save(model, tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))

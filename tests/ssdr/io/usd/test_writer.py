@@ -64,7 +64,7 @@ def test_between_frames_is_what_usd_shows(tmp_path):
     ours = rig.matrices(times)
     theirs = np.array([np.array(query.ComputeSkinningTransforms(t)) for t in times])
     np.testing.assert_allclose(np.swapaxes(theirs, 2, 3)[:, :, :3], ours, atol=2e-6)
-    shown = ssdr.skin(model.rest, model.joints, model.weights, ours)
+    shown = ssdr.skin(model.rest, model.indices, model.weights, ours)
     truth = model.skin()
     gap = shown - (truth[1:] + truth[:-1]) / 2
     assert report.between_frames == pytest.approx(np.sqrt((gap**2).sum(axis=2).mean()), rel=1e-4)
@@ -107,7 +107,12 @@ def test_keyframes_are_kept_together(tmp_path):
     keys[[0, 8]] = True
     keys[4, 1] = True
     sparse = ssdr.Skinning(
-        model.rest, model.joints, model.weights, model.transforms, faces=model.faces, keyframes=keys
+        model.rest,
+        model.indices,
+        model.weights,
+        model.transforms,
+        faces=model.faces,
+        keyframes=keys,
     )
     report = ssdr.save(sparse, tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))

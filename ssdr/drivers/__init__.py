@@ -1,0 +1,1 @@
+"""One checked problem, solved in memory or streamed: problem, schedule, drivers."""

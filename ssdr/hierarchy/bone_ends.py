@@ -1,0 +1,107 @@
+"""Bones as programs draw them: from a joint along to those that hang on it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .transforms import parents_first, rest_diagonal
+
+__all__ = ["limb_axes", "limb_ends"]
+
+Array = NDArray[np.float64]
+_SHORTEST = 0.01  # of the diagonal: programs drop bones without length
+_ASIDE = 2e-3  # of a bone's length: more than Blender's tolerance, less than one sees
+_FORKED = 0.3  # of the mean distance: children that lie apart have their mean at the joint
+
+
+def limb_ends(
+    positions: NDArray[np.floating],
+    parents: NDArray[np.integer],
+    rest: NDArray[np.floating],
+    indices: NDArray[np.integer],
+    weights: NDArray[np.floating],
+    *,
+    sliding: NDArray[np.bool_] | None = None,
+) -> Array:
+    """Where each bone ends in the rest pose, (B, 3).
+
+    A bone ends at the joint that hangs on it, at the mean of several; where these lie around it on
+    all sides, at that of the longest chain.  One on which none hangs reaches as far as what it
+    moves most.
+
+    Parameters
+    ----------
+    positions : (B, 3) array
+        Joints in the rest pose.
+    parents : (B,) int array
+    rest : (V, 3) array
+    indices, weights : (V, K) arrays
+    sliding : (B,) bool array, optional
+        Joints that translate: no bone ends there, as Blender takes what begins where another bone
+        ends for fixed to it, and leaves its translation out.
+    """
+    at = np.asarray(positions, dtype=np.float64)
+    shortest = _SHORTEST * (rest_diagonal(rest) or 1.0)
+    n_bones = len(at)
+    height = np.zeros(n_bones, dtype=np.int64)  # bones on the longest chain below
+    order = parents_first(parents)
+    for b in order[::-1]:
+        if parents[b] >= 0:
+            height[parents[b]] = max(height[parents[b]], height[b] + 1)
+    rows = np.arange(len(rest))
+    most = np.asarray(indices)[rows, np.argmax(weights, axis=1)]
+    ends = np.full((n_bones, 3), np.nan)
+    for b in order:
+        way = np.zeros(3)
+        below = np.flatnonzero(np.asarray(parents) == b)
+        if len(below):
+            ways = at[below] - at[b]
+            way = ways.mean(axis=0)
+            if np.linalg.norm(way) < _FORKED * np.linalg.norm(ways, axis=1).mean():
+                way = ways[np.lexsort((np.linalg.norm(ways, axis=1), height[below]))[-1]]
+        if np.linalg.norm(way) < shortest:
+            way = _reach(np.asarray(rest, dtype=np.float64)[most == b] - at[b])
+        if np.linalg.norm(way) < shortest and parents[b] >= 0:
+            way = 0.5 * (ends[parents[b]] - at[parents[b]])
+        length = float(np.linalg.norm(way))
+        if length < shortest:
+            way = np.array([0.0, shortest, 0.0]) if not length else way * (shortest / length)
+        beside = np.linalg.norm(at[below] - at[b] - way, axis=1) > _ASIDE * np.linalg.norm(way)
+        if sliding is not None and (sliding[below] & ~beside).any():
+            across = np.cross(way, np.eye(3)[int(np.argmin(np.abs(way)))])
+            way = way + _ASIDE * np.linalg.norm(way) * across / np.linalg.norm(across)
+        ends[b] = at[b] + way
+    return ends
+
+
+def _reach(points: Array) -> Array:
+    """From the origin towards the middle of the points, as far as nearly all of them lie."""
+    if not len(points):
+        return np.zeros(3)
+    middle = points.mean(axis=0)
+    length = float(np.linalg.norm(middle))
+    far = max(float(np.quantile(points @ middle, 0.98)), 0.0)
+    return np.asarray(middle * (far / (length**2 or 1.0)))
+
+
+def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], ends: Array) -> Array:
+    """Orientation (B, 3, 3) of each bone: its y axis along it, twisted least against its parent."""
+    axes = np.tile(np.eye(3), (len(ends), 1, 1))
+    for b in parents_first(parents):
+        above = axes[parents[b]] if parents[b] >= 0 else np.eye(3)
+        along = ends[b] - positions[b]
+        axes[b] = _least_turn(above[:, 1], along / np.linalg.norm(along)) @ above
+    return axes
+
+
+def _least_turn(a: Array, b: Array) -> Array:
+    """The least rotation that carries unit vector a to b."""
+    cosine = float(a @ b)
+    if cosine < -1 + 1e-9:  # half a turn about any axis across
+        across = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
+        across /= np.linalg.norm(across)
+        return np.asarray(2 * np.outer(across, across) - np.eye(3))
+    x, y, z = np.cross(a, b)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))

@@ -1,1 +1,0 @@
-"""Sequences larger than memory: solve on representative frames, finish on all of them."""

@@ -1,0 +1,19 @@
+"""Memory so small that test data count as larger than it."""
+
+from __future__ import annotations
+
+import pytest
+
+from ssdr.drivers import scan
+from ssdr.frames import executor
+
+
+@pytest.fixture
+def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Everything counts as too large; forty frames are solved first, then some ninety."""
+    monkeypatch.setattr(scan, "_IN_MEMORY", 1)
+    monkeypatch.setattr(scan, "_MOST_SETTLED", 80)
+    monkeypatch.setattr(scan, "_FEWEST", 40)
+    monkeypatch.setattr(scan, "_MOST", 40)
+    monkeypatch.setattr(executor, "_BLOCK", 24 * 200 * 7)
+    monkeypatch.setattr(executor, "_SPANS", 4)

@@ -1,0 +1,80 @@
+"""Passes over all frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions
+from ssdr.drivers import scan
+from ssdr.drivers.passes import AllFrames, carried
+from ssdr.solver.alternation import vertex_step
+from ssdr.solver.initialization import start_model
+from ssdr.solver.model import Fixed, Model
+from ssdr.solver.trajectories import gather
+
+
+@pytest.mark.usefixtures("tiny_memory")
+def test_a_pass_is_one_exact_alternation() -> None:
+    """The sums that a pass gathers give the error that skinning the model shows."""
+    frames = motions.rippled(90)
+    sequences = [ssdr.MeshSequence(frames[:50]), ssdr.MeshSequence(frames[50:])]
+    found = scan.scan(sequences, None, keep=[7])
+    assert {0, 7} <= set(found.chosen.tolist())
+    assert found.importance(None).sum() == pytest.approx(90)
+    few = scan.subset(sequences, found.chosen)
+    np.testing.assert_array_equal(few.vertices, frames[found.chosen])
+    data = gather([few], bones=4)
+    model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
+    vertex_step(data, model)
+    passes = AllFrames(
+        sequences, found, data, model, fixed=Fixed(), prescribed=None, importance=None
+    )
+    values = [passes.pass_over(entering=3) for _ in range(3)]
+    assert values == sorted(values, reverse=True)
+    rest, transforms = found.alignment.to_world(passes.model.rest, passes.model.transforms)
+    shown = motions.blend(rest, passes.model.indices, passes.model.weights, transforms)
+    squared = ((shown - frames) ** 2).sum()
+    assert values[-1] * found.alignment.scale**2 == pytest.approx(squared, rel=1e-8)
+
+
+def test_of_bones_to_start_from_only_locked_ones_are_given_again() -> None:
+    data = gather([ssdr.MeshSequence(motions.rippled(12))], bones=4)
+    model = start_model(data, data.frame(0), 4, 2, np.random.default_rng(0))
+    prescribed = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
+    nearest = np.arange(20) % 12
+    fixed = Fixed(bones=np.array([False, True, False]))
+    moved = carried(model, nearest, 0.5, prescribed, fixed)
+    np.testing.assert_array_equal(moved.transforms[:, 1], prescribed[:, 1])
+    np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
+    for j in (0, 2, 3):
+        np.testing.assert_array_equal(
+            moved.transforms[:, j] / [1, 1, 1, 0.5], model.transforms[nearest, j]
+        )
+
+
+def test_rotations_leap_to_where_they_belong() -> None:
+    """Far from the start, the error falls at once below what many sweeps reach."""
+    from ssdr.solver.alternation import bone_step
+
+    rig = motions.chain(3, bones=4, frames=60)
+    data = gather([ssdr.MeshSequence(rig.frames)], bones=4, compress=False)
+    rest, exact = data.from_world(rig.rest, rig.transforms)
+    assert exact is not None
+    errors = []
+    for leaps, sweeps in ((0, 6), (0, 12), (1, 6)):
+        start = np.repeat(exact[:1], 60, axis=0)
+        model = Model.start(start, rest, rig.indices[:, 0], rig.indices.shape[1])
+        model.indices[:], model.weights[:] = rig.indices, rig.weights
+        bone_step(data, model, sweeps=sweeps, fixed=Fixed(), leaps=leaps)
+        r = model.transforms[..., :3]
+        np.testing.assert_allclose(np.linalg.det(r), 1.0, atol=1e-9)
+        np.testing.assert_allclose(
+            r @ np.swapaxes(r, -1, -2), np.eye(3)[None, None] + 0 * r, atol=1e-9
+        )
+        shown = motions.blend(rest, model.indices, model.weights, model.transforms)
+        errors.append(
+            float(((shown - data.z.reshape(len(rest), 60, 3).transpose(1, 0, 2)) ** 2).sum())
+        )
+    assert errors[2] < errors[1] < errors[0]

@@ -1,0 +1,188 @@
+"""Bones that hang on joints: local transforms, poses, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ssdr
+from ssdr.errors import InputError
+from ssdr.hierarchy.transforms import check_parents, from_local, joint_gaps, parents_first, to_local
+
+PARENTS = [2, 0, -1, 0, -1]
+
+
+def _tree(frames=4, seed=0):
+    rng = np.random.default_rng(seed)
+    n = len(PARENTS)
+    positions = rng.normal(size=(n, 3))
+    turns = Rotation.random(frames * n, random_state=seed).as_matrix().reshape(frames, n, 3, 3)
+    roots = rng.normal(size=(frames, 2, 3))
+    rest = rng.normal(size=(30, 3))
+    indices = rng.integers(0, n, size=(30, 2))
+    weights = rng.dirichlet([1, 1], size=30)
+    still = np.broadcast_to(np.eye(3, 4), (1, n, 3, 4))
+    model = ssdr.Skinning(rest, indices, weights, still, parents=PARENTS, joint_positions=positions)
+    return model, turns, roots
+
+
+def _naive_pose(parents, positions, turns, roots):
+    """Frame by frame and bone by bone, by 4×4 matrices."""
+    out = np.empty((len(turns), len(parents), 3, 4))
+    for t in range(len(turns)):
+        frames = {}
+
+        def frame(b, t=t, frames=frames):
+            if b not in frames:
+                local = np.eye(4)
+                local[:3, :3] = turns[t, b]
+                if parents[b] < 0:
+                    local[:3, 3] = roots[
+                        t, [a for a in range(len(parents)) if parents[a] < 0].index(b)
+                    ]
+                    frames[b] = local
+                else:
+                    local[:3, 3] = positions[b] - positions[parents[b]]
+                    frames[b] = frame(parents[b]) @ local
+            return frames[b]
+
+        for b in range(len(parents)):
+            bind = np.eye(4)
+            bind[:3, 3] = -positions[b]
+            out[t, b] = (frame(b) @ bind)[:3]
+    return out
+
+
+def test_a_pose_is_that_of_plain_matrices():
+    model, turns, roots = _tree()
+    posed = model.pose(turns, roots)
+    naive = _naive_pose(PARENTS, model.joint_positions, turns, roots)
+    np.testing.assert_allclose(posed.transforms, naive, atol=1e-12)
+    assert posed.n_frames == 4
+    assert posed.joint_gaps().max() < 1e-12
+
+
+def test_quaternions_pose_like_matrices():
+    model, turns, roots = _tree()
+    quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat().reshape(4, -1, 4)
+    expected = model.pose(turns, roots).transforms
+    np.testing.assert_allclose(model.pose(quaternions, roots).transforms, expected, atol=1e-12)
+
+
+def test_no_rotation_is_the_rest_pose():
+    model, _, _ = _tree()
+    rest = model.pose(np.broadcast_to(np.eye(3), (model.n_bones, 3, 3)))
+    np.testing.assert_allclose(rest.skin()[0], model.rest, atol=1e-12)
+
+
+def test_local_transforms_lead_back():
+    model, turns, roots = _tree()
+    posed = model.pose(turns, roots)
+    local = posed.local_transforms()
+    np.testing.assert_allclose(local[..., :3], turns, atol=1e-12)
+    np.testing.assert_allclose(local[..., 3][:, [2, 4]], roots, atol=1e-12)
+    back = from_local(local, posed.parents, posed.joint_positions)
+    np.testing.assert_allclose(back, posed.transforms, atol=1e-12)
+
+
+def test_local_transforms_of_free_bones_lead_back_too():
+    model, _, _ = _tree()
+    rng = np.random.default_rng(3)
+    free = rng.normal(size=(3, 5, 3, 4))
+    local = to_local(free, model.parents, model.joint_positions)
+    back = from_local(local, model.parents, model.joint_positions)
+    np.testing.assert_allclose(back, free, atol=1e-10)
+
+
+def test_the_gap_of_a_joint_is_the_distance_of_its_two_images():
+    model, _, _ = _tree()
+    free = np.random.default_rng(3).normal(size=(3, 5, 3, 4))
+    gaps = joint_gaps(free, model.parents, model.joint_positions)
+    for t in range(3):
+        for b, a in enumerate(PARENTS):
+            point = np.append(model.joint_positions[b], 1.0)
+            expected = 0.0 if a < 0 else np.linalg.norm(free[t, b] @ point - free[t, a] @ point)
+            assert gaps[t, b] == pytest.approx(expected, abs=1e-12)
+
+
+def test_parents_come_first():
+    order = parents_first(np.array(PARENTS)).tolist()
+    for b, a in enumerate(PARENTS):
+        assert a < 0 or order.index(a) < order.index(b)
+
+
+@pytest.mark.parametrize("parents", [[1, 0], [0, -1], [1, 2, 0, -1]])
+def test_a_cycle_is_refused(parents):
+    with pytest.raises(InputError, match="cycle"):
+        check_parents(parents, len(parents))
+
+
+@pytest.mark.parametrize(
+    ("parents", "message"),
+    [
+        ([-1, 2], "-1 or a bone from 0 to 1"),
+        ([-2, 0], "-1 or a bone"),
+        ([-1], "shape"),
+        ([0.5, 1], "integers"),
+    ],
+)
+def test_parents_that_are_none_are_refused(parents, message):
+    with pytest.raises(InputError, match=message):
+        check_parents(parents, 2)
+
+
+def test_one_half_of_a_hierarchy_is_refused():
+    model, _, _ = _tree()
+    arrays = model.rest, model.indices, model.weights, model.transforms
+    with pytest.raises(InputError, match="joint_positions"):
+        ssdr.Skinning(*arrays, parents=PARENTS)
+    with pytest.raises(InputError, match="parents"):
+        ssdr.Skinning(*arrays, joint_positions=model.joint_positions)
+
+
+def test_bones_without_a_hierarchy_cannot_be_posed():
+    model, turns, _ = _tree()
+    flat = ssdr.Skinning(model.rest, model.indices, model.weights, model.transforms)
+    for ask in (lambda: flat.pose(turns), flat.local_transforms, flat.joint_gaps):
+        with pytest.raises(InputError, match="hierarchy"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    ("rotations", "root", "argument"),
+    [
+        (np.ones((2, 4, 4)), None, "local_rotations"),
+        (np.zeros((2, 5, 4)), None, "local_rotations"),
+        (2 * np.eye(3) * np.ones((2, 5, 1, 1)), None, "local_rotations"),
+        (-np.eye(3) * np.ones((2, 5, 1, 1)), None, "local_rotations"),
+        (np.full((2, 5, 3, 3), np.nan), None, "local_rotations"),
+        (np.eye(3) * np.ones((2, 5, 1, 1)), np.zeros((2, 1, 3)), "root"),
+        (np.eye(3) * np.ones((2, 5, 1, 1)), np.full((2, 2, 3), np.nan), "root"),
+    ],
+)
+def test_poses_that_are_none_are_refused(rotations, root, argument):
+    model, _, _ = _tree()
+    with pytest.raises(InputError, match=argument):
+        model.pose(rotations, root)
+
+
+def test_the_hierarchy_survives_pruning_and_picking_clips():
+    model, turns, roots = _tree()
+    posed = model.pose(turns, roots)
+    for other in (posed.prune(1), posed.select(0)):
+        assert other.parents.tolist() == PARENTS
+        np.testing.assert_array_equal(other.joint_positions, model.joint_positions)
+
+
+def test_what_motion_says_of_joints():
+    model, _, _ = _tree()
+    angle = np.linspace(-0.5, 0.5, 20)
+    turns = np.broadcast_to(np.eye(3), (20, 5, 3, 3)).copy()
+    turns[:, 0] = Rotation.from_rotvec(angle[:, None] * [0, 0, 1]).as_matrix()
+    turns[:, 1] = Rotation.from_rotvec(np.stack([angle, angle**2, angle**3], 1) * 2).as_matrix()
+    turns[:, 3] = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()  # bent, and stays bent
+    assert model.pose(turns).joint_freedom() == ("line", "point", "root", "nothing", "root")
+    assert model.pose(turns).joint_freedom(60.0)[:2] == ("nothing", "nothing")
+    with pytest.raises(InputError, match="least_turn"):
+        model.joint_freedom(0)
