@@ -44,8 +44,6 @@ _NO_LOSS = 1e-13
 
 # iteration, seconds, squared error and phase of an accepted model
 Step = tuple[int, float, float, str]
-    int, float, float, str
-]  # iteration, seconds, squared error, phase of an accepted model
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
