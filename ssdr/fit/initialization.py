@@ -85,8 +85,9 @@ def initialize(
     k = check_influences(influences)
     bone_model = check_bone_model(bone_model)
     generator = check_rng(rng)
-    inner_rest = None if rest is None else check_floats(rest, "rest", (n, 3), copy=True)
-    if inner_rest is not None:
+    inner_rest = None
+    if rest is not None:
+        inner_rest = check_floats(rest, "rest", (n, 3), copy=True).astype(np.float64)
         check_squarable(inner_rest, "rest")
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]

@@ -79,9 +79,7 @@ class Given:
     def inside(self, alignment: Alignment) -> Given:
         """The same in the solver's space."""
 
-        def inward(points: Array | None) -> Array | None:
-            if points is None:
-                return None
+        def inward(points: Array) -> Array:
             return np.ascontiguousarray(alignment.from_world(points, None)[0])
 
         tree, transforms = self.tree, self.transforms
@@ -91,8 +89,8 @@ class Given:
             _, transforms = alignment.from_world(alignment.centre[:1], transforms)
         return dataclasses.replace(
             self,
-            rest=inward(self.rest),
-            tree_pose=inward(self.tree_pose),
+            rest=None if self.rest is None else inward(self.rest),
+            tree_pose=None if self.tree_pose is None else inward(self.tree_pose),
             transforms=transforms,
             tree=tree,
         )
