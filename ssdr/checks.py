@@ -25,6 +25,7 @@ __all__ = [
     "check_nonnegative",
     "check_rng",
     "check_skin",
+    "check_smoothness",
     "check_squarable",
     "check_transforms",
     "check_whole",
@@ -58,6 +59,13 @@ def check_nonnegative(value: Any, argument: str, expected: str) -> float:
     if not (is_real(value) and value >= 0):
         raise InputError(argument, expected, repr(value))
     return float(value)
+
+
+def check_smoothness(smoothness: Any, faces: NDArray[np.int32]) -> float:
+    value = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
+    if value > 0 and len(faces) == 0:
+        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    return value
 
 
 def check_influences(influences: Any) -> int:

@@ -13,8 +13,8 @@ from ..checks import (
     check_bone_model,
     check_importance,
     check_influences,
-    check_nonnegative,
     check_rng,
+    check_smoothness,
     check_whole,
 )
 from ..errors import InputError, check_choice, is_real
@@ -23,7 +23,6 @@ from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.model import Fixed
-from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton
 from .checkpoint import Checkpoint
@@ -109,9 +108,11 @@ class Problem:
             compress=False,
         )
 
-    def smoothness_of(self, data: Trajectories) -> WeightSmoothness | None:
-        """The penalty on the weights, where there is one."""
-        return WeightSmoothness.build(data, self.sequences[0].faces, self.smoothness)
+    @property
+    def placed(self) -> bool:
+        """True if weights or all bones are locked, so that no bone has to find its place."""
+        every = self.fixed.locked(self.bones).all() if self.fixed.bones is not None else False
+        return self.given.locked_vertices is not None or bool(every)
 
     def save(self, skinning: Callable[[], Skinning], *, last: bool = False) -> None:
         """Offer the best model so far to the checkpoint, where there is one."""
@@ -159,9 +160,7 @@ def check_problem(
         if not isinstance(rig, str) or rig not in ("loose", "rigid"):
             raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
         kind = rig  # type: ignore[assignment]
-    smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
-    if smoothness > 0 and len(sequences[0].faces) == 0:
-        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    smoothness = check_smoothness(smoothness, sequences[0].faces)
     _check_rig(kind, given, bone_model, smoothness, whole is not None)
     if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))

@@ -13,6 +13,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Literal
 
+from ..checks import BoneModel
 from ..joints.stages import (
     AddBones,
     AttachToJoints,
@@ -37,7 +38,6 @@ from ..search.stages import (
     Start,
     StartFromModel,
 )
-from ..solver.model import Fixed
 
 __all__ = ["Effort", "RigKind", "merged_start", "schedule_for", "settling_schedule"]
 
@@ -363,9 +363,10 @@ class AttachUnattached(AttachToJoints):
 def schedule_for(
     effort: Effort,
     *,
-    fixed: Fixed,
+    bone_model: BoneModel,
     bones: int,
     given: Given,
+    placed: bool,
     smoothed: bool,
     size: float,
     rig: RigKind = "none",
@@ -375,9 +376,11 @@ def schedule_for(
     Parameters
     ----------
     effort : {"fast", "balanced", "best"}
-    fixed : Fixed
+    bone_model : {"rigid", "similarity", "affine"}
     bones : int
     given : Given
+    placed : bool
+        Weights or all bones are locked.
     smoothed : bool
         There is a penalty on the weights.
     size : float
@@ -390,13 +393,11 @@ def schedule_for(
         return on_skeleton(effort, given, rigid=rig == "rigid")
     if rig == "rigid":
         return tree_of_bones(effort, size)
-    all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
-    placed = given.weights is not None or all_bones
     if smoothed:
         return smooth(effort, placed=placed)
     if placed:
         return nothing_to_place(effort)
-    stretching = fixed.bone_model != "rigid" and given.transforms is None
+    stretching = bone_model != "rigid" and given.transforms is None
     return free_bones(effort, bones, size, stretching=stretching)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_influences, check_whole
+from ..checks import check_influences, check_smoothness, check_whole
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
@@ -80,6 +80,7 @@ def fit_weights(
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, world.shape[1]))
     fixed = Fixed(rest=True)
     faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
+    check_smoothness(smoothness, faces)
     smooth = WeightSmoothness.build(data, faces, smoothness)
     if smooth is None:
         vertex_step(data, model, fixed=fixed)
