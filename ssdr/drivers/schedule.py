@@ -123,6 +123,16 @@ _MANY_BONES, _STARTS, _TRIALS_OF_A_START = 24, 3, 4
 _TREE_ROUNDS, _TRIALS_OF_A_TREE = 6, 12
 
 
+# Seconds of a start: of any, and for each vertex × frame × bone.
+_START_SECONDS, _SECONDS_OF_A_NUMBER = 0.02, 1e-6
+
+
+def _starts_within_a_tenth(size: float) -> int:
+    """How many starts of a small problem take about a tenth of a second."""
+    each = _START_SECONDS + _SECONDS_OF_A_NUMBER * size
+    return int(0.1 / each)
+
+
 def _rebuilds(size: float) -> Rebuilds:
     if size >= _LARGE:
         return _REBUILDS_LARGE
@@ -198,11 +208,13 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         return (
             *FIRST_MODEL, *merged_start(6, 4), *rigid_start, ReturnToBest(), Polish(steps=6)
         )  # fmt: skip
+    more = _starts_within_a_tenth(size) * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
+    placed: Schedule = (*PLACED, *more, ReturnToBest(), Polish(steps=6)) if more else PLACED
     if effort == "fast":
-        return PLACED
+        return placed
     from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
     if effort == "balanced":
-        return (*PLACED, *RELAXED, *from_rigid)
+        return (*placed, *RELAXED, *from_rigid)
     n = _rebuilds(size)
     many = bones >= _MANY_BONES
     first: Schedule = searched(n.trials)
