@@ -1,8 +1,8 @@
-"""Passes over all frames: each an alternation on all of them of a model that was found on some.
+"""Alternations over all frames, read by spans, of a model that was found on some of them.
 
-Bones of every frame, then weights and rest pose from sums that the pass gathers.  A pass needs a
-block of frames, the transforms and two (V, 4B) matrices; what it states is the error over all
-frames, not an estimate from a part of them.
+A pass solves the bones of every frame, then weights and rest pose from the sums Y and G that it has
+gathered.  It holds a block of frames, the transforms and two (V, 4B) matrices, and its error is that
+of all frames, not an estimate.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from .scan import OnProgress, Scan
 __all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
 
 _SWEEPS = 6  # Gauss–Seidel sweeps after a leap of the bones
-# Leaps of a pass; of the first, where the bones of a frame start from those of another frame.
+# Leaps in a pass, and in the first one, where bones start from those of another frame.
 _LEAPS, _FIRST_LEAPS = 2, 4
-_ROUNDS = 3  # of Gauss–Newton on a vertex
+_ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # bones that may enter a vertex's support in a pass
-GAIN = 2e-3  # of the objective, below which another pass is not made
+GAIN = 2e-3  # relative decrease of the objective below which no other pass is made
 
 
 def carried(
@@ -44,11 +44,11 @@ def carried(
     ----------
     model : Model
     nearest : (F,) int
-        That frame's place among the model's.
+        Position of that frame among the model's.
     ratio : float
-        Of the scale of the model's space to the scale of the new one.
+        Scale of the model's space over that of the new one.
     given : Given
-        In the new space: bones that stay, or all bones of a model to go on from.
+        In the new space: bones that stay, or all bones of a model to continue from.
     fixed : Fixed
     """
     transforms = model.transforms[nearest]
@@ -66,23 +66,23 @@ def carried(
 
 
 class AllFrames:
-    """Alternations over all frames of a model that was found on some of them.
+    """A model of all frames that was found on some of them; each pass is an alternation.
 
     Parameters
     ----------
     sequences : list of MeshSequence
     scan : Scan
     data : Trajectories
-        Of the chosen frames.
+        The chosen frames.
     model : Model
-        Of these frames; copied.
+        Their model; it is copied.
     fixed : Fixed
     given : Given
         In the solver's space of all frames.
     importance : (F,) array or None
-        Of the frames.
+        Importance of the frames.
     executor : Executor, optional
-        Who walks over the frames; this process by default.
+        Reads the spans of frames; this process by default.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class AllFrames:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Shared:
-    """What the bones of every frame are fitted under."""
+    """What the bones of every frame are fitted to."""
 
     rest: Array
     indices: NDArray[np.int32]

@@ -229,7 +229,7 @@ def split_bone(
 
 
 def remove_cheapest_bone(data: Trajectories, model: Model, fixed: Fixed) -> Model:
-    """A copy without the bone whose removal costs least; its neighbours are attached to one of them."""
+    """A copy without the bone that costs least, whose neighbours are attached to one of them."""
     losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
