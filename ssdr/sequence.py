@@ -162,7 +162,7 @@ class MeshSequence:
         return largest
 
     def weld(self, tolerance: float = 1e-6) -> tuple[MeshSequence, WeldReport]:
-        """Merge vertices that coincide in every frame, such as copies along seams of UVs or normals.
+        """Merge vertices that coincide in every frame, such as seams of UVs or normals.
 
         Parameters
         ----------

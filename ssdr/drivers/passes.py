@@ -1,7 +1,7 @@
 """Alternations over all frames, read by spans, of a model that was found on some of them.
 
 A pass solves the bones of every frame, then weights and rest pose from the sums Y and G that it has
-gathered.  It holds a block of frames, the transforms and two (V, 4B) matrices, and its error is that
+gathered.  It holds a block of frames, the transforms and two (V, 4B) matrices; its error is that
 of all frames, not an estimate.
 """
 

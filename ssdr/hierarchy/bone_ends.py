@@ -76,7 +76,7 @@ def limb_ends(
 
 
 def _reach(points: Array) -> Array:
-    """Vector from the origin towards the mean of the points, as long as nearly all of them reach."""
+    """Vector from the origin towards the points' mean, as long as nearly all of them reach."""
     if not len(points):
         return np.zeros(3)
     middle = points.mean(axis=0)
@@ -86,7 +86,7 @@ def _reach(points: Array) -> Array:
 
 
 def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], ends: Array) -> Array:
-    """Orientation (B, 3, 3) of each bone: y points along it, with least twist against the parent."""
+    """Orientation (B, 3, 3) of each bone: y along it, with least twist against the parent."""
     axes = np.tile(np.eye(3), (len(ends), 1, 1))
     for b in parents_first(parents):
         above = axes[parents[b]] if parents[b] >= 0 else np.eye(3)
