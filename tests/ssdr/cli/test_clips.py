@@ -40,7 +40,7 @@ def files(tmp_path):
     return tmp_path / "walk.npz", tmp_path / "jump.npy"
 
 
-FAST = ("--bones", 3, "--effort", "fast", "--max-iterations", 2)
+FAST = ("--bones", 3, "--effort", "fast")
 
 
 def test_the_command_takes_several_files_as_clips_of_one_model(run, files, tmp_path):

@@ -13,7 +13,8 @@ import ssdr
 from helpers.gltf_asset import make_asset
 from helpers.gltf_difference import NEW_SKIN, difference, tree
 
-FAST = ("--bones", 3, "--effort", "fast", "--max-iterations", 2)
+FAST = ("--bones", 3, "--effort", "fast")
+STRICT = ("--write", "strict=true")
 DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 
 
@@ -22,28 +23,21 @@ def everything(tmp_path):
     return make_asset(tmp_path / "all.gltf")
 
 
-def test_decompose_keeps_all_but_the_skin(run, everything, tmp_path):
+def test_decompose_keeps_all_but_the_skin(done, everything, tmp_path):
     chosen = ("--read", 'meshes=["Body","Coat"]', "--clip", "Dance")
-    code, out, err = run(
-        "decompose", everything, *chosen, "-o", tmp_path / "o.glb", *FAST, "--strict", "--json"
-    )
-    assert code == 0, err
-    assert json.loads(out)["warnings"] == []
+    document = done("decompose", everything, *chosen, "-o", tmp_path / "o.glb", *FAST, *STRICT)
+    assert document["warnings"] == []
     found = [p for p in difference(everything, tmp_path / "o.glb") if not NEW_SKIN.match(p)]
     assert all(p.startswith("animations/Dance/") for p in found)
 
 
 @pytest.mark.filterwarnings("always::ssdr.SsdrWarning")
-def test_what_is_lost_is_named_and_strict_refuses_it(run, everything, tmp_path):
-    code, out, err = run("decompose", everything, "-o", tmp_path / "o.glb", *FAST, "--json")
-    assert code == 0, err
-    assert "the clip Spin, which the model does not have" in json.loads(out)["warnings"][-1]
-    before = ("decompose", everything, *FAST, "--strict")
-    code, _, err = run(*before, "-o", tmp_path / "p.glb")
-    assert code == 2
-    assert "Spin" in err
-    code, _, err = run(*before, "-o", tmp_path / "p.npz")
-    assert code == 2
+def test_what_is_lost_is_named_and_strict_refuses_it(done, refused, everything, tmp_path):
+    document = done("decompose", everything, "-o", tmp_path / "o.glb", *FAST)
+    assert "the clip Spin, which the model does not have" in document["warnings"][-1]
+    strictly = ("decompose", everything, *FAST, *STRICT)
+    assert "Spin" in refused(*strictly, "-o", tmp_path / "p.glb")
+    err = refused(*strictly, "-o", tmp_path / "p.npz")
     for what in (
         "vertex colours",
         "normal maps",
@@ -83,15 +77,14 @@ def test_convert_passes_the_whole_file_through(run, everything, tmp_path, ending
     assert places == ["animations/-Dance"]
 
 
-def test_a_still_file_that_passes_through_is_called_as_it_was(run, everything, tmp_path):
+def test_a_still_file_that_passes_through_is_called_as_it_was(done, everything, tmp_path):
     document = json.loads(everything.read_text())
     del document["animations"]
     everything.write_text(json.dumps(document))
     (clip,) = ssdr.list_clips(everything)
     assert clip.name == everything.stem
-    code, out, err = run("convert", everything, tmp_path / "after.glb", "--json")
-    assert code == 0, err
-    assert [c["name"] for c in json.loads(out)["clips"]] == [clip.name]
+    document = done("convert", everything, tmp_path / "after.glb")
+    assert [c["name"] for c in document["clips"]] == [clip.name]
 
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="no files in SSDR_TEST_DATA")

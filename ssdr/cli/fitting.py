@@ -1,0 +1,131 @@
+"""What ``ssdr decompose`` and ``ssdr smallest`` have in common: from files to files."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..clips import names_of
+from ..errors import Cancelled, InputError
+from ..sequence import MeshSequence
+from ..signals import stopping
+from .format_options import read_options
+from .options import FitOptions
+from .output import Output
+from .progress import times_text
+from .reading import join, read_clips
+from .rig import rig_of, start_of
+from .saving import check_file, check_outputs, save_model, try_format
+from .summary import summary
+from .template import options_with_template
+
+Solver = Callable[..., Any]
+Shots = list[MeshSequence]
+_SHARED = ("bones", "influences", "effort", "bone_model", "time_limit", "checkpoint")
+
+
+def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
+    """Read the inputs, call the solver, save its model and print the result.
+
+    Parameters
+    ----------
+    command : str
+    solve : callable
+        :func:`ssdr.decompose` or :func:`ssdr.smallest`.
+    options : FitOptions
+    **own
+        Arguments that `solve` alone takes.
+
+    Raises
+    ------
+    Cancelled
+        If a signal stopped the solver, once its best model is saved.
+    """
+    output = Output.start(options)
+    began = time.perf_counter()
+    _check_files(options)
+    own["rig"] = rig_of(options)
+    shots, own["start"], settings = _read(options, own["rig"], output)
+    loaded = time.perf_counter()
+    with stopping() as stop:
+        result = _solve(solve, options, shots, stop, **own)
+        solved = time.perf_counter()
+        reports = save_model(result.skinning, settings)
+        picture = None if stop.is_set() else options.picture
+        if picture is not None:
+            from ..render.figures import contact_sheet, write_picture
+
+            with output.waiting(f"drawing {picture}"):
+                title = options.inputs[0].stem
+                sheet = contact_sheet(result.skinning, reference=join(shots), title=title)
+                write_picture(sheet, picture)
+    saved = time.perf_counter()
+    more = {
+        "picture": picture,
+        "load_seconds": loaded - began,
+        "compile_seconds": result.compile_seconds,
+        "seconds": solved - loaded - result.compile_seconds,
+        "save_seconds": saved - solved,
+        "total_seconds": saved - began,
+    }
+    output.result(*summary(command, options, shots, result, reports, more))
+    if stop.is_set():
+        raise Cancelled("interrupted; the best model so far is saved")
+
+
+def _check_files(options: FitOptions) -> None:
+    """Find out before the work whether everything can be written after it."""
+    check_outputs(options.outputs, options.write, force=options.force, sources=options.inputs)
+    others = [*options.inputs, *options.outputs]
+    checkpoint, picture = options.checkpoint, options.picture
+    if checkpoint is not None:
+        if checkpoint.suffix.lower() != ".npz":
+            raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
+        # A run may go on from its own checkpoint.
+        mine = options.start is not None and Path(options.start).resolve() == checkpoint.resolve()
+        check_file(checkpoint, "--checkpoint", force=options.force or mine, others=others)
+    if picture is not None:
+        from ..render.figures import picture_format
+
+        picture_format(picture)
+        check_file(picture, "--picture", force=options.force, others=others)
+
+
+def _read(
+    options: FitOptions, rig: Any, output: Output
+) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
+    """The clips, what the solver starts from, and the options with which outputs are saved."""
+    names = ", ".join(map(str, options.inputs))
+    read = read_options(options.inputs, options)
+    with output.waiting(f"loading {names}"):
+        shots = read_clips(options.inputs, options.clip, read)
+        start = start_of(options, rig)
+    if sum(map(len, shots)) == 1:
+        got = f"one frame, {names} (no motion: did you mean a pattern?)"
+        raise InputError("IN", "an animation", got)
+    clips = names_of(shots)["clips"]
+    inputs, settings = dict(zip(options.inputs, read, strict=True)), {}
+    for path in options.outputs:
+        settings[path] = options_with_template(
+            path, options.write, inputs, new_bones=True, clips=[clip.name for clip in clips]
+        )
+        try_format(path, settings[path], options, shots[0], clips)
+    return shots, start, settings
+
+
+def _solve(
+    solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, **own: Any
+) -> Any:
+    """Call the solver, show its progress and let it be stopped."""
+    own |= {name: getattr(options, name) for name in _SHARED} | {"rng": options.seed}
+    with Output.current.progress_bar() as show:
+
+        def follow(progress: Any) -> bool:
+            text = times_text(progress.elapsed, progress.time_left, progress.rmse)
+            show(progress.phase, progress.fraction, text)
+            return stop.is_set()
+
+        return solve(shots[0] if len(shots) == 1 else shots, callback=follow, **own)
