@@ -7,8 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 
-from ssdr.cli.progress import progress_bar as bar
-from ssdr.cli.progress import times_text
+from ssdr.cli import progress
 
 __all__ = ["Show", "progress_bar"]
 
@@ -20,20 +19,24 @@ _EVERY = 5.0  # seconds between lines
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Show]:
     """A bar on a terminal, a line every few seconds elsewhere; yields what updates it."""
+    if not sys.stderr.isatty():
+        yield _seldom()
+        return
+    with progress.progress_bar() as show:
+        yield lambda text, fraction, _: show(text, fraction, "")
+
+
+def _seldom() -> Show:
+    """Print a line, but not more often than every few seconds."""
     began = time.monotonic()
-    with bar() if sys.stderr.isatty() else contextlib.nullcontext(_print_seldom()) as show:
-        yield lambda text, fraction, left: show(
-            text, fraction, times_text(time.monotonic() - began, left)
-        )
+    last = began - _EVERY
 
-
-def _print_seldom() -> Callable[[str, float, str], None]:
-    last = -_EVERY
-
-    def show(phase: str, fraction: float, text: str) -> None:
+    def show(text: str, fraction: float, left: float | None) -> None:
         nonlocal last
-        if time.monotonic() - last >= _EVERY:
-            last = time.monotonic()
-            print(f"{100 * fraction:3.0f} %  {phase}  {text}", file=sys.stderr, flush=True)
+        now = time.monotonic()
+        if now - last >= _EVERY:
+            last = now
+            times = f"{now - began:.0f} s" + ("" if left is None else f", {left:.0f} s left")
+            print(f"{100 * fraction:3.0f} %  {text}  {times}", file=sys.stderr, flush=True)
 
     return show

@@ -13,14 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import (
-    Cancelled,
-    FormatError,
-    InputError,
-    MissingDependencyError,
-    SsdrError,
-    error_text,
-)
+from .. import errors
 from ..signals import raising
 from .compare import compare
 from .convert import convert
@@ -34,10 +27,10 @@ from .streams import safe_streams
 
 _BAD_NAMES = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _CODES: tuple[tuple[Any, int], ...] = (
-    ((KeyboardInterrupt, Cancelled), 130),
-    (MissingDependencyError, 4),
-    (FormatError, 3),
-    ((InputError, FileNotFoundError, PermissionError, IsADirectoryError), 2),
+    ((KeyboardInterrupt, errors.Cancelled), 130),
+    (errors.MissingDependencyError, 4),
+    (errors.FormatError, 3),
+    ((errors.InputError, FileNotFoundError, PermissionError, IsADirectoryError), 2),
 )
 
 app = typer.Typer(
@@ -133,8 +126,8 @@ def _message(error: BaseException) -> str:
         return "interrupted"
     if _is_usage(error):
         return str(error.format_message())  # type: ignore[attr-defined]
-    if isinstance(error, (SsdrError, OSError, MemoryError)):
-        return error_text(error)
+    if isinstance(error, (errors.SsdrError, OSError, MemoryError)):
+        return errors.error_text(error)
     logging.getLogger("ssdr").debug("traceback", exc_info=error)
     return f"unexpected {type(error).__name__}: {error} (-vv shows where)"
 

@@ -82,8 +82,7 @@ def _other_units(a: MeshSequence, b: MeshSequence, scale: float) -> str:
 
 
 def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequence, MeshSequence]:
-    if a.n_vertices != b.n_vertices:
-        a, b = _spread(a, b), _spread(b, a)
+    a, b = _spread(a, b), _spread(b, a)
     if a.n_vertices != b.n_vertices:
         raise InputError(
             "B",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -10,21 +12,43 @@ from typing import Any
 
 from ..clips import names_of
 from ..errors import Cancelled, InputError
+from ..io.registry import SaveReport
 from ..sequence import MeshSequence
 from ..signals import stopping
 from .format_options import read_options
 from .options import FitOptions
-from .output import Output
-from .progress import times_text
-from .reading import join, read_clips
+from .output import Output, in_words, saved_line
+from .reading import clips_document, clips_text, join, read_clips
 from .rig import rig_of, start_of
 from .saving import check_file, check_outputs, save_model, try_format
-from .summary import summary
 from .template import options_with_template
 
 Solver = Callable[..., Any]
 Shots = list[MeshSequence]
 _SHARED = ("bones", "influences", "effort", "bone_model", "time_limit", "checkpoint")
+_ROWS = {
+    "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
+    "diagonal {diagonal:.4g}",
+    "model": "{bones} bones, {influences} influences",
+    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal",
+    "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
+    "time": "{total_seconds:.1f} s: loading {load_seconds:.1f}, compiling {compile_seconds:.1f}, "
+    "solving {seconds:.1f}, saving {save_seconds:.1f}",
+}
+_PARSIMONY = {
+    "tolerance": "{measure} {error:.4g} of {tolerance:.4g}, held: {held}",
+    "size": "{bytes:,} bytes in an engine: rest pose {size[rest]:,}, weights {size[weights]:,}, "
+    "joints {size[joints]:,}, keys {size[keys]:,}; files hold more, such as triangles",
+}
+_PRUNING = "{before:,} to {after:,}: {bytes_after:,} bytes, error {error_after:.4g}"
+_ENDINGS = {
+    "converged": "the search converged",
+    "effort spent": "every step of this effort is done",
+    "time limit": "the time limit was reached: the best model so far",
+    "cancelled": "interrupted: the best model so far",
+    "tolerance held": "no smaller model was found within the tolerance",
+    "tolerance out of reach": "no model was found within the tolerance: the closest",
+}
 
 
 def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
@@ -63,7 +87,8 @@ def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
                 sheet = contact_sheet(result.skinning, reference=join(shots), title=title)
                 write_picture(sheet, picture)
     saved = time.perf_counter()
-    more = {
+    about = {
+        "command": command,
         "picture": picture,
         "load_seconds": loaded - began,
         "compile_seconds": result.compile_seconds,
@@ -71,7 +96,7 @@ def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
         "save_seconds": saved - solved,
         "total_seconds": saved - began,
     }
-    output.result(*summary(command, options, shots, result, reports, more))
+    _print(options, shots, result, reports, about)
     if stop.is_set():
         raise Cancelled("interrupted; the best model so far is saved")
 
@@ -124,8 +149,55 @@ def _solve(
     with Output.current.progress_bar() as show:
 
         def follow(progress: Any) -> bool:
-            text = times_text(progress.elapsed, progress.time_left, progress.rmse)
-            show(progress.phase, progress.fraction, text)
+            rmse = f"RMSE {progress.rmse:.4g}" if math.isfinite(progress.rmse) else ""
+            show(progress.phase, progress.fraction, rmse)
             return stop.is_set()
 
         return solve(shots[0] if len(shots) == 1 else shots, callback=follow, **own)
+
+
+def _print(
+    options: FitOptions,
+    shots: Shots,
+    result: Any,
+    reports: list[SaveReport],
+    about: dict[str, Any],
+) -> None:
+    """Print the result; `about` holds what else belongs to it."""
+    from .. import __version__
+
+    diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
+    document = {
+        **about,
+        "version": __version__,
+        "input": options.inputs[0] if len(options.inputs) == 1 else options.inputs,
+        "frames": sum(map(len, shots)),
+        "vertices": shots[0].n_vertices,
+        "triangles": len(shots[0].faces),
+        "clips": clips_document(clips),
+        "bones": result.skinning.n_bones,
+        "influences": result.skinning.n_influences,
+        "effort": options.effort,
+        "seed": options.seed,
+        "rmse": result.rmse,
+        "rmse_percent": 100 * result.rmse / diagonal if diagonal > 0 else math.nan,
+        "E": 1000 * result.rmse / math.sqrt(3),
+        "diagonal": diagonal,
+        "converged": result.converged,
+        "stop_reason": result.stop_reason,
+        "iterations": result.history[-1].iteration if result.history else 0,
+        "outputs": [dataclasses.asdict(report) for report in reports],
+        "checkpoint": options.checkpoint,
+    }
+    rows = in_words(document | {"input": options.inputs}, _ROWS)
+    if len(clips) > 1:
+        rows.insert(1, ("clips", clips_text(clips)))
+    parsimony = getattr(result, "parsimony", None)
+    if parsimony is not None:
+        found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}
+        document["parsimony"] = found
+        rows += in_words(found, _PARSIMONY)
+        rows += [(p["what"], _PRUNING.format_map(p)) for p in found["prunings"]]
+    rows.append(("ended", _ENDINGS.get(result.stop_reason, result.stop_reason)))
+    rows += [("wrote", saved_line(report, diagonal)) for report in reports]
+    Output.current.result(document, rows)

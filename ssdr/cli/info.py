@@ -21,7 +21,6 @@ from .options import Options, argument, takes
 from .output import Output, in_words
 from .reading import clips_document, clips_in, clips_text, read_any, read_model
 
-_TIME = {"frames": "{frames:,} at {fps:g} a second, {duration:.3g} s"}
 _BONES = {
     "bones": "{bones} ({bone_model}), {bones_without_vertices} move nothing",
     "influences": "at most {influences}; vertices by number: {influence_histogram}",
@@ -39,6 +38,7 @@ _MIRROR = {
     "them, too",
 }
 _MESH = {
+    "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
     "vertices": "{vertices:,}, {loose_vertices:,} of them in no triangle",
     "seams": "{seams:,} vertices coincide with others in every frame (--weld merges them)",
     "triangles": "{triangles:,} in {components:,} connected components, "
@@ -76,7 +76,7 @@ def info(options: InfoOptions) -> None:
         kind, about, table = "sequence", _about_sequence(thing), {}
     about |= _about_mesh(thing)
     rows = [("file", f"{source}: a {kind}"), ("clips", clips_text(clips))]
-    rows += in_words(about, _TIME | table | _MESH)
+    rows += in_words(about, _MESH | table)
     tree = about.get("hierarchy")
     if tree is not None:
         rows += in_words(tree, _TREE)

@@ -52,13 +52,9 @@ def render(options: RenderOptions) -> None:
     output = Output.start(options)
     from ..render.figures import contact_sheet, picture_format, render_frame, write_picture
     from ..render.film import animate
-    from ..render.raster import up_axes
 
     source, target, reference = options.source, options.target, options.reference
-    up_axes(options.up)
-    film = target.suffix.lower() in (".gif", ".webp")
-    if film and options.frame is not None:
-        raise InputError("--frame", "a picture such as .png", str(target))
+    film = target.suffix.lower() in (".gif", ".webp") and options.frame is None
     picture_format(target)
     sources = [source] if reference is None else [source, reference]
     check_file(target, "--output", force=options.force, others=sources)

@@ -18,9 +18,9 @@ def safe_streams() -> Iterator[None]:
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, ValueError):
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     stderr = sys.stderr
-    sys.stderr = _Messages(stderr)  # type: ignore[assignment]
+    sys.stderr = _Messages(stderr)
     try:
         yield
     finally:

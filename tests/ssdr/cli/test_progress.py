@@ -10,7 +10,6 @@ import pytest
 
 from ssdr.cli.options import Options
 from ssdr.cli.output import Output
-from ssdr.cli.progress import times_text
 
 
 class Terminal(io.StringIO):
@@ -36,10 +35,5 @@ def test_a_wait_and_a_bar(stream, options, shown, monkeypatch):
     with output.progress_bar() as show:
         show("alternate", 0.5, "RMSE 1")
         time.sleep(0.2)
-    for text in ("loading a[1].abc", "alternate", "50 %  RMSE 1"):
+    for text in ("loading a[1].abc", "alternate", "50%", "RMSE 1"):
         assert (text in stream.getvalue()) == shown
-
-
-def test_times():
-    assert times_text(12.2, 130.0, float("nan")) == "13 s, 2 min 10 s left"
-    assert times_text(0.5, None, 0.125) == "RMSE 0.125, 1 s"
