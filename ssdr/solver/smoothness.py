@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 
-from ..checks import LARGEST, check_nonnegative
-from ..errors import InputError
+from ..checks import LARGEST
 from .model import Model
 from .trajectories import Array, Trajectories
 
@@ -34,19 +33,9 @@ class WeightSmoothness:
     def build(
         data: Trajectories, faces: NDArray[np.int32], smoothness: float
     ) -> WeightSmoothness | None:
-        """None where it is off.
-
-        Raises
-        ------
-        InputError
-            If `smoothness` is negative or not finite, or the mesh has no faces.
-        """
-        expected = "a length >= 0 in the mesh's units"
-        smoothness = check_nonnegative(smoothness, "smoothness", expected)
+        """The penalty of a checked `smoothness`; None where it is 0."""
         if smoothness == 0:
             return None
-        if len(faces) == 0:
-            raise InputError("smoothness", "0 for a mesh without faces", smoothness)
         n = data.n_vertices
         edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
         edges = edges[edges[:, 0] != edges[:, 1]]
