@@ -98,7 +98,7 @@ def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
     }
     _print(options, shots, result, reports, about)
     if stop.is_set():
-        raise Cancelled("interrupted; the best model so far is saved")
+        raise Cancelled("interrupted; the best model so far is saved (--start goes on from it)")
 
 
 def _check_files(options: FitOptions) -> None:

@@ -28,7 +28,7 @@ def test_a_signal_saves_the_best_model_to_the_outputs(name, clip, tmp_path):
     assert document["stop_reason"] == "cancelled"
     assert [o["path"] for o in document["outputs"]] == list(map(str, outputs))
     assert all(ssdr.load_skinning(path).n_bones == 2 for path in outputs)
-    assert err.splitlines()[-1] == "ssdr: interrupted; the best model so far is saved"
+    assert err.splitlines()[-1].startswith("ssdr: interrupted; the best model so far is saved")
 
 
 def test_a_second_signal_ends_at_once(clip, tmp_path):
