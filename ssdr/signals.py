@@ -2,10 +2,10 @@
 
 1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`).
 2. While files are read, written or measured, the signal is raised as ``KeyboardInterrupt``, so
-   that temporary files are removed (:func:`raising`).
+   that temporary files are removed (:func:`interrupt_on_signals`).
 3. While a model is solved and saved, the first signal asks the solver to stop after its current
    step, and the best model so far is written to the outputs.  A second signal ends the process
-   at once (:func:`stopping`; :mod:`ssdr.cli.saving` writes the model).
+   at once (:func:`stop_on_signals`; :mod:`ssdr.cli.saving` writes the model).
 
 The exit code is 130 each time.
 """
@@ -20,11 +20,13 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
+__all__ = ["interrupt_on_signals", "stop_on_signals"]
+
 _SHOW_CURSOR = b"\x1b[?25h\n"  # the progress bar hides it
 _HANGUP = getattr(signal, "SIGHUP", None)  # none on Windows
 
 
-def raising() -> contextlib.AbstractContextManager[None]:
+def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
     """Raise ``KeyboardInterrupt`` at a signal."""
 
     def interrupt() -> None:
@@ -34,7 +36,7 @@ def raising() -> contextlib.AbstractContextManager[None]:
 
 
 @contextlib.contextmanager
-def stopping() -> Iterator[threading.Event]:
+def stop_on_signals() -> Iterator[threading.Event]:
     """An event that the first signal sets; the second signal ends the process."""
     stop = threading.Event()
 

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from .. import errors
-from ..signals import raising
+from ..signals import interrupt_on_signals
 from .compare import compare
 from .convert import convert
 from .decompose import decompose
@@ -72,7 +72,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         Those of the process by default; without any, the help is shown.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    with safe_streams(), raising(), warnings.catch_warnings():
+    with safe_streams(), interrupt_on_signals(), warnings.catch_warnings():
         output = Output.current = Output(Options(json="--json" in given))
         warnings.showwarning = output.warn
         try:

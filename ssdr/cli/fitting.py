@@ -14,7 +14,7 @@ from ..clips import names_of
 from ..errors import Cancelled, InputError
 from ..io.registry import SaveReport
 from ..sequence import MeshSequence
-from ..signals import stopping
+from ..signals import stop_on_signals
 from .format_options import read_options
 from .options import FitOptions
 from .output import Output, in_words, saved_line
@@ -74,7 +74,7 @@ def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
     own["rig"] = rig_of(options)
     shots, own["start"], settings = _read(options, own["rig"], output)
     loaded = time.perf_counter()
-    with stopping() as stop:
+    with stop_on_signals() as stop:
         result = _solve(solve, options, shots, stop, **own)
         solved = time.perf_counter()
         reports = save_model(result.skinning, settings)

@@ -125,7 +125,7 @@ class FitOptions(Options):
 
 
 def takes(function: Callable[[Any], None]) -> Callable[..., None]:
-    """Give a command the fields of the dataclass that it takes as arguments and options."""
+    """Turn a function of one dataclass into a command, whose options are the fields of it."""
     (kind,) = (get_type_hints(function)[name] for name in inspect.signature(function).parameters)
     hints = get_type_hints(kind, include_extras=True)
 

@@ -16,6 +16,8 @@ from .output import Output
 from .reading import clips_in, join, read_clips, read_model
 from .saving import check_file
 
+_STYLES = "plain|weights|bones|error"
+
 
 @dataclasses.dataclass(kw_only=True)
 class RenderOptions(Options):
@@ -33,7 +35,7 @@ class RenderOptions(Options):
     frame: Annotated[int | None, option(PICTURE, "One frame alone instead of a sheet.")] = None
     style: Annotated[
         list[str] | None,
-        option(PICTURE, "Rows of the sheet, or what to show; repeatable.", "--style", "-s"),
+        option(PICTURE, "Rows of the sheet; repeatable.", "--style", "-s", metavar=_STYLES),
     ] = None
     width: Annotated[
         int | None, option(PICTURE, "Pixels: 1600, one frame 1000, a film's panel 480.")

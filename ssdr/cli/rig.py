@@ -10,8 +10,6 @@ from ..sequence import MeshSequence
 from .options import FitOptions
 from .reading import read_any
 
-_JOINTS = ("loose", "rigid")
-
 
 def rig_of(options: FitOptions) -> Any:
     """The argument `rig` of :func:`ssdr.decompose`.

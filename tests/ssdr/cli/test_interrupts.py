@@ -143,12 +143,12 @@ def test_the_solver_is_interrupted_and_goes_on(tmp_path):
 
 
 def test_signals_are_handled_in_the_block_alone():
-    from ssdr.signals import raising, stopping
+    from ssdr.signals import interrupt_on_signals
 
     before = [signal.getsignal(getattr(signal, name)) for name in SIGNALS]
-    with stopping() as stop:
+    with stop_on_signals() as stop:
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop.is_set()
-    with pytest.raises(KeyboardInterrupt), raising():
+    with pytest.raises(KeyboardInterrupt), interrupt_on_signals():
         os.kill(os.getpid(), signal.SIGTERM)
     assert [signal.getsignal(getattr(signal, name)) for name in SIGNALS] == before
