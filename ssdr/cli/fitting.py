@@ -18,8 +18,7 @@ from ..signals import stop_on_signals
 from .format_options import read_options
 from .options import FitOptions
 from .output import Output, in_words, saved_line
-from .reading import clips_document, clips_text, join, read_clips
-from .rig import rig_of, start_of
+from .reading import clips_document, clips_text, join, read_any, read_clips
 from .saving import check_file, check_outputs, save_model, try_format
 from .template import options_with_template
 
@@ -51,7 +50,9 @@ _ENDINGS = {
 }
 
 
-def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
+def fit(
+    command: str, solve: Solver, options: FitOptions, arguments: Callable[[], dict[str, Any]]
+) -> None:
     """Read the inputs, call the solver, save its model and print the result.
 
     Parameters
@@ -60,8 +61,8 @@ def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
     solve : callable
         :func:`ssdr.decompose` or :func:`ssdr.smallest`.
     options : FitOptions
-    **own
-        Arguments that `solve` alone takes.
+    arguments : callable
+        Checks the options that this command alone has, and returns the arguments for `solve`.
 
     Raises
     ------
@@ -71,11 +72,12 @@ def fit(command: str, solve: Solver, options: FitOptions, **own: Any) -> None:
     output = Output.start(options)
     began = time.perf_counter()
     _check_files(options)
-    own["rig"] = rig_of(options)
-    shots, own["start"], settings = _read(options, own["rig"], output)
+    own = arguments()
+    shots, start, settings = _read(options, output)
+    own.setdefault("start", start)
     loaded = time.perf_counter()
     with stop_on_signals() as stop:
-        result = _solve(solve, options, shots, stop, **own)
+        result = _solve(solve, options, shots, stop, own)
         solved = time.perf_counter()
         reports = save_model(result.skinning, settings)
         picture = None if stop.is_set() else options.picture
@@ -119,15 +121,13 @@ def _check_files(options: FitOptions) -> None:
         check_file(picture, "--picture", force=options.force, others=others)
 
 
-def _read(
-    options: FitOptions, rig: Any, output: Output
-) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
+def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
     """The clips, what the solver starts from, and the options with which outputs are saved."""
     names = ", ".join(map(str, options.inputs))
     read = read_options(options.inputs, options)
     with output.waiting(f"loading {names}"):
         shots = read_clips(options.inputs, options.clip, read)
-        start = start_of(options, rig)
+        start = _start(options.start)
     if sum(map(len, shots)) == 1:
         got = f"one frame, {names} (no motion: did you mean a pattern?)"
         raise InputError("IN", "an animation", got)
@@ -141,8 +141,20 @@ def _read(
     return shots, start, settings
 
 
+def _start(text: str | None) -> Any:
+    """A model to go on from, the rest pose of a mesh, or the frame whose rest pose is taken."""
+    import ssdr
+
+    if text is None:
+        return None
+    if text.isdecimal() and not Path(text).exists():
+        return ssdr.Start(rest_frame=int(text))
+    thing = read_any(Path(text))
+    return ssdr.Start(rest=thing.vertices[0]) if isinstance(thing, MeshSequence) else thing
+
+
 def _solve(
-    solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, **own: Any
+    solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, own: dict[str, Any]
 ) -> Any:
     """Call the solver, show its progress and let it be stopped."""
     own |= {name: getattr(options, name) for name in _SHARED} | {"rng": options.seed}

@@ -81,24 +81,6 @@ class FitOptions(Options):
         Literal["rigid", "similarity", "affine"],
         option(MODEL, "similarity: bones also grow; affine: they also shear."),
     ] = "rigid"
-    rig: Annotated[
-        str | None,
-        option(
-            RIG,
-            "Connect the bones by joints that may come apart (loose) or not (rigid), or keep the "
-            "joints, parents and names of a file.",
-            metavar="loose|rigid|[loose=]FILE",
-        ),
-    ] = None
-    extra_bones: Annotated[
-        str | None, option(RIG, "Bones to add, also below named ones.", metavar="N|NAME=N,...")
-    ] = None
-    lock: Annotated[
-        str | None, option(RIG, "Joints that keep the file's rotations.", metavar="NAME,...")
-    ] = None
-    keep_weights: Annotated[
-        bool, option(RIG, "Keep the file's weights and rest pose.", "--keep-weights")
-    ] = False
     start: Annotated[
         str | None,
         option(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from ..checks import parse_tolerance
 from .fitting import fit
-from .options import MODEL, FitOptions, option, takes
+from .options import MODEL, RIG, FitOptions, option, takes
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -18,6 +18,10 @@ class SmallestOptions(FitOptions):
     tolerance: Annotated[
         str, option(MODEL, "A length in the mesh's units, or 0.5% of the diagonal.")
     ]
+    rig: Annotated[
+        Literal["loose", "rigid"] | None,
+        option(RIG, "Connect the bones by joints that may come apart (loose) or not (rigid)."),
+    ] = None
     bones: Annotated[int | None, option(MODEL, "Most bones.", "--bones", "-b", min=1)] = None
     measure: Annotated[
         Literal["rmse", "max"],
@@ -33,8 +37,13 @@ def smallest(options: SmallestOptions) -> None:
     """
     import ssdr
 
+    fit("smallest", ssdr.smallest, options, lambda: _arguments(options))
+
+
+def _arguments(options: SmallestOptions) -> dict[str, Any]:
+    """Arguments of :func:`ssdr.smallest` alone."""
     tolerance: str | float = options.tolerance
     with contextlib.suppress(ValueError):
         tolerance = float(tolerance)
     parse_tolerance(tolerance, 1.0)
-    fit("smallest", ssdr.smallest, options, tolerance=tolerance, measure=options.measure)
+    return {"tolerance": tolerance, "measure": options.measure, "rig": options.rig}

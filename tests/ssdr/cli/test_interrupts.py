@@ -143,7 +143,7 @@ def test_the_solver_is_interrupted_and_goes_on(tmp_path):
 
 
 def test_signals_are_handled_in_the_block_alone():
-    from ssdr.signals import interrupt_on_signals
+    from ssdr.signals import interrupt_on_signals, stop_on_signals
 
     before = [signal.getsignal(getattr(signal, name)) for name in SIGNALS]
     with stop_on_signals() as stop:
