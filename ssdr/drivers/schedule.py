@@ -17,6 +17,7 @@ from ..checks import BoneModel
 from ..joints.stages import (
     AddBones,
     AttachToJoints,
+    FreeBones,
     SearchTrees,
     SearchWeights,
     StartOnSkeleton,
@@ -121,6 +122,7 @@ _MANY_BONES, _STARTS, _TRIALS_OF_A_START = 24, 3, 4
 # The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
 # to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
 _TREE_ROUNDS, _TRIALS_OF_A_TREE = 6, 12
+_TREES_OF_FREE_BONES = 3  # starts of a tree, of which free bones begin
 
 
 # Seconds of a start: of any, and for each vertex × frame × bone.
@@ -147,6 +149,7 @@ FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress(
 # steps gain less than 1 % of the error.
 RELAXED: Schedule = (Relax(polish_steps=4, cost=30), Polish(steps=40, gain=0.01))
 RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
+ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
 LAST_OF_TREES = Polish(steps=40, gain=0.002)
 
 
@@ -222,9 +225,16 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         moved = (Start(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
         first = _STARTS * (*moved, *searched(_TRIALS_OF_A_START))
     rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, _TRIALS_OF_A_REBUILD)))
+    # where the animation comes from a skeleton, a tree leads to a model that free bones miss
+    tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
+    from_tree: Schedule = (
+        Lowest(starts=_TREES_OF_FREE_BONES * (tree,)),
+        FreeBones(attached=RELAXED_TREE, freed=searched(_TRIALS_OF_A_START)),
+    )
     return (
         *FIRST_MODEL,
         *first,
+        *(() if stretching else from_tree),
         *(from_rigid if n.before else ()),
         *n.before * rebuild,
         # on small smooth motions, such as a beam's, the other starts end far above this one
@@ -284,9 +294,8 @@ def tree_of_bones(effort: Effort, size: float) -> Schedule:
     search ends on is decided where it starts: of a dozen starts on the fox of glTF's samples two
     lead to the right tree.
     """
-    attach: Schedule = (AttachToJoints(), Polish(steps=8))
-    early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *attach)
-    start = (*merged_start(12, 6, influences=1), MoveBones(), *attach)
+    early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
+    start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
     trees = NUMBERS[effort].trees
     first = (Lowest(starts=(early, *trees * (start,))), Polish(steps=20, gain=0.01))
     if effort == "fast":
@@ -325,10 +334,9 @@ def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
     search = SearchWeights(steps=trials, patience=trials)
     relaxed = (AddBones(), *RELAXED_TREE, search)
     if given.skeleton_skin is None:
-        attach: Schedule = (AttachToJoints(), Polish(steps=8))
         free = (*merged_start(12, 6, influences=1), MoveBones())
-        by_motion = (*free, StartOnSkeleton(by_motion=True), *attach)
-        starts = ((*start, *attach), *n.limbs * (by_motion,))
+        by_motion = (*free, StartOnSkeleton(by_motion=True), *ATTACHED)
+        starts = ((*start, *ATTACHED), *n.limbs * (by_motion,))
         attached = (Lowest(starts=starts), Polish(steps=20, gain=0.01))
         if effort == "best":
             attached = (*attached, *relaxed, *lowest(n.limbs, by_motion))
