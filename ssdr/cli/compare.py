@@ -16,14 +16,14 @@ from .options import RUN, Options, argument, option, takes
 from .output import Output
 from .reading import join, read_pairs
 
-_SLACK = 0.02  # of log10 (5 %): how far the diagonals of a model and its reference differ
+_SLACK = 0.02  # in log10 (5 %), between the ratio of two diagonals and a power of ten
 
 
 @dataclasses.dataclass(kw_only=True)
 class CompareOptions(Options):
     """What ``compare`` takes."""
 
-    reference: Annotated[Path, argument("A", "What is right.")]
+    reference: Annotated[Path, argument("A", "The reference.")]
     other: Annotated[Path, argument("B", "What is measured against it.")]
     hausdorff: Annotated[bool, option(RUN, "Hausdorff distances; they are slow.")] = True
     sted: Annotated[bool, option(RUN, "Spatio-temporal edge difference.")] = True
@@ -33,9 +33,9 @@ class CompareOptions(Options):
 def compare(options: CompareOptions) -> None:
     """Measure how far two animations of one mesh are apart.
 
-    Files that hold a skinning are posed first.  Where one of them was welded, its vertices are
-    spread back.  Files of several clips are compared clip by clip, all of them unless --clip
-    names some.  --read A:KEY=VALUE and --read B:KEY=VALUE are for one of the files.
+    Skinnings are posed first, and a welded mesh is spread back to its original vertices.  Files
+    with several clips are compared clip by clip, all of them unless --clip names some.
+    --read A:KEY=VALUE and --read B:KEY=VALUE are for one of the files.
     """
     output = Output.start(options)
     from ..metrics import compare as measure

@@ -33,9 +33,9 @@ class ConvertOptions(Options):
 def convert(options: ConvertOptions) -> None:
     """Turn one format into another.
 
-    A skinning stays one, with all its clips, where the format can hold it; vertices are those
-    of one clip.  From glTF to glTF and from USD to USD, without other options than --clip, the
-    whole file is copied.
+    A skinning is written as a skinning, with all its clips, if the format can hold it; otherwise
+    the vertices of one clip are written.  From glTF to glTF and from USD to USD, without other
+    options than --clip, the whole file is copied.
     """
     output = Output.start(options)
     import ssdr

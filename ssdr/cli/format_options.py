@@ -55,7 +55,7 @@ def read_options(
 
 
 def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
-    """Those keyword arguments of :func:`ssdr.save` that are meant for this file.
+    """Keyword arguments of :func:`ssdr.save` for one file.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _suffix(path: Path) -> str:
 
 
 def _parse(option: str, pair: str) -> tuple[str, str, Any]:
-    """What stands before the colon, the key and the value; text where the value is no JSON."""
+    """Prefix, key and value of an option; a value that is no JSON is a text."""
     match = _PREFIX.match(pair)
     key, equals, value = pair[match.end() if match else 0 :].partition("=")
     if not equals or not key.isidentifier():

@@ -75,7 +75,7 @@ class FitOptions(Options):
     ] = 4
     effort: Annotated[
         Literal["fast", "balanced", "best"],
-        option(MODEL, "Accuracy that is worth the time.", "--effort", "-e"),
+        option(MODEL, "Speed against accuracy.", "--effort", "-e"),
     ] = "balanced"
     bone_model: Annotated[
         Literal["rigid", "similarity", "affine"],

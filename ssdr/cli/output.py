@@ -113,7 +113,7 @@ def _table(rows: Rows) -> str:
 
 
 def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Rows of a table: names, and texts with the values of a document in them."""
+    """Rows of a table: names, and texts filled with the values of a document."""
 
     def words(value: Any) -> Any:
         if isinstance(value, bool):

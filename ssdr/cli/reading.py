@@ -18,7 +18,7 @@ from .output import Output
 
 
 def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
-    """A skinning where the file holds one, else a sequence."""
+    """A skinning if the file holds one, else a sequence."""
     from .. import io
 
     known = keywords(readable_format(path), "read_skinning")
@@ -36,7 +36,7 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
 
 
 def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...]:
-    """The clips of a file, where its format can hold several."""
+    """The clips of a file; none if its format holds only one."""
     from ..io import list_clips
 
     known = keywords(readable_format(path), "list_clips")
@@ -163,7 +163,7 @@ def join(shots: Sequence[MeshSequence]) -> MeshSequence:
 
 
 def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:
-    """Those clips of a file with several that were asked for."""
+    """The requested clips of a file that has several."""
     listed = ", ".join(known)
     if names is None:
         Output.current.warn(

@@ -29,7 +29,7 @@ class RenderOptions(Options):
         option(FILES, "A picture; .gif or .webp: a film.", "--output", "-o", metavar="OUT"),
     ]
     reference: Annotated[
-        Path | None, option(FILES, "What it should be: an error map.", "--reference", "-r")
+        Path | None, option(FILES, "The true animation; shows the error.", "--reference", "-r")
     ] = None
     frames: Annotated[str, option(PICTURE, "How many columns, or which frames: 0,10,20.")] = "5"
     frame: Annotated[int | None, option(PICTURE, "One frame alone instead of a sheet.")] = None
@@ -38,7 +38,7 @@ class RenderOptions(Options):
         option(PICTURE, "Rows of the sheet; repeatable.", "--style", "-s", metavar=_STYLES),
     ] = None
     width: Annotated[
-        int | None, option(PICTURE, "Pixels: 1600, one frame 1000, a film's panel 480.")
+        int | None, option(PICTURE, "Pixels: by default 1600, for one frame 1000, for a film 480.")
     ] = None
     title: Annotated[str | None, option(PICTURE, "Heading of the sheet.")] = None
     up: Annotated[str, option(PICTURE, "Up axis: x, y, z, or with a minus.")] = "y"

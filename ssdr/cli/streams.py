@@ -11,7 +11,7 @@ from typing import Any
 
 @contextlib.contextmanager
 def safe_streams() -> Iterator[None]:
-    """Have no message end the work inside the block.
+    """Keep the work inside the block going if a message cannot be written.
 
     A character that an encoding lacks is written as its escape.  What stderr cannot take is
     dropped; an error of stdout, which holds results, is raised where it is written.

@@ -1,4 +1,4 @@
-"""Keep what an input holds beside the skin: the input as the template of an output."""
+"""Inputs as templates of outputs, which keep from them all that is not the mesh's skin."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _new_names(source: Path, clips: Sequence[str]) -> dict[str, str]:
 
 
 def _left_out(inputs: Inputs) -> list[str]:
-    """What of the files no model holds, each thing once."""
+    """Things in the files that a model cannot hold."""
     from ..io import left_out
 
     files = [(path, read) for path, read in inputs.items() if path.is_file()]
