@@ -118,7 +118,7 @@ def test_other_odd_arguments() -> None:
         lambda: ssdr.skin(model.rest, model.indices, model.weights, model.transforms, dtype="x"),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=None),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=(64, 64.5)),
-        lambda: render_frame(ssdr.MeshSequence(frames, faces), supersample=np.array([1, 2])),
+        lambda: render_frame(ssdr.MeshSequence(frames, faces), size=64),
     ):
         with pytest.raises(InputError, match="expected"):
             call()
