@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
-from ..checks import LARGEST
-from ..errors import InputError, check_flag, is_real, is_whole
-from ..parallel import run_chunks
+from ..checks import LARGEST, check_count
+from ..errors import InputError, check_flag, is_real
+from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
-from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read, squares
+from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read
 
 __all__ = ["Normaliser", "Sted", "sted"]
 
@@ -142,19 +142,18 @@ def sted(
     True
     """
     first, second = as_pair(reference, other, faces)
-    for name, number in (("neighbourhood", neighbourhood), ("window", window)):
-        if not is_whole(number) or number < 1:
-            raise InputError(name, "an integer >= 1", repr(number))
+    neighbourhood = check_count(neighbourhood, "neighbourhood")
+    window = check_count(window, "window")
     if window % 2 == 0:
         raise InputError("window", "an odd number", window)
     _check_number("dt", dt, positive=True)
     _check_number("c", c, positive=False)
-    check_flag(signed, "signed")
-    with squares():
+    signed = check_flag(signed, "signed")
+    with np.errstate(over="ignore", invalid="ignore"):
         scale = _normaliser(first, normaliser)
         check_finite(first, second, scale)
-        spatial, spatial_frames = _spatial(first, second, int(neighbourhood), bool(signed))
-        temporal, temporal_frames = _temporal(first, second, int(window), dt, scale, bool(signed))
+        spatial, spatial_frames = _spatial(first, second, neighbourhood, signed)
+        temporal, temporal_frames = _temporal(first, second, window, dt, scale, signed)
     value = math.hypot(spatial, c * temporal)
     check_finite(first, second, value)
     return Sted(
@@ -163,12 +162,12 @@ def sted(
         temporal=temporal,
         spatial_per_frame=spatial_frames,
         temporal_per_frame=temporal_frames,
-        neighbourhood=int(neighbourhood),
-        window=int(window),
+        neighbourhood=neighbourhood,
+        window=window,
         dt=float(dt),
         c=float(c),
         normaliser=scale,
-        signed=bool(signed),
+        signed=signed,
     )
 
 
@@ -199,7 +198,7 @@ def _spatial(
         per_frame[start:stop] = deviation.mean(axis=1)
 
     step = chunk_size(first, 4 * len(members))
-    run_chunks(work, _bounds(first.n_frames, step))
+    run_chunks(work, chunk_bounds(first.n_frames, step))
     return float(per_frame.mean()), per_frame
 
 
@@ -227,7 +226,7 @@ def _temporal(
             per_frame[t] = np.sqrt(square).mean()
 
     step = max(half, chunk_size(first, 6 * first.n_vertices), 1)
-    run_chunks(work, _bounds(count, step))
+    run_chunks(work, chunk_bounds(count, step))
     return float(per_frame.mean()), per_frame
 
 
@@ -271,10 +270,6 @@ def _relative(
 
 def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))
-
-
-def _bounds(count: int, step: int) -> list[tuple[int, int]]:
-    return [(start, min(count, start + step)) for start in range(0, count, step)]
 
 
 def _check_number(argument: str, value: object, *, positive: bool) -> None:

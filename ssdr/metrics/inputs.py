@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -45,13 +43,6 @@ def as_pair(
     return first, second
 
 
-@contextlib.contextmanager
-def squares() -> Iterator[None]:
-    """Around sums of squares whose results :func:`check_finite` looks at."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        yield
-
-
 def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:
     """Whether results are numbers; blames what is too large to be squared.
 
@@ -86,11 +77,3 @@ def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
 def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
     """Frames start to stop in float64."""
     return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)
-
-
-def blocks(first: MeshSequence, second: MeshSequence) -> Iterator[tuple[int, Any, Any]]:
-    """Walk over the frames of both, as ``(first frame, (n,V,3), (n,V,3))`` in float64."""
-    step = chunk_size(first)
-    for start in range(0, first.n_frames, step):
-        stop = start + step
-        yield start, read(first, start, stop), read(second, start, stop)
