@@ -18,9 +18,9 @@ from ..errors import InputError, check_choice, is_real, is_whole
 from ..sequence import MeshSequence
 from .factor import Backend, factor_spd
 from .operators import (
-    _REGULAR,
+    REGULAR,
     MassKind,
-    _check_mesh,
+    check_mesh,
     cotangent_laplacian,
     mass_matrix,
     uniform_laplacian,
@@ -31,7 +31,6 @@ __all__ = [
     "FrequencySplit",
     "LaplacianKind",
     "LaplacianSmoother",
-    "implicit_smooth",
     "split_frequencies",
 ]
 
@@ -111,7 +110,7 @@ class LaplacianSmoother:
         mass: MassKind = "barycentric",
         backend: Backend | None = None,
     ) -> None:
-        points, triangles = _check_mesh(vertices, faces)
+        points, triangles = check_mesh(vertices, faces)
         check_choice(kind, "kind", LaplacianKind)
         if not (is_real(length) and 0 <= float(length) < LARGEST):
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
@@ -123,7 +122,7 @@ class LaplacianSmoother:
         if kind == "cotangent":
             laplacian = cotangent_laplacian(points, triangles)
         else:
-            laplacian = uniform_laplacian(triangles, len(points)) * _REGULAR
+            laplacian = uniform_laplacian(triangles, len(points)) * REGULAR
         self._mass = diagonal.diagonal()
         # Scaled to masses around 1: areas of a tiny mesh would meet absolute thresholds.
         scale = 1.0 / self._mass.max()
@@ -193,32 +192,6 @@ class LaplacianSmoother:
         solved = self._factor.solve(rows.reshape(-1, self.n_vertices).T)
         moved = solved.T.reshape(rows.shape).transpose(0, 2, 1)
         return np.asarray(moved + centre)
-
-
-def implicit_smooth(
-    values: ArrayLike,
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    *,
-    length: float,
-    kind: LaplacianKind = "cotangent",
-    mass: MassKind = "barycentric",
-    backend: Backend | None = None,
-) -> NDArray[np.floating]:
-    """Smooth once; :class:`LaplacianSmoother` keeps the factor for the next time.
-
-    Parameters and result are those of :class:`LaplacianSmoother` and its
-    :meth:`~LaplacianSmoother.smooth`.
-
-    Examples
-    --------
-    >>> dancer = ssdr.samples.load("dancer_small")
-    >>> pose = dancer.frames(0)
-    >>> ssdr.laplacian.implicit_smooth(pose, pose, dancer.faces, length=0.05).shape
-    (799, 3)
-    """
-    smoother = LaplacianSmoother(vertices, faces, length, kind=kind, mass=mass, backend=backend)
-    return smoother.smooth(values)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
-from ..checks import LARGEST, check_count
+from ..checks import LARGEST, check_whole
 from ..errors import InputError, check_flag, is_real
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
@@ -142,8 +142,8 @@ def sted(
     True
     """
     first, second = as_pair(reference, other, faces)
-    neighbourhood = check_count(neighbourhood, "neighbourhood")
-    window = check_count(window, "window")
+    neighbourhood = check_whole(neighbourhood, "neighbourhood", 1)
+    window = check_whole(window, "window", 1)
     if window % 2 == 0:
         raise InputError("window", "an odd number", window)
     _check_number("dt", dt, positive=True)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from ..checks import check_count
+from ..checks import check_whole
 from ..errors import InputError, check_flag
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
@@ -116,7 +116,7 @@ def hausdorff(
         second = as_sequence(second, first.faces, "other")
     elif len(first.faces) == 0 and len(second.faces) and faces is None:
         first = as_sequence(first, second.faces, "reference")
-    subdivisions = check_count(subdivisions, "subdivisions")
+    subdivisions = check_whole(subdivisions, "subdivisions", 1)
     check_flag(surface, "surface")
     bounds = chunk_bounds(first.n_frames, _FRAMES)
     vertex, between = np.empty(first.n_frames), None

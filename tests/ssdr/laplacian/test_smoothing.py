@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from helpers.surfaces import grid, sphere
 from ssdr import InputError, MeshSequence
 from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix, uniform_laplacian
-from ssdr.laplacian.smoothing import LaplacianSmoother, implicit_smooth, split_frequencies
+from ssdr.laplacian.smoothing import LaplacianSmoother, split_frequencies
 
 HAS_CHOLMOD = importlib.util.find_spec("sksparse") is not None
 
@@ -47,7 +47,7 @@ def test_wave_on_a_plane_is_damped_by_theory():
     vertices, faces = grid(40, 12)
     wave = np.cos(np.pi * vertices[:, 0])
     length = 0.25
-    smoothed = implicit_smooth(wave, vertices, faces, length=length)
+    smoothed = LaplacianSmoother(vertices, faces, length).smooth(wave)
     np.testing.assert_allclose(smoothed, wave / (1 + (length * np.pi) ** 2), atol=4e-3)
 
 
@@ -106,9 +106,9 @@ def test_translations_and_rotations_commute_and_the_range_shrinks(length, kind):
 def test_length_zero_and_no_faces_change_nothing():
     vertices, faces = sphere()
     x = np.random.default_rng(6).normal(size=len(vertices))
-    np.testing.assert_allclose(implicit_smooth(x, vertices, faces, length=0.0), x, rtol=1e-14)
+    np.testing.assert_allclose(LaplacianSmoother(vertices, faces, 0.0).smooth(x), x, rtol=1e-14)
     empty = np.zeros((0, 3), dtype=np.int32)
-    np.testing.assert_allclose(implicit_smooth(x, vertices, empty, length=9.0), x, rtol=1e-14)
+    np.testing.assert_allclose(LaplacianSmoother(vertices, empty, 9.0).smooth(x), x, rtol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["cotangent", "uniform"])
@@ -144,17 +144,17 @@ def test_a_mesh_without_any_area():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 0]])
     faces = np.array([[0, 1, 2], [0, 0, 3]])
     for kind in ("cotangent", "uniform"):
-        assert np.isfinite(implicit_smooth(points, points, faces, length=1.0, kind=kind)).all()
+        assert np.isfinite(LaplacianSmoother(points, faces, 1.0, kind=kind).smooth(points)).all()
     same = np.ones((4, 3))
-    np.testing.assert_allclose(implicit_smooth(points, same, faces, length=1.0), points)
+    np.testing.assert_allclose(LaplacianSmoother(same, faces, 1.0).smooth(points), points)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_the_length_scales_with_the_mesh(scale):
     vertices, faces = sphere()
     x = np.random.default_rng(8).normal(size=len(vertices))
-    expected = implicit_smooth(x, vertices, faces, length=0.3)
-    scaled = implicit_smooth(x, scale * vertices, faces, length=0.3 * scale)
+    expected = LaplacianSmoother(vertices, faces, 0.3).smooth(x)
+    scaled = LaplacianSmoother(scale * vertices, faces, 0.3 * scale).smooth(x)
     np.testing.assert_allclose(scaled, expected, atol=1e-9)
 
 
