@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from .checks import check_whole
 from .errors import InputError, is_real, is_whole
 
 if TYPE_CHECKING:
@@ -155,15 +156,11 @@ def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
     """
     if clip is None:
         return 0
-    if isinstance(clip, str):
-        if clip in names:
-            return list(names).index(clip)
-        raise InputError(argument, f"one of {list(names)}", repr(clip))
+    if isinstance(clip, str) and clip in names:
+        return list(names).index(clip)
     if not is_whole(clip):
         raise InputError(argument, f"one of {list(names)}", repr(clip))
-    if not 0 <= clip < len(names):
-        raise InputError(argument, f"a number from 0 to {len(names) - 1}", clip)
-    return int(clip)
+    return check_whole(clip, argument, 0, len(names) - 1)
 
 
 def readable(name: object) -> str:
