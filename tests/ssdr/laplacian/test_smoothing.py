@@ -64,7 +64,7 @@ def test_backends_solve_the_stated_system(backend):
         np.testing.assert_allclose(smoothed, np.linalg.solve(system, mass @ frame), atol=1e-12)
 
 
-def test_shapes_and_dtypes():
+def test_shapes_dtypes_and_batches(monkeypatch):
     vertices, faces = sphere()
     smoother = LaplacianSmoother(vertices, faces, 0.3)
     frames = np.random.default_rng(3).normal(size=(5, len(vertices), 3))
@@ -77,15 +77,8 @@ def test_shapes_and_dtypes():
     assert smoother.smooth(np.empty((0, len(vertices), 3))).shape == (0, len(vertices), 3)
     wide = np.broadcast_to(frames[:1, :, :1], (1, len(vertices), 40))
     assert smoother.smooth(wide).shape == wide.shape
-
-
-def test_batches_give_the_same(monkeypatch):
-    vertices, faces = sphere()
-    smoother = LaplacianSmoother(vertices, faces, 0.3)
-    frames = np.random.default_rng(4).normal(size=(7, len(vertices), 3))
-    whole = smoother.smooth(frames)
     monkeypatch.setattr("ssdr.laplacian.smoothing._BATCH_BYTES", 8 * 3 * len(vertices) * 2)
-    np.testing.assert_allclose(smoother.smooth(frames), whole, atol=1e-14)
+    np.testing.assert_allclose(smoother.smooth(frames), smoothed, atol=1e-14)
 
 
 @given(length=st.floats(0, 1e3), kind=st.sampled_from(["cotangent", "uniform"]))
@@ -106,9 +99,9 @@ def test_translations_and_rotations_commute_and_the_range_shrinks(length, kind):
 def test_length_zero_and_no_faces_change_nothing():
     vertices, faces = sphere()
     x = np.random.default_rng(6).normal(size=len(vertices))
-    np.testing.assert_allclose(LaplacianSmoother(vertices, faces, 0.0).smooth(x), x, rtol=1e-14)
-    empty = np.zeros((0, 3), dtype=np.int32)
-    np.testing.assert_allclose(LaplacianSmoother(vertices, empty, 9.0).smooth(x), x, rtol=1e-14)
+    for triangles, length in ((faces, 0.0), (np.zeros((0, 3), dtype=np.int32), 9.0)):
+        smoothed = LaplacianSmoother(vertices, triangles, length).smooth(x)
+        np.testing.assert_allclose(smoothed, x, rtol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["cotangent", "uniform"])
@@ -199,6 +192,8 @@ def test_split_of_a_sequence_uses_the_named_rest():
         ({"length": -1.0}, "length"),
         ({"length": np.nan}, "length"),
         ({"length": "a"}, "length"),
+        ({"length": 1e99}, "length"),
+        ({"length": 1e200}, "length"),
         ({"kind": "mean"}, "kind"),
         ({"mass": "full"}, "kind"),
         ({"backend": "lapack"}, "backend"),
@@ -213,9 +208,11 @@ def test_bad_input(change, argument):
 
 def test_bad_values():
     smoother = LaplacianSmoother(np.eye(4, 3), [[0, 1, 2]], 1.0)
-    for values in (np.zeros(3), np.zeros((3, 4)), np.float64(1), np.full(4, np.inf), ["a"] * 4):
+    too_large = np.full(4, 1.7e308)
+    for values in (np.zeros(3), np.zeros((3, 4)), 1.0, np.full(4, np.inf), ["a"] * 4, too_large):
         with pytest.raises(InputError, match="values"):
             smoother.smooth(values)
+    assert np.isfinite(smoother.smooth(np.eye(4, 3) * 1e200)).all()
     with pytest.raises(InputError, match="n_vertices"):
         uniform_laplacian([[0, 1, 2]], 0)
     frames = np.zeros((2, 4, 3))

@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 
 import ssdr
+from helpers.surfaces import sphere
 from ssdr import render
 from ssdr.render.film import Film
 from ssdr.render.light import Lights, around_both_sides, sphere_directions
@@ -19,8 +19,8 @@ from ssdr.render.scene import Scene
 @pytest.fixture(scope="module")
 def pair():
     """Two balls side by side, the left one exact and the right one off by 0.1: truth, answer."""
-    ball = trimesh.creation.icosphere(2)
-    points, faces, n = ball.vertices, ball.faces, len(ball.vertices)
+    points, faces = sphere(2)
+    n = len(points)
     side, step = np.array([1.2, 0, 0]), np.array([0.3, 0, 0])
     both = np.concatenate([points - side, points + side])
     truth = np.stack([both + k * step for k in range(3)]).astype(np.float32)
@@ -214,9 +214,7 @@ def test_light_from_around_is_half_on_a_floor_beside_a_wall():
 
 
 def test_shares_of_light_against_a_slow_twin(rng):
-    ball = trimesh.creation.icosphere(1)
-    arrays = np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)
-    lights = Lights.around(sphere_directions(5), np.ones((5, 3)), *arrays, 24)
+    lights = Lights.around(sphere_directions(5), np.ones((5, 3)), *sphere(1), 24)
     at, bias = rng.normal(size=(40, 3)) * 1.5, 0.05
     normals = at / np.linalg.norm(at, axis=1, keepdims=True)
     shares = lights.shares(at, normals, bias)
