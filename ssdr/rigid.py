@@ -79,7 +79,7 @@ def kabsch(
     if (w < 0).any():
         raise InputError("weights", "numbers >= 0", f"{w.min()}")
     _check_broadcast("target", s.shape[:-2], t.shape[:-2], w.shape[:-1])
-    # Powers of two, so that products neither overflow nor vanish and nothing is rounded.
+    # Scaling by powers of two rounds nothing; products then neither overflow nor vanish.
     s, s_power = _scaled(s, (-2, -1))
     t, t_power = _scaled(t, (-2, -1))
     w, _ = _scaled(w, (-1,))
@@ -125,15 +125,15 @@ def _check_broadcast(argument: str, *shapes: tuple[int, ...]) -> None:
 def _scaled(
     array: NDArray[np.float64], axes: tuple[int, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.intc]]:
-    """An array of size 1/2 to 1 along axes, and the power of two that leads back."""
+    """Array scaled by a power of two to a magnitude of 1/2 to 1 along axes, and the exponent."""
     _, power = np.frexp(np.abs(array).max(axis=axes, keepdims=True, initial=0.0))
     return np.ldexp(array, -power), power
 
 
 def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
-    """Rotation R, det R = +1, of largest tr(Rᵀ M): the nearest to M in the Frobenius norm.
+    """Rotation R (det R = +1) nearest to M in the Frobenius norm; it maximises tr(Rᵀ M).
 
-    :func:`kabsch` takes M = Σ_i w_i t_i s_iᵀ, of points about their centroids.
+    In :func:`kabsch` M is Σ_i w_i t_i s_iᵀ, of points relative to their centroids.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another one, or a number is complex or not finite.
+        If the shape is wrong, or a number is complex or not finite.
 
     References
     ----------
@@ -175,10 +175,10 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
 
 
 def _turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smallest rotations that carry unit vectors `a` to `b`, as two reflections."""
+    """Smallest rotations that carry unit vectors `a` to `b`, each a product of two half turns."""
     half = a + b
     size = np.linalg.norm(half, axis=-1, keepdims=True)
-    # Opposite vectors: any axis across them will do.
+    # Between opposite vectors any half turn about an axis across them will do.
     across = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=-1)])
     opposite = size < 1e-8
     first = np.where(opposite, across, half)
@@ -197,7 +197,7 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another one, or an entry is complex, not finite or far above 1.
+        If the shape is wrong, or an entry is complex, not finite or far above 1.
 
     Examples
     --------
@@ -229,7 +229,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another one, or a quaternion is zero, complex or not finite.
+        If the shape is wrong, or a quaternion is zero, complex or not finite.
 
     Examples
     --------
@@ -251,7 +251,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
 
 
 def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.float64]:
-    """Choose signs along `axis` (time) such that neighbours never flip.
+    """Choose signs along `axis` (time) such that no two neighbours have a negative dot product.
 
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.

@@ -184,7 +184,7 @@ def mass_matrix(
 
 
 def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Points whose fourth powers are numbers, and the power of two that leads back."""
+    """Points scaled so that fourth powers do not overflow, and the exponent that undoes it."""
     largest = float(np.abs(points).max())
     power = int(np.frexp(largest)[1]) if largest > _MODERATE else 0
     return np.ldexp(points, -power), power

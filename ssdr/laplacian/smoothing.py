@@ -1,8 +1,4 @@
-"""Laplacians of a triangle mesh, implicit smoothing and the low/high-frequency split.
-
-Sign convention: L = D − W, positive semi-definite, so that −M⁻¹L is the
-discrete Laplace–Beltrami operator and (M + ℓ²L) x = M x₀ smooths.
-"""
+"""Implicit smoothing of values on a mesh, and the split into low and high frequencies."""
 
 from __future__ import annotations
 
@@ -40,27 +36,26 @@ _BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time: more take
 
 
 class LaplacianSmoother:
-    """Implicit smoothing (M + ℓ²L) x = M x₀ with a factor that is kept.
+    """Implicit smoothing (M + ℓ²L) x = M x₀; the matrix is factored once.
 
-    One backward Euler step of the heat equation over the time ℓ².  A pattern on
-    the surface with wavelength λ is damped by 1 / (1 + (2πℓ/λ)²): what is much
-    longer than 2πℓ stays, what is much shorter goes, whatever the resolution of
-    the mesh.  Constants, and so translations, are kept; the operator belongs to
-    one pose and its use on the x, y and z of others is linear and commutes with
-    rotations and translations.
+    This is one backward Euler step of the heat equation over the time ℓ².  A pattern of
+    wavelength λ on the surface is multiplied by 1 / (1 + (2πℓ/λ)²): patterns much longer than 2πℓ
+    stay, much shorter ones vanish, whatever the resolution of the mesh.  Constants are kept.  The
+    operator is that of one pose.  It is linear in the coordinates of any other pose and commutes
+    with rotations and translations of that pose.
 
     Parameters
     ----------
     vertices : (V, 3) array
-        The pose whose metric is used, in the mesh's units.
+        Pose whose metric is used, in the mesh's units.
     faces : (T, 3) int array
-        Without any, nothing is smoothed.
+        Without triangles nothing is smoothed.
     length : float
         ℓ in the mesh's units; 0 changes nothing.
     kind : {"cotangent", "uniform"}
-        "uniform" uses the graph Laplacian over √3, which on a regular
-        triangulation is the cotangent one; elsewhere it also pulls vertices
-        along the surface, and it has no negative weights.
+        "uniform" uses the graph Laplacian over √3, which is the cotangent Laplacian of a regular
+        triangulation.  Elsewhere it also moves vertices along the surface.  It has no negative
+        weights.
     mass : {"barycentric", "voronoi"}
     backend : {"cholmod", "scipy"}, optional
         CHOLMOD (scikit-sparse) where installed, SciPy's SuperLU otherwise.
@@ -83,9 +78,9 @@ class LaplacianSmoother:
 
     Notes
     -----
-    Degenerate triangles, boundaries, non-manifold edges and several components
-    are fine; a vertex of no triangle stays where it is.  Cost: one sparse
-    Cholesky factor, then two triangular solves for a coordinate of a frame.
+    Degenerate triangles, boundaries, non-manifold edges and several components are allowed; a
+    vertex of no triangle stays where it is.  Cost: one sparse Cholesky factorisation, then two
+    triangular solves for each coordinate of each frame.
 
     References
     ----------
@@ -124,7 +119,7 @@ class LaplacianSmoother:
         else:
             laplacian = uniform_laplacian(triangles, len(points)) * REGULAR
         self._mass = diagonal.diagonal()
-        # Scaled to masses around 1: areas of a tiny mesh would meet absolute thresholds.
+        # Scaled to masses around 1, since the solvers have absolute thresholds.
         scale = 1.0 / self._mass.max()
         system = csc_matrix(diagonal * scale + laplacian * (scale * self.length**2))
         try:
@@ -184,7 +179,7 @@ class LaplacianSmoother:
         return out.reshape(x.shape)
 
     def _smooth_block(self, block: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Constants pass unchanged, so that a far origin need not cost digits.
+        # The mean, which smoothing keeps, is left out, so that a far origin costs no digits.
         centre = block.mean(axis=1, keepdims=True)
         rows = np.ascontiguousarray((block - centre).transpose(0, 2, 1))
         rows *= self._mass
@@ -205,7 +200,7 @@ class FrequencySplit:
     high : (F, V, 3) array
         ``frames - low``, in the input's dtype.
     smoother : LaplacianSmoother
-        The operator, for more frames of the same mesh.
+        Smooths further frames of the same mesh.
 
     Examples
     --------
@@ -245,12 +240,11 @@ def split_frequencies(
     ----------
     frames : MeshSequence or (F, V, 3) array
     faces : (T, 3) int array, optional
-        Those of the sequence by default.
+        By default those of the sequence.
     length : float
         ℓ of :class:`LaplacianSmoother`, in the mesh's units.
     rest : int or (V, 3) array
-        The frame, or the pose, whose metric the operator uses for all frames:
-        the first frame by default.
+        Frame, or pose, whose metric is used for all frames.
     kind, mass, backend
         As in :class:`LaplacianSmoother`.
 

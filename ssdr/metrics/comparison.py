@@ -101,13 +101,12 @@ def compare(
     reference, other : MeshSequence or (F, V, 3) array
         Sequences that are not in memory are read by chunks of frames.
     faces : (T, 3) int array, optional
-        Triangles of both; those of either sequence by default.  Without any,
-        Hausdorff is that of the vertices alone and STED has no spatial part.
+        Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
+        distance is that of the vertices alone and STED has no spatial part.
     hausdorff, sted : bool
         Whether to compute them; they take most of the time.
     hausdorff_options, sted_options : mapping, optional
-        Keyword arguments of :func:`~ssdr.metrics.hausdorff` and
-        :func:`~ssdr.metrics.sted`.
+        Keyword arguments of :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
 
     Returns
     -------
@@ -154,7 +153,7 @@ def _plain(result: Any, arrays: bool) -> dict[str, Any]:
         elif isinstance(value, np.ndarray):
             plain |= {name: value.tolist()} if arrays else {}
         elif value is not None or name.endswith(("_max", "_mean")):
-            # JSON has no Infinity: a share of a diagonal of 0 is no number
+            # JSON has no infinity, which a share of a diagonal of 0 is
             unknown = isinstance(value, float) and not math.isfinite(value)
             plain[name] = None if unknown else value
     return plain

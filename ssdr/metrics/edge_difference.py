@@ -23,18 +23,17 @@ Normaliser = Literal["speed", "diagonal"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Sted:
-    """Both parts of the spatio-temporal edge difference; all without unit.
+    """The spatio-temporal edge difference and its two parts, without unit.
 
     Attributes
     ----------
     value : float
         √(spatial² + c² temporal²).
     spatial, temporal : float
-        Means of the local deviations; 0 where there is no edge, or less than
-        three frames.
+        Means of the local deviations; 0 if there is no edge, or fewer than three frames.
     spatial_per_frame : (F,) float64
     temporal_per_frame : (F - 1,) float64
-        Of the virtual edges from each frame to the next.
+        Of the virtual edges from each frame to the next one.
     neighbourhood, window, dt, c, signed
         As given.
     normaliser : float
@@ -97,17 +96,17 @@ def sted(
         Odd number of virtual edges, centred at t and cut at both ends of the
         sequence.
     dt : float
-        Length of a virtual edge of a vertex at rest, after division by s.  The
-        smaller, the more a change of slow motion counts.
+        Length of the virtual edge of a vertex at rest, after division by s.  The smaller it is,
+        the more changes of slow motion count.
     c : float
         Weight of the temporal part.
     normaliser : {"speed", "diagonal"} or float
-        s, in the mesh's units: mean length of a vertex's step from frame to frame
-        in the reference; the reference's diagonal; or a number.  Where the
-        reference never moves, the diagonal stands in for its speed.
+        s, in the mesh's units: the mean length of a vertex's step from frame to frame in the
+        reference, the reference's diagonal, or a number.  For a reference that never moves, the
+        diagonal replaces the speed.
     signed : bool
-        Take δ = (l − l') / l.  With the absolute value edges that stretch and
-        shrink alike in turn do not count.
+        Use δ = (l − l') / l.  With the absolute value, edges that stretch and shrink by the same
+        share do not differ.
 
     Returns
     -------
@@ -120,14 +119,13 @@ def sted(
 
     Notes
     -----
-    A rigid motion of either animation, another one in each frame, leaves the
-    spatial part alone; one that is the same in all frames leaves the temporal
-    part alone too.  Scaling both changes neither part (unless the normaliser is
-    a number).  An edge of no length in the reference has weight 0.  Vertices
-    without an edge do not count in the spatial part.
+    Rigid motions of either animation, a different one in each frame, do not change the spatial
+    part; the same one in all frames changes neither part.  Scaling both animations changes neither
+    part (unless the normaliser is a number).  An edge of length 0 in the reference has weight 0.
+    Vertices without an edge do not count in the spatial part.
 
-    The defaults are ours: figures can be compared only with those computed by
-    this function with the same parameters.
+    The source states no parameters, so figures can be compared only with those that this function
+    computes with the same parameters.
 
     References
     ----------
@@ -231,7 +229,7 @@ def _temporal(
 
 
 def _edges_near(edges: NDArray[np.int32], n_vertices: int, neighbourhood: int) -> csr_array:
-    """Which edges (columns) are near each vertex that has any (rows)."""
+    """Edges (columns) near each vertex that has any (rows)."""
     n_edges = len(edges)
     columns = np.repeat(np.arange(n_edges), 2)
     touch = csr_array((np.ones(2 * n_edges), (edges.ravel(), columns)), (n_vertices, n_edges))

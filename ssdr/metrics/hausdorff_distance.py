@@ -19,9 +19,9 @@ from .inputs import Frames, as_sequence, check_finite, read
 
 __all__ = ["Hausdorff", "hausdorff"]
 
-_FRAMES = 8  # of one chunk: the search starts from the triangles found in the frame before
-_LEAF = 4  # triangles, about
-_FIRST = 32  # points that are looked up before the bound is tried
+_FRAMES = 8  # in a task: a search starts from the triangles found in the frame before
+_LEAF = 4  # triangles in a leaf of the tree, about
+_FIRST = 32  # points searched before the bound is tested
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,11 +80,11 @@ def hausdorff(
     other_faces : (T', 3) int array, optional
         Triangles of `other`; its own by default, else those of the reference.
     surface : bool
-        Whether to compare the surfaces too.
+        Whether to compare the surfaces, too.
     subdivisions : int
-        Probe each surface at the corners of its triangles cut into this squared
-        number of similar ones; 1 takes the vertices alone.  The distance to the
-        other surface is exact; its maximum over the surface is found from below.
+        n: each surface is probed at the corners of its triangles, each cut into n² similar ones; 1
+        takes the vertices alone.  The distance of a probe to the other surface is exact; the
+        maximum over the probes is a lower bound on that over the surface.
 
     Returns
     -------
@@ -97,9 +97,9 @@ def hausdorff(
 
     Notes
     -----
-    Points no triangle uses are no part of a surface.  Distances to triangles
-    are exact, by a bounding-volume hierarchy refitted to each frame; a search
-    ends early where it cannot raise the maximum.
+    Vertices of no triangle are no part of a surface.  Distances to triangles are exact, by a
+    bounding-volume hierarchy that is refitted to each frame; a search ends early where it cannot
+    raise the maximum.
 
     Examples
     --------
@@ -143,10 +143,12 @@ def hausdorff(
 
 
 def _one_way(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Largest distance of a point of `a` to the set `b`."""
     tree = cKDTree(b, balanced_tree=False, compact_nodes=False)
     if len(a) != len(b):
         return float(np.max(tree.query(a)[0]))
-    # A vertex is no farther from the set than from its twin: few can hold the maximum.
+    # A vertex is at most as far from the other set as from its counterpart there: only few can be
+    # the farthest.
     bound = np.sqrt(((a - b) ** 2).sum(axis=1))
     order = np.argsort(-bound, kind="stable")
     worst, start, step = 0.0, 0, _FIRST

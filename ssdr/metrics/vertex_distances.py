@@ -25,14 +25,14 @@ class Distances:
     coordinate_rmse : float
         √(Σ ‖d‖² / (3 F V)), the same per coordinate.
     E : float
-        1000 · ‖A − Ã‖_F / √(3 F V), a thousand times the former, in the files'
-        own units (Kavan et al. 2010; not normalised by the size of the mesh).
+        1000 · ‖A − Ã‖_F / √(3 F V), a thousand times `coordinate_rmse` (Kavan et al. 2010; not
+        normalised by the size of the mesh).
     percent_of_diagonal : float
         100 · rmse / diagonal.
     mean, max : float
         Mean and largest distance.
     max_frame, max_vertex : int
-        Where the largest is; the first such frame and vertex.
+        Frame and vertex of the largest distance, the first if there are several.
     per_frame : (F,) float64
         rmse of each frame.
     per_vertex : (V,) float64
@@ -64,12 +64,12 @@ class Distances:
 
 
 def distances(reference: Frames, other: Frames) -> Distances:
-    """Distances between corresponding vertices, summed up in every usual way.
+    """Statistics of the distances between corresponding vertices.
 
     Parameters
     ----------
     reference, other : MeshSequence or (F, V, 3) array
-        Read by chunks of frames; computed in float64.
+        Read by chunks of frames; distances are computed in float64.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""The light in every picture: a broad lamp from the side, a sky and a floor, and their shadows.
+"""The light in every picture: a broad lamp from the side, a sky, a floor, and their shadows.
 
-What is in the way of a light is read from a depth map that is drawn from its direction.
+Shadows are read from depth maps, one from the direction of each light.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..kernels.raster import light_shares, raster_triangles
 from ..parallel import chunk_bounds, run_chunks
 from .raster import Camera, unit
 
-__all__ = ["Lights", "Lit", "around_both_sides", "lamp", "sky", "sphere_directions"]
+__all__ = ["Illumination", "Lights", "around_both_sides", "lamp", "sky", "sphere_directions"]
 
 Float = NDArray[np.float64]
 # Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength,
@@ -66,7 +66,7 @@ class Lights:
         faces: NDArray[np.int32],
         pixels: int,
     ) -> Lights:
-        """Lights in unit directions ``(D, 3)`` from triangles."""
+        """Lights in unit directions ``(D, 3)``, with depth maps of triangles."""
         across = np.eye(3)[np.abs(directions).argmin(axis=1)]
         right = unit(np.cross(across, directions))
         axes = np.stack([right, np.cross(directions, right), directions], axis=1)
@@ -123,14 +123,14 @@ def sphere_directions(count: int) -> Float:
 
 
 def sky(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
-    """Light from all around: the sky above, the floor below."""
+    """Lights all around: the sky above, the floor below."""
     directions = sphere_directions(_SKY_LIGHTS)
     part = np.clip(0.5 + 1.5 * directions @ camera.vertical, 0.0, 1.0)[:, None]
     return Lights.around(directions, _FLOOR + (_SKY - _FLOOR) * part, points, faces, _SKY_PIXELS)
 
 
 def lamp(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
-    """Directions spread over the disc of the lamp."""
+    """Lights spread over the disc of the lamp."""
     k = np.arange(_LAMP_LIGHTS)
     radius = _LAMP_SIZE * np.sqrt((k + 0.5) / _LAMP_LIGHTS)
     turn = k * np.pi * (3 - np.sqrt(5))
@@ -147,7 +147,7 @@ def around_both_sides(lights: Lights, points: Float, normals: Float, bias: float
     Parameters
     ----------
     lights : Lights
-        Evenly over the sphere; colours of 1 give 1 where nothing is in the way.
+        Evenly over the sphere; with colours of 1 the result is 1 where nothing is in the way.
     points, normals : (N, 3) float64
         The first three columns of the result are for the side of the normal.
     bias : float
@@ -161,7 +161,7 @@ def around_both_sides(lights: Lights, points: Float, normals: Float, bias: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Lit:
+class Illumination:
     """Points of a surface and the light that reaches them.
 
     Attributes
@@ -170,9 +170,9 @@ class Lit:
     normal : (N, 3) float64
         Unit vectors on the viewer's side.
     around : (N, 3) float64 or None
-        Light from sky and floor, linear RGB; None where nothing is in its way.
+        Light from sky and floor, linear RGB; None if nothing is in its way.
     reached : (N, 1) float64 or float
-        Share of the lamp that is seen.
+        Share of the lamp's light that arrives.
     """
 
     camera: Camera

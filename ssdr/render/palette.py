@@ -1,4 +1,4 @@
-"""Colours: one a bone, neighbours far apart, and the scale of the error map."""
+"""Colours of bones, of blended weights and of errors."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
     lab = _candidates()
     apart = ((lab[:, None] - lab[None]) ** 2).sum(axis=2)
     gap = ((x[:, None] - x[None]) ** 2).sum(axis=2)
-    # Five neighbours or so count as close, whatever the density of bones.
+    # About five neighbours count as close, whatever the density of bones.
     reach = np.sort(gap, axis=1)[:, min(5, len(x) - 1)]
     near = np.exp(-gap / np.maximum(np.median(reach), 1e-300)) + 0.02
     repulsion = 1.0 / (apart + 1e-4)
@@ -72,7 +72,7 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
     chosen = np.full(len(x), -1)
     used = np.zeros(len(lab))
     for _ in range(len(x)):
-        # Next is the bone most hemmed in, so that the last ones are not left with no choice.
+        # Next is the bone whose best colour costs most: later it might find no good one.
         open_bones = np.flatnonzero(chosen < 0)
         b = int(open_bones[np.argmax(cost[open_bones].min(axis=1))])
         c = int(np.argmin(cost[b] + 0.5 * used))

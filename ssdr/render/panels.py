@@ -31,7 +31,7 @@ _GHOST = 0.55  # opacity of a surface that shows its bones
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Panels:
-    """Rows of a sheet, or panels of a film, and the frames that they show.
+    """Scenes and styles (rows of a sheet, panels of a film) and the frames in which to draw them.
 
     Attributes
     ----------
@@ -68,12 +68,12 @@ class Panels:
         ----------
         scene : Scene
         styles : sequence of Style
-            None: what shows most of the scene.
+            None stands for weights, or plain where there are no bones.
         frames : sequence of int
         size : (int, int) or None
             Of a panel, in pixels.
         with_reference : bool
-            Whether the reference, where there is one, is shown before all others.
+            Whether the reference, if there is one, is the first row.
         top : float, optional
             Error that gets the last colour; by default a round number that few errors exceed.
         **look
@@ -104,7 +104,7 @@ class Panels:
 
     def draw(self, frame: int) -> list[Image.Image]:
         """Every row's picture of a frame."""
-        stages: dict[int, Stage] = {}  # rows of one scene share the light on it
+        stages: dict[int, Stage] = {}  # shared by all rows of a scene
         pictures = []
         for scene, style in self.rows:
             if id(scene) not in stages:
@@ -122,7 +122,7 @@ class Panels:
 
     def _stage(self, scene: Scene, frame: int) -> Stage:
         size = (self.view.size[0] * _SAMPLES, self.view.size[1] * _SAMPLES)
-        points = scene.drawn(frame) - self.view.shift[frame]
+        points = scene.visible(frame) - self.view.shift[frame]
         if not len(scene.faces):
             return Stage.of_cloud(self.view.camera, size, points, scene.ball_radius)
         return Stage.of_mesh(self.view.camera, size, points, scene.faces, self.view.ground)
@@ -140,7 +140,7 @@ class Panels:
 
 
 def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
-    """Texts, one for each thing; InputError if they are fewer or more."""
+    """Texts, one for each thing; InputError if their numbers differ."""
     if isinstance(texts, str) or len(texts) != len(things):
         raise InputError(name, f"{len(things)} texts", texts)
     return [str(t) for t in texts]

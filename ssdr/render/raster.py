@@ -1,4 +1,4 @@
-"""Camera, and what it sees of triangles and balls: nearest primitive in each pixel."""
+"""Camera, and the nearest triangle or ball in each pixel that it sees."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ class Camera:
 
 
 def empty_depth(size: tuple[int, int]) -> Float:
-    """Depth buffer ``(H, W)`` that nothing was drawn to: nearness −inf."""
+    """Empty depth buffer ``(H, W)``: nearness −inf everywhere."""
     return np.full((size[1], size[0]), -np.inf)
 
 
@@ -174,9 +174,9 @@ def triangles_seen(
     Returns
     -------
     pixels : (rows, columns)
-        The N pixels whose nearest surface is one of the triangles.
+        The N pixels in which a triangle is nearest.
     index : (N,) int32
-        That triangle.
+        Number of this triangle.
     share : (N, 3) float64
         Barycentric coordinates in it.
     """
@@ -195,7 +195,11 @@ def triangles_seen(
 def balls_seen(
     camera: Camera, centers: Float, radii: Float, nearness: Float
 ) -> tuple[Pixels, NDArray[np.int32], Float]:
-    """Rasterise balls ``(N, 3)``; as :func:`triangles_seen`, with unit normals for shares."""
+    """Rasterise balls of centres and radii ``(M, 3)`` and ``(M,)``.
+
+    Parameters and results are those of :func:`triangles_seen`, but for the last one: unit normals
+    ``(N, 3)`` in world axes.
+    """
     size = (nearness.shape[1], nearness.shape[0])
     screen, pixel = camera.project(centers, size), camera.pixels_per_unit(size)
     near = screen[:, 2]

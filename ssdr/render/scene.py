@@ -1,4 +1,4 @@
-"""What a picture shows: positions, colours and errors of a subject."""
+"""Positions, colours and errors of the subject of a picture."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Style = Literal["plain", "weights", "bones", "error"]
 Unit = tuple[str, float]
 Float = NDArray[np.float64]
 
-_SOME_FRAMES = 24  # that stand for all: more are slower, fewer may miss motion
+_SOME_FRAMES = 24  # that represent a sequence: more are slower, fewer may miss motion
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class Scene:
 
     @functools.cached_property
     def diagonal(self) -> float:
-        """Length that marks and shares are relative to; 1 for a single point."""
+        """Diagonal of the bounding box where it is largest; 1 if that is 0."""
         shown = self.reference or self.subject
         if isinstance(shown, MeshSequence):
             return shown.diagonal() or 1.0
@@ -139,8 +139,8 @@ class Scene:
             p = self.subject.skin(frame)[0].astype(np.float64)
         return p if self.vertex_map is None else p[self.vertex_map]
 
-    def drawn(self, frame: int) -> Float:
-        """Vertices of a frame; those of no triangle, which are not seen, lie on another one."""
+    def visible(self, frame: int) -> Float:
+        """Vertices of a frame, where those of no triangle are moved onto another vertex."""
         points = self.positions(frame)
         if len(self.faces):
             points[self._loose] = points[self.faces[0, 0]]
@@ -162,7 +162,7 @@ class Scene:
         return np.asarray(np.any([p.vertices for p in self.parts if p.measured], axis=0))
 
     def error_range(self, frames: Sequence[int]) -> tuple[float, float]:
-        """Error that few measured vertices of these frames exceed, and the largest."""
+        """Largest error of 99.5 % of the measured vertices in these frames, and of all."""
         errors = np.stack([self.errors(t)[self.measured] for t in frames])
         # Never so small that rounding of float32 would look like an error.
         return max(float(np.quantile(errors, 0.995)), 1e-6 * self.diagonal), float(errors.max())
@@ -209,7 +209,7 @@ class Scene:
 
     @functools.cached_property
     def centroids(self) -> Float:
-        """Rest position of the middle of what each bone moves, ``(B, 3)``."""
+        """Centroid, in the rest pose, of what each bone moves, ``(B, 3)``."""
         return np.asarray(self.model.centroids(), dtype=np.float64)
 
     @functools.cached_property
@@ -247,5 +247,5 @@ def number(value: float, unit: Unit) -> str:
 
 
 def evenly(count: int, most: int = _SOME_FRAMES) -> list[int]:
-    """At most so many of the numbers below `count`, the first and the last among them."""
+    """At most `most` of the numbers below `count`, evenly spread from the first to the last."""
     return [int(k) for k in np.linspace(0, count - 1, min(count, most))]

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from .light import Lit
+from .light import Illumination
 from .palette import linear_from_srgb
 from .raster import Camera, balls_seen, empty_depth, normals_of, triangles_seen, unit
 from .scene import Scene
@@ -101,7 +101,9 @@ class Bones:
         for pixels, normal, albedo in drawn:
             covered = surface[pixels] > nearness[pixels]
             opacity = np.where(covered, _COVERED, 1.0)[:, None]
-            picture[pixels] += opacity * (Lit(camera, normal).shaded(albedo) - picture[pixels])
+            picture[pixels] += opacity * (
+                Illumination(camera, normal).shaded(albedo) - picture[pixels]
+            )
 
 
 def octahedra(heads: Float, tails: Float, *, most: float) -> tuple[Float, NDArray[np.int32]]:

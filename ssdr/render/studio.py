@@ -1,4 +1,4 @@
-"""A posed subject under the lights, and the picture of it once its colours are known."""
+"""A posed subject under the lights, before its colours are known."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from .light import Lights, Lit, around_both_sides, lamp, sky
+from .light import Illumination, Lights, around_both_sides, lamp, sky
 from .palette import linear_from_srgb
 from .raster import (
     Camera,
@@ -32,7 +32,7 @@ _BIAS = 0.0035  # of the diagonal: nearer surfaces do not shade each other
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stage:
-    """A posed subject under the lights: pictures of it in several looks share the work.
+    """A posed subject under the lights; pictures of it in several colours share this work.
 
     Attributes
     ----------
@@ -43,10 +43,10 @@ class Stage:
     pixels : (rows, columns)
         The N pixels that show it.
     corners : (N, k) int32
-        Vertices between which each of these lies.
+        Vertices of the triangle, or the point, that each of them shows.
     share : (N, k) float64
-        Their weights.
-    lit : Lit
+        Barycentric coordinates between them.
+    lit : Illumination
     """
 
     picture: Float
@@ -54,7 +54,7 @@ class Stage:
     pixels: Pixels
     corners: NDArray[np.int32]
     share: Float
-    lit: Lit
+    lit: Illumination
 
     @classmethod
     def of_mesh(
@@ -100,7 +100,7 @@ class Stage:
         normal = np.where((normal * own).sum(axis=2, keepdims=True) < _CREASE, own, normal)
         normal = unit(between(share, normal)) * np.where(side, 1.0, -1.0)
         reached = beams.shares(at, normal, bias).mean(axis=1)[:, None]
-        lit = Lit(camera, normal, np.where(side, *np.split(arrived, 2, axis=1)), reached)
+        lit = Illumination(camera, normal, np.where(side, *np.split(arrived, 2, axis=1)), reached)
         picture = _backdrop(size) * floor[..., None]
         return cls(picture, nearness, pixels, corners, share, lit)
 
@@ -109,7 +109,7 @@ class Stage:
         """Light a cloud of points, drawn as balls, without shadows."""
         nearness = empty_depth(size)
         pixels, index, normal = balls_seen(camera, points, np.full(len(points), radius), nearness)
-        lit = Lit(camera, normal)
+        lit = Illumination(camera, normal)
         share = np.ones((len(index), 1))
         return cls(_backdrop(size), nearness, pixels, index[:, None], share, lit)
 
@@ -137,9 +137,9 @@ def _floor(
     beams: Lights,
     bias: float,
 ) -> NDArray[np.float32]:
-    """Share ``(H, W)`` of the light that reaches the floor in each pixel; 1 where there is none."""
+    """Share ``(H, W)`` of the light that reaches the floor; 1 in pixels that show no floor."""
     out = np.ones((size[1], size[0]), dtype=np.float32)
-    # From below the floor would hide everything, so it is not there.
+    # There is no floor in a view from below, where it would hide everything.
     if camera.axes[2] @ camera.vertical <= 0.02:
         return out
     rows, columns = np.indices(out.shape).reshape(2, -1)
@@ -152,14 +152,14 @@ def _floor(
     near = (far > 0) & (np.linalg.norm(at - centre, axis=1) < 1.5 * reach)
     at, pixels = at[near], (rows[near], columns[near])
     up = np.tile(camera.vertical, (len(at), 1))
-    # Light that grazes the floor casts streaks, one for each direction, so it is left out.
+    # Light that grazes the floor is left out: it casts a streak for each direction.
     cosine = around.directions @ camera.vertical
     high = cosine > 0.3
     weight = cosine[high] * around.colors[high].mean(axis=1)
     arrived = around.only(high).shares(at, up, bias) @ (weight / weight.sum())
     beam = beams.shares(at, up, bias).mean(axis=1)
     soft = np.zeros_like(out)
-    # Gently: a white floor is lit by more than the lamp and the sky.
+    # The shadows are weak, since a white floor is lit by more than the lamp and the sky.
     soft[pixels] = 0.55 * (1 - arrived)
     out -= gaussian_filter(soft, size[1] / 22)
     out[pixels] *= 1 - 0.22 * (1 - beam)

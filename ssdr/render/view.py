@@ -1,4 +1,4 @@
-"""The view of all panels of a figure: one camera, and how it moves with the subject."""
+"""The common view of all panels: a camera that may follow the subject."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SIDES = (25, -25, 40, -40, 60, -60, 10, -10)  # degrees that are tried where no
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """A camera for all panels of a figure, and how far each frame is shifted into it.
+    """Camera of all panels, and the shift of each frame into its view.
 
     Attributes
     ----------
@@ -58,22 +58,22 @@ class View:
         perspective: bool = True,
         track: Float | None = None,
     ) -> View:
-        """Frame the motion; where it travels far, the camera follows.
+        """Fit a camera to the motion; it follows a subject that travels far.
 
         Parameters
         ----------
         scene : Scene
         frames : sequence of int
-            Those that are shown.
+            Frames to be drawn.
         size : (int, int) or None
-            Width and height of a panel in pixels; the whole motion is framed.
+            Width and height of a panel in pixels; the view is that of the whole motion.
         width : int, optional
-            In place of the size: the shown frames decide on the height and the view, and each is
+            Replaces the size: height and view are those of the frames to be drawn, which are
             centred.
         camera, up, azimuth, elevation, perspective
             As in :func:`render_frame`.
         track : (F, 3) float64, optional
-            The camera moves by just that.
+            Path of the camera, in place of following the subject.
         """
         if not -90 <= elevation <= 90:
             raise InputError("elevation", "-90 to 90 degrees", elevation)
@@ -81,7 +81,7 @@ class View:
             raise InputError("azimuth", "degrees", azimuth)
         fixed = _checked_size(size) if width is None else (1, 1)
         some = sorted({*frames, *(evenly(scene.subject.n_frames) if width is None else ())})
-        points = [scene.drawn(t) for t in some]
+        points = [scene.visible(t) for t in some]
         vertical = camera.vertical if camera else up_axes(up)[0]
         boxes = np.array([[p.min(axis=0), p.max(axis=0)] for p in points])
         if track is not None:
@@ -116,7 +116,7 @@ def _checked_size(size: Any) -> tuple[int, int]:
 
 
 def _best_azimuth(points: list[Float], up: str, elevation: float) -> float:
-    """The side from which the motion covers most of its picture, the front preferred."""
+    """Azimuth from which the motion covers most of its picture, the front preferred."""
     sample = np.concatenate(
         [p[:: max(1, len(p) // 1500)] for p in points[:: max(1, len(points) // 6)]]
     )
