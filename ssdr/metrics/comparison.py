@@ -127,21 +127,21 @@ def compare(
     first, second = as_pair(reference, other, faces)
     check_flag(hausdorff, "hausdorff")
     check_flag(sted, "sted")
-    for name, function, options in (
-        ("hausdorff_options", _hausdorff, hausdorff_options),
-        ("sted_options", _sted, sted_options),
-    ):
+    for_hausdorff = {} if hausdorff_options is None else hausdorff_options
+    for_sted = {} if sted_options is None else sted_options
+    for function, options in ((_hausdorff, for_hausdorff), (_sted, for_sted)):
+        name = function.__name__
         try:
-            inspect.signature(function).bind(first, second, None, **(options or {}))
+            inspect.signature(function).bind(first, second, None, **options)
         except TypeError as error:
-            expected = f"keyword arguments of {function.__name__}"
-            raise InputError(name, expected, f"{options!r} ({error})") from error
+            expected = f"a mapping of keyword arguments of {name}"
+            raise InputError(f"{name}_options", expected, f"{options!r} ({error})") from error
     return Comparison(
         **vars(distances(first, second)),
         n_frames=first.n_frames,
         n_vertices=first.n_vertices,
-        hausdorff=_hausdorff(first, second, **(hausdorff_options or {})) if hausdorff else None,
-        sted=_sted(first, second, **(sted_options or {})) if sted else None,
+        hausdorff=_hausdorff(first, second, **for_hausdorff) if hausdorff else None,
+        sted=_sted(first, second, **for_sted) if sted else None,
     )
 
 

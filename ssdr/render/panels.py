@@ -16,7 +16,7 @@ from .palette import heat, linear_from_srgb, srgb_from_linear
 from .parts import NEUTRAL
 from .raster import block_mean
 from .scene import Scene, Style, Unit, number
-from .skeleton import Bones
+from .skeleton import draw_bones
 from .studio import Stage
 from .view import View
 
@@ -114,8 +114,8 @@ class Panels:
             opacity = _GHOST if style == "bones" else 1.0
             picture = stage.draw(self._colors(scene, style, frame), even, opacity)
             if style == "bones":
-                bones, shift = Bones.of(scene, frame), self.view.shift[frame]
-                bones.draw(picture, stage.nearness, self.view.camera, shift)
+                camera, shift = self.view.camera, self.view.shift[frame]
+                draw_bones(picture, stage.nearness, camera, scene, frame, shift)
             pixels = 255 * srgb_from_linear(block_mean(picture, _SAMPLES))
             pictures.append(Image.fromarray(pixels.round().astype(np.uint8)))
         return pictures

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +10,7 @@ from .palette import linear_from_srgb
 from .raster import Camera, balls_seen, empty_depth, normals_of, triangles_seen, unit
 from .scene import Scene
 
-__all__ = ["Bones", "octahedra"]
+__all__ = ["draw_bones", "octahedra"]
 
 Float = NDArray[np.float64]
 # sRGB of a bone's x, y and z axes: red, green, blue, as modelling programs draw them
@@ -26,84 +24,56 @@ _CORNERS = np.array(
 )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Bones:
-    """Octahedra and balls that show the bones of a frame; colours are linear RGB.
+def draw_bones(
+    picture: Float, surface: Float, camera: Camera, scene: Scene, frame: int, shift: Float
+) -> None:
+    """Draw the bones of a frame over a picture.
 
-    Attributes
+    In a hierarchy each bone is an octahedron from its joint to every joint that hangs on it, or to
+    its end.  Without one it is a ball at the posed centroid of what it moves, with its axes.
+
+    Parameters
     ----------
-    heads, tails, colors : (N, 3) float64
-        Ends of the octahedra, and their colours.
-    most : float
-        Largest distance of an octahedron's side from its axis.
-    centers, ball_colors : (M, 3) float64
-    radius : float
-        Of all balls.
+    picture : (H, W, 3) float64
+        Linear RGB, updated.
+    surface : (H, W) float64
+        Depth buffer of the mesh.
+    camera : Camera
+    scene : Scene
+        Of a skinning.
+    frame : int
+    shift : (3,) float64
+        Subtracted from all points.
     """
-
-    heads: Float
-    tails: Float
-    colors: Float
-    most: float
-    centers: Float
-    ball_colors: Float
-    radius: float
-
-    @classmethod
-    def of(cls, scene: Scene, frame: int) -> Bones:
-        """Bones of a frame of a skinning.
-
-        In a hierarchy each bone runs from its joint to every joint that hangs on it, or to its
-        end; without one it is a ball at the posed centroid of what it moves, with its axes.
-        """
-        model = scene.model
-        m = model.transforms[frame].astype(np.float64)
-        if model.parents is None:
-            at = _moved(m, scene.centroids)
-            radius = scene.diagonal * 0.022 * min(1.0, (20 / len(at)) ** 0.33)
-            # Their wide ends are outside the ball.
-            tips = at[:, None] + 2.3 * radius * unit(np.swapaxes(m[:, :, :3], 1, 2))
-            tints = np.tile(_AXES, (len(at), 1))
-            shape = tips.reshape(-1, 3), np.repeat(at, 3, axis=0), tints, 0.18 * radius
-            return cls(*shape, at, scene.palette, radius)
-        parents = np.asarray(model.parents)
-        joints = _moved(m, model.joint_positions)
+    model = scene.model
+    m = model.transforms[frame].astype(np.float64)
+    if model.parents is None:
+        centers, ball_colors = _moved(m, scene.centroids), scene.palette
+        radius = scene.diagonal * 0.022 * min(1.0, (20 / len(m)) ** 0.33)
+        axes = 2.3 * radius * unit(np.swapaxes(m[:, :, :3], 1, 2))
+        # Their wide ends are outside the ball.
+        heads, tails = (centers[:, None] + axes).reshape(-1, 3), np.repeat(centers, 3, axis=0)
+        colors, most = np.tile(_AXES, (len(m), 1)), 0.18 * radius
+    else:
+        parents, centers = np.asarray(model.parents), _moved(m, model.joint_positions)
         hung = np.flatnonzero(parents >= 0)
         leaves = np.setdiff1d(np.arange(len(parents)), parents)
         bone = np.concatenate([parents[hung], leaves])
-        tails = np.concatenate([joints[hung], _moved(m, scene.limb_ends)[leaves]])
-        thick = _THICKEST * scene.diagonal
-        colors = np.tile(_JOINT, (len(joints), 1))
-        shape = joints[bone], tails, scene.palette[bone], thick
-        return cls(*shape, joints, colors, 0.45 * thick)
-
-    def draw(self, picture: Float, surface: Float, camera: Camera, shift: Float) -> None:
-        """Draw over a picture.
-
-        Parameters
-        ----------
-        picture : (H, W, 3) float64
-            Linear RGB, updated.
-        surface : (H, W) float64
-            Depth buffer of the mesh.
-        camera : Camera
-        shift : (3,) float64
-            Subtracted from all points.
-        """
-        nearness = empty_depth((picture.shape[1], picture.shape[0]))
-        points, faces = octahedra(self.heads - shift, self.tails - shift, most=self.most)
-        centers, radii = self.centers - shift, np.full(len(self.centers), self.radius)
-        pixels, hit, _ = triangles_seen(camera, points, faces, nearness)
-        normal = normals_of(points, faces)[0][hit]
-        drawn = [(pixels, normal, self.colors[hit // len(_CORNERS)])]
-        pixels, index, normal = balls_seen(camera, centers, radii, nearness)
-        drawn.append((pixels, normal, self.ball_colors[index]))
-        for pixels, normal, albedo in drawn:
-            covered = surface[pixels] > nearness[pixels]
-            opacity = np.where(covered, _COVERED, 1.0)[:, None]
-            picture[pixels] += opacity * (
-                Illumination(camera, normal).shaded(albedo) - picture[pixels]
-            )
+        heads = centers[bone]
+        tails = np.concatenate([centers[hung], _moved(m, scene.limb_ends)[leaves]])
+        colors, most = scene.palette[bone], _THICKEST * scene.diagonal
+        ball_colors, radius = np.tile(_JOINT, (len(m), 1)), 0.45 * most
+    nearness = empty_depth((picture.shape[1], picture.shape[0]))
+    points, faces = octahedra(heads - shift, tails - shift, most=most)
+    pixels, hit, _ = triangles_seen(camera, points, faces, nearness)
+    drawn = [(pixels, normals_of(points, faces)[0][hit], colors[hit // len(_CORNERS)])]
+    radii = np.full(len(centers), radius)
+    pixels, index, normal = balls_seen(camera, centers - shift, radii, nearness)
+    drawn.append((pixels, normal, ball_colors[index]))
+    for pixels, normal, albedo in drawn:
+        opacity = np.where(surface[pixels] > nearness[pixels], _COVERED, 1.0)[:, None]
+        color = Illumination(camera, normal).shaded(albedo)
+        picture[pixels] += opacity * (color - picture[pixels])
 
 
 def octahedra(heads: Float, tails: Float, *, most: float) -> tuple[Float, NDArray[np.int32]]:
