@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernels.bones import sweep_bones
-from ..kernels.vertices import removal_cost, solve_vertices
+from ..kernels.removal import removal_cost
+from ..kernels.vertices import solve_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Fixed, Model
@@ -124,7 +125,6 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             removal_cost(
                 y,
-                data.x2[i:k],
                 gram,
                 model.rest[i:k],
                 model.support[i:k],

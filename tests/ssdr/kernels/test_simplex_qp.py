@@ -1,4 +1,4 @@
-"""The kernel of the polish."""
+"""Inverses of small matrices, and the weight that costs least."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ssdr.kernels.polish import cheapest_to_drop, invert
+from ssdr.kernels.simplex_qp import cheapest_to_drop, invert
 
 
 def test_the_inverse_of_what_depends_on_itself_does_not_overflow() -> None:
