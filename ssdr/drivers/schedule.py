@@ -98,6 +98,8 @@ class Rebuilds:
         Of the search of a start, and of the last one.
     before, after : int
         How often the best model is rebuilt before and after the merged start.
+    trees : int
+        Starts of a tree from which free bones begin, too.
     tree_searches : int
         Searches of the lowest of several trees.
     """
@@ -105,6 +107,7 @@ class Rebuilds:
     trials: int
     before: int
     after: int
+    trees: int
     tree_searches: int
 
 
@@ -112,9 +115,9 @@ class Rebuilds:
 # before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
 # problems have four rebuilds in place of six, for the time that they take.
 _SMALL, _LARGE = 2e6, 1e7
-_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, tree_searches=6)
-_REBUILDS = Rebuilds(trials=10, before=0, after=6, tree_searches=4)
-_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, tree_searches=3)
+_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
+_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
+_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
 _TRIALS_OF_A_REBUILD = 6
 # From so many bones on, alternations alone put many of them in better places, and some starts end
 # where no rebuild helps: so there are several, with few trials each.
@@ -122,7 +125,6 @@ _MANY_BONES, _STARTS, _TRIALS_OF_A_START = 24, 3, 4
 # The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
 # to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
 _TREE_ROUNDS, _TRIALS_OF_A_TREE = 6, 12
-_TREES_OF_FREE_BONES = 3  # starts of a tree, of which free bones begin
 
 
 # Seconds of a start: of any, and for each vertex × frame × bone.
@@ -228,7 +230,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     # where the animation comes from a skeleton, a tree leads to a model that free bones miss
     tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
     from_tree: Schedule = (
-        Lowest(starts=_TREES_OF_FREE_BONES * (tree,)),
+        Lowest(starts=n.trees * (tree,)),
         FreeBones(attached=RELAXED_TREE, freed=searched(_TRIALS_OF_A_START)),
     )
     return (
