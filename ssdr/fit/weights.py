@@ -21,9 +21,9 @@ from ..skinning import BoneModel
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
 from ..solver.model import Fixed, Model, pad_influences
-from ..solver.polish import Polish
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import gather
+from ..solver.vertex_newton import optimise_vertices
 
 __all__ = ["WeightFit", "fit_weights"]
 
@@ -131,7 +131,7 @@ def fit_weights(
     if smooth is None:
         vertex_step(data, model, fixed=fixed)
         # the K largest are not always the K best: exchange bones wherever that pays
-        Polish(data, model, fixed=fixed)
+        optimise_vertices(data, model, fixed=fixed)
     else:
         for _ in range(iterations):
             pull, stiff = smooth.terms(model)

@@ -96,6 +96,12 @@ class Model:
     def objective(self, data: Trajectories) -> float:
         return float(data.importance @ self.error)
 
+    def bone_masses(self) -> Array:
+        """(B,) Σ_i w_ij² of each bone: how much its motion counts."""
+        squares = (self.weights**2).ravel()
+        sums = np.bincount(self.indices.ravel(), weights=squares, minlength=self.n_bones)
+        return np.asarray(sums, dtype=np.float64)
+
     def restart_support(self) -> None:
         """Let the unpruned support restart from the weights that were kept."""
         k = self.n_influences

@@ -10,8 +10,8 @@ import numpy as np
 from ..kernels.lbs import squared_error_range
 from ..sequence import MeshSequence
 from .alternation import bone_costs, bone_step, vertex_step
+from .gauss_newton import GaussNewton
 from .model import Model
-from .polish import Polish
 from .trajectories import gather
 
 __all__ = ["compile_kernels"]
@@ -43,7 +43,7 @@ def compile_kernels() -> float:
         1,
         np.zeros(data.n_vertices),
     )
-    Polish(data, model).step(entering=1)
+    GaussNewton(data, model).step(entering=1)
     _ready = True
     seconds = time.perf_counter() - began
     _logger.info("kernels ready after %.2f s", seconds)

@@ -1,4 +1,4 @@
-"""Where skin meets, by loops, and joints that are drawn there."""
+"""The objective and its penalty on joints away from where skin meets."""
 
 from __future__ import annotations
 
@@ -12,12 +12,19 @@ from helpers import motions
 from helpers.measures import diagonal
 from ssdr.hierarchy.tree import Tree
 from ssdr.joints.placement import hang
-from ssdr.solver.chain_polish import ChainPolish
+from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Fixed, Model
-from ssdr.solver.skin_contact import PULL, judged, meeting_points, stray
+from ssdr.solver.objective import Objective, joint_offsets, mean_joint_penalty, meeting_points
 from ssdr.solver.trajectories import gather
 
 NEAR = Fixed(near_skin=True)
+
+
+class Smoothness:
+    """A penalty of 3."""
+
+    def penalty(self, _: Model) -> float:
+        return 3.0
 
 
 def _model(rng: np.random.Generator, frames: int = 6):
@@ -55,66 +62,74 @@ def _by_loops(model: Model) -> tuple[np.ndarray, np.ndarray]:
     return points, apart
 
 
-def test_meeting_points_against_loops(rng: np.random.Generator) -> None:
+def _penalty(model: Model) -> float:
+    """Mean of d² + d⁴ of the joints, by loops."""
+    points, apart = _by_loops(model)
+    terms = []
+    for b, a in enumerate(model.tree.parents):
+        if a >= 0:
+            squared = ((model.tree.points[b] - points[b]) ** 2).sum() + apart[b] ** 2
+            terms.append(squared + squared**2)
+    return float(np.mean(terms))
+
+
+def test_meeting_points_and_offsets_against_loops(rng: np.random.Generator) -> None:
     _, model = _model(rng)
     points, apart = meeting_points(model)
     want = _by_loops(model)
     np.testing.assert_allclose(points, want[0], atol=1e-12)
     np.testing.assert_allclose(apart, want[1], atol=1e-12)
     assert apart[3] == 0.0  # it moves nothing
+    offsets, squared = joint_offsets(model)
+    np.testing.assert_allclose(offsets, model.tree.points - points, atol=1e-12)
+    assert mean_joint_penalty(squared[1:]) == pytest.approx(_penalty(model))
+    assert mean_joint_penalty(squared[:0]) == 0
 
 
-def test_the_objective_grows_with_the_distance(rng: np.random.Generator) -> None:
+def test_the_objective_is_error_times_penalty_plus_smoothness(rng: np.random.Generator) -> None:
     data, model = _model(rng)
-    assert judged(data, model, FREE) == model.objective(data)
-    at_skin = dataclasses.replace(model.tree, points=meeting_points(model)[0])
-    there = dataclasses.replace(model, tree=at_skin)
-    assert stray(there) < stray(model)
-    away = dataclasses.replace(model, tree=dataclasses.replace(at_skin, points=at_skin.points + 1))
-    grown = stray(away) - stray(there)
-    apart = meeting_points(there)[1][1:3] ** 2  # of three joints one is where it should be
-    want = ((3.0 + apart) * (4.0 + apart) - apart * (1.0 + apart)).sum() / 3
-    assert grown == pytest.approx(want)
-    assert judged(data, away, NEAR) == pytest.approx(
-        model.objective(data) * (1 + PULL * stray(away))
-    )
+    error = float((data.importance * model.error).sum())
+    assert Objective().value(data, model) == pytest.approx(error)
+    want = error * (1 + _penalty(model))
+    assert Objective(NEAR).value(data, model) == pytest.approx(want)
+    assert Objective(NEAR, Smoothness()).value(data, model) == pytest.approx(want + 3)
+    alone = dataclasses.replace(model, tree=None)
+    assert Objective(NEAR).value(data, alone) == pytest.approx(error)
+    away = dataclasses.replace(model.tree, points=model.tree.points + 1)
+    assert Objective(NEAR).value(data, dataclasses.replace(model, tree=away)) > want
 
 
-def test_steps_lower_what_is_judged(rng: np.random.Generator) -> None:
+def test_steps_lower_the_objective(rng: np.random.Generator) -> None:
     data, model = _model(rng, frames=12)
-    polish = ChainPolish(data, model, fixed=NEAR)
-    assert polish.value == pytest.approx(judged(data, model, NEAR), rel=1e-9)
-    before, accepted = polish.value, 0
+    newton = GaussNewton(data, model, fixed=NEAR)
+    value = newton.value
+    accepted = 0
     for _ in range(8):
-        accepted += polish.step(entering=1)
-        assert polish.value <= before
-        before = polish.value
+        accepted += newton.step(entering=1)
+        assert newton.value <= value
+        value = newton.value
+        assert value == pytest.approx(Objective(NEAR).value(data, model), rel=1e-9)
     assert accepted
-    assert polish.value == pytest.approx(judged(data, model, NEAR), rel=1e-9)
 
 
-def test_the_spring_is_the_derivative(rng: np.random.Generator) -> None:
+def test_the_quadratic_model_has_the_derivative_of_the_penalty(rng: np.random.Generator) -> None:
+    """By one joint at a time, the error and the meeting points as they are."""
     data, model = _model(rng)
-    polish = ChainPolish(data, model, fixed=NEAR)
-    with ssdr.parallel.serial_blas():
-        polish._solve()
-    # of PULL φ P / factor by one joint, the error and the meeting points as they are
-    tree, h = model.tree, 1e-5
-    meet, apart = meeting_points(model)
-
-    def spread(points: np.ndarray) -> float:
-        hung = tree.hung
-        squared = ((points - meet)[hung] ** 2).sum(axis=1) + apart[hung] ** 2
-        return float((squared + squared**2).mean())
-
-    factor = 1 + PULL * stray(model)
-    for k, joint in enumerate(polish.movable):
+    tree, h, joints = model.tree, 1e-5, model.tree.hung
+    found = Objective(NEAR).joint_penalty(data, model, joints)
+    assert found.factor == pytest.approx(1 + _penalty(model))
+    for k, joint in enumerate(joints):
         for d in range(3):
-            up, down = tree.points.copy(), tree.points.copy()
-            up[joint, d] += h
-            down[joint, d] -= h
-            slope = PULL * model.objective(data) * (spread(up) - spread(down)) / (2 * h) / factor
-            assert polish._spring[k, 0] * polish._away[k, d] == pytest.approx(0.5 * slope, rel=1e-5)
+            ends = []
+            for sign in (h, -h):
+                points = tree.points.copy()
+                points[joint, d] += sign
+                moved = dataclasses.replace(tree, points=points)
+                ends.append(Objective(NEAR).value(data, dataclasses.replace(model, tree=moved)))
+            slope = (ends[0] - ends[1]) / (2 * h)
+            want = 2 * found.factor * found.stiffness[k, 0] * found.offsets[k, d]
+            assert want == pytest.approx(slope, rel=1e-5)
+    assert (Objective().joint_penalty(data, model, joints).stiffness == 0).all()
 
 
 def test_a_hinge_has_its_joint_where_skin_meets() -> None:
