@@ -1,8 +1,7 @@
-"""Affine bones: all of all frames by one linear solve, and what keeps them sane.
+"""Affine transforms of all bones by one linear solve, and bounds that keep them invertible.
 
-With weights and rest pose given, the error of a frame is a quadratic in the
-stacked transforms whose matrix U is the same for every frame and coordinate:
-one Cholesky factor serves them all.
+With weights and rest pose given, the error of a frame is a quadratic in the stacked transforms
+whose matrix U is the same for every frame and axis: one Cholesky factor serves them all.
 """
 
 from __future__ import annotations
@@ -14,40 +13,42 @@ from scipy.linalg import cho_factor, cho_solve
 from ..kernels.bones import LARGEST, SMALLEST, SPECK
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..rigid import nearest_rotation
+from .moments import flat_blocks
+from .trajectories import Array, stack_transforms, unstack_transforms
 
-__all__ = ["PATCH_RIDGE", "admissible", "flat_blocks", "leap_rigid", "ridge_blocks", "solve_affine"]
+__all__ = [
+    "PATCH_RIDGE",
+    "admissible",
+    "flat_diagonal",
+    "leap_rigid",
+    "ridge_blocks",
+    "solve_affine",
+]
 
-Array = NDArray[np.float64]
-
-PATCH_RIDGE = 0.1  # for a first guess: few vertices, and they may lie in a plane
-_RIDGE = 1e-4  # of a bone's own spread
+PATCH_RIDGE = 0.1  # for a first guess, from few vertices that may lie in a plane
+_RIDGE = 1e-4
 _LEAP_RIDGE, _LEAPS = 1e-3, 2
-_SWEEPS = 2  # Gauss–Seidel passes over the bones in a step: more are slower and settle further
-_HALVINGS = (
-    10  # of a move that is not admissible, to 1/512 of it; if that is not either, the bone stays
-)
+_SWEEPS = 2  # Gauss–Seidel passes over the bones: more take longer and converge further
+_HALVINGS = 10  # of an inadmissible move; a bone whose move is still inadmissible stays
 
 
 def admissible(old: Array, new: Array) -> NDArray[np.bool_]:
-    """Whether bones (..., 3, 4) may go from old to new: not inside out, not flat, not huge."""
+    """Whether bones (..., 3, 4) may go from old to new: not reflected, flat or too large.
+
+    A bone that is flatter or larger than the bounds may not go further beyond them.
+    """
     a, b = old[..., :3], new[..., :3]
     upright = np.linalg.det(b) >= np.minimum(np.linalg.det(a), SMALLEST**3)
     size, most = (b * b).sum(axis=(-2, -1)), 3 * LARGEST**2
     return np.asarray(upright & (size <= np.maximum((a * a).sum(axis=(-2, -1)), most)))
 
 
-def flat_blocks(u: Array) -> Array:
-    """(B, B, 4, 4) blocks as a (4B, 4B) matrix, components first, as transforms are stacked."""
-    n = len(u)
-    return np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)
+def ridge_blocks(u: Array, ridge: float) -> Array:
+    """Metrics (B, 4, 4) of a change δM = [δL, δT] of each bone, for a ridge penalty.
 
-
-def ridge_blocks(u: Array, ridge: float = _RIDGE) -> Array:
-    """(B, 4, 4) metric of a change of each bone: Σ w² (ridge · spread |δL|² + ridge |δM c̃|²).
-
-    c is the centroid of what the bone moves and the spread its mean squared extent
-    in a direction, so that the ridge is small against every direction that the
-    vertices determine and decides only in those that they do not.
+    The penalty is Σ_i w_i² · ridge · (spread |δL|² + |δM c̃|²): c is the centroid of the vertices
+    that the bone moves, spread their mean squared extent in a direction.  It is small against the
+    error in every direction that the vertices determine, and decides only the others.
     """
     n = len(u)
     own = u[np.arange(n), np.arange(n)]
@@ -60,45 +61,55 @@ def ridge_blocks(u: Array, ridge: float = _RIDGE) -> Array:
     return np.asarray(out * mass[:, None, None])
 
 
+def flat_diagonal(blocks: Array) -> Array:
+    """Blocks (B, 4, 4) on the diagonal of a matrix (4B, 4B), as :func:`flat_blocks`."""
+    n = len(blocks)
+    full = np.zeros((n, n, 4, 4))
+    full[np.arange(n), np.arange(n)] = blocks
+    return flat_blocks(full)
+
+
 def solve_affine(
     transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_], *, ridge: float = _RIDGE
 ) -> None:
-    """Least-squares affine transforms (F, B, 3, 4) of all frames (in place); no error rises.
+    """Fit affine transforms (F, B, 3, 4) to all frames by least squares (in place).
 
-    u (B, B, 4, 4) and c (F, 3, 4, B) are those of ``bone_sums``.  A ridge towards
-    the present transforms decides what vertices in a plane, on a line or too few
-    of them leave open.  Where a bone would turn inside out, or stretch beyond
-    measure, its frame is swept bone by bone, each going as far towards its own
-    optimum as it may.
+    No frame's error rises.  A ridge towards the present transforms decides what vertices leave
+    open that lie in a plane or on a line or are too few.  Where a bone would become inadmissible,
+    the bones of its frame are solved one by one, each going as far towards its optimum as it may.
+
+    Parameters
+    ----------
+    u : (B, B, 4, 4) array
+    c : (F, 3, 4, B) array
+        Both as :func:`~ssdr.solver.moments.bone_sums` returns them.
+    locked : (B,) bool array
+    ridge : float
+        Strength of the ridge, as in :func:`ridge_blocks`.
     """
-    n_frames, n_bones = transforms.shape[:2]
     free = np.tile(~locked, 4)
     if not free.any():
         return
     flat = flat_blocks(u)
-    extra = np.zeros_like(u)
-    extra[np.arange(n_bones), np.arange(n_bones)] = ridge_blocks(u, ridge)
-    metric = flat + flat_blocks(extra)
-    old = np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(3 * n_frames, 4 * n_bones)
-    new = old.copy()
+    metric = flat + flat_diagonal(ridge_blocks(u, ridge))
+    old = stack_transforms(transforms)
     with serial_blas():
-        slope = (c.reshape(old.shape) - old @ flat)[:, free]
-        new[:, free] += _solved(metric[np.ix_(free, free)], slope.T).T
-    found = new.reshape(n_frames, 3, 4, n_bones).transpose(0, 3, 1, 2)
+        slope = c.reshape(old.shape) - old @ flat
+        found = _optimum(metric[np.ix_(free, free)], old, slope, free)
     bad = ~admissible(transforms, found).all(axis=1)
     transforms[~bad] = found[~bad]
     if bad.any():
         some = np.ascontiguousarray(transforms[bad])
-        _sweep_guarded(some, flat, metric, c[bad], locked)
+        _sweep_admissible(some, flat, metric, c[bad], locked)
         transforms[bad] = some
 
 
 def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
-    """The rotations nearest to the affine optimum, frame by frame where they pay (in place).
+    """Move rigid bones to the rotations nearest to the affine optimum, where that pays (in place).
 
-    Sweeps take many rounds to carry a bone far along with its neighbours; this goes
-    there at once, from sums as in :func:`solve_affine`.  What it leaves to rotations
-    is for sweeps to settle.
+    Gauss–Seidel sweeps take many rounds to carry a bone far together with its neighbours; a leap
+    moves all bones of a frame at once.  A frame whose error would rise stays.  Parameters are
+    those of :func:`solve_affine`.
     """
     n_frames, n_bones = transforms.shape[:2]
     free = np.tile(~locked, 4)
@@ -106,30 +117,23 @@ def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_])
         return
     index = np.arange(n_bones)
     flat = flat_blocks(u)
-    extra = np.zeros_like(u)
-    extra[index, index] = ridge_blocks(u, _LEAP_RIDGE)
-    metric = (flat + flat_blocks(extra))[np.ix_(free, free)]
+    metric = (flat + flat_diagonal(ridge_blocks(u, _LEAP_RIDGE)))[np.ix_(free, free)]
     mass = np.maximum(u[index, index, 3, 3], 1e-300)
     centre = u[index, index, :3, 3] / mass[:, None]
 
-    def stacked(m: Array) -> Array:
-        return np.ascontiguousarray(m.transpose(0, 2, 3, 1)).reshape(3 * len(m), 4 * n_bones)
-
     def work(_: int, i: int, k: int) -> None:
         for _round in range(_LEAPS):
-            old, target = stacked(transforms[i:k]), c[i:k].reshape(-1, 4 * n_bones)
-            pulled = old @ flat
-            new = old.copy()
-            new[:, free] += _solved(metric, (target - pulled)[:, free].T).T
-            found = new.reshape(k - i, 3, 4, n_bones).transpose(0, 3, 1, 2)
+            old, target = stack_transforms(transforms[i:k]), c[i:k].reshape(-1, 4 * n_bones)
+            product = old @ flat
+            found = _optimum(metric, old, target - product, free)
             near = transforms[i:k].copy()
             rotation = nearest_rotation(found[:, ~locked, :, :3])
             moved = found[:, ~locked] - np.pad(rotation, [(0, 0), (0, 0), (0, 0), (0, 1)])
             shift = np.einsum("tjab,jb->tja", moved[..., :3], centre[~locked]) + moved[..., 3]
             near[:, ~locked] = np.concatenate([rotation, shift[..., None]], axis=-1)
-            hat = stacked(near)
-            before = (old * (pulled - 2 * target)).reshape(k - i, -1).sum(axis=1)
-            after = (hat * (hat @ flat - 2 * target)).reshape(k - i, -1).sum(axis=1)
+            new = stack_transforms(near)
+            before = (old * (product - 2 * target)).reshape(k - i, -1).sum(axis=1)
+            after = (new * (new @ flat - 2 * target)).reshape(k - i, -1).sum(axis=1)
             better = after < before
             transforms[i:k][better] = near[better]
 
@@ -137,32 +141,40 @@ def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_])
         run_chunks(work, chunk_bounds(n_frames, 32))
 
 
+def _optimum(metric: Array, old: Array, slope: Array, free: NDArray[np.bool_]) -> Array:
+    """Least-squares transforms (F, B, 3, 4) from stacked ones, in the free columns."""
+    new = old.copy()
+    new[:, free] += _solved(metric, slope[:, free].T).T
+    return unstack_transforms(new, old.shape[1] // 4)
+
+
 def _solved(metric: Array, slope: Array) -> Array:
     try:
         return np.asarray(cho_solve(cho_factor(metric, lower=True), slope))
     except np.linalg.LinAlgError:
-        # bones as far away as numbers reach: what is lost in rounding stays as it is
+        # rounding at bones very far away has made it indefinite: move along the rest alone
         return np.asarray(np.linalg.pinv(metric, hermitian=True) @ slope)
 
 
-def _sweep_guarded(
+def _sweep_admissible(
     transforms: Array, flat: Array, metric: Array, c: Array, locked: NDArray[np.bool_]
 ) -> None:
+    """Solve bone by bone (in place), each as far towards its optimum as is admissible."""
     n_frames, n_bones = transforms.shape[:2]
-    hat = np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(n_frames, 3, 4 * n_bones)
-    target = c.reshape(hat.shape)
+    stacked = stack_transforms(transforms).reshape(n_frames, 3, 4 * n_bones)
+    target = c.reshape(stacked.shape)
     for _ in range(_SWEEPS):
         for j in np.flatnonzero(~locked):
             mine = np.arange(4) * n_bones + j
-            slope = target[..., mine] - hat @ flat[:, mine]
+            slope = target[..., mine] - stacked @ flat[:, mine]
             step = _solved(metric[np.ix_(mine, mine)], slope.reshape(-1, 4).T).T
             step = step.reshape(n_frames, 3, 4)
-            now = hat[..., mine]
+            now = stacked[..., mine]
             for _ in range(_HALVINGS):
                 moved = now + step
                 over = ~admissible(now, moved)
                 if not over.any():
                     break
                 step[over] *= 0.5
-            hat[..., mine] = np.where(over[:, None, None], now, moved)
-    transforms[:] = hat.reshape(n_frames, 3, 4, n_bones).transpose(0, 3, 1, 2)
+            stacked[..., mine] = np.where(over[:, None, None], now, moved)
+    transforms[:] = unstack_transforms(stacked, n_bones)

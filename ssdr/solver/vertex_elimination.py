@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from ..kernels.schur import apply_vertex_step, schur_vertices
 from ..parallel import chunk_bounds, run_chunks
-from .affine import flat_blocks
 from .dense import cross_product, product
 from .model import CHUNK, Fixed, Model
-from .moments import bone_sums
+from .moments import bone_sums, flat_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
 

@@ -1,4 +1,4 @@
-"""Kernels made ready before the clock starts: loaded from the cache on disk, or compiled."""
+"""Loading or compiling of all kernels before a solve's time is measured."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ready = False
 
 
 def compile_kernels() -> float:
-    """Load or compile every kernel on a toy problem, once a process; seconds that it took."""
+    """Load from disk or compile every kernel, once a process; seconds that it took."""
     global _ready
     if _ready:
         return 0.0
