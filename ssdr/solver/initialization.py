@@ -1,4 +1,4 @@
-"""First bones: patches of vertices, fitted one by one, of which the few are chosen that fit best."""
+"""First bones: patches of vertices, each with a bone fitted to it, of which the best are chosen."""
 
 from __future__ import annotations
 
@@ -141,7 +141,9 @@ def single_bone_errors(
     return np.maximum(out, 0.0, out=out), positions
 
 
-def choose(cost: Array, importance: Array, count: int, held: Array | None = None) -> list[int]:
+def facility_location(
+    cost: Array, importance: Array, count: int, held: Array | None = None
+) -> list[int]:
     """Greedy facility location: columns that lower Σ_i u_i min_j cost_ij most, one by one.
 
     `held` (n,) is the least cost of bones that are given.
@@ -229,7 +231,7 @@ def start_model(
         held = None
         if n_given:
             held = single_bone_errors(data, rest, kept, rows)[0].min(axis=1)
-        chosen = choose(cost, data.importance[rows], bones - n_given, held)
+        chosen = facility_location(cost, data.importance[rows], bones - n_given, held)
         # repeated where there are fewer patches than bones
         kept = np.concatenate([kept, patches[:, np.resize(chosen, bones - n_given)]], axis=1)
     kept = np.ascontiguousarray(kept)
