@@ -8,7 +8,7 @@ from scipy.linalg import lapack
 from ..parallel import chunk_bounds, run_chunks
 from .trajectories import Array
 
-__all__ = ["cross_product", "grouped_product", "inverse_of", "product"]
+__all__ = ["cross_product", "inverse_of", "product"]
 
 # Rows of a piece and multiplications, at least: small pieces are slow, and to hand them out costs
 # more than it saves.
@@ -26,19 +26,6 @@ def product(left: Array, right: Array) -> Array:
 def cross_product(left: Array, right: Array) -> Array:
     """leftᵀ @ right, pieces of columns in parallel: no sum is split."""
     return product(right.T, left).T
-
-
-def grouped_product(left: Array, groups: list[tuple[int, int]], right: list[Array]) -> Array:
-    """Groups of rows of left, by their bounds, each times its own matrix."""
-    out = np.empty((len(left), right[0].shape[1]))
-    each = left.size * right[0].shape[1] // len(groups)
-
-    def multiply(_: int, first: int, last: int) -> None:
-        for (i, k), matrix in zip(groups[first:last], right[first:last], strict=True):
-            np.matmul(left[i:k], matrix, out=out[i:k])
-
-    run_chunks(multiply, chunk_bounds(len(groups), -(-_MULTIPLICATIONS // max(1, each))))
-    return out
 
 
 def inverse_of(matrix: Array) -> Array:

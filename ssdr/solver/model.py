@@ -12,10 +12,7 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = [
-    "Fixed",
-    "Model",
-]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Fixed", "Model", "pad_influences"]
 
 # Bones that the weights of a vertex are solved on, from step to step, of which the K largest are
 # the model's: more than K, so that a bone can come back, and few enough for a small dense solve.
@@ -71,11 +68,7 @@ class Model:
 
     def vertices(self, chosen: NDArray[np.intp]) -> Model:
         """A copy with the chosen vertices and all bones."""
-        arrays = {
-            name: np.ascontiguousarray(getattr(self, name)[chosen])
-            for name in ARRAYS
-            if name != "transforms"
-        }
+        arrays = {k: np.ascontiguousarray(getattr(self, k)[chosen]) for k in ARRAYS[1:]}
         return Model(transforms=self.transforms.copy(), **arrays, tree=self.tree)
 
     @staticmethod
@@ -83,24 +76,20 @@ class Model:
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
     ) -> Model:
         """A model whose vertices each follow the bone that `label` (V,) names, with K slots."""
-        n = len(rest)
-        slots = max(SLOTS, influences)
-        support = np.zeros((n, slots), dtype=np.int32)
-        support_weights = np.zeros((n, slots))
-        indices = np.zeros((n, influences), dtype=np.int32)
-        weights = np.zeros((n, influences))
-        support[:, 0] = indices[:, 0] = label
-        support_weights[:, 0] = weights[:, 0] = 1.0
-        return Model(
+        n, slots = len(rest), max(SLOTS, influences)
+        model = Model(
             transforms=transforms,
             rest=rest.copy(),
-            support=support,
-            support_weights=support_weights,
+            support=np.zeros((n, slots), dtype=np.int32),
+            support_weights=np.zeros((n, slots)),
             count=np.ones(n, dtype=np.int32),
-            indices=indices,
-            weights=weights,
+            indices=np.zeros((n, influences), dtype=np.int32),
+            weights=np.zeros((n, influences)),
             error=np.full(n, np.inf),
         )
+        model.indices[:, 0], model.weights[:, 0] = label, 1.0
+        model.restart_support()
+        return model
 
     @staticmethod
     def with_weights(
@@ -160,17 +149,13 @@ class Model:
             lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
             weights = np.where(lost[:, None], weights / total, weights)
         padding = ((0, 0), (0, max(0, count - k)))
-        wide = ((0, 0), (0, max(0, count - self.support.shape[1])))
-        model = Model(
-            transforms=self.transforms.copy(),
-            rest=self.rest.copy(),
-            support=np.pad(self.support, wide),
-            support_weights=np.pad(self.support_weights, wide),
-            count=self.count.copy(),
+        size = len(self.rest), max(self.support.shape[1], count)
+        model = dataclasses.replace(
+            self.copy(),
+            support=np.zeros(size, dtype=np.int32),
+            support_weights=np.zeros(size),
             indices=np.ascontiguousarray(np.pad(indices, padding)),
             weights=np.ascontiguousarray(np.pad(weights, padding)),
-            error=self.error.copy(),
-            tree=self.tree,
         )
         model.restart_support()
         return model
@@ -194,28 +179,27 @@ class Model:
         support[support_weights <= 0] = 0
         k = self.n_influences
         weights = support_weights[:, :k] / support_weights[:, :k].sum(axis=1, keepdims=True)
-        return Model(
+        return dataclasses.replace(
+            self.copy(),
             transforms=np.ascontiguousarray(self.transforms[:, keep]),
-            rest=self.rest.copy(),
             support=np.ascontiguousarray(support, dtype=np.int32),
             support_weights=support_weights,
             count=count,
             # a copy even where it is all of the support, since steps write to both
             indices=np.array(support[:, :k], dtype=np.int32, order="C"),
             weights=weights,
-            error=self.error.copy(),
+            tree=None,
         )
 
     def with_bone(self, transform: Array) -> Model:
         """A copy with one more bone (F, 3, 4), which no vertex uses yet, and without a tree."""
-        grown = dataclasses.replace(self.copy(), tree=None)
-        grown.transforms = np.ascontiguousarray(
-            np.concatenate([self.transforms, transform[:, None]], axis=1)
+        transforms = np.concatenate([self.transforms, transform[:, None]], axis=1)
+        return dataclasses.replace(
+            self.copy(), transforms=np.ascontiguousarray(transforms), tree=None
         )
-        return grown
 
 
-ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")
+ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  # transforms first
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...kernels.schur import move_bones, tangent_image, tangent_pullback
 from ...parallel import chunk_bounds, run_chunks
 from ..conjugate_gradients import Operator
-from ..dense import grouped_product, inverse_of
+from ..dense import inverse_of
 from ..model import Model
 from ..trajectories import Array, Trajectories
 from .tangent import Tangent
@@ -108,7 +108,9 @@ def precondition_by_groups(
 
     def precondition(r: Array) -> Array:
         flat = r.reshape(n_frames, size) / frame_weight[:, None]
-        out = grouped_product(flat, groups, inverses).reshape(r.shape)
+        out = np.empty_like(flat)
+        run_chunks(lambda g, i, k: np.matmul(flat[i:k], inverses[g], out=out[i:k]), groups)
+        out = out.reshape(r.shape)
         out[:, locked] = 0.0
         return out
 

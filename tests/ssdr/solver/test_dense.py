@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.solver.dense import cross_product, grouped_product, inverse_of, product
+from ssdr.solver.dense import cross_product, inverse_of, product
 
 
 @pytest.mark.parametrize("rows", [1, 95, 96, 300])
@@ -36,17 +36,6 @@ def test_products_keep_single_precision(rng: np.random.Generator) -> None:
     ):
         assert got.dtype == np.float32
         np.testing.assert_allclose(got, want, atol=1e-5)
-
-
-@pytest.mark.parametrize("size", [6, 150])
-def test_groups_of_rows_each_with_a_matrix_of_its_own(rng: np.random.Generator, size: int) -> None:
-    groups = [(0, 70), (70, 140), (140, 173)]
-    left, right = (
-        rng.standard_normal((173, size)),
-        [rng.standard_normal((size, size)) for _ in "abc"],
-    )
-    want = np.concatenate([left[i:k] @ m for (i, k), m in zip(groups, right, strict=True)])
-    np.testing.assert_array_equal(grouped_product(left, groups, right), want)
 
 
 def test_an_inverse_is_symmetric_and_one_that_rounding_made_indefinite_is_found(
