@@ -219,7 +219,7 @@ def decompose(
         tolerance_of=tolerance_of,
     )
     streamed = needs_streaming(problem.sequences)
-    if streamed and problem.fixed.turns is not None:
+    if streamed and problem.fixed.rotations is not None:
         raise InputError("locked_joints", "None for frames that are streamed", repr(locked_joints))
     if problem.callback is not None and not streamed:
         problem = problem.detached()

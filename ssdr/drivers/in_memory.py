@@ -21,15 +21,15 @@ from ..frames.executor import Executor
 from ..hierarchy.tree import Tree
 from ..joints.changes import loss_of_bones
 from ..joints.mirror import mirror_of, side_names
-from ..joints.placement import settled, spanning_tree
+from ..joints.placement import refit_joints, spanning_tree
 from ..search.prescribed import Prescribed
 from ..search.progress import Clock, Record, Reporter
 from ..search.run import Run
 from ..search.state import SolverState, check_settings, check_size, taking_up, whole
 from ..skinning import Skinning
 from ..solver.alternation import bone_costs
-from ..solver.bone_models import normalise_gauge
-from ..solver.model import Model, pad_influences
+from ..solver.gauge import normalise_gauge
+from ..solver.model import Model
 from ..solver.trajectories import Alignment, Trajectories
 from .problem import Problem
 from .schedule import fingerprint, schedule_for
@@ -221,7 +221,7 @@ def idle_bones(run: Run) -> int:
     else:
         costs = np.array([loss.cost for loss in loss_of_bones(run.whole, wide)])
         # a joint that was asked not to turn says nothing of how many bones there are
-        costs[[j for j, _, _ in run.asked.kept_turns(wide.tree)]] = np.inf
+        costs[[j for j, _, _ in run.asked.kept_rotations(wide.tree)]] = np.inf
     return int((costs <= _NO_LOSS * energy).sum())
 
 
@@ -241,7 +241,8 @@ def outcome_of(
 
     `records` hold squared errors in the solver's space.
     """
-    indices, weights = pad_influences(model, problem.influences)
+    padded = model.with_influences(problem.influences)
+    indices, weights = padded.indices, padded.weights
     indices, weights = indices.copy(), weights.copy()  # the state has its own
     if problem.fixed.bone_model != "rigid":
         model = model.copy()  # the state has its own, so that resuming ends on the same bits
@@ -284,7 +285,7 @@ def hierarchy_of(problem: Problem, model: Model, alignment: Alignment) -> Tree |
     if problem.hierarchy != "loose":
         return model.tree
     skeleton = problem.prescribed.inside(alignment).skeleton
-    return spanning_tree(model, by_gap=True) if skeleton is None else settled(model, skeleton)
+    return spanning_tree(model, by_gap=True) if skeleton is None else refit_joints(model, skeleton)
 
 
 def with_tree(

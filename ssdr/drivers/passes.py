@@ -18,7 +18,7 @@ from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
-from ..solver.bone_models import fit_motion
+from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
@@ -141,7 +141,7 @@ class AllFrames:
             span = slice(*spans[k])
             return (
                 self.alignment.centre[span],
-                self.alignment.turn[span],
+                self.alignment.rotation[span],
                 self.frame_scale[span],
                 model.transforms[span],
             )
@@ -197,7 +197,7 @@ def _pass_span(
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
     digests = np.empty((len(frames), BYTES), dtype=np.uint8)
-    alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
+    alignment = Alignment(centre=centre, rotation=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         digests[start:stop] = of_block(block)
@@ -212,9 +212,8 @@ def _pass_span(
             importance=shared.importance,
             frame_scale=frame_scale[start:stop],
             centre=centre[start:stop],
-            turn=turn[start:stop],
+            rotation=turn[start:stop],
             scale=shared.scale,
-            lost=0.0,
         )
         piece = Model(
             transforms=transforms[start:stop],
@@ -229,7 +228,7 @@ def _pass_span(
         )
         fit_motion(part, piece, fixed=shared.fixed, sweeps=_SWEEPS, leaps=shared.leaps)
         transforms[start:stop] = piece.transforms
-        hat = part.hat(piece.transforms)
+        hat = part.stack(piece.transforms)
         g += hat.T @ hat
 
         def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:

@@ -278,7 +278,7 @@ def check_problem(
         bone_model=bone_model,
         joints=skeleton is not None and rest is not None,
         near_skin=hierarchy == "rigid" and skeleton is None,
-        turns=prescribed.turns,
+        rotations=prescribed.turns,
     )
     problem = Problem(
         sequences=sequences,

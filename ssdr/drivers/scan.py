@@ -18,7 +18,7 @@ from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.initialization import farthest_points
-from ..solver.trajectories import Alignment, Array, centred, scale_of, turn_onto
+from ..solver.trajectories import Alignment, Array, centred, rotations_onto, scale_of
 
 __all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 
@@ -66,7 +66,7 @@ class Scan:
         a = self.alignment
         return {
             "centre": a.centre,
-            "turn": a.turn,
+            "turn": a.rotation,
             "scale": np.array(a.scale),
             "chosen": self.chosen,
             "nearest": self.nearest,
@@ -100,7 +100,7 @@ class Scan:
         if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
             raise ValueError("a frame is named that is not there")
         return Scan(
-            alignment=Alignment(centre=centre, turn=turn, scale=scale),
+            alignment=Alignment(centre=centre, rotation=turn, scale=scale),
             chosen=chosen,
             nearest=nearest,
             digests=digests,
@@ -165,7 +165,7 @@ def scan(
     where[chosen] = np.arange(len(chosen))
     scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
     return Scan(
-        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        alignment=Alignment(centre=centre, rotation=turn, scale=scale),
         chosen=chosen,
         nearest=where.astype(np.int64),
         digests=digests,
@@ -190,7 +190,7 @@ def _scan_span(
             for t in range(i, k):
                 digests[start + t] = of_frame(block[t])
             here, centre[start + i : start + k] = centred(block[i:k], weight)
-            turned = turn_onto(here, first, weight)
+            turned = rotations_onto(here, first, weight)
             turn[start + i : start + k] = turned
             seen = np.matmul(here[:, probes], turned)
             features[start + i : start + k] = seen.reshape(k - i, -1)

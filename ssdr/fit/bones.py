@@ -23,12 +23,11 @@ from ..errors import InputError
 from ..frames.error import squared_error
 from ..sequence import MeshSequence
 from ..skinning import BoneModel
-from ..solver.affine import flat_blocks
 from ..solver.alternation import bone_step
-from ..solver.bone_models import polish_of
-from ..solver.initialization import bones_of_weights
+from ..solver.gauss_newton import GaussNewton
+from ..solver.initialization import fit_patches
 from ..solver.model import Fixed, Model
-from ..solver.moments import bone_sums
+from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
 
 __all__ = ["BoneFit", "fit_bones"]
@@ -171,7 +170,7 @@ def fit_bones(
     if start is None:
         if bone_model == "affine":
             kinds = ["rigid", "affine"]
-        start = bones_of_weights(data, inner, indices, count, kinds[0])
+        start = fit_patches(data, inner, indices[:, 0].astype(np.intp), count, kinds[0])
     model = Model.start(start, inner, indices[:, 0], indices.shape[1])
     model.indices, model.weights = indices.copy(), weights.copy()
     sweeps = 0
@@ -215,7 +214,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
     Where bones overlap widely, a frame's own start now and then leads nowhere.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
-    flat = flat_blocks(u)
+    flat = stack_blocks(u)
     energy = np.array(
         [
             float((data.importance * (data.frame(t) ** 2).sum(axis=1)).sum())
@@ -225,7 +224,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
 
     def error(transforms: Array) -> Array:
         """(F,) squared error."""
-        hat = data.hat(transforms).reshape(data.n_frames, 3, -1)
+        hat = data.stack(transforms).reshape(data.n_frames, 3, -1)
         told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + told
 
@@ -253,6 +252,6 @@ def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: floa
 
     Sweeps alone take hundreds of rounds where bones overlap widely.
     """
-    polish = polish_of(data, model, fixed=fixed, damping=damping)
+    polish = GaussNewton(data, model, fixed=fixed, damping=damping)
     polish.step()
     return polish.damping

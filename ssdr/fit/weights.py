@@ -20,7 +20,7 @@ from ..sequence import MeshSequence
 from ..skinning import BoneModel
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
-from ..solver.model import Fixed, Model, pad_influences
+from ..solver.model import Fixed, Model
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import gather
 from ..solver.vertex_newton import optimise_vertices
@@ -137,7 +137,8 @@ def fit_weights(
             pull, stiff = smooth.terms(model)
             vertex_step(data, model, fixed=fixed, pull=pull, stiff=stiff)
     squared = model.error * data.scale**2
-    indices, weights = pad_influences(model, k)
+    padded = model.with_influences(k)
+    indices, weights = padded.indices, padded.weights
     return WeightFit(
         indices=indices,
         weights=weights,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .transforms import parents_first
 
-__all__ = ["Tree", "rooted"]
+__all__ = ["Tree", "root_at_centroids"]
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Tree:
         return np.flatnonzero(self.parents < 0)
 
     @property
-    def hung(self) -> NDArray[np.intp]:
+    def non_roots(self) -> NDArray[np.intp]:
         """Bones with a parent."""
         return np.flatnonzero(self.parents >= 0)
 
@@ -56,7 +56,7 @@ class Tree:
         """Joint of two neighbours."""
         return np.asarray(self.points[a if self.parents[a] == b else b])
 
-    def beyond(self, values: Array) -> Array:
+    def subtree_sums(self, values: Array) -> Array:
         """Sums (B,) of values over the subtree of each bone."""
         total = values.copy()
         for bone in self.order[::-1]:
@@ -64,7 +64,7 @@ class Tree:
                 total[self.parents[bone]] += total[bone]
         return total
 
-    def part(self, bone: int) -> list[int]:
+    def subtree(self, bone: int) -> list[int]:
         """The bone and its descendants."""
         inside = {bone}
         for k in self.order.tolist():
@@ -72,13 +72,13 @@ class Tree:
                 inside.add(k)
         return sorted(inside)
 
-    def way(self, a: int, b: int) -> tuple[list[int], list[int]]:
+    def path(self, a: int, b: int) -> tuple[list[int], list[int]]:
         """Edges of the path between two bones, each named by its child: a's side, then b's."""
         up, down = self._to_root(a), self._to_root(b)
         both = set(up) & set(down)
         return [k for k in up if k not in both], [k for k in down if k not in both]
 
-    def rehung(self, edge: int, a: int, b: int, point: Array) -> Tree:
+    def replace_edge(self, edge: int, a: int, b: int, point: Array) -> Tree:
         """The tree without the edge above bone `edge`, and with one from a to b.
 
         `a` must be in the subtree of `edge`, which becomes the subtree of `a`, and `b` outside.
@@ -92,7 +92,7 @@ class Tree:
         parents[a], points[a] = b, point
         return Tree(parents, points, rigid=False)
 
-    def without(self, bone: int, into: int, points: dict[int, Array]) -> Tree:
+    def contract(self, bone: int, into: int, points: dict[int, Array]) -> Tree:
         """The tree without a bone, its other neighbours connected to `into`, one of them.
 
         Bones after it are renumbered.  `points` are the joints of these neighbours with `into`.
@@ -121,7 +121,7 @@ class Tree:
         return path
 
 
-def rooted(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
+def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
     """Parents (B,) of a forest whose trees are rooted at their centroids.
 
     A tree's centroid is the bone without which the heaviest remaining part is lightest.
@@ -140,7 +140,7 @@ def rooted(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
             continue
         bones = _orient(edges, parents, first)
         local = np.where(parents[bones] >= 0, np.searchsorted(bones, parents[bones]), -1)
-        below = Tree(local, np.zeros((len(bones), 3)), rigid=False).beyond(mass[bones])
+        below = Tree(local, np.zeros((len(bones), 3)), rigid=False).subtree_sums(mass[bones])
         heaviest = below.max() - below  # of the parts above each bone, then also below it
         np.maximum.at(heaviest, local[local >= 0], below[local >= 0])
         parents[bones] = -2

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from ..hierarchy.tree import Tree, rooted
+from ..hierarchy.tree import Tree, root_at_centroids
 from ..kernels.chains import chain_move
 from ..solver.alternation import sweep, vertex_step
 from ..solver.model import Fixed, Model
@@ -29,14 +29,13 @@ from ..solver.trajectories import Array, Trajectories
 
 __all__ = [
     "Contacts",
-    "contacts",
-    "hang",
-    "joint_between",
-    "masses",
-    "pair_joints",
-    "settled",
-    "soft_step",
+    "find_contacts",
+    "fit_joint",
+    "fit_joints",
+    "refit_joints",
+    "snap_to_joints",
     "spanning_tree",
+    "step_with_joint_penalty",
 ]
 
 # Costs of an edge beside its gap, per frame and unit of mass: of a joint's squared distance from
@@ -56,12 +55,7 @@ _TOUCH = 12  # vertices of two bones nearest to each other whose mean is their c
 _SHARED = 1e-3  # overlap of weights from which these place the contact instead
 
 
-def masses(model: Model) -> Array:
-    """Σ_i w_ij² (B,) of each bone."""
-    return model.bone_masses()
-
-
-def pair_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple[Array, Array]:
+def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple[Array, Array]:
     """Fit a joint to every pair of bones.
 
     Parameters
@@ -98,9 +92,9 @@ def pair_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tupl
     return points, np.maximum(gaps, 0.0)
 
 
-def joint_between(model: Model, a: int, b: int, prior: Array) -> tuple[Array, float]:
+def fit_joint(model: Model, a: int, b: int, prior: Array) -> tuple[Array, float]:
     """Fit the joint (3,) of two bones; its gap."""
-    points, gaps = pair_joints(model.transforms[:, [a, b]], np.broadcast_to(prior, (2, 2, 3)))
+    points, gaps = fit_joints(model.transforms[:, [a, b]], np.broadcast_to(prior, (2, 2, 3)))
     return points[0, 1], float(gaps[0, 1])
 
 
@@ -110,20 +104,20 @@ class Contacts:
 
     Attributes
     ----------
-    point : (B, B, 3) array
+    points : (B, B, 3) array
         A point between what the bones move.
-    apart : (B, B) array
+    distances : (B, B) array
         Distance of their skin, 0 beside bones that move nothing.
     overlap : (B, B) array
         Σ_i w_ia w_ib / sqrt(Σ_i w_ia² · Σ_i w_ib²).
     """
 
-    point: Array
-    apart: Array
+    points: Array
+    distances: Array
     overlap: Array
 
 
-def contacts(model: Model) -> Contacts:
+def find_contacts(model: Model) -> Contacts:
     """Find the contacts of bones by the weights that they share, else by their nearest vertices."""
     n_bones, weights = model.n_bones, model.dense_weights()
     overlap = weights.T @ weights
@@ -162,12 +156,12 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     by_gap : bool
         Whether gaps alone count, without masses, and contacts decide between equal gaps.
     """
-    meet = contacts(model)
+    meet = find_contacts(model)
     n_frames = len(model.transforms)
-    point, gap = pair_joints(model.transforms, meet.point, away=_HARDLY if by_gap else _AWAY)
+    point, gap = fit_joints(model.transforms, meet.points, away=_HARDLY if by_gap else _AWAY)
     mass = model.bone_masses()
-    away = ((point - meet.point) ** 2).sum(axis=-1)
-    extra = n_frames * (_AWAY * away + _APART * meet.apart**2)
+    away = ((point - meet.points) ** 2).sum(axis=-1)
+    extra = n_frames * (_AWAY * away + _APART * meet.distances**2)
     if by_gap:
         cost = gap + _HARDLY * extra
     else:
@@ -180,16 +174,18 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     edges = minimum_spanning_tree(order).toarray() > 0
     connected = meet.overlap > 0
     for far, loose in zip(_FAR, _LOOSE, strict=True):
-        connected |= (meet.apart <= far) & (gap <= loose**2 * n_frames)
+        connected |= (meet.distances <= far) & (gap <= loose**2 * n_frames)
     _, part = connected_components(connected, directed=False)
     edges &= part[:, None] == part
-    parents = rooted(edges | edges.T, mass)
+    parents = root_at_centroids(edges | edges.T, mass)
     index = np.arange(model.n_bones)
     points = np.where((parents >= 0)[:, None], point[index, np.maximum(parents, 0)], 0.0)
     return Tree(parents, np.ascontiguousarray(points), rigid=False)
 
 
-def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) -> None:
+def step_with_joint_penalty(
+    data: Trajectories, model: Model, stiffness: float, fixed: Fixed
+) -> None:
     """Solve bones under a penalty on their joints' gaps, then joints, then vertices (in place).
 
     The penalty on a squared gap is `stiffness` times the mass of the lighter bone.
@@ -198,7 +194,7 @@ def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) 
     assert tree is not None
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     mass = model.bone_masses()
-    for j in tree.hung:
+    for j in tree.non_roots:
         k = tree.parents[j]
         place = np.append(tree.points[j], 1.0)
         # 1e-9 holds bones together that move nothing
@@ -209,14 +205,14 @@ def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) 
         u[k, j] -= block
     sweep(model.transforms, u, c, fixed.locked(model.n_bones), sweeps=_SWEEPS)
     if not fixed.joints:
-        model.tree = settled(model, tree)
+        model.tree = refit_joints(model, tree)
     vertex_step(data, model, fixed=fixed)
 
 
-def settled(model: Model, tree: Tree) -> Tree:
+def refit_joints(model: Model, tree: Tree) -> Tree:
     """A tree with the joints of least gaps; they stay where the motion leaves them open."""
     points = tree.points.copy()
-    for j in tree.hung:
+    for j in tree.non_roots:
         relative = model.transforms[:, j] - model.transforms[:, tree.parents[j]]
         turn, shift = relative[..., :3], relative[..., 3]
         stay = _STAY * len(turn)
@@ -226,14 +222,14 @@ def settled(model: Model, tree: Tree) -> Tree:
     return dataclasses.replace(tree, points=points, rigid=False)
 
 
-def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:
+def snap_to_joints(data: Trajectories, model: Model, fixed: Fixed) -> None:
     """Translate every bone onto its joint, then solve the vertices (in place).
 
     Rotations stay, but for those relative to the parent that `fixed` prescribes.
     """
     tree = model.tree
     assert tree is not None
-    for j, k, turn in fixed.kept_turns(tree):
+    for j, k, turn in fixed.kept_rotations(tree):
         model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
     still = np.zeros((*model.transforms.shape[:2], 3))
     chain_move(model.transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))

@@ -22,7 +22,7 @@ from .changes import (
     split_bone,
 )
 from .matching import moved_like
-from .placement import hang, soft_step, spanning_tree
+from .placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 
 __all__ = ["Contend", "GiveUp", "Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
 
@@ -56,10 +56,10 @@ class Hang(Stage):
                 run.model.tree = spanning_tree(run.model)
         model = run.present
         stiffness = np.geomspace(*_RAMP, self.steps)[at]
-        soft_step(run.data, model, float(stiffness), run.fixed)
+        step_with_joint_penalty(run.data, model, float(stiffness), run.fixed)
         run.iteration += 1
         if at == self.steps - 1:
-            hang(run.data, model, run.fixed)
+            snap_to_joints(run.data, model, run.fixed)
         return at == self.steps - 1
 
 

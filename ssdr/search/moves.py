@@ -8,7 +8,8 @@ from scipy.spatial import cKDTree
 
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
-from ..solver.bone_models import normalise_gauge, polish_of
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import transform_sums
@@ -254,7 +255,7 @@ def entering_at(step: int) -> int:
 
 def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
     """`count` steps of the polish (in place), every third of which lets bones enter."""
-    polish = polish_of(data, model, fixed=fixed)
+    polish = GaussNewton(data, model, fixed=fixed)
     for k in range(count):
         polish.step(entering=entering_at(k))
     normalise_gauge(model, data.importance, fixed)
@@ -328,14 +329,14 @@ def grow_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fix
     The bone comes where a neighbourhood has the most error; where that does not
     pay, it is a bone that nothing uses.
     """
-    before = model.objective(data)
+    before = model.weighted_error(data)
     error = np.maximum(model.error, 0.0) * data.importance
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
     members = _heaviest(model.rest, error, seeds, data.n_vertices // (2 * model.n_bones))
     grown = _with_patch(data, model.with_restarted_support(), members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
-    if grown.objective(data) <= before:
+    if grown.weighted_error(data) <= before:
         return grown
     return model.with_bone(model.transforms[:, -1])
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..parallel import serial_blas
+from ..solver.conjugate_gradients import Recycled
+from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Fixed, Model
-from ..solver.polish import Polish
-from ..solver.recycling import Recycled
-from ..solver.skin_contact import judged
+from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .prescribed import Prescribed
@@ -143,7 +143,7 @@ class Run:
         Track of the search that ended lowest.
     recycled : Recycled or None
         What the last step of the present polish hands on to the next.
-    polish : Polish or None
+    polish : GaussNewton or None
         Of the present stage; its factors last from step to step.
     records : list of (iteration, elapsed, squared error, phase)
     """
@@ -177,7 +177,7 @@ class Run:
         self.branch_rng = rng
         self.leader: list[float] = []
         self.memory = Memory()
-        self.polish: Polish | None = None
+        self.polish: GaussNewton | None = None
         self.recycled: Recycled | None = None
 
     @property
@@ -195,7 +195,7 @@ class Run:
     @property
     def fixed(self) -> Fixed:
         """What the present step may move, and how."""
-        fixed = self.asked if self.chosen is None else self.asked.of_vertices(self.chosen)
+        fixed = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
             return fixed
         return dataclasses.replace(fixed, bone_model="rigid")
@@ -279,7 +279,7 @@ class Run:
     def value(self, model: Model) -> float:
         """The objective: squared error, and what joints and weights add where asked to."""
         penalty = 0.0 if self.smoothness is None else self.smoothness.penalty(model)
-        return judged(self.data, model, self.asked) + penalty
+        return Objective(self.asked).value(self.data, model) + penalty
 
     def start_branch(self) -> None:
         self.branch_rng = copy.deepcopy(self.rng)
@@ -305,7 +305,7 @@ class Run:
             order = np.argsort(self.whole.x2, kind="stable")
             every = np.linspace(0, n - 1, count).round().astype(np.intp)
             self.chosen = np.sort(order[every])
-            self.data = self.whole.vertices(self.chosen)
+            self.data = self.whole.select_vertices(self.chosen)
 
     def take_all(self) -> None:
         """Work on all vertices again."""
@@ -427,7 +427,7 @@ class Run:
         if value < self.best_value:
             self.best, self.best_value = model.copy(), value
             # records hold the error alone, without the penalty that `value` may carry
-            error = model.objective(self.data)
+            error = model.weighted_error(self.data)
             self.records.append((self.iteration, self.clock.elapsed, error, phase))
 
     def _next(self) -> None:

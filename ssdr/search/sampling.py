@@ -33,7 +33,7 @@ class Sample(Stage):
     def step(self, run: Run) -> bool:
         self.prepare(run)
         if run.model is not None and run.chosen is not None:
-            run.model = run.model.vertices(run.chosen)
+            run.model = run.model.select_vertices(run.chosen)
         return True
 
     def prepare(self, run: Run) -> None:
@@ -63,7 +63,7 @@ class Everywhere(Stage):
         data, frame = run.data, run.prescribed.rest_frame
         rest = data.frame(frame) if run.prescribed.rest is None else run.prescribed.rest.copy()
         near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-        model = few.vertices(near)
+        model = few.select_vertices(near)
         model.rest = rest
         if run.prescribed.rest is None:
             model.rest[chosen] = few.rest
@@ -88,8 +88,8 @@ class Recall(Stage):
     def step(self, run: Run) -> bool:
         best = run.best_model
         if run.chosen is not None:
-            best = best.vertices(run.chosen)
-            if best.objective(run.data) >= run.present.objective(run.data):
+            best = best.select_vertices(run.chosen)
+            if best.weighted_error(run.data) >= run.present.weighted_error(run.data):
                 return True
         run.model = best.with_restarted_support()
         return True

@@ -12,8 +12,9 @@ from typing import ClassVar
 import numpy as np
 
 from ..solver.alternation import alternate, bone_step, vertex_step
-from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
-from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton, fit_motion
+from ..solver.initialization import fit_patches, single_bone_errors, start_model
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
 from .moves import (
@@ -97,7 +98,9 @@ class Start(Stage):
         bones, indices, weights = prescribed.transforms, prescribed.indices, prescribed.weights
         if indices is not None and weights is not None:
             if bones is None:
-                bones = bones_of_weights(data, rest, indices, run.bones, run.fixed.bone_model)
+                bones = fit_patches(
+                    data, rest, indices[:, 0].astype(np.intp), run.bones, run.fixed.bone_model
+                )
             return Model.with_weights(bones.copy(), rest, indices, weights, influences)
         if bones is not None and bones.shape[1] == run.bones:
             every = np.arange(data.n_vertices)
@@ -131,7 +134,7 @@ class QuickStart(Start):
         if data.n_frames < 2 * _FEW_FRAMES or prescribed.transforms is not None:
             return super().step(run)
         chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-        few = data.some(chosen)
+        few = data.select_frames(chosen)
         rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
         model = start_model(
             few,
@@ -322,7 +325,7 @@ class Polish(Stage):
     def step(self, run: Run) -> bool:
         model, memory = run.present, run.memory
         if run.polish is None:
-            run.polish = polish_of(
+            run.polish = GaussNewton(
                 run.data,
                 model,
                 fixed=run.fixed,

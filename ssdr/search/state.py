@@ -18,8 +18,8 @@ from ..checks import LARGEST, check_squarable
 from ..errors import FormatError, InputError, SsdrWarning, is_real, is_whole
 from ..hierarchy.transforms import check_parents
 from ..hierarchy.tree import Tree
+from ..solver.conjugate_gradients import Recycled
 from ..solver.model import ARRAYS, Model
-from ..solver.recycling import Recycled
 
 __all__ = [
     "Checkpoint",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..kernels.bones import sweep_bones
 from ..kernels.vertices import removal_cost, solve_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from .affine import leap_rigid, solve_affine
+from .affine_fit import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, neighbours, transform_sums
 from .trajectories import Array, Trajectories
@@ -94,8 +94,8 @@ def bone_step(
         Passes over the bones of each frame.
     fixed : Fixed
     leaps : int
-        Rounds of sweeps, each after a :func:`~ssdr.solver.affine.leap_rigid`, for rigid bones that
-        may be far from their optimum; 0: one round without a leap.
+        Rounds of sweeps of rigid bones that may be far from their optimum, each after a
+        :func:`~ssdr.solver.affine_fit.leap_rigid`; 0: one round without a leap.
 
     Returns
     -------

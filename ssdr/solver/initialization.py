@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..kernels.bones import sweep_bones
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..skinning import BoneModel
-from .affine import PATCH_RIDGE, solve_affine
+from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 
@@ -110,9 +110,9 @@ def single_bone_errors(
     out = np.empty((len(rows), n_bones))
     positions = np.empty((len(rows), 3, n_bones)) if rest is None else None
     with serial_blas():
-        hat = data.hat(transforms)
-        reduced = data.reduce(hat)
-        columns = hat.reshape(-1, 4, n_bones)
+        stacked = data.stack(transforms)
+        reduced = data.reduce(stacked)
+        columns = stacked.reshape(-1, 4, n_bones)
         gram = np.einsum("tdj,tej->jde", columns, columns)
         solve = np.linalg.inv(gram[:, :3, :3]) if rest is None else None
 
@@ -243,10 +243,3 @@ def start_model(
         kept[:, used] = refit[:, used]
     nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
     return Model.start(kept, rest, nearest, influences)
-
-
-def bones_of_weights(
-    data: Trajectories, rest: Array, indices: NDArray[np.int32], count: int, bone_model: BoneModel
-) -> Array:
-    """Fit each bone to the vertices that it moves most."""
-    return fit_patches(data, rest, indices[:, 0].astype(np.intp), count, bone_model)

@@ -12,7 +12,7 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Fixed", "Model", "pad_influences"]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Fixed", "Model"]
 
 # Bones that the weights of a vertex are solved on, from step to step, of which the K largest are
 # the model's: more than K, so that a bone can come back, and few enough for a small dense solve.
@@ -66,7 +66,7 @@ class Model:
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
         return Model(**arrays, tree=self.tree)
 
-    def vertices(self, chosen: NDArray[np.intp]) -> Model:
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Model:
         """A copy with the chosen vertices and all bones."""
         arrays = {k: np.ascontiguousarray(getattr(self, k)[chosen]) for k in ARRAYS[1:]}
         return Model(transforms=self.transforms.copy(), **arrays, tree=self.tree)
@@ -102,7 +102,7 @@ class Model:
         model.restart_support()
         return model
 
-    def objective(self, data: Trajectories) -> float:
+    def weighted_error(self, data: Trajectories) -> float:
         """Squared error of all vertices, weighted by importance."""
         return float(data.importance @ self.error)
 
@@ -219,7 +219,7 @@ class Fixed:
         Whether joints of a tree stay.
     near_skin : bool
         Whether the objective penalises joints away from where the skin of their bones meets.
-    turns : (F, B0, 3, 3) array or None
+    rotations : (F, B0, 3, 3) array or None
         Rotations relative to the parent that bones of a tree keep; NaN for bones that are free.
     """
 
@@ -229,9 +229,9 @@ class Fixed:
     bone_model: BoneModel = "rigid"
     joints: bool = False
     near_skin: bool = False
-    turns: NDArray[np.float64] | None = None
+    rotations: NDArray[np.float64] | None = None
 
-    def of_vertices(self, chosen: NDArray[np.intp]) -> Fixed:
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Fixed:
         """The same for the chosen vertices."""
         weights = None if self.weights is None else self.weights[chosen]
         return dataclasses.replace(self, weights=weights)
@@ -245,25 +245,16 @@ class Fixed:
         given = np.zeros(0, dtype=bool) if self.bones is None else self.bones
         return np.concatenate([given, np.zeros(n - len(given), dtype=bool)])
 
-    def kept_turns(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
+    def kept_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
         """Bones that keep their rotation relative to the parent: bone, parent, rotation (F, 3, 3).
 
         Parents come before children.
         """
-        if self.turns is None:
+        if self.rotations is None:
             return []
-        order = [int(j) for j in tree.order if j < self.turns.shape[1] and tree.parents[j] >= 0]
-        kept = [j for j in order if not np.isnan(self.turns[0, j, 0, 0])]
-        return [(j, int(tree.parents[j]), self.turns[:, j]) for j in kept]
+        order = [int(j) for j in tree.order if j < self.rotations.shape[1] and tree.parents[j] >= 0]
+        kept = [j for j in order if not np.isnan(self.rotations[0, j, 0, 0])]
+        return [(j, int(tree.parents[j]), self.rotations[:, j]) for j in kept]
 
 
 FREE = Fixed()
-
-
-def pad_influences(model: Model, influences: int) -> tuple[NDArray[np.int32], Any]:
-    """Indices and weights with exactly K columns."""
-    more = influences - model.n_influences
-    if more <= 0:
-        return model.indices, model.weights
-    widths = ((0, 0), (0, more))
-    return np.pad(model.indices, widths), np.pad(model.weights, widths)

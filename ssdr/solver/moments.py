@@ -14,7 +14,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK
 from .trajectories import Array, Trajectories
 
-__all__ = ["bone_sums", "flat_blocks", "gram_tables", "neighbours", "transform_sums"]
+__all__ = ["bone_sums", "gram_tables", "neighbours", "stack_blocks", "transform_sums"]
 
 # at most so many tasks: each holds a table of sums of its own (memory), fewer use fewer cores
 _MOMENT_TASKS = 16
@@ -48,13 +48,13 @@ def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array,
     Returns
     -------
     stacked : (3F, 4B) array
-        :meth:`Trajectories.hat` of the transforms.
+        :meth:`Trajectories.stack` of the transforms.
     table, blocks : arrays
         As :func:`gram_tables` returns them.
     reduced : (r, 4B) array
         Qᵀ times the stacked transforms: z times this is Y.
     """
-    stacked = data.hat(transforms)
+    stacked = data.stack(transforms)
     table, blocks = gram_tables(stacked.T @ stacked, transforms.shape[1])
     return stacked, table, blocks, data.reduce(stacked)
 
@@ -107,7 +107,7 @@ def bone_sums(
     return np.ascontiguousarray(u[:, :, _PAIR]), c
 
 
-def flat_blocks(u: Array) -> Array:
+def stack_blocks(u: Array) -> Array:
     """Blocks (B, B, 4, 4) as a matrix (4B, 4B) in the order of stacked transforms."""
     n = len(u)
     return np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)

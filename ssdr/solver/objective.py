@@ -48,10 +48,10 @@ class Objective:
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
-        value = model.objective(data)
+        value = model.weighted_error(data)
         if self.fixed.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
-            value *= 1.0 + mean_joint_penalty(squared[model.tree.hung])
+            value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
         if self.smoothness is not None:
             value += self.smoothness.penalty(model)
         return value
@@ -62,10 +62,10 @@ class Objective:
         """Quadratic model of the penalty on the joints of some bones."""
         if not self.fixed.near_skin or not len(joints):
             return JointPenalty.none(len(joints))
-        hung = _tree(model).hung
+        hung = _tree(model).non_roots
         offsets, squared = joint_offsets(model)
         factor = 1.0 + mean_joint_penalty(squared[hung])
-        stiffness = model.objective(data) / (len(hung) * factor)
+        stiffness = model.weighted_error(data) / (len(hung) * factor)
         return JointPenalty(
             factor, stiffness * (1.0 + 2.0 * squared[joints, None]), offsets[joints]
         )

@@ -25,10 +25,10 @@ __all__ = [
     "centred",
     "frame_scale_of",
     "gather",
+    "rotations_onto",
     "scale_of",
     "stack_transforms",
     "truncated_basis",
-    "turn_onto",
     "unstack_transforms",
 ]
 
@@ -48,12 +48,12 @@ class Alignment:
 
     Attributes
     ----------
-    centre : (F, 3), turn : (F, 3, 3), scale : float
-        Points x' of a frame in the solver's space are at ``turn @ (scale * x') + centre``.
+    centre : (F, 3), rotation : (F, 3, 3), scale : float
+        Points x' of a frame in the solver's space are at ``rotation @ (scale * x') + centre``.
     """
 
     centre: Array
-    turn: Array
+    rotation: Array
     scale: float
 
     @property
@@ -63,8 +63,8 @@ class Alignment:
     def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
         """Map a rest pose (V, 3) and transforms (F, B, 3, 4) to the input's space."""
         origin = self.centre[0]
-        r = np.einsum("tab,tjbc->tjac", self.turn, transforms[..., :3])
-        shift = self.scale * np.einsum("tab,tjb->tja", self.turn, transforms[..., 3])
+        r = np.einsum("tab,tjbc->tjac", self.rotation, transforms[..., :3])
+        shift = self.scale * np.einsum("tab,tjb->tja", self.rotation, transforms[..., 3])
         t = shift + self.centre[:, None] - r @ origin
         return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
 
@@ -82,9 +82,9 @@ class Alignment:
         if transforms is None:
             return inner, None
         m = np.asarray(transforms, dtype=np.float64)
-        r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
+        r = np.einsum("tba,tjbc->tjac", self.rotation, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
-        t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
+        t = np.einsum("tba,tjb->tja", self.rotation, moved) / self.scale
         check_squarable(t, "transforms", _APART)
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
@@ -92,7 +92,7 @@ class Alignment:
         """Map consecutive frames (c, V, 3), of which the first has this index, to (V, c, 3)."""
         last = first + len(block)
         moved = block.astype(np.float64, order="C") - self.centre[first:last, None]
-        turned = np.matmul(moved, self.turn[first:last])
+        turned = np.matmul(moved, self.rotation[first:last])
         return np.ascontiguousarray(turned.transpose(1, 0, 2)) / self.scale
 
 
@@ -112,8 +112,6 @@ class Trajectories(Alignment):
         Importance of the vertices, of mean 1.
     frame_scale : (F,) float64
         Root of the importance of the frames, whose mean is 1.
-    lost : float
-        Squares outside the basis, Σ x2 − Σ|z|².
     """
 
     z: Array
@@ -121,19 +119,18 @@ class Trajectories(Alignment):
     x2: Array
     importance: Array
     frame_scale: Array
-    lost: float
 
     @property
     def n_vertices(self) -> int:
         return len(self.z)
 
-    def hat(self, transforms: Array) -> Array:
+    def stack(self, transforms: Array) -> Array:
         """Transforms (F, B, 3, 4), frames scaled, as a matrix (3F, 4B)."""
         return stack_transforms(transforms * self.frame_scale[:, None, None, None])
 
-    def reduce(self, hat: Array) -> Array:
+    def reduce(self, stacked: Array) -> Array:
         """Qᵀ times a (3F, n) matrix."""
-        return hat if self.q is None else self.q.T @ hat
+        return stacked if self.q is None else self.q.T @ stacked
 
     def expand(self, az: Array) -> Array:
         """Sums over vertices for each frame, (F, 3, 4, B), from those of z, (4, B, r)."""
@@ -143,7 +140,7 @@ class Trajectories(Alignment):
         out = full.reshape(self.n_frames, 3, four, b)
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
-    def some(self, frames: NDArray[np.intp]) -> Trajectories:
+    def select_frames(self, frames: NDArray[np.intp]) -> Trajectories:
         """The chosen frames of uncompressed trajectories."""
         assert self.q is None
         z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
@@ -153,11 +150,11 @@ class Trajectories(Alignment):
             z=flat,
             x2=np.einsum("ij,ij->i", flat, flat),
             centre=self.centre[frames],
-            turn=self.turn[frames],
+            rotation=self.rotation[frames],
             frame_scale=self.frame_scale[frames],
         )
 
-    def vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
         """The chosen vertices, in the same frames and basis."""
         return dataclasses.replace(
             self,
@@ -185,8 +182,7 @@ class Trajectories(Alignment):
             z = x if q is None else np.ascontiguousarray(x @ q)
         if q is None:
             return self
-        lost = max(0.0, float(self.x2.sum() - np.einsum("ij,ij->", z, z)))
-        return dataclasses.replace(self, z=z, q=q, lost=lost)
+        return dataclasses.replace(self, z=z, q=q)
 
     def frame(self, t: int) -> Array:
         """Positions (V, 3) of one frame."""
@@ -215,7 +211,7 @@ def gather(
     share = None if vertex_importance is None else importance / n_vertices
     x = np.empty((n_vertices, n_frames, 3))
     centre = np.empty((n_frames, 3))
-    turn = np.empty((n_frames, 3, 3))
+    rotation = np.empty((n_frames, 3, 3))
     first = None
     t = 0
     for sequence in sequences:
@@ -226,10 +222,10 @@ def gather(
                 here, centre[t:last] = centred(block, share)
                 if first is None:
                     first = here[0]
-                turn[t:last] = turn_onto(here, first, share)
+                rotation[t:last] = rotations_onto(here, first, share)
                 if t == 0:
-                    turn[0] = np.eye(3)
-                x[:, t:last] = np.matmul(here, turn[t:last]).transpose(1, 0, 2)
+                    rotation[0] = np.eye(3)
+                x[:, t:last] = np.matmul(here, rotation[t:last]).transpose(1, 0, 2)
                 t = last
     size = float(np.sqrt(np.vdot(x, x) / (n_vertices * n_frames)))
     scale = scale_of(size, size if size > 1 / LARGEST else float(np.abs(x).max()))
@@ -243,9 +239,8 @@ def gather(
         importance=importance,
         frame_scale=frame_scale,
         centre=centre,
-        turn=turn,
+        rotation=rotation,
         scale=scale,
-        lost=0.0,
     )
     return data.compressed(bones) if compress else data
 
@@ -276,7 +271,7 @@ def scale_of(size: float, spread: float) -> float:
     return size or 1.0
 
 
-def turn_onto(here: Array, first: Array, share: Array | None) -> Array:
+def rotations_onto(here: Array, first: Array, share: Array | None) -> Array:
     """Rotations that map centred frames onto the first when they act from the right."""
     known = first if share is None else first * share[:, None]
     return nearest_rotation(np.swapaxes(here, -1, -2) @ known)

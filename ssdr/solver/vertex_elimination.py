@@ -22,7 +22,7 @@ from ..kernels.schur import apply_vertex_step, schur_vertices
 from ..parallel import chunk_bounds, run_chunks
 from .dense import cross_product, product
 from .model import CHUNK, Fixed, Model
-from .moments import bone_sums, flat_blocks
+from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
 
@@ -86,7 +86,7 @@ class ReducedSystem:
         self._tasks = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         self._order, self._groups = _group(data, model, self.keep, vertices, precision)
         self.u, c = bone_sums(data, model.indices, model.weights, model.rest, n_bones)
-        stacked, u = vertices.stacked, flat_blocks(self.u)
+        stacked, u = vertices.stacked, stack_blocks(self.u)
         c *= data.frame_scale[:, None, None, None]
         _, answer = self._eliminate(np.zeros_like(u), 1.0)
         self.gradient = product(stacked, u - answer) - c.reshape(stacked.shape)

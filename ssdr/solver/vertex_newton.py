@@ -29,7 +29,7 @@ class VertexSystem:
     Attributes
     ----------
     stacked : (3F, 4B) float64
-        Transforms of the model, as :meth:`Trajectories.hat` stacks them.
+        Transforms of the model, as :meth:`Trajectories.stack` stacks them.
     inverse : (V, D, D) float64
         Inverse of each vertex's Gauss–Newton matrix.
     gradient : (V, D) float64

@@ -12,7 +12,7 @@ from helpers import motions
 from helpers.stretches import stretched
 from ssdr.hierarchy.transforms import parents_first
 from ssdr.hierarchy.tree import Tree
-from ssdr.joints.placement import hang
+from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Fixed, Model
@@ -33,7 +33,7 @@ CASES = {
     "bones": Fixed(bones=np.array([False, True, False])),
     "joints": Fixed(joints=True),
     "motion alone": Fixed(rest=True, weights=_ALL, joints=True),
-    "locked": Fixed(turns=_TURNS),
+    "locked": Fixed(rotations=_TURNS),
 }
 KINDS = {"rigid": 6, "similarity": 7, "affine": 12}  # unknowns of a bone
 TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
@@ -74,7 +74,7 @@ class Tiny:
         if tree:
             points = np.random.default_rng(5).normal(size=(3, 3))
             self.model.tree = Tree(np.array(tree, dtype=np.int64), points, rigid=False)
-            hang(self.data, self.model, self.fixed)
+            snap_to_joints(self.data, self.model, self.fixed)
         self.newton = self.gauss_newton()
 
     def gauss_newton(self, **options: object) -> GaussNewton:
@@ -89,7 +89,7 @@ class Tiny:
         tree = self.model.tree
         if tree is None:
             return self.frames * self.bones * KINDS[self.kind]
-        joints = 0 if self.fixed.joints else len(tree.hung)
+        joints = 0 if self.fixed.joints else len(tree.non_roots)
         return 3 * (self.frames * (self.bones + len(tree.roots)) + joints)
 
     def shaped(self, x: np.ndarray) -> np.ndarray:
@@ -118,10 +118,10 @@ class Tiny:
         size = 3 * (self.bones + len(tree.roots))
         of_frames = x[: self.frames * size].reshape(self.frames, size)
         if not self.fixed.joints:
-            points[tree.hung] += x[self.frames * size :].reshape(-1, 3)
+            points[tree.non_roots] += x[self.frames * size :].reshape(-1, 3)
         turns = _rotations(of_frames[:, : 3 * self.bones].reshape(self.frames, self.bones, 3))
         shifts = of_frames[:, 3 * self.bones :].reshape(self.frames, -1, 3)
-        kept = {j: turn for j, _, turn in self.fixed.kept_turns(tree)}
+        kept = {j: turn for j, _, turn in self.fixed.kept_rotations(tree)}
         for j in parents_first(tree.parents):
             k = tree.parents[j]
             old = out[:, j, :, :3].copy()

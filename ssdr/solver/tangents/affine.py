@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..affine import admissible, flat_diagonal, ridge_blocks
+from ..affine_fit import admissible, ridge_blocks, stack_diagonal
 from ..conjugate_gradients import Operator
 from ..model import Model
-from ..moments import flat_blocks
+from ..moments import stack_blocks
 from ..trajectories import Array, stack_transforms, unstack_transforms
 from .tangent import Tangent
 
@@ -18,7 +18,7 @@ class AffineTangent(Tangent):
     """x (F, B, 12), the change of a transform: H is the same for every row of every frame."""
 
     def image(self, x: Array) -> Array:
-        return self.data.hat(x.reshape(*x.shape[:2], 3, 4))
+        return self.data.stack(x.reshape(*x.shape[:2], 3, 4))
 
     def pullback(self, gradient: Array) -> Array:
         scale = self.data.frame_scale
@@ -35,9 +35,9 @@ class AffineTangent(Tangent):
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
         """The exact inverse of H + λD, and λD, with D the spread of each bone."""
-        metric = flat_diagonal(ridge_blocks(u, 1.0))
+        metric = stack_diagonal(ridge_blocks(u, 1.0))
         damped = damping * metric
-        matrix = flat_blocks(u) + damped + 1e-9 * metric
+        matrix = stack_blocks(u) + damped + 1e-9 * metric
         try:
             inverse = np.linalg.inv(matrix)
         except np.linalg.LinAlgError:  # a bone that moves one point, far from the origin

@@ -45,10 +45,10 @@ class ChainTangent(Tangent):
         tree = self.tree
         assert tree.rigid
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
-        self.joints = tree.hung[:0] if fixed.joints else tree.hung
+        self.joints = tree.non_roots[:0] if fixed.joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
         # bones whose ω follows from their parent's, with their rotation relative to it
-        self._tied = fixed.kept_turns(tree)
+        self._tied = fixed.kept_rotations(tree)
 
     @property
     def tree(self) -> Tree:

@@ -11,7 +11,7 @@ from helpers.stretches import check_kind
 from helpers.tiny import CASES, KINDS, TREES, Tiny
 from ssdr.hierarchy.transforms import joint_gaps
 from ssdr.hierarchy.tree import Tree
-from ssdr.joints.placement import hang
+from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Model
@@ -59,7 +59,7 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
         accepted = newton.step(entering=3 if k % 3 == 0 else 0)
         values.append(newton.value)
         assert accepted or values[-1] == values[-2]
-        assert model.objective(tiny.data) == pytest.approx(values[-1], rel=1e-12)
+        assert model.weighted_error(tiny.data) == pytest.approx(values[-1], rel=1e-12)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.99 * values[0]
     inner = np.stack([tiny.data.frame(t) for t in range(tiny.frames)])
@@ -108,7 +108,7 @@ def _near_exact(frames: int) -> tuple:
     model = Model.with_weights(transforms.copy(), rest, made.indices, made.weights, 2)
     points = points + 0.03 * np.random.default_rng(0).normal(size=points.shape)
     model.tree = Tree(made.parents, points, rigid=False)
-    hang(data, model, FREE)
+    snap_to_joints(data, model, FREE)
     return data, model
 
 

@@ -11,7 +11,7 @@ import ssdr
 from helpers import motions
 from helpers.measures import diagonal
 from ssdr.hierarchy.tree import Tree
-from ssdr.joints.placement import hang
+from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Fixed, Model
 from ssdr.solver.objective import Objective, joint_offsets, mean_joint_penalty, meeting_points
@@ -37,7 +37,7 @@ def _model(rng: np.random.Generator, frames: int = 6):
     points = np.array([rest[rig.indices[:, 0] == min(b, 2)].min(axis=0) for b in range(4)])
     points += 0.1 * rng.standard_normal(points.shape)
     model.tree = Tree(np.array([-1, 0, 1, 0]), points, rigid=False)
-    hang(data, model, FREE)
+    snap_to_joints(data, model, FREE)
     return data, model
 
 
@@ -115,7 +115,7 @@ def test_steps_lower_the_objective(rng: np.random.Generator) -> None:
 def test_the_quadratic_model_has_the_derivative_of_the_penalty(rng: np.random.Generator) -> None:
     """By one joint at a time, the error and the meeting points as they are."""
     data, model = _model(rng)
-    tree, h, joints = model.tree, 1e-5, model.tree.hung
+    tree, h, joints = model.tree, 1e-5, model.tree.non_roots
     found = Objective(NEAR).joint_penalty(data, model, joints)
     assert found.factor == pytest.approx(1 + _penalty(model))
     for k, joint in enumerate(joints):

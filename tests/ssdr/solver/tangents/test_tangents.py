@@ -37,7 +37,7 @@ def test_image_pullback_and_move_belong_together(kind: str, rng: np.random.Gener
             check_kind(trial.transforms, tiny.fixed.bone_model)
             locked = tiny.fixed.locked(tiny.bones)
             assert np.array_equal(trial.transforms[:, locked], model.transforms[:, locked])
-            ends.append(tiny.data.hat(trial.transforms))
+            ends.append(tiny.data.stack(trial.transforms))
         for precision, rounding in ((tangent.precision, 1e-6), (np.float64, 1e-12)):
             tangent.precision = precision
             image = tangent.image(x)

@@ -13,16 +13,16 @@ from scipy.linalg import cho_factor, cho_solve
 from ..kernels.bones import LARGEST, SMALLEST, SPECK
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..rigid import nearest_rotation
-from .moments import flat_blocks
+from .moments import stack_blocks
 from .trajectories import Array, stack_transforms, unstack_transforms
 
 __all__ = [
     "PATCH_RIDGE",
     "admissible",
-    "flat_diagonal",
     "leap_rigid",
     "ridge_blocks",
     "solve_affine",
+    "stack_diagonal",
 ]
 
 PATCH_RIDGE = 0.1  # for a first guess, from few vertices that may lie in a plane
@@ -61,12 +61,12 @@ def ridge_blocks(u: Array, ridge: float) -> Array:
     return np.asarray(out * mass[:, None, None])
 
 
-def flat_diagonal(blocks: Array) -> Array:
-    """Blocks (B, 4, 4) on the diagonal of a matrix (4B, 4B), as :func:`flat_blocks`."""
+def stack_diagonal(blocks: Array) -> Array:
+    """Blocks (B, 4, 4) on the diagonal of a matrix (4B, 4B), as :func:`stack_blocks`."""
     n = len(blocks)
     full = np.zeros((n, n, 4, 4))
     full[np.arange(n), np.arange(n)] = blocks
-    return flat_blocks(full)
+    return stack_blocks(full)
 
 
 def solve_affine(
@@ -90,8 +90,8 @@ def solve_affine(
     free = np.tile(~locked, 4)
     if not free.any():
         return
-    flat = flat_blocks(u)
-    metric = flat + flat_diagonal(ridge_blocks(u, ridge))
+    flat = stack_blocks(u)
+    metric = flat + stack_diagonal(ridge_blocks(u, ridge))
     old = stack_transforms(transforms)
     with serial_blas():
         slope = c.reshape(old.shape) - old @ flat
@@ -116,8 +116,8 @@ def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_])
     if not free.any():
         return
     index = np.arange(n_bones)
-    flat = flat_blocks(u)
-    metric = (flat + flat_diagonal(ridge_blocks(u, _LEAP_RIDGE)))[np.ix_(free, free)]
+    flat = stack_blocks(u)
+    metric = (flat + stack_diagonal(ridge_blocks(u, _LEAP_RIDGE)))[np.ix_(free, free)]
     mass = np.maximum(u[index, index, 3, 3], 1e-300)
     centre = u[index, index, :3, 3] / mass[:, None]
 
