@@ -109,7 +109,7 @@ class Tree:
         if into != above:
             parents[into] = above
         keep = np.delete(np.arange(len(parents)), bone)
-        number = np.full(len(parents) + 1, -1)  # the last for roots, whose parent is −1
+        number = np.full(len(parents) + 1, -1)  # the last entry is that of a root's parent, −1
         number[keep] = np.arange(len(keep))
         return Tree(number[parents[keep]], joints[keep], rigid=False)
 
@@ -141,7 +141,7 @@ def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64
         bones = _orient(edges, parents, first)
         local = np.where(parents[bones] >= 0, np.searchsorted(bones, parents[bones]), -1)
         below = Tree(local, np.zeros((len(bones), 3)), rigid=False).subtree_sums(mass[bones])
-        heaviest = below.max() - below  # of the parts above each bone, then also below it
+        heaviest = below.max() - below  # part above each bone; then the heaviest below, too
         np.maximum.at(heaviest, local[local >= 0], below[local >= 0])
         parents[bones] = -2
         _orient(edges, parents, int(bones[heaviest.argmin()]))

@@ -23,7 +23,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 _MOST_POINTS = 4000  # vertices by which planes are compared
-_ROUNDS = 12  # of pairing vertices with their images and fitting the plane to the pairs
+_ROUNDS = 12  # most rounds of pairing vertices with their images and fitting the plane to the pairs
 _KEPT = 0.8  # closest part of the pairs that are fitted: a bent arm must not turn the plane
 # Largest distances of an image from the nearest vertex, in diagonals: the median, and the quantile
 # _NEARLY_ALL.

@@ -38,17 +38,16 @@ __all__ = [
     "step_with_joint_penalty",
 ]
 
-# Costs of an edge beside its gap, per frame and unit of mass: of a joint's squared distance from
-# where the skin of its bones meets (which decides where motion does not), and of the squared
-# distance of their skin.
+# Weights, per frame, of what an edge costs beside its gap: the joint's squared distance from the
+# contact of its bones, which decides where motion does not, and the squared distance of their skin.
 _AWAY, _APART = 1e-3, 1e-2
-_HARDLY = 1e-6  # weight of both where only gaps shall count
-# Bones are connected if their skin is at most this far apart and the gap of their joint is at most
-# that large, in the mesh's size (its root mean square distance from the centroid).  Three pairs:
-# touching skin, skin nearby, and any skin that moves together.  Nearby is what a ring of vertices
-# is from the next on a game character (the tail of glTF's fox: 0.37).
-_FAR, _LOOSE = (0.1, 0.5, np.inf), (np.inf, 0.1, 0.03)
-_STAY = 1e-4  # weight, per frame, of a joint's present place, for what the gaps leave open
+_TIE = 1e-6  # factor of both where they only decide between equal gaps
+# Largest distance of the skin and gap of the joint of bones that may be connected, in the mesh's
+# size (its root mean square distance from the centroid).  Three pairs, of which one must hold: for
+# touching skin, for skin nearby, and for skin that moves together.  Nearby is as far as from one
+# ring of vertices to the next on a game character (the tail of glTF's fox: 0.37).
+_DISTANCES, _GAPS = (0.1, 0.5, np.inf), (np.inf, 0.1, 0.03)
+_STAY = 1e-4  # weight, per frame, of a joint's present place, which decides where gaps do not
 _SWEEPS = 3
 _MEMBER = 0.5  # weight from which a vertex belongs to a bone
 _TOUCH = 12  # vertices of two bones nearest to each other whose mean is their contact
@@ -158,12 +157,12 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     """
     meet = find_contacts(model)
     n_frames = len(model.transforms)
-    point, gap = fit_joints(model.transforms, meet.points, away=_HARDLY if by_gap else _AWAY)
+    point, gap = fit_joints(model.transforms, meet.points, away=_TIE if by_gap else _AWAY)
     mass = model.bone_masses()
     away = ((point - meet.points) ** 2).sum(axis=-1)
     extra = n_frames * (_AWAY * away + _APART * meet.distances**2)
     if by_gap:
-        cost = gap + _HARDLY * extra
+        cost = gap + _TIE * extra
     else:
         pair = mass[:, None] * mass / np.maximum(mass[:, None] + mass, 1e-12)
         cost = pair * (gap + extra)
@@ -173,8 +172,8 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     order[above] = 1 + cost[above].argsort(kind="stable").argsort()
     edges = minimum_spanning_tree(order).toarray() > 0
     connected = meet.overlap > 0
-    for far, loose in zip(_FAR, _LOOSE, strict=True):
-        connected |= (meet.distances <= far) & (gap <= loose**2 * n_frames)
+    for distance, gap_size in zip(_DISTANCES, _GAPS, strict=True):
+        connected |= (meet.distances <= distance) & (gap <= gap_size**2 * n_frames)
     _, part = connected_components(connected, directed=False)
     edges &= part[:, None] == part
     parents = root_at_centroids(edges | edges.T, mass)

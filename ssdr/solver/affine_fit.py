@@ -25,11 +25,12 @@ __all__ = [
     "stack_diagonal",
 ]
 
-PATCH_RIDGE = 0.1  # for a first guess, from few vertices that may lie in a plane
-_RIDGE = 1e-4
-_LEAP_RIDGE, _LEAPS = 1e-3, 2
+# Strengths of the ridge: for patches of few vertices, which may lie in a plane, for a step of the
+# alternation, and for a leap.
+PATCH_RIDGE, _RIDGE, _LEAP_RIDGE = 0.1, 1e-4, 1e-3
+_LEAPS = 2  # rounds of a leap
 _SWEEPS = 2  # Gauss–Seidel passes over the bones: more take longer and converge further
-_HALVINGS = 10  # of an inadmissible move; a bone whose move is still inadmissible stays
+_HALVINGS = 10  # most halvings of an inadmissible move; if it still is inadmissible, the bone stays
 
 
 def admissible(old: Array, new: Array) -> NDArray[np.bool_]:
@@ -152,7 +153,7 @@ def _solved(metric: Array, slope: Array) -> Array:
     try:
         return np.asarray(cho_solve(cho_factor(metric, lower=True), slope))
     except np.linalg.LinAlgError:
-        # rounding at bones very far away has made it indefinite: move along the rest alone
+        # rounding at bones very far away has made the matrix indefinite
         return np.asarray(np.linalg.pinv(metric, hermitian=True) @ slope)
 
 

@@ -19,9 +19,9 @@ __all__ = ["Operator", "Recycled", "conjugate_gradients"]
 
 Operator = Callable[[Array], Array]  # a linear map of arrays of one shape
 
-_CONVERGED = 1e-10  # of the squared residual, as the preconditioner measures it
-_NUMBERS = 1 << 21  # at most so many of the directions, and of their images, are kept
-_COLUMNS = 1 << 14  # of both, that a thread works on at once
+_CONVERGED = 1e-10  # squared residual rᵀ P r, relative to the first, that ends the iteration
+_NUMBERS = 1 << 21  # most numbers of all kept directions, and as many of their images
+_COLUMNS = 1 << 14  # columns of both on which a thread works at once
 
 
 def conjugate_gradients(

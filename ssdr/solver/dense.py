@@ -10,8 +10,8 @@ from .trajectories import Array
 
 __all__ = ["cross_product", "inverse_of", "product"]
 
-# Rows of a piece and multiplications, at least: small pieces are slow, and to hand them out costs
-# more than it saves.
+# Fewest rows and multiplications of a piece: small products are slow, and handing them to threads
+# costs more than it saves.
 _PIECE, _MULTIPLICATIONS = 96, 2_000_000
 
 

@@ -34,9 +34,10 @@ from .vertex_newton import optimise_vertices
 __all__ = ["GaussNewton", "fit_motion", "tangent_of"]
 
 _DAMPING = 1e-3  # λ of the first step
-_STEPPED = ("transforms", "rest", "indices", "weights", "error")  # what a step changes of a model
-# Steps of bones with joints in place of one leap of free bones, until one gains less than this.
-_STEPS_OF_A_LEAP, _SETTLED = 3, 1e-3
+_STEPPED = ("transforms", "rest", "indices", "weights", "error")  # arrays that a step changes
+# Steps on bones with joints that stand for a leap of free bones, and the relative gain of a step
+# below which no further one is taken.
+_STEPS_OF_A_LEAP, _LEAST_GAIN = 3, 1e-3
 
 
 class GaussNewton:
@@ -75,7 +76,7 @@ class GaussNewton:
         self.tangent, self.objective = tangent_of(data, model, fixed), Objective(fixed)
         self.damping = _DAMPING if damping is None else damping
         self.recycled = recycled
-        # a damping handed over means that the vertices are optimised already
+        # with a damping, the vertices are optimised already and need only be factored
         first = {"entering": 3, "rounds": 2} if damping is None else {"entering": -1, "rounds": 0}
         self._vertices = optimise_vertices(data, model, fixed=fixed, **first)
         self._system: ReducedSystem | None = None
@@ -88,7 +89,7 @@ class GaussNewton:
         Parameters
         ----------
         entering : int
-            Number of bones that are tried in place of others of each vertex.
+            Number of bones that may enter the influences of each vertex.
         """
         data, model, system = self.data, self.model, self._reduced()
         x, predicted = self._solve(system)
@@ -136,13 +137,13 @@ class GaussNewton:
         x, residual, self.recycled = conjugate_gradients(
             apply, rhs, precondition, steps=tangent.conjugate_steps, recycled=self.recycled
         )
-        # of the undamped quadratic, 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
+        # the undamped quadratic falls by 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
         undamped = rhs - residual - damp(x)
         return x, penalty.factor * float(2.0 * np.vdot(rhs, x) - np.vdot(x, undamped))
 
 
 def tangent_of(data: Trajectories, model: Model, fixed: Fixed) -> Tangent:
-    """The unknowns that move the bones: of the chain where the model has a tree."""
+    """The tangent of the bone model, or of the chain where the model has a tree."""
     if model.tree is not None:
         return ChainTangent(data, model, fixed)
     kinds: dict[str, type[Tangent]] = {
@@ -172,5 +173,5 @@ def fit_motion(data: Trajectories, model: Model, *, fixed: Fixed, sweeps: int, l
     newton = GaussNewton(data, model, fixed=as_is)
     for _ in range(_STEPS_OF_A_LEAP * leaps):
         before = newton.value
-        if newton.step() and newton.value > (1 - _SETTLED) * before:
+        if newton.step() and newton.value > (1 - _LEAST_GAIN) * before:
             break

@@ -81,7 +81,7 @@ def fit_patches(
     free = np.zeros(1, dtype=bool)
 
     def work(j: int, _first: int, _last: int) -> None:
-        # one by one: patches share no vertices, and a table of all pairs would be mostly zeros
+        # one bone at a time: patches share no vertices, so the table of pairs would be sparse
         piece = np.ascontiguousarray(transforms[:, j : j + 1])
         sums = np.ascontiguousarray(c[..., j : j + 1])
         block = own[j].reshape(1, 1, 4, 4).copy()

@@ -14,8 +14,8 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Fixed", "Model"]
 
-# Bones that the weights of a vertex are solved on, from step to step, of which the K largest are
-# the model's: more than K, so that a bone can come back, and few enough for a small dense solve.
+# Size of a vertex's support, the bones that its weights are solved on: more than K, so that a bone
+# can come back, and few enough for a small dense solve.
 SLOTS = 12
 CHUNK = 512  # vertices of a task: it takes milliseconds, and its arrays stay in the cache
 
@@ -141,7 +141,7 @@ class Model:
         k = self.n_influences
         indices, weights = self.indices, self.weights
         if count < k:
-            # in their order; weights of vertices that lose none are not divided by their sum
+            # in their present order; only vertices that lose weight are normalised again
             largest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, :count], axis=1)
             indices = np.take_along_axis(indices, largest, axis=1)
             weights = np.take_along_axis(weights, largest, axis=1)

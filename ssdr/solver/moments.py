@@ -16,7 +16,7 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["bone_sums", "gram_tables", "neighbours", "stack_blocks", "transform_sums"]
 
-# at most so many tasks: each holds a table of sums of its own (memory), fewer use fewer cores
+# most tasks: each has its own table of sums, which takes memory, while fewer use fewer cores
 _MOMENT_TASKS = 16
 # index of monomial p̃_d p̃_e among x², y², z², xy, xz, yz, x, y, z, 1
 _PAIR = np.array([[0, 3, 4, 6], [3, 1, 5, 7], [4, 5, 2, 8], [6, 7, 8, 9]])

@@ -28,7 +28,7 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["JointPenalty", "Objective", "joint_offsets", "mean_joint_penalty", "meeting_points"]
 
-_SHARED = 1e-2  # overlap of weights at which it counts as much as the middle between the bones
+_SHARED = 1e-2  # relative overlap at which overlap and middle count the same
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def meeting_points(model: Model) -> tuple[Array, Array]:
     """
     tree = _tree(model)
     n_bones, weights, indices = model.n_bones, model.weights, model.indices
-    # of each influence, the weight of its parent at the same vertex
+    # weight of each influence's parent at the same vertex
     parents = tree.parents[indices]
     both = np.where(parents[:, :, None] == indices[:, None, :], weights[:, None, :], 0.0)
     product = weights * both.sum(axis=2)

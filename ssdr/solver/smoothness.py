@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array, diags_array
 
 from ..checks import LARGEST, check_nonnegative
 from ..errors import InputError
@@ -57,14 +57,12 @@ class WeightSmoothness:
             return None
         if len(faces) == 0:
             raise InputError("smoothness", "0 for a mesh without faces", smoothness)
-        n = data.n_vertices
-        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        edges = edges[edges[:, 0] != edges[:, 1]]
-        i, k = np.concatenate([edges, edges[:, ::-1]]).T
-        adjacency = csr_array(coo_array((np.ones(len(i)), (i, k)), shape=(n, n)))
-        adjacency.data[:] = 1.0
-        degree = np.asarray(adjacency.sum(axis=1), dtype=np.float64).ravel()
-        # at most LARGEST, where the error counts for nothing, lest the square overflow
+        from ..laplacian.operators import uniform_laplacian  # which most solves need not load
+
+        laplacian = uniform_laplacian(faces, data.n_vertices)
+        degree = laplacian.diagonal()
+        adjacency = csr_array(diags_array(degree) - laplacian)
+        # bounded lest the square overflow; that far, the error counts for nothing
         strength = data.n_frames * min(smoothness / data.scale, LARGEST) ** 2
         return WeightSmoothness(adjacency, degree, strength, np.maximum(data.importance, 1e-6))
 

@@ -35,7 +35,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _TAIL = 1e-4  # squares that compression may lose, relative to those that no B bones can fit
-_MOST_COLUMNS = 0.8  # of all: a basis of more columns saves less time than it costs
+_MOST_COLUMNS = 0.8  # share of all columns from which a basis costs more time than it saves
 _NOISE = 1e-15  # rounding, relative to the sum of squares
 _AT_ONCE = 64  # frames that are aligned together
 _APART = f"distances of less than {LARGEST:g} times the mesh's size"

@@ -28,7 +28,7 @@ from .vertex_newton import VertexSystem
 
 __all__ = ["ReducedSystem"]
 
-# at most so many tasks: each holds B×B 4×4 sums of its own (memory), fewer use fewer cores
+# most tasks: each has its own (B, B, 4, 4) sums, which take memory, while fewer use fewer cores
 _TASKS = 8
 
 
@@ -172,7 +172,7 @@ def _group(
     bones = np.where(model.weights > 0, model.indices, n_bones)
     slot = bones.argsort(axis=1, kind="stable")
     bones = np.take_along_axis(bones, slot, axis=1)
-    # two sets that share a code only make more groups
+    # sets may share a code: they then alternate, which makes more groups but no error
     code = np.zeros(len(bones), dtype=np.uint64)
     for column in bones.T:
         code = code * np.uint64(n_bones + 1) + column.astype(np.uint64)

@@ -105,8 +105,8 @@ def newton_vertices(
         Its rest pose, weights and error are changed, its transforms not read.
     fixed : Fixed
     entering : int
-        Number of bones that are tried in place of others of a vertex.  0: only weights of the
-        bones that it has are solved; −1: not even these.
+        Number of bones that may enter a vertex's influences, each if that lowers the error.  0:
+        weights are solved on the influences as they are; −1: this solve is left out, too.
     rounds : int
         Most Gauss–Newton steps of a vertex.
     inverse, gradient : (V, D, D), (V, D) arrays, optional

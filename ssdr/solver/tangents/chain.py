@@ -21,12 +21,13 @@ from .tangent import Tangent
 
 __all__ = ["ChainTangent"]
 
-_GROUP = 12  # frames that share a factor of the preconditioner, at least
-_MEMORY = 64 << 20  # bytes of these factors, at most, unless they are few
+_GROUP = 12  # fewest frames that share a factor of the preconditioner
+_MEMORY = 64 << 20  # most bytes of these factors, unless there are few
 _FEW = 8
-_DAMPED = 1e-9  # of the diagonal, so that what nothing determines stays put
+_DAMPED = 1e-9  # damping, relative to the diagonal, of unknowns that nothing else determines
 _ROUNDING = 1e-12
-_LEAST = 1e-12, 1e-9  # of the largest diagonal entry: of rotations and roots, and of joints
+# Smallest entries of the damping's diagonal, relative to the largest: of frames, and of joints.
+_LEAST = 1e-12, 1e-9
 
 
 class ChainTangent(Tangent):
@@ -36,7 +37,7 @@ class ChainTangent(Tangent):
     its joint.  The model's tree must be rigid.
     """
 
-    conjugate_steps = 30  # a joint moves all that hangs on it: free bones need fewer
+    conjugate_steps = 30  # more than for free bones, since a joint moves its whole subtree
 
     def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
         super().__init__(data, model)
@@ -47,7 +48,7 @@ class ChainTangent(Tangent):
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
         self.joints = tree.non_roots[:0] if fixed.joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
-        # bones whose ω follows from their parent's, with their rotation relative to it
+        # bones that keep their rotation relative to the parent, so that ω follows the parent's
         self._tied = fixed.kept_rotations(tree)
 
     @property
@@ -133,7 +134,7 @@ class ChainTangent(Tangent):
 
         factors = run_chunks(factor, chunk_bounds(len(groups), 1))
         schur = np.sum([left for _, _, left in factors], axis=0)
-        # along a joint's free directions nothing moves, and elimination leaves rounding
+        # where moving a joint moves nothing, elimination leaves rounding
         schur[np.diag_indices(len(outer))] += damped * own_joints + _ROUNDING * n_frames * float(
             own.max()
         )
@@ -154,14 +155,10 @@ class ChainTangent(Tangent):
                     to_frames[i:k] -= answer @ moved
             return out
 
-        def damp(x: Array) -> Array:
-            out = np.empty_like(x)
-            (frames, joints), (to_frames, to_joints) = self.parts(x), self.parts(out)
-            to_frames[:] = frames * (damping * own)
-            to_joints[:] = joints * (damping * own_joints.reshape(-1, 3))
-            return out
-
-        return precondition, damp
+        scale = self.zeros()
+        of_frames, of_joints = self.parts(scale)
+        of_frames[:], of_joints[:] = damping * own, damping * own_joints.reshape(-1, 3)
+        return precondition, lambda x: scale * x
 
     def joint_part(self, x: Array) -> Array:
         return self.parts(x)[1]

@@ -25,8 +25,8 @@ GENERATORS = np.array(
     ],
     dtype=np.float64,
 )
-_GROUP = 24  # frames that share a factor of the preconditioner, at least
-_GROUPS = 32  # at most this many factors
+_GROUP = 24  # fewest frames that share a factor of the preconditioner
+_GROUPS = 32  # most factors
 
 
 class RigidTangent(Tangent):
@@ -91,7 +91,7 @@ def precondition_by_groups(
     groups = chunk_bounds(n_frames, max(_GROUP, -(-n_frames // _GROUPS)))
     rotation = np.ascontiguousarray(model.transforms[..., :3])
     table = u.transpose(2, 3, 0, 1).reshape(1, 16, -1)
-    # of the products of turn[c, f] and table[d, e]
+    # coefficients of the products turn[c, f] · table[d, e]
     signs = np.einsum("dca,efb->abcfde", generators, generators).reshape(n_tangent**2, 144)
 
     def invert(_: int, i: int, k: int) -> Array:

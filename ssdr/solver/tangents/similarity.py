@@ -13,7 +13,7 @@ from .tangent import Tangent
 
 __all__ = ["SimilarityTangent"]
 
-# the growth σ of a bone adds σ p to the change of p under (ω, τ)
+# the generator of σ, which adds σ p to the change of p
 _GROWTH = np.concatenate([np.eye(3), np.zeros((1, 3))])[:, :, None]
 
 

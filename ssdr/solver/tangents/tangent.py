@@ -16,7 +16,7 @@ from ..trajectories import Array, Trajectories
 
 __all__ = ["Tangent"]
 
-_TRANSFORMS = 4096  # moved by a task at least: fewer are not worth a thread
+_TRANSFORMS = 4096  # fewest transforms of a task: fewer are not worth a thread
 
 
 class Tangent(ABC):

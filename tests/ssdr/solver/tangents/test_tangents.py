@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 from helpers.stretches import check_kind
-from helpers.tiny import CASES, KINDS, TREES, Tiny
+from helpers.tiny import KINDS, TREES, Tiny
 
 
 @pytest.fixture(params=[*KINDS, *TREES])
@@ -81,10 +79,3 @@ def test_damping_is_the_diagonal_of_the_bones(kind: str) -> None:
             np.testing.assert_allclose(own_joints, joints, rtol=1e-5, atol=1e-8)
             diagonal, got = frames, own
         np.testing.assert_allclose(got, diagonal, rtol=1e-5)
-
-
-def test_fixed_joints_are_no_unknowns() -> None:
-    tiny = Tiny("tree")
-    assert len(tiny.newton.tangent.joints) == 2
-    tiny.fixed = dataclasses.replace(CASES["joints"])
-    assert len(tiny.gauss_newton().tangent.joints) == 0
