@@ -143,7 +143,7 @@ def on_skeleton(
         nearest_bone=nearest,
         skeleton_skin=skin,
         extra_parents=extra,
-        turns=_locked_turns(skeleton, rig.locked_joints, n_frames),
+        rotations=_locked_rotations(skeleton, rig.locked_joints, n_frames),
     )
 
 
@@ -192,7 +192,7 @@ def extra_parents(rig: Skeleton) -> tuple[int, ...]:
     return tuple(parents)
 
 
-def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
+def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
     """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
     if isinstance(names, str) or not all(isinstance(name, str) for name in names):
         raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
@@ -202,13 +202,13 @@ def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None
         expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
         raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")
     local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
-    turns = np.full((n_frames, *local.shape[1:]), np.nan)
+    rotations = np.full((n_frames, *local.shape[1:]), np.nan)
     for name in dict.fromkeys(names):
         joint = _single_joint(skeleton, name, "rig.locked_joints")
         if skeleton.parents[joint] < 0:
             raise InputError("rig.locked_joints", "joints that have a parent", f"{name!r}, a root")
-        turns[:, joint] = local[:, joint]
-    return turns
+        rotations[:, joint] = local[:, joint]
+    return rotations
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:

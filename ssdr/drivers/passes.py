@@ -18,7 +18,7 @@ from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..search.given import Given
 from ..sequence import MeshSequence
-from ..solver.bone_models import fit_motion
+from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
@@ -134,7 +134,7 @@ class AllFrames:
             span = slice(*spans[k])
             return (
                 self.alignment.centre[span],
-                self.alignment.turn[span],
+                self.alignment.rotation[span],
                 self.frame_scale[span],
                 model.transforms[span],
             )
@@ -188,7 +188,7 @@ def _pass_span(
     n, n_bones = len(shared.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
-    alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
+    alignment = Alignment(centre=centre, rotation=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         x = alignment.inward(block, start)
@@ -202,9 +202,8 @@ def _pass_span(
             importance=shared.importance,
             frame_scale=frame_scale[start:stop],
             centre=centre[start:stop],
-            turn=turn[start:stop],
+            rotation=turn[start:stop],
             scale=shared.scale,
-            lost=0.0,
         )
         piece = Model(
             transforms=transforms[start:stop],
@@ -219,7 +218,7 @@ def _pass_span(
         )
         fit_motion(part, piece, fixed=shared.fixed, sweeps=_SWEEPS, leaps=shared.leaps)
         transforms[start:stop] = piece.transforms
-        hat = part.hat(piece.transforms)
+        hat = part.stack(piece.transforms)
         g += hat.T @ hat
 
         def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:

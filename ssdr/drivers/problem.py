@@ -187,7 +187,7 @@ def check_problem(
             bone_model=bone_model,
             joints=skeleton and kept_rest,
             near_skin=kind == "rigid" and not skeleton,
-            turns=given.turns,
+            rotations=given.rotations,
         ),
         given=given,
         start=whole,
@@ -226,7 +226,7 @@ def _check_rig(
     beside = f"beside rig={kind!r}"
     if bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(bone_model))
-    if kind == "loose" and given.turns is not None:
+    if kind == "loose" and given.rotations is not None:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and given.tree is None:
         return

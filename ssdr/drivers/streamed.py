@@ -48,7 +48,7 @@ def solve(problem: Problem) -> Outcome:
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    if problem.given.turns is not None:
+    if problem.given.rotations is not None:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     clock = Clock()
     executor = executor_for(problem.sequences)

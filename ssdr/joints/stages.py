@@ -24,7 +24,7 @@ from .changes import (
     split_bone,
 )
 from .limb_matching import match_by_motion
-from .placement import hang, soft_step, spanning_tree
+from .placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 
 __all__ = [
     "AddBones",
@@ -64,10 +64,10 @@ class AttachToJoints(Stage):
         if model.tree is None:
             model.tree = spanning_tree(model)
         for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, self.steps)):
-            soft_step(run.data, model, float(stiffness), run.fixed)
+            step_with_joint_penalty(run.data, model, float(stiffness), run.fixed)
             run.iteration += 1
             if k == self.steps - 1:
-                hang(run.data, model, run.fixed)
+                snap_to_joints(run.data, model, run.fixed)
             yield
 
 

@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..solver.alternation import alternate, bone_step, vertex_step
-from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
-from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton, fit_motion
+from ..solver.initialization import fit_patches, single_bone_errors, start_model
 from ..solver.model import Fixed, Model
-from ..solver.trajectories import Trajectories
+from ..solver.trajectories import Array, Trajectories
 from .moves import (
     add_and_merge_bones,
     alternate_some,
@@ -93,7 +95,7 @@ class Start(Stage):
         bones = given.transforms
         if given.indices is not None and given.weights is not None:
             if bones is None:
-                bones = bones_of_weights(data, rest, given.indices, run.bones, run.fixed.bone_model)
+                bones = _patches_of_weights(run, rest, given.indices)
             return Model.with_weights(bones.copy(), rest, given.indices, given.weights, influences)
         if bones is not None and bones.shape[1] == run.bones:
             every = np.arange(data.n_vertices)
@@ -121,7 +123,7 @@ class QuickStart(Start):
             yield
             return
         chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-        few = data.some(chosen)
+        few = data.select_frames(chosen)
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
         influences, kind = self.influences or run.influences, run.fixed.bone_model
         model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
@@ -151,9 +153,9 @@ class StartFromModel(Stage):
         assert given.rest is not None
         assert given.indices is not None
         assert given.weights is not None
-        bones, kind = given.transforms, run.fixed.bone_model
+        bones = given.transforms
         if bones is None:
-            bones = bones_of_weights(data, given.rest, given.indices, run.bones, kind)
+            bones = _patches_of_weights(run, given.rest, given.indices)
         model = Model.with_weights(
             bones.copy(), given.rest, given.indices, given.weights, run.influences
         )
@@ -177,6 +179,12 @@ class Spread(Stage):
         fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
         measure_error(run, model)
         yield
+
+
+def _patches_of_weights(run: Run, rest: Array, indices: NDArray[np.int32]) -> Array:
+    """Each bone's own fit to the vertices that it moves most."""
+    label, kind = indices[:, 0].astype(np.intp), run.fixed.bone_model
+    return fit_patches(run.data, rest, label, run.bones, kind)
 
 
 def measure_error(run: Run, model: Model) -> None:
@@ -281,7 +289,7 @@ class Polish(Stage):
     gain: float = 0.0
 
     def apply(self, run: Run) -> Iterator[None]:
-        polish = polish_of(run.data, run.present, fixed=run.fixed)
+        polish = GaussNewton(run.data, run.present, fixed=run.fixed)
         values = [polish.value]
         for k in range(self.steps):
             polish.step(entering=entering_at(k))

@@ -39,11 +39,11 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     grown = grow_bone(data, model, alternations=2, fixed=Fixed())
     assert grown.n_bones == bones + 1
     assert grown.n_influences == model.n_influences
-    assert grown.objective(data) <= model.objective(data)
+    assert grown.weighted_error(data) <= model.weighted_error(data)
     rest, transforms = data.to_world(grown.rest, grown.transforms)
     built = ssdr.Skinning(rest, grown.indices, grown.weights, transforms)
     measured = rmse_of(built, frames)
-    said = data.scale * np.sqrt(max(grown.objective(data), 0.0) / (5 * 30))
+    said = data.scale * np.sqrt(max(grown.weighted_error(data), 0.0) / (5 * 30))
     assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
 
 
@@ -85,7 +85,7 @@ def test_relaxed_model_is_one_of_the_same_size(extra: int) -> None:
     assert relaxed.n_bones == BONES
     assert (relaxed.weights >= 0).all()
     assert relaxed.weights.sum(axis=1) == pytest.approx(1.0)
-    assert relaxed.objective(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
+    assert relaxed.weighted_error(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
     for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
 
@@ -110,7 +110,7 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
         polish_steps(data, plain, 40, FREE)
         relaxed = relax(data, model, FREE, extra=2, steps=8)
         polish_steps(data, relaxed, 24, FREE)
-        gains.append(relaxed.objective(data) / plain.objective(data))
+        gains.append(relaxed.weighted_error(data) / plain.weighted_error(data))
     assert np.median(gains) < 0.9
 
 
@@ -140,7 +140,7 @@ def test_changed_models_are_of_the_same_size(change: Change) -> None:
         assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
         assert (changed.weights >= 0).all()
         assert changed.weights.sum(axis=1) == pytest.approx(1.0)
-        assert changed.objective(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
+        assert changed.weighted_error(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -167,13 +167,13 @@ def test_regrowing_finds_what_exchanges_of_one_bone_do_not() -> None:
         for _ in range(40):
             trial = reseed_step(data, exchanged, rng, 4, FREE)
             assert trial is not None
-            if trial.objective(data) < exchanged.objective(data):
+            if trial.weighted_error(data) < exchanged.weighted_error(data):
                 exchanged = trial
         for _ in range(10):
             trial = regrow(data, regrown, rng, FREE)
-            if trial.objective(data) < regrown.objective(data):
+            if trial.weighted_error(data) < regrown.weighted_error(data):
                 regrown = trial
-        ratios.append(regrown.objective(data) / exchanged.objective(data))
+        ratios.append(regrown.weighted_error(data) / exchanged.weighted_error(data))
     assert np.median(ratios) < 0.9
 
 

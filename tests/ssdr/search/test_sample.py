@@ -64,7 +64,7 @@ def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
     assert run.data.n_vertices == EACH * BONES
     np.testing.assert_array_equal(run.data.z, run.whole.z[run.chosen])
     np.testing.assert_array_equal(run.present.rest, run.best_model.rest[run.chosen])
-    assert run.present.objective(run.data) == pytest.approx(
+    assert run.present.weighted_error(run.data) == pytest.approx(
         float(run.best_model.error[run.chosen].sum())
     )
 
@@ -86,7 +86,7 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     assert model.n_bones == BONES
     assert len(model.rest) == run.whole.n_vertices
     assert run.chosen is None
-    value = model.objective(run.whole)  # in a basis that loses a little
+    value = model.weighted_error(run.whole)  # in a basis that loses a little
     assert value == pytest.approx(true_error(run.whole, model), rel=0.02)
     # as good as a search among all vertices, about
     alone = new_run(*search, rest=rest)
@@ -111,7 +111,7 @@ def test_nothing_is_recorded_on_a_sample() -> None:
 def test_recall_takes_the_best_model_of_all_vertices() -> None:
     run = new_run(Sample(least=EACH, most=EACH), Alternate(steps=2), Everywhere(), Recall())
     run.drive()
-    assert run.present.objective(run.data) == run.best_value
+    assert run.present.weighted_error(run.data) == run.best_value
 
 
 def test_stopped_on_the_sample_and_taken_up_ends_on_the_same_bits() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 import ssdr
 from helpers import motions
-from ssdr.solver.affine import solve_affine
+from ssdr.solver.affine_fit import solve_affine
 from ssdr.solver.moments import bone_sums
 from ssdr.solver.trajectories import gather
 
