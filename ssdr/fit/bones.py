@@ -127,8 +127,8 @@ def fit_bones(
     kind = check_bone_model(skinning.bone_model if bone_model is None else bone_model)
     locked = check_mask(locked_bones, "locked_bones", skinning.n_bones)
     world = None
-    if check_flag(from_transforms, "from_transforms") or locked is not None:
-        world = check_transforms(skinning.transforms, n_frames, kind)
+    if check_flag(from_transforms, "from_transforms") or (locked is not None and locked.any()):
+        world = check_transforms(skinning.transforms, n_frames, kind, "skinning.")
     max_sweeps = check_whole(max_sweeps, "max_sweeps", 1)
     tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
     data = gather(
