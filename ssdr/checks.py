@@ -38,6 +38,7 @@ LARGEST = 1e100  # bound on numbers whose squares are summed
 _MOST_INFLUENCES = 64
 _LEAST_DETERMINANT = 1e-12  # of an affine bone: below, it is flat
 _OFF = 1e-4  # by which weights may miss the sum 1, and rotations orthogonality
+_ROUNDING = 1e-13  # by which rotations miss it in double precision: they stay as they are
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 
 # --- numbers -----------------------------------------------------------------------------------
@@ -268,9 +269,9 @@ def check_transforms(
         size = np.sqrt(np.trace(gram, axis1=2, axis2=3) / 3)
     if not (size > 0).all():
         raise InputError(argument, expected, "a 3×3 block of zeros")
-    det = np.linalg.det(r / size[..., None, None])
+    det, off = np.linalg.det(r / size[..., None, None]), 0.0
     if bone_model != "affine":
-        off = np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max()
+        off = float(np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max())
         if off > _OFF:
             raise InputError(argument, expected, f"off by {off:.2g}")
     if (det < 0).any():
@@ -278,6 +279,8 @@ def check_transforms(
     if bone_model == "affine":
         if not (det > _LEAST_DETERMINANT).all():
             raise InputError(argument, expected, "a singular 3×3 block")
+        return np.asarray(m, dtype=np.float64)
+    if off <= _ROUNDING:
         return np.asarray(m, dtype=np.float64)
     u, _, vt = np.linalg.svd(r)
     m[..., :3] = (u @ vt) * size[..., None, None]

@@ -17,7 +17,7 @@ from ..checks import (
     check_rng,
     check_whole,
 )
-from ..errors import InputError, check_choice, is_real
+from ..errors import InputError, check_choice, is_real, is_whole
 from ..search.given import Given
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
@@ -109,6 +109,10 @@ class Problem:
             compress=False,
         )
 
+    def without_transforms(self) -> Problem:
+        """The same without transforms to start from."""
+        return dataclasses.replace(self, given=dataclasses.replace(self.given, transforms=None))
+
     def smoothness_of(self, data: Trajectories) -> WeightSmoothness | None:
         """The penalty on the weights, where there is one."""
         return WeightSmoothness.build(data, self.sequences[0].faces, self.smoothness)
@@ -153,7 +157,7 @@ def check_problem(
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
-        given, kind = on_skeleton(rig, given, sequences, influences), rig.joints
+        given, kind = on_skeleton(rig, given, sequences, influences, whole), rig.joints
         names = rig.skinning.names()
     elif rig is not None:
         if not isinstance(rig, str) or rig not in ("loose", "rigid"):
@@ -162,7 +166,7 @@ def check_problem(
     smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
     if smoothness > 0 and len(sequences[0].faces) == 0:
         raise InputError("smoothness", "0 for a mesh without faces", smoothness)
-    _check_rig(kind, given, bone_model, smoothness, whole is not None)
+    _check_rig(kind, given, bone_model, smoothness)
     if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
     if callback is not None and not callable(callback):
@@ -204,34 +208,35 @@ def check_problem(
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
     """How many bones the result has: as asked for, or as a skeleton or a model has."""
-    known, what = None, ""
+    known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)
-        known, what = rig.skinning.n_bones + len(extra_parents(rig)), "skeleton"
+        known, what = rig.skinning.n_bones + len(extra_parents(rig, n_vertices)), "rig"
     elif isinstance(start, Skinning):
         known, what = start.n_bones, "start"
     if bones is None and known is None:
         raise InputError("bones", f"an integer from 1 to {n_vertices}", "None")
-    if known is not None and bones not in (None, known):
+    if known is not None and bones is not None and not (is_whole(bones) and bones == known):
         raise InputError("bones", f"{known}, as the {what} has, or None", repr(bones))
-    note = " (the number of vertices)"
-    return check_whole(known if bones is None else bones, "bones", 1, n_vertices, note)
+    if known is None:
+        return check_whole(bones, "bones", 1, n_vertices, " (the number of vertices)")
+    if known > n_vertices:
+        raise InputError(what, f"at most {n_vertices} bones, as there are vertices", known)
+    return known
 
 
-def _check_rig(
-    kind: RigKind, given: Given, bone_model: str, smoothness: float, whole: bool
-) -> None:
+def _check_rig(kind: RigKind, given: Given, bone_model: str, smoothness: float) -> None:
     """Refuse what does not go together with bones that hang on joints."""
     if kind == "none":
         return
-    beside = f"beside rig={kind!r}"
+    beside = "beside a Skeleton" if given.keeps_tree else f"beside rig={kind!r}"
     if bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(bone_model))
     if kind == "loose" and given.turns is not None:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
-    if kind == "loose" and given.tree is None:
+    if kind == "loose" and not given.keeps_tree:
         return
-    for name in ("weights", "transforms") if given.tree is None and not whole else ():
+    for name in ("weights", "transforms") if not (given.keeps_tree or given.free) else ():
         if getattr(given, name) is not None:
             raise InputError(f"start.{name}", f"None {beside}", "an array")
     if smoothness > 0:

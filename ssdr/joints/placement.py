@@ -31,6 +31,7 @@ __all__ = [
     "contacts",
     "hang",
     "joint_between",
+    "largest_gap",
     "masses",
     "pair_joints",
     "settled",
@@ -210,6 +211,14 @@ def settled(model: Model, tree: Tree) -> Tree:
         right = stay * points[j] - np.einsum("tab,ta->b", turn, shift)
         points[j] = np.linalg.solve(matrix, right)
     return dataclasses.replace(tree, points=points, rigid=False)
+
+
+def largest_gap(model: Model, tree: Tree) -> float:
+    """The largest distance in any frame between a joint under its bone and under the parent."""
+    hung = tree.hung
+    apart = model.transforms[:, hung] - model.transforms[:, tree.parents[hung]]
+    gaps = np.einsum("tjab,jb->tja", apart[..., :3], tree.points[hung]) + apart[..., 3]
+    return float(np.linalg.norm(gaps, axis=-1).max(initial=0.0))
 
 
 def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:

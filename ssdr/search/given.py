@@ -33,6 +33,8 @@ class Given:
     locked_bones : (B0,) mask or None
     tree : Tree or None
         Parents and joints of the first bones.
+    keeps_tree : bool
+        The tree is that of a skeleton, whose parents stay.
     tree_pose : (V, 3) array or None
         Rest pose in which these joints lie, where `rest` is None.
     nearest_bone : (V,) array or None
@@ -54,6 +56,7 @@ class Given:
     locked_vertices: NDArray[np.bool_] | None = None
     locked_bones: NDArray[np.bool_] | None = None
     tree: Tree | None = None
+    keeps_tree: bool = False
     tree_pose: Array | None = None
     nearest_bone: NDArray[np.intp] | None = None
     skeleton_skin: tuple[NDArray[np.int32], Array] | None = None

@@ -15,7 +15,8 @@ from helpers import motions
 from helpers.stretches import check_kind
 from ssdr.search.given import Given
 from ssdr.search.run import Run, Stage
-from ssdr.search.stages import Alternate, Start
+from ssdr.search.stages import Alternate
+from ssdr.search.starts import Start
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import Trajectories
 

@@ -29,9 +29,7 @@ def test_a_pass_is_one_exact_alternation() -> None:
     data = gather([few], bones=4)
     model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
-    passes = AllFrames(
-        sequences, found, data, model, fixed=Fixed(), given=Given(), importance=None
-    )
+    passes = AllFrames(sequences, found, data, model, fixed=Fixed(), given=Given(), importance=None)
     values = [passes.pass_over(entering=3) for _ in range(3)]
     assert values == sorted(values, reverse=True)
     rest, transforms = found.alignment.to_world(passes.model.rest, passes.model.transforms)

@@ -7,14 +7,13 @@ import pytest
 from ssdr.drivers.schedule import schedule_for
 from ssdr.search.given import Given
 from ssdr.search.run import Schedule
-from ssdr.search.stages import AddAndMerge, Merge, Search, Start
+from ssdr.search.stages import AddAndMerge, Merge, Search
+from ssdr.search.starts import Start
 from ssdr.solver.model import FREE
 
 
 def best_schedule(bones: int, size: float) -> Schedule:
-    return schedule_for(
-        "best", fixed=FREE, bones=bones, given=Given(), smoothed=False, size=size
-    )
+    return schedule_for("best", fixed=FREE, bones=bones, given=Given(), smoothed=False, size=size)
 
 
 def trials(schedule: Schedule) -> int:
