@@ -21,6 +21,7 @@ from ..checks import (
 from ..errors import InputError, check_choice, is_whole
 from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
+from ..joints.placement import move_onto_joints
 from ..search.given import Given
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -31,20 +32,19 @@ __all__ = ["check_skeleton", "check_start", "extra_parents", "on_skeleton"]
 
 Skin = tuple[NDArray[np.int32], Array]
 
+# Gaps of joints relative to the mesh's size: such as double precision leaves, and such as single
+# precision or a file's keys leave, which are closed at once.
+_EXACTLY, _NEARLY = 1e-12, 1e-4
 _TURNED = 1e-6  # of a rotation's entries: beyond, a joint is not where it was locked
 
 
 def check_start(
-    start: Any, shape: tuple[int, int, int, int], bone_model: BoneModel
+    start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Given, Skinning | None]:
     """The parts to begin from, and the whole model where they are one; `shape` is (F, V, B, K)."""
-    if start is None:
-        return Given(), None
     if isinstance(start, Skinning):
         return _from_model(start, shape, bone_model), start
-    if isinstance(start, Start):
-        return _from_parts(start, shape, bone_model), None
-    raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
+    return Given() if start is None else _from_parts(start, shape, bone_model), None
 
 
 def _from_model(model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel) -> Given:
@@ -60,9 +60,10 @@ def _from_model(model: Skinning, shape: tuple[int, int, int, int], bone_model: B
     tree = None
     if model.parents is not None:
         points = np.asarray(model.joint_positions, dtype=np.float64)
-        gaps = model.joint_gaps().max()
-        size = float(np.ptp(model.rest, axis=0).max())
-        tree = Tree(model.parents.astype(np.int64), points, rigid=bool(gaps <= 1e-9 * size))
+        gap = model.joint_gaps().max() / float(np.ptp(model.rest, axis=0).max() or 1.0)
+        tree = Tree(model.parents.astype(np.int64), points, rigid=bool(gap <= _NEARLY))
+        if transforms is not None and _EXACTLY < gap <= _NEARLY:
+            move_onto_joints(transforms, tree)
     return Given(
         rest=_check_rest(model.rest, n),
         indices=indices,

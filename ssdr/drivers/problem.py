@@ -25,7 +25,7 @@ from ..skinning import Skinning
 from ..solver.model import Fixed
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
-from ..start import Skeleton
+from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
 from .given_parts import check_skeleton, check_start, extra_parents, on_skeleton
 from .schedule import Effort, RigKind
@@ -152,6 +152,10 @@ def check_problem(
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     influences, bone_model = check_influences(influences), check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
+    if not (start is None or isinstance(start, (Skinning, Start))):
+        raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
+    if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
+        raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     bones = _count_bones(bones, n, rig, start)
     given, whole = check_start(start, (n_frames, n, bones, influences), bone_model)
     names: tuple[str, ...] = ()
@@ -160,9 +164,7 @@ def check_problem(
         given, kind = on_skeleton(rig, given, sequences, influences, whole), rig.joints
         names = rig.skinning.names()
     elif rig is not None:
-        if not isinstance(rig, str) or rig not in ("loose", "rigid"):
-            raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
-        kind = rig  # type: ignore[assignment]
+        kind = rig
     smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
     if smoothness > 0 and len(sequences[0].faces) == 0:
         raise InputError("smoothness", "0 for a mesh without faces", smoothness)
@@ -204,6 +206,10 @@ def check_problem(
         callback=callback,
         checkpoint=None if checkpoint is None else Checkpoint(checkpoint),
     )
+
+
+def _is_kind(rig: Any) -> bool:
+    return isinstance(rig, str) and rig in ("loose", "rigid")
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:

@@ -31,8 +31,8 @@ __all__ = [
     "contacts",
     "hang",
     "joint_between",
-    "largest_gap",
     "masses",
+    "move_onto_joints",
     "pair_joints",
     "settled",
     "soft_step",
@@ -213,12 +213,10 @@ def settled(model: Model, tree: Tree) -> Tree:
     return dataclasses.replace(tree, points=points, rigid=False)
 
 
-def largest_gap(model: Model, tree: Tree) -> float:
-    """The largest distance in any frame between a joint under its bone and under the parent."""
-    hung = tree.hung
-    apart = model.transforms[:, hung] - model.transforms[:, tree.parents[hung]]
-    gaps = np.einsum("tjab,jb->tja", apart[..., :3], tree.points[hung]) + apart[..., 3]
-    return float(np.linalg.norm(gaps, axis=-1).max(initial=0.0))
+def move_onto_joints(transforms: Array, tree: Tree) -> None:
+    """Move every bone onto its joint, its rotation kept (in place)."""
+    still = np.zeros((*transforms.shape[:2], 3))
+    chain_move(transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
 
 
 def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:
@@ -230,7 +228,6 @@ def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:
     assert tree is not None
     for j, k, turn in fixed.kept_turns(tree):
         model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
-    still = np.zeros((*model.transforms.shape[:2], 3))
-    chain_move(model.transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
+    move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
     vertex_step(data, model, fixed=fixed)

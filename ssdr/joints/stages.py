@@ -24,7 +24,7 @@ from .changes import (
     split_bone,
 )
 from .limb_matching import match_by_motion
-from .placement import hang, largest_gap, soft_step, spanning_tree
+from .placement import hang, soft_step, spanning_tree
 
 __all__ = [
     "AddBones",
@@ -38,8 +38,6 @@ __all__ = [
 
 # Stiffness of the joints, relative to the lighter bone's mass, from the first step to the last.
 _STIFFNESS = (1e-2, 100.0)
-# Of the mesh's size: gaps that single precision leaves, or a file's, are no reason for that.
-_NEARLY = 1e-4
 _MOST_POLISH = 48  # steps of a trial that is still on its way below the model it has to beat
 _AHEAD = 4  # so many more blocks of steps as good as the last have to lead below that model
 
@@ -74,17 +72,12 @@ class AttachToJoints(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AttachUnattached(AttachToJoints):
-    """Attach the bones of a model to joints unless they are; at once where they nearly are."""
+    """Attach the bones of a model to joints unless they already are."""
 
     def apply(self, run: Run) -> Iterator[None]:
-        model = run.present
-        tree = model.tree
+        tree = run.present.tree
         if tree is None or not tree.rigid:
-            if tree is None or largest_gap(model, tree) > _NEARLY:
-                yield from super().apply(run)
-            else:
-                hang(run.data, model, run.fixed)
-                yield
+            yield from super().apply(run)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
