@@ -193,6 +193,8 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     """Non-negative importance, not all zero, scaled to a maximum of 1; only ratios count."""
     if value is None:
         return None
+    if getattr(value, "dtype", None) == bool:  # what counts, as a mask
+        value = value.astype(np.float64)
     array = check_floats(value, argument, (count,), copy=True)
     if (array < 0).any() or not array.max() > 0:
         raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")

@@ -28,7 +28,7 @@ from ..solver.initialization import bones_of_weights
 from ..solver.model import Fixed, Model
 from ..solver.moments import bone_sums
 from ..solver.trajectories import Array, Trajectories, gather
-from .fit import Fit, checked, rmse_of
+from .fit import NAMES, Fit, checked, rmse_of
 
 __all__ = ["BoneFit", "fit_bones"]
 
@@ -136,7 +136,7 @@ def fit_bones(
         bones=skinning.n_bones,
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
-    inner, start = data.from_world(rest, world)
+    inner, start = data.from_world(rest, world, NAMES)
     fixed = Fixed(rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=kind)
     # a bone may not turn inside out on its way, which bars affine ones some ways from their
     # own fit that are open from rigid ones

@@ -14,7 +14,9 @@ from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.trajectories import Array
 
-__all__ = ["Fit", "checked", "checked_transforms", "rmse_of"]
+__all__ = ["NAMES", "Fit", "checked", "checked_transforms", "rmse_of"]
+
+NAMES = ("skinning.rest", "skinning.transforms")  # of what is taken into the solver's space
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

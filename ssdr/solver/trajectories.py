@@ -67,18 +67,26 @@ class Alignment:
         t = shift + self.centre[:, None] - r @ origin
         return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
 
-    def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
-        """Inverse of :meth:`to_world`; refuses what cannot be squared at the mesh's size."""
+    def from_world(
+        self,
+        rest: Array,
+        transforms: Array | None,
+        names: tuple[str, str] = ("rest", "transforms"),
+    ) -> tuple[Array, Array | None]:
+        """Inverse of :meth:`to_world`; refuses what cannot be squared at the mesh's size.
+
+        `names` of both arguments stand in messages.
+        """
         origin = self.centre[0]
         inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
-        check_squarable(inner, "rest", _APART)
+        check_squarable(inner, names[0], _APART)
         if transforms is None:
             return inner, None
         m = np.asarray(transforms, dtype=np.float64)
         r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
         t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
-        check_squarable(t, "transforms", _APART)
+        check_squarable(t, names[1], _APART)
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:

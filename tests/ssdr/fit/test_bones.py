@@ -244,6 +244,7 @@ def test_warm_started_from_the_smaller_model_is_never_worse(seed: int, noise: fl
         ("skinning", {"skinning": "model.npz"}),
         ("skinning", {"skinning": motions.model(np.zeros((119, 3)))}),
         ("skinning.rest", {"skinning": motions.model(np.full((120, 3), 1e155))}),
+        ("skinning.rest", {"skinning": motions.model(np.full((120, 3), 1e95)), "small": 1e-60}),
         ("skinning.transforms", {"locked_bones": [0]}),
         ("skinning.transforms", {"from_transforms": True}),
         ("from_transforms", {"from_transforms": 1}),
@@ -257,6 +258,8 @@ def test_warm_started_from_the_smaller_model_is_never_worse(seed: int, noise: fl
 def test_refuses(argument: str, change: dict[str, object]) -> None:
     chain = motions.chain(bones=5)
     still = motions.model(chain.rest, chain.indices, chain.weights)
+    options = {"skinning": still, "small": 1.0} | change
+    frames = options.pop("small") * chain.frames
     with pytest.raises(ssdr.InputError) as caught:
-        ssdr.fit_bones(chain.frames, **({"skinning": still} | change))
+        ssdr.fit_bones(frames, **options)
     assert caught.value.argument == argument
