@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -230,10 +230,10 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
 
 def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
     """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
-    several = isinstance(names, Sequence) and not isinstance(names, str)
+    several = np.iterable(names) and not isinstance(names, str)
     if not several or not all(isinstance(name, str) for name in names):
         raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
-    if not names:
+    if len(names) == 0:
         return None
     if skeleton.n_frames not in (1, n_frames):
         expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
