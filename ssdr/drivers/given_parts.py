@@ -230,17 +230,17 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
 
 def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
     """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
-    several = np.iterable(names) and not isinstance(names, str)
-    if not several or not all(isinstance(name, str) for name in names):
+    listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
+    if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
         raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
-    if len(names) == 0:
+    if not listed:
         return None
     if skeleton.n_frames not in (1, n_frames):
         expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
         raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")
     local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
     turns = np.full((n_frames, *local.shape[1:]), np.nan)
-    for name in dict.fromkeys(names):
+    for name in dict.fromkeys(listed):
         joint = _single_joint(skeleton, name, "rig.locked_joints")
         if skeleton.parents[joint] < 0:
             raise InputError("rig.locked_joints", "joints that have a parent", f"{name!r}, a root")

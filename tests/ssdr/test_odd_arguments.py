@@ -65,7 +65,7 @@ def test_models_and_places_are_of_their_kind(odd: Any) -> None:
         ssdr.decompose(frames, bones=2, start=start)
     hung = dataclasses.replace(model, parents=[-1, 0], joint_positions=np.zeros((2, 3)))
     kinds = ("joints", "extra_bones", "locked_joints")
-    for name in kinds if not (isinstance(odd, (dict, list)) and not odd) else ("joints",):
+    for name in kinds if not (isinstance(odd, (dict, list, set)) and not odd) else ("joints",):
         with pytest.raises(InputError, match=rf"^rig\.{name}: expected"):
             ssdr.decompose(frames, rig=ssdr.Skeleton(hung, **{name: odd}))
 
