@@ -111,8 +111,8 @@ def outcome_of(
 
     skinning = skinning_of(problem, alignment, model)
     rmse = rmse_of(skinning)
-    start = problem.start
-    if start is not None and _is_an_answer(problem, start):
+    if problem.start is not None and _is_an_answer(problem, problem.start):
+        start = _start_as_result(problem, alignment)
         before = rmse_of(start)
         if before < rmse:
             skinning, rmse = start, before
@@ -133,6 +133,20 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
     frames = start.n_frames == problem.n_frames
     return plain and rigid and frames and problem.smoothness == 0
+
+
+def _start_as_result(problem: Problem, alignment: Alignment) -> Skinning:
+    """The model that a call starts from, with what its result has beside rest pose and bones."""
+    given, inner = problem.given, problem.given.inside(alignment)
+    assert inner.rest is not None
+    assert inner.indices is not None
+    assert inner.weights is not None
+    assert inner.transforms is not None
+    parts = (inner.rest, inner.indices, inner.weights, problem.influences)
+    model = Model.with_weights(inner.transforms, *parts)
+    model.tree = inner.tree
+    skinning = skinning_of(problem, alignment, model)
+    return dataclasses.replace(skinning, rest=given.rest, transforms=given.transforms)
 
 
 def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:

@@ -106,10 +106,6 @@ class AllFrames:
         self.vertex_importance = data.importance
         self.frame_scale = frame_scale_of(importance, len(scan.nearest))
 
-    def restore(self, model: Model, passes: int) -> None:
-        """Go on with a model of all frames after so many passes."""
-        self.model, self.passes = model, passes
-
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
         """One exact alternation; returns the objective in the solver's space.
 

@@ -10,20 +10,20 @@ A schedule reads from the first line to the last.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from typing import Literal
 
 from ..checks import BoneModel
 from ..joints.stages import (
     AddBones,
     AttachToJoints,
+    AttachUnattached,
     FreeBones,
     SearchTrees,
     SearchWeights,
     StartOnSkeleton,
 )
 from ..search.given import Given
-from ..search.run import Lowest, Run, Schedule
+from ..search.run import Lowest, Schedule
 from ..search.sampling import AllVertices, ReturnToBest, SampleVertices
 from ..search.stages import (
     AddAndMerge,
@@ -32,13 +32,10 @@ from ..search.stages import (
     Merge,
     MoveBones,
     Polish,
-    QuickStart,
     Relax,
     Search,
-    Spread,
-    Start,
-    StartFromModel,
 )
+from ..search.starts import QuickStart, Spread, Start, StartFromModel
 
 __all__ = ["Effort", "RigKind", "merged_start", "schedule_for", "settling_schedule"]
 
@@ -349,14 +346,17 @@ def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
 # --- from a model --------------------------------------------------------------------------------
 
 
-def from_model(effort: Effort, size: float, *, rigid: bool, smoothed: bool) -> Schedule:
+def from_model(
+    effort: Effort, size: float, *, rigid: bool, keeps_tree: bool, smoothed: bool
+) -> Schedule:
     """Continue from a whole model, such as a checkpoint."""
     n = _rebuilds(size)
     if smoothed:
         return (StartFromModel(), Compress(), Alternate(steps=NUMBERS[effort].smooth))
     if rigid:
         start: Schedule = (StartFromModel(), Compress(), AttachUnattached())
-        search = SearchTrees(steps=_TRIALS_OF_A_TREE, patience=_TRIALS_OF_A_TREE)
+        searcher = SearchWeights if keeps_tree else SearchTrees
+        search = searcher(steps=_TRIALS_OF_A_TREE, patience=_TRIALS_OF_A_TREE)
         again = (ReturnToBest(), *RELAXED_TREE, search)
         count = {"fast": 0, "balanced": 1, "best": _TREE_ROUNDS}[effort]
         return (*start, *count * again, ReturnToBest(), LAST_OF_TREES)
@@ -367,16 +367,6 @@ def from_model(effort: Effort, size: float, *, rigid: bool, smoothed: bool) -> S
         return (*start, Polish(steps=8), *RELAXED, ReturnToBest(), Polish(steps=20, gain=0.01))
     rebuild = (ReturnToBest(), AddAndMerge(), *searched(_TRIALS_OF_A_REBUILD))
     return (*start, *searched(n.trials), *n.after * rebuild, *last_search(n.trials))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class AttachUnattached(AttachToJoints):
-    """Attach the bones of a model to joints unless they already are."""
-
-    def apply(self, run: Run) -> Iterator[None]:
-        tree = run.present.tree
-        if tree is None or not tree.rigid:
-            yield from super().apply(run)
 
 
 # --- which of them -------------------------------------------------------------------------------
@@ -410,7 +400,9 @@ def schedule_for(
     rig : {"none", "loose", "rigid"}
     """
     if given.free:
-        return from_model(effort, size, rigid=rig == "rigid", smoothed=smoothed)
+        return from_model(
+            effort, size, rigid=rig == "rigid", keeps_tree=given.keeps_tree, smoothed=smoothed
+        )
     if given.tree is not None:
         return on_skeleton(effort, given, rigid=rig == "rigid")
     if rig == "rigid":

@@ -27,7 +27,7 @@ from ..solver.initialization import fit_patches
 from ..solver.model import Fixed, Model
 from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
-from .fit import Fit, checked, rmse_of
+from .fit import NAMES, Fit, checked, rmse_of
 
 __all__ = ["BoneFit", "fit_bones"]
 
@@ -126,8 +126,8 @@ def fit_bones(
     kind = check_bone_model(skinning.bone_model if bone_model is None else bone_model)
     locked = check_mask(locked_bones, "locked_bones", skinning.n_bones)
     world = None
-    if check_flag(from_transforms, "from_transforms") or locked is not None:
-        world = check_transforms(skinning.transforms, n_frames, kind)
+    if check_flag(from_transforms, "from_transforms") or (locked is not None and locked.any()):
+        world = check_transforms(skinning.transforms, n_frames, kind, "skinning.")
     max_sweeps = check_whole(max_sweeps, "max_sweeps", 1)
     tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
     data = gather(
@@ -135,7 +135,7 @@ def fit_bones(
         bones=skinning.n_bones,
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
-    inner, start = data.from_world(rest, world)
+    inner, start = data.from_world(rest, world, NAMES)
     fixed = Fixed(rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=kind)
     # a bone may not turn inside out on its way, which bars affine ones some ways from their
     # own fit that are open from rigid ones

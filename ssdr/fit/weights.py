@@ -16,7 +16,7 @@ from ..solver.model import Fixed, Model
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import gather
 from ..solver.vertex_newton import optimise_vertices
-from .fit import Fit, checked, checked_transforms, rmse_of
+from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
 
 __all__ = ["fit_weights"]
 
@@ -74,7 +74,7 @@ def fit_weights(
     world = checked_transforms(sequences, skinning)
     iterations = check_whole(iterations, "iterations", 1)
     data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(rest, world)
+    inner, bones = data.from_world(rest, world, NAMES)
     assert bones is not None
     cost, _ = single_bone_errors(data, inner, bones, np.arange(n))
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, world.shape[1]))

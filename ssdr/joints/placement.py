@@ -32,6 +32,7 @@ __all__ = [
     "find_contacts",
     "fit_joint",
     "fit_joints",
+    "move_onto_joints",
     "refit_joints",
     "snap_to_joints",
     "spanning_tree",
@@ -221,6 +222,12 @@ def refit_joints(model: Model, tree: Tree) -> Tree:
     return dataclasses.replace(tree, points=points, rigid=False)
 
 
+def move_onto_joints(transforms: Array, tree: Tree) -> None:
+    """Translate every bone onto its joint (in place)."""
+    still = np.zeros((*transforms.shape[:2], 3))
+    chain_move(transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
+
+
 def snap_to_joints(data: Trajectories, model: Model, fixed: Fixed) -> None:
     """Translate every bone onto its joint, then solve the vertices (in place).
 
@@ -230,7 +237,6 @@ def snap_to_joints(data: Trajectories, model: Model, fixed: Fixed) -> None:
     assert tree is not None
     for j, k, turn in fixed.kept_rotations(tree):
         model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
-    still = np.zeros((*model.transforms.shape[:2], 3))
-    chain_move(model.transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
+    move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
     vertex_step(data, model, fixed=fixed)

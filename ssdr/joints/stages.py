@@ -29,6 +29,7 @@ from .placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 __all__ = [
     "AddBones",
     "AttachToJoints",
+    "AttachUnattached",
     "FreeBones",
     "RemoveBones",
     "SearchTrees",
@@ -102,6 +103,16 @@ class FreeBones(Stage):
         run.model = dataclasses.replace(run.present.copy(), tree=None)
         for stage in self.freed:
             yield from run.steps_of(stage)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AttachUnattached(AttachToJoints):
+    """Attach the bones of a model to joints unless they already are."""
+
+    def apply(self, run: Run) -> Iterator[None]:
+        tree = run.present.tree
+        if tree is None or not tree.rigid:
+            yield from super().apply(run)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,8 @@ from ..search.moves import grow_bone
 from ..search.prescribed import Prescribed
 from ..search.progress import Callback, Clock, Reporter
 from ..search.run import Run
-from ..search.stages import Alternate, Merge, Polish, Reseed, Start
+from ..search.stages import Alternate, Merge, Polish, Reseed
+from ..search.starts import Start
 from ..sequence import MeshSequence
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories, gather

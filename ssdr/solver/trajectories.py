@@ -68,8 +68,15 @@ class Alignment:
         t = shift + self.centre[:, None] - r @ origin
         return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
 
-    def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
+    def from_world(
+        self,
+        rest: Array,
+        transforms: Array | None,
+        names: tuple[str, str] = ("rest", "transforms"),
+    ) -> tuple[Array, Array | None]:
         """Map a rest pose and transforms to the solver's space.
+
+        `names` of both arguments stand in messages.
 
         Raises
         ------
@@ -78,14 +85,14 @@ class Alignment:
         """
         origin = self.centre[0]
         inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
-        check_squarable(inner, "rest", _APART)
+        check_squarable(inner, names[0], _APART)
         if transforms is None:
             return inner, None
         m = np.asarray(transforms, dtype=np.float64)
         r = np.einsum("tba,tjbc->tjac", self.rotation, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
         t = np.einsum("tba,tjb->tja", self.rotation, moved) / self.scale
-        check_squarable(t, "transforms", _APART)
+        check_squarable(t, names[1], _APART)
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:

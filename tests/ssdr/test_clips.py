@@ -115,18 +115,29 @@ def test_clips_stay_when_weights_are_pruned_and_keys_are_cut():
     assert not keyed.keyframes[9].any()
 
 
-def test_decompose_makes_a_clip_of_each_sequence():
-    result = ssdr.decompose(three(), bones=3, effort="fast")
+@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
+@pytest.mark.parametrize("way", ["in memory", "streamed", "smallest"])
+def test_a_clip_is_made_of_each_sequence(way, monkeypatch):
+    if way == "smallest":
+        result = ssdr.smallest(three(), tolerance="20%", effort="fast")
+    else:
+        monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: way == "streamed")
+        result = ssdr.decompose(three(), bones=3, effort="fast")
     assert result.skinning.clips == CLIPS
     assert (result.skinning.fps, result.skinning.name) == (24.0, "")
     np.testing.assert_array_equal(result.offsets, [0, 9, 19, 20])
 
 
-@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
-def test_streamed_frames_keep_their_clips(monkeypatch):
-    monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: True)
-    result = ssdr.decompose(three(), bones=2, effort="fast")
-    assert result.skinning.clips == CLIPS
+def test_a_model_taken_up_has_the_clips_of_the_frames():
+    shots = three()
+    first = ssdr.decompose(shots, bones=2, effort="fast")
+    frames = np.concatenate([s.vertices for s in shots])
+    whole = MeshSequence(frames, shots[0].faces, 12.0, name="all")
+    again = ssdr.decompose(whole, start=first.skinning, effort="fast")
+    assert again.skinning.clips == (Clip("all", 0, 20, 12.0),)
+    assert again.rmse <= first.rmse
+    back = ssdr.decompose(shots, start=again.skinning, effort="fast")
+    assert back.skinning.clips == CLIPS
 
 
 def test_names_come_from_clip_then_sequence_then_number():

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 import ssdr
-from helpers.measures import bits
+from helpers.measures import run_of
 from ssdr.drivers.schedule import FIRST_MODEL, merged_start
-from ssdr.search.prescribed import Prescribed
+from ssdr.search.given import Given
 from ssdr.search.run import Run
-from ssdr.search.sampling import Everywhere, Recall, Sample
-from ssdr.search.stages import Alternate, Reseed
+from ssdr.search.sampling import AllVertices, ReturnToBest, SampleVertices
+from ssdr.search.stages import Alternate, MoveBones
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -31,15 +29,9 @@ def strip(frames: int = 12, columns: int = 150) -> np.ndarray:
 
 def new_run(*stages: object, rest: bool = False) -> Run:
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
-    return Run(
-        data,
-        [*FIRST_MODEL, *stages],
-        bones=BONES,
-        influences=INFLUENCES,
-        rng=np.random.default_rng(0),
-        fixed=Fixed(rest=rest),
-        prescribed=Prescribed(rest=data.frame(3).copy()) if rest else Prescribed(),
-    )
+    given = Given(rest=data.frame(3).copy() if rest else None)
+    stages = (*FIRST_MODEL, *stages)
+    return run_of(data, stages, BONES, INFLUENCES, fixed=Fixed(rest=rest), given=given)
 
 
 def true_error(data: Trajectories, model: Model) -> float:
@@ -55,7 +47,7 @@ def true_error(data: Trajectories, model: Model) -> float:
 
 
 def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
-    run = new_run(Sample(least=EACH, most=EACH))
+    run = new_run(SampleVertices(least=EACH, most=EACH))
     run.drive()
     assert run.chosen is not None
     assert len(run.chosen) == EACH * BONES == len(np.unique(run.chosen))
@@ -70,7 +62,7 @@ def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
 
 
 def test_a_small_mesh_stays_whole() -> None:
-    run = new_run(Sample(least=80), Everywhere())
+    run = new_run(SampleVertices(least=80), AllVertices())
     before = run.whole.n_vertices
     run.drive()
     assert run.chosen is None
@@ -79,8 +71,8 @@ def test_a_small_mesh_stays_whole() -> None:
 
 @pytest.mark.parametrize("rest", [False, True])
 def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
-    search = (*merged_start(1.6, 12, 6), Reseed(steps=4))
-    run = new_run(Sample(least=EACH, most=EACH), *search, Everywhere(), rest=rest)
+    search = (*merged_start(12, 6), MoveBones(steps=4))
+    run = new_run(SampleVertices(least=EACH, most=EACH), *search, AllVertices(), rest=rest)
     run.drive()
     model = run.present
     assert model.n_bones == BONES
@@ -93,11 +85,11 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     alone.drive()
     assert value < 1.3 * alone.best_value
     if rest:
-        np.testing.assert_array_equal(model.rest, run.prescribed.rest)
+        np.testing.assert_array_equal(model.rest, run.given.rest)
 
 
 def test_nothing_is_recorded_on_a_sample() -> None:
-    run = new_run(Sample(least=EACH, most=EACH), Alternate(steps=5))
+    run = new_run(SampleVertices(least=EACH, most=EACH), Alternate(steps=5))
     run.drive()
     assert len(run.best_model.rest) == run.whole.n_vertices
     assert run.records == [r for r in run.records if r[3] in ("quick", "alternate", "compress")]
@@ -108,35 +100,8 @@ def test_nothing_is_recorded_on_a_sample() -> None:
     assert again.best_value == run.best_value
 
 
-def test_recall_takes_the_best_model_of_all_vertices() -> None:
-    run = new_run(Sample(least=EACH, most=EACH), Alternate(steps=2), Everywhere(), Recall())
+def test_the_way_back_leads_to_the_best_model_of_all_vertices() -> None:
+    stages = (Alternate(steps=2), AllVertices(), ReturnToBest())
+    run = new_run(SampleVertices(least=EACH, most=EACH), *stages)
     run.drive()
     assert run.present.weighted_error(run.data) == run.best_value
-
-
-def test_stopped_on_the_sample_and_taken_up_ends_on_the_same_bits() -> None:
-    dancer = ssdr.samples.load("dancer_small")
-    options = {"bones": 2, "influences": 2, "effort": "balanced"}
-    whole = ssdr.decompose(dancer, **options)
-    sampled = 0
-    for steps in range(8, 60, 6):
-        part = ssdr.decompose(dancer, **options, max_iterations=steps)
-        if part.stop_reason != "iterations":
-            break
-        if part.state.current is not None:
-            sampled += len(part.state.current.rest) < dancer.n_vertices
-        assert len(part.skinning.rest) == dancer.n_vertices
-        assert bits(ssdr.decompose(dancer, **options, resume=part.state)) == bits(whole)
-    assert sampled
-
-
-def test_a_state_of_a_sample_that_does_not_fit_is_refused() -> None:
-    dancer = ssdr.samples.load("dancer_small")
-    options = {"bones": 2, "influences": 2, "effort": "balanced"}
-    for steps in range(8, 60, 3):
-        state = ssdr.decompose(dancer, **options, max_iterations=steps).state
-        if state.current is not None and len(state.current.rest) < dancer.n_vertices:
-            break
-    wrong = dataclasses.replace(state, current=state.best)
-    with pytest.raises(ssdr.InputError, match="resume"):
-        ssdr.decompose(dancer, **options, resume=wrong)

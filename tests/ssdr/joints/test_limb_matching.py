@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers import trees
 from ssdr.hierarchy.tree import Tree
-from ssdr.joints.matching import matched_bones, moved_like
+from ssdr.joints.limb_matching import limb_distances, match_by_motion, matched_bones
 from ssdr.solver.trajectories import gather
 
 
@@ -70,5 +70,13 @@ def test_vertices_go_where_they_move_not_to_the_nearest_limb() -> None:
     points, _ = data.from_world(made.points, made.transforms)
     shuffled = np.random.default_rng(0).permutation(9)
     tree = Tree(made.parents, points, rigid=False)
-    found = moved_like(data, rest, shuffled[own].astype(np.intp), 9, tree)
+    found = match_by_motion(data, rest, shuffled[own].astype(np.intp), 9, tree)
     assert np.array_equal(found, own)
+
+
+def test_limbs_end_at_children_and_go_on_beyond_the_last() -> None:
+    arm = Tree(np.array([-1, 0, 1]), np.array([[0.0, 0, 0], [2, 0, 0], [3, 0, 0]]), rigid=False)
+    points = np.array([[0.5, 1, 0], [1.9, 0.1, 0], [2.4, 1, 0], [3.6, 0, 0], [9, 0, 0]])
+    assert limb_distances(points, arm).argmin(axis=1).tolist() == [0, 0, 1, 2, 2]
+    alone = Tree(np.array([-1]), np.zeros((1, 3)), rigid=False)
+    assert limb_distances(points, alone).argmin(axis=1).tolist() == [0] * 5
