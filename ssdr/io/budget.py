@@ -6,9 +6,12 @@ from pathlib import Path
 
 from ..errors import FormatError
 
-__all__ = ["MOST_BYTES", "afford"]
+__all__ = ["MOST_BYTES", "afford", "refuse_bomb"]
 
 MOST_BYTES = 16 << 30  # 16 GiB: more than a mesh needs, less than a false count can ask for
+# Compression of more than this ratio is refused in what is larger than this size: frames of a
+# real animation shrink to a tenth at best, and a small file must not fill the memory.
+_MOST_RATIO, _UNSUSPICIOUS_BYTES = 100, 256 << 20
 
 
 def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None) -> None:
@@ -34,5 +37,31 @@ def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None)
         size = min(n_bytes, 1e18)  # a product of a file's counts may have hundreds of digits
         raise FormatError(
             f"{path}: {what} needs {size:.0f} bytes, above the limit of {limit} "
-            "(max_bytes= raises it)"
+            "(max_bytes= raises it where the format has that option)"
+        )
+
+
+def refuse_bomb(
+    n_bytes: int, stored: int, what: str, path: Path | str, most: int | None = None
+) -> None:
+    """Refuse compressed data that inflate like a zip bomb, before they do.
+
+    Parameters
+    ----------
+    n_bytes, stored : int
+        Size once inflated and in the file.
+    what, path
+        As for :func:`afford`.
+    most : int, optional
+        The caller's `max_bytes`, which admits any ratio where it is stated.
+
+    Raises
+    ------
+    FormatError
+        If `n_bytes` is above 256 MiB and 100 times `stored`.
+    """
+    if most is None and n_bytes > max(_UNSUSPICIOUS_BYTES, _MOST_RATIO * stored):
+        raise FormatError(
+            f"{path}: {what} inflates {n_bytes // max(1, stored)}-fold to {n_bytes} bytes, like a "
+            f"zip bomb; max_bytes={n_bytes} admits it"
         )

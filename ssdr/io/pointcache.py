@@ -8,18 +8,20 @@ int32 points, the float32 time of every sample, then the samples as float32.
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .atomic import atomic_path
-from .companion import find
-from .registry import SaveReport, describe, reading, seconds
+from .companion import over_mesh
+from .registry import SaveReport, describe, reading, seconds, written_vertices
 
 __all__ = ["read_mdd", "read_pc2", "write_mdd", "write_pc2"]
 
@@ -58,8 +60,8 @@ def read_pc2(
         _, version, points, _, _, samples = _PC2.unpack(head)
         if version != 1:
             raise FormatError(f"{path}: PC2 of version {version}; 1 is known")
-    vertices = _samples(path, _PC2.size, samples, points, "<f4", mmap)
-    return _sequence(path, vertices, fps, mesh)
+        vertices = _read(path, _PC2.size, samples, points, "<f4", mmap)
+    return over_mesh(vertices, path, mesh, "mesh", fps)
 
 
 def read_mdd(
@@ -74,10 +76,10 @@ def read_mdd(
         if len(head) < _MDD.size:
             raise FormatError(f"{path}: not an MDD cache: {describe(head)}")
         samples, points = _MDD.unpack(head)
-        _check_size(path, _MDD.size, samples, points, per_sample=4)
-        times = np.frombuffer(stream.read(4 * samples), dtype=">f4").astype(np.float64)
-    vertices = _samples(path, _MDD.size + 4 * samples, samples, points, ">f4", mmap)
-    return _sequence(path, vertices, fps or _rate(path, times), mesh)
+        vertices = _read(path, _MDD.size + 4 * samples, samples, points, ">f4", mmap)
+        times = np.fromfile(stream, dtype=">f4", count=samples).astype(np.float64)
+        fps = fps or _rate(path, times)
+    return over_mesh(vertices, path, mesh, "mesh", fps)
 
 
 def write_pc2(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
@@ -96,9 +98,9 @@ def write_pc2(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> Sa
     InputError
         If a coordinate is beyond the range of float32.
     """
-    points = _n_points(sequence, unweld)
-    head = _PC2.pack(b"POINTCACHE2\0", 1, points, 0.0, 1.0, sequence.n_frames)
-    return _write(sequence, path, head, "<f4", unweld)
+    index, note = written_vertices(sequence, unweld)
+    head = _PC2.pack(b"POINTCACHE2\0", 1, len(index), 0.0, 1.0, sequence.n_frames)
+    return _write(sequence, path, head, "<f4", index, note)
 
 
 def write_mdd(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
@@ -106,44 +108,26 @@ def write_mdd(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> Sa
 
     Parameters and errors as for :func:`write_pc2`.
     """
-    head = _MDD.pack(sequence.n_frames, _n_points(sequence, unweld))
+    index, note = written_vertices(sequence, unweld)
+    head = _MDD.pack(sequence.n_frames, len(index))
     times = seconds(np.arange(sequence.n_frames), sequence.fps).astype(">f4")
-    return _write(sequence, path, head + times.tobytes(), ">f4", unweld)
+    return _write(sequence, path, head + times.tobytes(), ">f4", index, note)
 
 
-def _check_size(path: Path, header: int, samples: int, points: int, per_sample: int) -> None:
+def _read(path: Path, header: int, samples: int, points: int, kind: str, mmap: bool) -> Any:
+    """Vertices (F, V, 3) behind the header, in a file of just that size."""
     if samples < 1 or points < 1:
         raise FormatError(f"{path}: states {samples} samples of {points} points")
-    stated = header + samples * (12 * points + per_sample)
-    held = path.stat().st_size
+    stated, held = header + 12 * samples * points, path.stat().st_size
     if held != stated:
         raise FormatError(
             f"{path}: states {samples} samples of {points} points, {stated} bytes, but holds {held}"
         )
-
-
-def _samples(path: Path, header: int, samples: int, points: int, kind: str, mmap: bool) -> Any:
-    with reading(path):
-        if kind == "<f4":
-            _check_size(path, header, samples, points, per_sample=0)
-        shape = (samples, points, 3)
-        if mmap:
-            return np.memmap(path, np.dtype(kind), "r", header, shape)
-        flat = np.fromfile(path, dtype=kind, offset=header, count=samples * points * 3)
-        return flat.reshape(shape).astype(np.float32, copy=False)
-
-
-def _sequence(path: Path, vertices: Any, fps: float | None, mesh: Any) -> MeshSequence:
-    over = find(path, mesh, "mesh", vertices.shape[1])
-    with reading(path):
-        return MeshSequence(
-            vertices,
-            over.faces,
-            fps or over.fps or 24.0,
-            name=path.stem,
-            surface=over.surface,
-            vertex_map=over.vertex_map,
-        )
+    shape = (samples, points, 3)
+    if mmap:
+        return np.memmap(path, np.dtype(kind), "r", header, shape)
+    flat = np.fromfile(path, dtype=kind, offset=header, count=3 * samples * points)
+    return flat.reshape(shape).astype(np.float32, copy=False)
 
 
 def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
@@ -164,19 +148,15 @@ def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
     return round(1 / mean, 3) or 1 / mean  # the times are float32: 1/24 s comes back as 23.9999996
 
 
-def _n_points(sequence: MeshSequence, unweld: bool) -> int:
-    if not unweld:
-        return sequence.n_vertices
-    if sequence.vertex_map is None:
-        raise InputError("unweld", "a sequence that was welded", "one without vertex_map")
-    return len(sequence.vertex_map)
-
-
 def _write(
-    sequence: MeshSequence, path: Path, header: bytes, kind: str, unweld: bool
+    sequence: MeshSequence,
+    path: Path,
+    header: bytes,
+    kind: str,
+    index: NDArray[np.integer],
+    note: str,
 ) -> SaveReport:
     total, worst = 0.0, 0.0
-    exact = sequence.vertices.dtype == np.float32
     with atomic_path(path) as temporary:
         with temporary.open("wb") as stream:
             stream.write(header)
@@ -189,27 +169,12 @@ def _write(
                         "numbers within float32",
                         f"larger ones in frames {start} to {start + len(block) - 1}",
                     )
-                if not exact:
-                    squared = ((single.astype(np.float64) - block) ** 2).sum(axis=2)
-                    total += float(squared.sum())
-                    worst = max(worst, float(squared.max()))
-                if unweld:
-                    single = np.asarray(sequence.unweld(single, axis=1))
-                stream.write(single.astype(kind, copy=False).tobytes())
+                squared = ((single.astype(np.float64) - block) ** 2).sum(axis=2)
+                total, worst = total + float(squared.sum()), max(worst, float(squared.max()))
+                stream.write(single[:, index].astype(kind, copy=False).tobytes())
         size = temporary.stat().st_size
-    count = sequence.n_frames * sequence.n_vertices
-    note = (
-        ""
-        if unweld or sequence.vertex_map is None
-        else (
-            f"holds the {sequence.n_vertices} welded vertices; unweld=True writes the "
-            f"{len(sequence.vertex_map)} of the mesh before"
-        )
-    )
-    return SaveReport(
-        path=path,
-        bytes=size,
-        error=None if exact else float(np.sqrt(total / count)),
-        max_error=None if exact else float(np.sqrt(worst)),
-        note=note,
-    )
+    report = SaveReport(path=path, bytes=size, note=note)
+    if sequence.vertices.dtype == np.float32:
+        return report
+    rmse = float(np.sqrt(total / (sequence.n_frames * sequence.n_vertices)))
+    return dataclasses.replace(report, error=rmse, max_error=float(np.sqrt(worst)))

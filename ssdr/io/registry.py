@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import importlib
 import inspect
-import stat
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from ..errors import (
     is_whole,
 )
 from ..sequence import MeshSequence
+from .budget import afford
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -38,10 +39,13 @@ __all__ = [
     "format_of",
     "format_to_read",
     "is_many",
+    "natural_key",
+    "read_file",
     "reading",
     "refuse_device",
     "require",
     "seconds",
+    "written_vertices",
 ]
 
 
@@ -93,11 +97,11 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """The functions of one suffix: names in ``ssdr.io.<module>``, None where it has none.
+    """Module of a suffix and the names of its functions, None where it has none.
 
-    Where there is a `list_clips`, a file may have several, and `read` takes the option `clip`.
-    Where there is a `copy`, `write_skinning` takes the option `template`: a file of the format
-    passes through, and `template_problem` says of one why it cannot.
+    With `list_clips` a file may have several clips, and `read` takes the option `clip`.
+    With `copy` a file of the format passes through: `write_skinning` takes the option
+    `template`, and `template_problem` returns why a file cannot be one.
     """
 
     module: str
@@ -113,66 +117,36 @@ class Format:
     extra: str | None = None
 
 
-_GLTF = Format(
-    "gltf",
-    "glTF 2.0",
-    read_skinning="read_skinning",
-    write_skinning="write_skinning",
-    list_clips="list_clips",
-    copy="copy",
-    left_out="left_out",
-    template_problem="template_problem",
-)
+def _scene(module: str, title: str, *more: str, extra: str | None = None) -> Format:
+    """Format of skinnings and clips."""
+    able = ("read_skinning", "write_skinning", "list_clips", *more)
+    return Format(module, title, extra=extra, **{function: function for function in able})
+
+
+_PASSES = ("left_out", "copy", "template_problem")
+_GLTF = _scene("gltf", "glTF 2.0", *_PASSES)
 _NUMBERED = Format("meshes", "numbered meshes")
-_USD = Format(
-    "usd",
-    "Universal Scene Description",
-    write_sequence="write_sequence",
-    read_skinning="read_skinning",
-    write_skinning="write_skinning",
-    list_clips="list_clips",
-    copy="copy",
-    left_out="left_out",
-    template_problem="template_problem",
-    extra="usd",
-)
+_USD = _scene("usd", "Universal Scene Description", *_PASSES, "write_sequence", extra="usd")
+_WRITES = "write_sequence"
 
 FORMATS: dict[str, Format] = {
-    ".npz": Format(
-        "arrays.npz",
-        "NumPy archive",
-        write_sequence="write_sequence",
-        read_skinning="read_skinning",
-        write_skinning="write_skinning",
-        list_clips="list_clips",
-    ),
-    ".npy": Format("arrays.npy", "NumPy array", write_sequence="write_sequence"),
-    ".zarr": Format(
-        "arrays.zarr_store", "zarr store", write_sequence="write_sequence", extra="zarr"
-    ),
-    ".obj": Format("meshes", "numbered Wavefront OBJ", write_sequence="write_sequence"),
-    ".ply": Format("meshes", "numbered PLY", write_sequence="write_sequence"),
+    ".npz": _scene("arrays.npz", "NumPy archive", _WRITES),
+    ".npy": Format("arrays.npy", "NumPy array", write_sequence=_WRITES),
+    ".zarr": Format("arrays.zarr_store", "zarr store", write_sequence=_WRITES, extra="zarr"),
+    ".obj": Format("meshes", "numbered Wavefront OBJ", write_sequence=_WRITES),
+    ".ply": Format("meshes", "numbered PLY", write_sequence=_WRITES),
     ".off": Format("meshes", "numbered OFF"),
     ".stl": Format("meshes", "numbered STL"),
     ".pc2": Format("pointcache", "PC2 point cache", "read_pc2", "write_pc2"),
     ".mdd": Format("pointcache", "MDD point cache", "read_mdd", "write_mdd"),
     ".csv": Format("tables", "skin weights, CSV", None, write_skinning="write_csv"),
-    ".json": Format("tables", "skin weights, JSON", None, write_skinning="write_json"),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
     ".abc": Format("blender", "Alembic", extra="blender"),
-    ".fbx": Format(
-        "blender",
-        "FBX",
-        read_skinning="read_skinning",
-        write_skinning="write_skinning",
-        list_clips="list_clips",
-        left_out="left_out",
-        extra="blender",
-    ),
+    ".fbx": _scene("blender", "FBX", "left_out", extra="blender"),
 }
 
 
@@ -213,7 +187,13 @@ def format_to_read(path: Path) -> Format:
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
-    """Call a format's function; options that it does not know are an InputError."""
+    """Call a format's function after checking the options, which a command line may have given.
+
+    Raises
+    ------
+    InputError
+        If the function has no such option or its value is of another kind.
+    """
     target: Callable[..., Any] = getattr(
         importlib.import_module(f".{format_.module}", __package__), function
     )
@@ -231,13 +211,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
 
 
 def _check_option(name: str, value: Any, annotation: str) -> None:
-    """Whether an option, which may come from a command line, is of the kind that is stated.
-
-    Raises
-    ------
-    InputError
-        If it is not: any text would count as true, and as a number be NumPy's error.
-    """
+    """Refuse a value of another kind than the annotation, where any text would count as true."""
     kind, _, rest = annotation.partition(" | ")
     if rest not in ("", "None") or (value is None and rest):
         return
@@ -246,10 +220,12 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
     words = {"bool": "true or false", "int": "an integer", "float": "a number"}
     if not fits.get(kind, True):
         raise InputError(name, words[kind], repr(value))
+    if name == "max_bytes" and value <= 0:
+        raise InputError(name, "a positive number", value)
 
 
 def bake(skinning: Skinning) -> MeshSequence:
-    """The vertices of a skinning over its frames.
+    """Vertices of a skinning over its frames.
 
     Raises
     ------
@@ -275,6 +251,27 @@ def bake(skinning: Skinning) -> MeshSequence:
     )
 
 
+def written_vertices(
+    thing: MeshSequence | Skinning, unweld: bool
+) -> tuple[NDArray[np.integer], str]:
+    """Vertices that a file gets, as indices, and what to tell the user of them.
+
+    They are all of `thing` or, with `unweld`, those of the mesh before it was welded.
+
+    Raises
+    ------
+    InputError
+        If `unweld` is asked of what was not welded.
+    """
+    n, before = thing.n_vertices, thing.vertex_map
+    if not unweld:
+        note = f"holds the {n} welded vertices; unweld=True writes the {{}} of the mesh before"
+        return np.arange(n), "" if before is None else note.format(len(before))
+    if before is None:
+        raise InputError("unweld", "a mesh that was welded", "one without vertex_map")
+    return before, ""
+
+
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn whatever a parser raises inside the block into a FormatError that names the file.
@@ -291,10 +288,8 @@ def reading(path: Path) -> Iterator[None]:
         if not path.exists():
             raise
         raise FormatError(f"{path}: {error}") from error
-    except InputError as error:
-        raise FormatError(f"{path}: {error}") from error
-    except FormatError as error:
-        if str(path) in str(error):
+    except (FormatError, InputError) as error:
+        if isinstance(error, FormatError) and str(path) in str(error):
             raise
         raise FormatError(f"{path}: {error}") from error
     except SsdrError:
@@ -308,19 +303,21 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def refuse_device(path: Path) -> None:
-    """Refuse what may never end, before it is opened.
+    """Refuse a device, a pipe or a socket, which may never end, before it is opened.
 
     Raises
     ------
     FormatError
-        If a device, a pipe or a socket has that name.
+        If `path` is neither a file nor a folder, nor missing.
     """
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):  # a pattern, or a name that is found missing later
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+    if path.exists() and not (path.is_file() or path.is_dir()):
         raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
+
+
+def read_file(path: Path) -> bytes:
+    """All bytes of a file that is parsed in memory; to be called inside :func:`reading`."""
+    afford(path.stat().st_size, "the whole file", path)
+    return path.read_bytes()
 
 
 def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
@@ -336,6 +333,12 @@ def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
     if times.size and not times.max() <= np.finfo(np.float32).max:
         raise InputError("fps", "a rate whose times float32 can hold", f"{fps:g}")
     return times
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Sorting key in which numbers inside names count: ``bone_2`` before ``bone_10``."""
+    parts = re.split(r"([0-9]+)", name)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts]
 
 
 def require(module: str, extra: str, what: str) -> Any:
