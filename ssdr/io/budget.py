@@ -62,6 +62,6 @@ def refuse_bomb(
     """
     if most is None and n_bytes > max(_UNSUSPICIOUS_BYTES, _MOST_RATIO * stored):
         raise FormatError(
-            f"{path}: {what} inflates {n_bytes // max(1, stored)}-fold to {n_bytes} bytes, like a "
-            f"zip bomb; max_bytes={n_bytes} admits it"
+            f"{path}: {what} needs {n_bytes} bytes, inflated {n_bytes // max(1, stored)}-fold like "
+            f"a zip bomb; max_bytes={n_bytes} admits it"
         )

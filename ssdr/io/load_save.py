@@ -373,7 +373,6 @@ def _writable(kind: type | None = None) -> list[str]:
 
 
 def _as_path(path: Any) -> Path:
-    try:
-        return Path(os.fspath(path))
-    except TypeError as error:
-        raise InputError("path", "a path", type(path).__name__) from error
+    if not isinstance(path, (str, os.PathLike)) or "\0" in (name := str(os.fspath(path))):
+        raise InputError("path", "a path", repr(path))
+    return Path(name)

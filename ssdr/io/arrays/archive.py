@@ -71,10 +71,11 @@ def read_arrays(
             if any(fnmatch.fnmatchcase(key, p) for p in (*required, *optional))
         ]
         headers = {key: _header_of(path, archive, members[key]) for key in chosen}
-        in_memory = [members[key] for key in chosen if key not in mapped]
-        afford(sum(info.file_size for info in in_memory), "all that is read", path, max_bytes)
-        for info in in_memory:
-            refuse_bomb(info.file_size, info.compress_size, info.filename, path, max_bytes)
+        read = [members[key] for key in chosen if key not in mapped]
+        size, stored = sum(i.file_size for i in read), sum(i.compress_size for i in read)
+        what = f"reading {', '.join(i.filename for i in read[:9])}"
+        afford(size, what, path, max_bytes)
+        refuse_bomb(size, stored, what, path, max_bytes)
         for key in chosen:
             if key not in mapped:
                 arrays[key] = _read(archive, members[key])

@@ -55,20 +55,19 @@ def read(
                 if os.path.islink(Path(folder, name)):
                     raise FormatError(f"{Path(folder, name)}: a link to a folder, not followed")
         node = zarr.open(path, mode="r")
-        stated = node.attrs.get("fps")
-        vertices = node
-        if not hasattr(node, "shape"):
-            if "vertices" not in node:
-                raise FormatError(f"{path}: no array vertices; it holds {sorted(node.keys())}")
-            vertices = node["vertices"]
-            if faces is None and "faces" in node:
-                _check_chunks(node["faces"], path / "faces", max_bytes)
-                faces = np.asarray(node["faces"][:])
+        group = {"vertices": node} if hasattr(node, "shape") else node
+        if "vertices" not in group:
+            raise FormatError(f"{path}: no array vertices; it holds {sorted(node.keys())}")
+        vertices = group["vertices"]
         if len(vertices.shape) != 3 or vertices.shape[2] != 3:
             raise FormatError(f"{path}: expected the shape (F, V, 3), got {vertices.shape}")
         _check_chunks(vertices, path / vertices.path, max_bytes)
-        if fps is None and stated is not None:
-            fps = float(stated)
+        if faces is None and "faces" in group:
+            _check_chunks(group["faces"], path / "faces", max_bytes)
+            still = np.zeros((1, *vertices.shape[1:]))
+            faces = MeshSequence(still, group["faces"][:], validate=False)
+        if fps is None and "fps" in node.attrs:
+            fps = float(node.attrs["fps"])
     return over_mesh(vertices, path, faces, "faces", fps)
 
 
