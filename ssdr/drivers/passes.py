@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames.digest import BYTES, Digests, check_same, of_block
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
@@ -146,7 +146,7 @@ class AllFrames:
                 model.transforms[span],
             )
 
-        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
+        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
             check_same(part[4], self.digests[start:stop], range(start, stop), resumed=self.resumed)
             model.transforms[start:stop] = part[0]

@@ -1,7 +1,7 @@
-"""Fingerprints of frames: whether those that are read are those that a state belongs to.
+"""Fingerprints of frames, which tell whether frames are the same as at an earlier reading.
 
-One a frame, so that they do not depend on the blocks in which frames are read, and so that
-a walk over some of the frames can check these.
+Each frame has its own, so that they do not depend on the blocks in which frames are read, and
+a pass over some of the frames can check these alone.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
-from .executor import Executor, Frames, Local, Walk, spans_of
+from .executor import Executor, Frames, Local, SpanTask, spans_of
 
 __all__ = ["BYTES", "Digests", "check_same", "digests_of", "of_block", "of_frame"]
 
-BYTES = 16  # a frame
+BYTES = 16  # of the digest of a frame
 Digests = NDArray[np.uint8]
 _AT_ONCE = 8  # frames
 
 
 def of_frame(frame: NDArray[np.floating]) -> Digests:
-    """(16,) digest of a frame's positions; equal numbers have the same, whatever their dtype."""
+    """Digest (16,) of the positions of a frame, the same for equal numbers of any dtype."""
     numbers = np.add(frame, 0.0, dtype=np.float64)  # -0.0 equals 0.0, but not its bytes
     return np.frombuffer(hashlib.sha256(numbers.tobytes()).digest()[:BYTES], dtype=np.uint8)
 
 
 def of_block(block: NDArray[np.floating]) -> Digests:
-    """(n, 16) digests of some frames."""
+    """Digests (n, 16) of n frames."""
     out = np.empty((len(block), BYTES), dtype=np.uint8)
 
     def work(_: int, i: int, k: int) -> None:
@@ -43,9 +43,9 @@ def of_block(block: NDArray[np.floating]) -> Digests:
 
 
 def digests_of(sequences: Sequence[MeshSequence], executor: Executor | None = None) -> Digests:
-    """(F, 16) digests of all frames, by a walk over them."""
+    """Digests (F, 16) of all frames, in one pass over them."""
     spans = spans_of(sum(len(s) for s in sequences))
-    parts: Iterable[Digests] = (executor or Local()).map(Walk(_of_span, sequences, spans))
+    parts: Iterable[Digests] = (executor or Local()).map(SpanTask(_of_span, sequences, spans))
     return np.concatenate(list(parts))
 
 
@@ -56,12 +56,12 @@ def _of_span(frames: Frames) -> Digests:
 def check_same(
     seen: Digests, expected: Digests, frames: NDArray[np.int64] | range, *, resumed: bool
 ) -> None:
-    """Whether frames are those that were seen before.
+    """Refuse frames that differ from those of an earlier reading.
 
     Raises
     ------
     InputError
-        If one is not: about `resume` where it was seen by the run that is resumed.
+        If a frame differs: about `resume` if the run that is resumed has read the earlier one.
     """
     other = (seen != expected).any(axis=1)
     if not other.any():
