@@ -43,16 +43,17 @@ def over_mesh(
     FormatError
         If a file does not fit, or the vertices are no sequence.
     """
+    n_vertices = vertices.shape[1]
     if given is None:
         given = _beside(path, argument)
-    mesh = given
-    if isinstance(given, (str, os.PathLike)) and given != "none":
-        mesh = _read(Path(given), path, vertices.shape[1])
-    elif not isinstance(given, MeshSequence):
-        faces = None if isinstance(given, str) else given
-        mesh = _still(faces, vertices.shape[1], argument)
-    if mesh.n_vertices != vertices.shape[1]:
-        raise InputError(argument, f"a mesh of {vertices.shape[1]} vertices", mesh.n_vertices)
+    if isinstance(given, MeshSequence):
+        mesh = given
+    elif isinstance(given, (str, os.PathLike)) and given != "none":
+        mesh = _read(Path(given), path, n_vertices)
+    else:
+        mesh = _still(None if isinstance(given, str) else given, n_vertices, argument)
+    if mesh.n_vertices != n_vertices:
+        raise InputError(argument, f"a mesh of {n_vertices} vertices", mesh.n_vertices)
     with reading(path):
         return MeshSequence(
             vertices,

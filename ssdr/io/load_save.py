@@ -104,13 +104,8 @@ def load(
         sequence = dataclasses.replace(sequence, vertices=np.concatenate(blocks))
     if weld:
         sequence, report = sequence.weld()
-        _log.info(
-            "%s: welded %d vertices to %d (tolerance %.3g)",
-            source,
-            report.before,
-            report.after,
-            report.tolerance,
-        )
+        numbers = dataclasses.astuple(report)
+        _log.info("%s: welded %d vertices to %d (tolerance %.3g)", source, *numbers)
     return sequence
 
 

@@ -97,7 +97,7 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """Module of a suffix and the names of its functions, None where it has none.
+    """Module of a suffix and its functions by their names, None where it has none.
 
     With `list_clips` a file may have several clips, and `read` takes the option `clip`.
     With `copy` a file of the format passes through: `write_skinning` takes the option
@@ -117,36 +117,35 @@ class Format:
     extra: str | None = None
 
 
-def _scene(module: str, title: str, *more: str, extra: str | None = None) -> Format:
-    """Format of skinnings and clips."""
-    able = ("read_skinning", "write_skinning", "list_clips", *more)
-    return Format(module, title, extra=extra, **{function: function for function in able})
+def _format(module: str, title: str, *functions: str, extra: str | None = None) -> Format:
+    return Format(module, title, extra=extra, **{name: name for name in functions})
 
 
-_PASSES = ("left_out", "copy", "template_problem")
-_GLTF = _scene("gltf", "glTF 2.0", *_PASSES)
-_NUMBERED = Format("meshes", "numbered meshes")
-_USD = _scene("usd", "Universal Scene Description", *_PASSES, "write_sequence", extra="usd")
+_SKINNING = ("read_skinning", "write_skinning", "list_clips")
+_PASSES = (*_SKINNING, "copy", "left_out", "template_problem")
 _WRITES = "write_sequence"
+_NUMBERED = _format("meshes", "numbered meshes")
+_GLTF = _format("gltf", "glTF 2.0", *_PASSES)
+_USD = _format("usd", "Universal Scene Description", _WRITES, *_PASSES, extra="usd")
 
 FORMATS: dict[str, Format] = {
-    ".npz": _scene("arrays.npz", "NumPy archive", _WRITES),
-    ".npy": Format("arrays.npy", "NumPy array", write_sequence=_WRITES),
-    ".zarr": Format("arrays.zarr_store", "zarr store", write_sequence=_WRITES, extra="zarr"),
-    ".obj": Format("meshes", "numbered Wavefront OBJ", write_sequence=_WRITES),
-    ".ply": Format("meshes", "numbered PLY", write_sequence=_WRITES),
-    ".off": Format("meshes", "numbered OFF"),
-    ".stl": Format("meshes", "numbered STL"),
-    ".pc2": Format("pointcache", "PC2 point cache", "read_pc2", "write_pc2"),
-    ".mdd": Format("pointcache", "MDD point cache", "read_mdd", "write_mdd"),
-    ".csv": Format("tables", "skin weights, CSV", None, write_skinning="write_csv"),
+    ".npz": _format("arrays.npz", "NumPy archive", _WRITES, *_SKINNING),
+    ".npy": _format("arrays.npy", "NumPy array", _WRITES),
+    ".zarr": _format("arrays.zarr_store", "zarr store", _WRITES, extra="zarr"),
+    ".obj": _format("meshes", "numbered Wavefront OBJ", _WRITES),
+    ".ply": _format("meshes", "numbered PLY", _WRITES),
+    ".off": _format("meshes", "numbered OFF"),
+    ".stl": _format("meshes", "numbered STL"),
+    ".pc2": _format("pointcache", "PC2 point cache", _WRITES),
+    ".mdd": _format("pointcache", "MDD point cache", _WRITES),
+    ".csv": Format("tables", "skin weights, CSV", read=None, write_skinning="write_skinning"),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": Format("blender", "Alembic", extra="blender"),
-    ".fbx": _scene("blender", "FBX", "left_out", extra="blender"),
+    ".abc": _format("blender", "Alembic", extra="blender"),
+    ".fbx": _format("blender", "FBX", *_SKINNING, "left_out", extra="blender"),
 }
 
 
@@ -282,24 +281,18 @@ def reading(path: Path) -> Iterator[None]:
     try:
         refuse_device(path)
         yield
-    except PermissionError:
-        raise
-    except FileNotFoundError as error:
-        if not path.exists():
-            raise
-        raise FormatError(f"{path}: {error}") from error
-    except (FormatError, InputError) as error:
-        if isinstance(error, FormatError) and str(path) in str(error):
-            raise
-        raise FormatError(f"{path}: {error}") from error
-    except SsdrError:
-        raise
-    except MemoryError as error:
-        raise FormatError(f"{path}: needs more memory than there is") from error
     except Exception as error:
-        # Parsers of hostile bytes raise anything; every one of these means the same.
+        missing = isinstance(error, FileNotFoundError) and not path.exists()
+        named = isinstance(error, FormatError) and str(path) in str(error)
+        of_no_file = isinstance(error, SsdrError) and not isinstance(error, ValueError)
+        if missing or named or of_no_file or isinstance(error, PermissionError):
+            raise
         what = str(error) or type(error).__name__
-        raise FormatError(f"{path}: truncated or damaged ({what})") from error
+        if isinstance(error, MemoryError):
+            what = "needs more memory than there is"
+        elif not isinstance(error, (FormatError, InputError, FileNotFoundError)):
+            what = f"truncated or damaged ({what})"  # parsers of hostile bytes raise anything
+        raise FormatError(f"{path}: {what}") from error
 
 
 def refuse_device(path: Path) -> None:
@@ -370,29 +363,27 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
         ) from error
 
 
-_MAGIC = (
-    (b"PK\x03\x04", "a zip archive such as .npz"),
-    (b"PK\x05\x06", "an empty zip archive"),
-    (b"\x93NUMPY", "a NumPy .npy array"),
-    (b"glTF", "a binary glTF"),
-    (b"PXR-USDC", "a binary USD"),
-    (b"#usda", "a text USD"),
-    (b"POINTCACHE2", "a PC2 point cache"),
-    (b"Kaydara FBX", "an FBX file"),
-    (b"Ogawa", "an Alembic file"),
-    (b"ply", "a PLY file"),
-    (b"\x1f\x8b", "gzip data"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"\x80", "a Python pickle"),
-)
+_MAGIC = {
+    b"PK": "a zip archive such as .npz",
+    b"\x93NUMPY": "a NumPy .npy array",
+    b"glTF": "a binary glTF",
+    b"PXR-USDC": "a binary USD",
+    b"#usda": "a text USD",
+    b"Kaydara FBX": "an FBX file",
+    b"Ogawa": "an Alembic file",
+    b"ply": "a PLY file",
+    b"\x1f\x8b": "gzip data",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"\x80": "a Python pickle",
+}
 
 
 def describe(head: bytes) -> str:
-    """What the first bytes of a file look like, for error messages."""
+    """Format that the first bytes of a file look like, for error messages."""
     if not head:
         return "the file is empty"
-    for magic, name in _MAGIC:
+    for magic, name in _MAGIC.items():
         if head.startswith(magic):
             return f"it looks like {name}"
     text = all(32 <= b < 127 or b in b"\t\r\n" for b in head)

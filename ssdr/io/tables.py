@@ -22,7 +22,7 @@ from .registry import SaveReport, natural_key, read_file, reading, written_verti
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["SkinWeights", "read_weights", "write_csv"]
+__all__ = ["SkinWeights", "read_weights", "write_skinning"]
 
 _COLUMNS = ["vertex", "bone", "weight"]
 _NUMBER = re.compile(r"\s*[0-9]{1,9}\s*")
@@ -56,7 +56,7 @@ class SkinWeights:
     bone_names: tuple[str, ...]
 
 
-def write_csv(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
+def write_skinning(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
     """Write one row ``vertex,bone,weight`` for every weight above 0; exact.
 
     A bone that moves nothing gets a row of vertex 0 and weight 0, so that it is
@@ -143,18 +143,16 @@ def read_weights(
 
 
 def _parse(text: str) -> tuple[NDArray[np.int64], list[str], NDArray[np.float64]]:
-    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
-    header = [cell.strip() for cell in next(rows, [])]
+    rows = list(filter(None, csv.reader(io.StringIO(text, newline=""), strict=True)))
+    header = [cell.strip() for cell in rows[0]] if rows else []
     if header != _COLUMNS:
         raise FormatError(f"the header is {','.join(header)[:80]!r}, not vertex,bone,weight")
-    columns: tuple[list[int], list[str], list[float]] = ([], [], [])
-    for row in filter(None, rows):
+    for k, row in enumerate(rows[1:], 1):
         if len(row) != 3 or not _NUMBER.fullmatch(row[0]):
-            raise FormatError(f"line {rows.line_num} is not vertex,bone,weight")
-        for column, value in zip(columns, (int(row[0]), row[1], float(row[2])), strict=True):
-            column.append(value)  # type: ignore[arg-type]
-    vertex, bone, weight = columns
-    return np.array(vertex, dtype=np.int64), bone, np.array(weight, dtype=np.float64)
+            raise FormatError(f"row {k} is not vertex,bone,weight")
+    vertex = np.array([int(row[0]) for row in rows[1:]], dtype=np.int64)
+    weight = np.array([float(row[2]) for row in rows[1:]], dtype=np.float64)
+    return vertex, [row[1] for row in rows[1:]], weight
 
 
 def _pack(

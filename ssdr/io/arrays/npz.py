@@ -42,7 +42,7 @@ FORMAT_VERSION = 2  # of the arrays' names and meaning; raised when an old reade
 _SURFACE = ("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*")
 _SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
 _FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
-_OF_SKINNING = ("keyframes", "vertex_map", "parents", "joint_positions")  # where it has them
+_WHERE_GIVEN = ("keyframes", "vertex_map", "parents", "joint_positions")
 
 
 def read(
@@ -143,18 +143,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
     compress : bool
         Deflate; an uncompressed archive can be memory-mapped.
     """
-    arrays: dict[str, Any] = {
-        "vertices": sequence.vertices,
-        "faces": sequence.faces,
-        "fps": np.float64(sequence.fps),
-    }
-    for key in ("name", "clip"):
-        if getattr(sequence, key):
-            arrays[key] = np.array(getattr(sequence, key))
-    if sequence.vertex_map is not None:
-        arrays["vertex_map"] = sequence.vertex_map
-    arrays.update(_surface_arrays(sequence.surface))
-    return SaveReport(path=path, bytes=write_arrays(path, arrays, compress=compress))
+    return _write(sequence, path, {"vertices": sequence.vertices}, compress)
 
 
 def read_skinning(
@@ -167,7 +156,7 @@ def read_skinning(
         path,
         required=_SKINNING,
         optional=(
-            *("indices", "joints", "bone_model", "bone_names", "name", *_OF_SKINNING, *_SURFACE),
+            *("indices", "joints", "bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
             *("clip_names", "clip_offsets", "clip_fps"),
         ),
         max_bytes=max_bytes,
@@ -197,7 +186,7 @@ def read_skinning(
             surface=_surface_from(arrays),
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
-            **{key: arrays.get(key) for key in _OF_SKINNING},
+            **{key: arrays.get(key) for key in _WHERE_GIVEN},
         )
 
 
@@ -208,26 +197,31 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
         "indices": skinning.indices,
         "weights": skinning.weights,
         "transforms": skinning.transforms,
-        "faces": skinning.faces,
-        "fps": np.float64(skinning.fps),
         "format_version": np.int64(FORMAT_VERSION),
         "bone_model": np.array(skinning.bone_model),
     }
-    for key in _OF_SKINNING:
-        if getattr(skinning, key) is not None:
-            arrays[key] = getattr(skinning, key)
     if skinning.bone_names is not None:
         arrays["bone_names"] = np.array(json.dumps(skinning.bone_names))
-    if skinning.name:
-        arrays["name"] = np.array(skinning.name)
     clips = skinning.clips
     if len(clips) > 1 or clips[0].name != skinning.name:
         arrays["clip_names"] = np.array(json.dumps([clip.name for clip in clips]))
         arrays["clip_offsets"] = np.array([0, *(clip.stop for clip in clips)], dtype=np.int64)
         arrays["clip_fps"] = np.array([clip.fps for clip in clips])
-    arrays.update(_surface_arrays(skinning.surface))
+    return _write(skinning, path, arrays, compress)
+
+
+def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> SaveReport:
+    """Write arrays and what a sequence and a skinning have in common, where they have it."""
+    arrays |= {"faces": thing.faces, "fps": np.float64(thing.fps)}
+    for key in ("name", "clip"):
+        if getattr(thing, key, ""):
+            arrays[key] = np.array(getattr(thing, key))
+    for key in _WHERE_GIVEN:
+        if getattr(thing, key, None) is not None:
+            arrays[key] = getattr(thing, key)
+    arrays |= _surface_arrays(thing.surface)
     size = write_arrays(path, arrays, compress=compress)
-    return SaveReport(path=path, bytes=size, influences=skinning.n_influences)
+    return SaveReport(path=path, bytes=size, influences=getattr(thing, "n_influences", None))
 
 
 def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:

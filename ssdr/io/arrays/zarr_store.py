@@ -140,15 +140,12 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     try:
         with naming(path, temporary):
             group = zarr.create_group(store=temporary, attributes={"fps": sequence.fps})
-            row = sequence.n_vertices * 3 * sequence.vertices.dtype.itemsize
+            shape, dtype = sequence.vertices.shape, np.dtype(sequence.vertices.dtype)
+            row = sequence.n_vertices * 3 * dtype.itemsize
             step = min(sequence.n_frames, max(1, _CHUNK // row))
             whole = {"write_empty_chunks": True}
             array = group.create_array(
-                "vertices",
-                shape=sequence.vertices.shape,
-                dtype=np.dtype(sequence.vertices.dtype),
-                chunks=(step, sequence.n_vertices, 3),
-                config=whole,
+                "vertices", shape=shape, dtype=dtype, chunks=(step, *shape[1:]), config=whole
             )
             for start, block in sequence.chunks(step * row):
                 array[start : start + len(block)] = block

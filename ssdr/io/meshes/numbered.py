@@ -128,16 +128,13 @@ def check_pattern(path: Path, n_frames: int) -> list[str]:
 
 
 def _files(path: Path) -> list[Path]:
-    printf = _PRINTF.search(path.name)
     if path.is_dir():
         found = [f for f in path.iterdir() if f.suffix.lower() in _PARSERS and f.name[0] != "."]
     elif path.exists():
         return [path]
-    elif printf is not None:
-        head, tail = path.name[: printf.start()], path.name[printf.end() :]
-        digits = f"[0-9]{{{int(printf[1] or 1)},}}"
-        pattern = re.compile(re.escape(head) + digits + re.escape(tail))
-        found = [f for f in path.parent.glob("*") if pattern.fullmatch(f.name)]
+    elif _PRINTF.search(path.name):
+        name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
+        found = [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
     else:
         found = list(path.parent.glob(path.name))
     found = sorted((f for f in found if not f.is_dir()), key=lambda f: natural_key(f.name))
@@ -158,49 +155,32 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
         return
     parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", f.stem) for f in files]
     if len({m and (m[1], m[3]) for m in parts}) > 1 or parts[0] is None:
-        _log.warning(
-            "%s: names differ in more than a number (%s, %s); taken in natural order",
-            path,
-            files[0].name,
-            files[-1].name,
-        )
+        first, last = files[0].name, files[-1].name
+        _log.warning("%s: names differ in more than a number: %s, %s", path, first, last)
         return
     numbers = [int(m[2]) for m in parts if m]
     steps = np.diff(numbers)
     if steps.min() == 0:
         k = int(steps.argmin())
         raise FormatError(f"{path}: {files[k].name} and {files[k + 1].name} have the same number")
-    gaps = np.flatnonzero(steps > steps.min())
-    if len(gaps):
-        _log.warning(
-            "%s: frames are missing after %s; %d files taken as consecutive",
-            path,
-            ", ".join(str(numbers[k]) for k in gaps[:8]),
-            len(files),
-        )
+    gaps = [str(numbers[k]) for k in np.flatnonzero(steps > steps.min())]
+    if gaps:
+        _log.warning("%s: frames are missing after %s", path, ", ".join(gaps[:8]))
 
 
 def _name(path: Path) -> str:
-    if path.is_dir():
-        return path.name
-    return (
-        re.sub(r"[^A-Za-z0-9]+$", "", _PRINTF.sub("", path.stem).rstrip("*?")) or path.parent.name
-    )
+    stem = re.sub(r"[^A-Za-z0-9]+$", "", _PRINTF.sub("", path.stem).rstrip("*?"))
+    return path.name if path.is_dir() else stem or path.parent.name
 
 
 def _compare(file: Path, mesh: Mesh, first_file: Path, first: Mesh) -> None:
-    n, m = len(mesh.vertices), len(first.vertices)
-    if n != m:
-        raise FormatError(f"{file}: {n} vertices, but {first_file.name} has {m}")
-    if mesh.faces is first.faces:
-        return
-    if len(mesh.faces) != len(first.faces):
-        raise FormatError(
-            f"{file}: {len(mesh.faces)} triangles, but {first_file.name} has {len(first.faces)}"
-        )
-    other = (mesh.faces != first.faces).any(axis=1)
-    if other.any():
-        k = int(other.argmax())
+    for what in ("vertices", "faces"):
+        n, m = len(getattr(mesh, what)), len(getattr(first, what))
+        if n != m:
+            raise FormatError(f"{file}: {n} {what}, but {first_file.name} has {m}")
+    other = np.flatnonzero((mesh.faces != first.faces).any(axis=1))
+    if len(other):
+        k = other[0]
         raise FormatError(
             f"{file}: triangle {k} is {tuple(mesh.faces[k].tolist())}, "
             f"in {first_file.name} it is {tuple(first.faces[k].tolist())}"

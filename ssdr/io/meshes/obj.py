@@ -141,36 +141,32 @@ def _materials(path: Path, libraries: list[str], names: list[str]) -> tuple[Mate
 
 def _parse_mtl(path: Path) -> dict[str, Material]:
     with reading(path):
-        text = read_file(path).decode("utf-8", "replace")
-    materials: dict[str, dict[str, Any]] = {}
-    current: dict[str, Any] = {}
-    for line in text.splitlines():
-        key, _, value = line.strip().partition(" ")
-        value = value.strip()
-        if key == "newmtl":
-            current = materials.setdefault(value, {"name": value})
-        elif key == "map_Kd" and value:
-            current["texture"] = _texture(path, value)
-        elif key in ("Kd", "d", "Tr", "Pr", "Pm"):
-            try:
-                numbers = [min(1.0, max(0.0, float(word))) for word in value.split()]
-            except ValueError as error:
-                raise FormatError(f"{path}: not a number in {line.strip()[:60]!r}") from error
-            if len(numbers) >= (3 if key == "Kd" else 1):
-                current[key] = numbers
-    result = {}
-    for name, m in materials.items():
-        (opacity,) = m.get("d", [1 - x for x in m.get("Tr", [0.0])])[:1]
-        texture, kind = m.get("texture", (None, "image/png"))
-        result[name] = Material(
-            name=name,
-            base_color=(*m.get("Kd", (0.8, 0.8, 0.8))[:3], opacity),
-            metallic=m.get("Pm", [0.0])[0],
-            roughness=m.get("Pr", [0.9])[0],
-            texture=texture,
-            texture_type=kind,
-        )
-    return result
+        found: dict[str, dict[str, str]] = {}
+        current: dict[str, str] = {}
+        for line in read_file(path).decode("utf-8", "replace").splitlines():
+            key, _, value = line.strip().partition(" ")
+            if key == "newmtl":
+                current = found.setdefault(value.strip(), {})
+            else:
+                current[key] = value.strip()
+        return {name: _material(path, name, words) for name, words in found.items()}
+
+
+def _material(path: Path, name: str, words: dict[str, str]) -> Material:
+    def numbers(key: str, default: list[float]) -> list[float]:
+        given = [min(1.0, max(0.0, float(word))) for word in words.get(key, "").split()]
+        return given if len(given) >= len(default) else default
+
+    opacity = numbers("d", [1 - numbers("Tr", [0.0])[0]])
+    texture, kind = _texture(path, words["map_Kd"]) if words.get("map_Kd") else (None, "image/png")
+    return Material(
+        name=name,
+        base_color=(*numbers("Kd", [0.8, 0.8, 0.8])[:3], opacity[0]),  # type: ignore[arg-type]
+        metallic=numbers("Pm", [0.0])[0],
+        roughness=numbers("Pr", [0.9])[0],
+        texture=texture,
+        texture_type=kind,
+    )
 
 
 def _texture(path: Path, value: str) -> tuple[bytes | None, str]:

@@ -6,7 +6,7 @@ such), reorders polygons, and reads on where a number or a row is cut off.
 
 from __future__ import annotations
 
-import dataclasses
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -21,38 +21,25 @@ from .polygons import Mesh, fan
 
 __all__ = ["parse_ply", "write_ply"]
 
-_KINDS = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-    "int64": "i8",
-    "uint64": "u8",
+_KINDS = {  # as struct and NumPy call them
+    **dict.fromkeys(("char", "int8"), "b"),
+    **dict.fromkeys(("uchar", "uint8"), "B"),
+    **dict.fromkeys(("short", "int16"), "h"),
+    **dict.fromkeys(("ushort", "uint16"), "H"),
+    **dict.fromkeys(("int", "int32"), "i"),
+    **dict.fromkeys(("uint", "uint32"), "I"),
+    **dict.fromkeys(("float", "float32"), "f"),
+    **dict.fromkeys(("double", "float64"), "d"),
+    "int64": "q",
+    "uint64": "Q",
 }
 _MOST_HEADER = 1 << 16  # bytes searched for end_header, so that no large file is searched whole
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Property:
-    """Column of an element: one number in every row or, with a type of `count`, a list."""
-
-    name: str
-    kind: np.dtype[Any]
-    count: np.dtype[Any] | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class _Element:
-    name: str
-    length: int
-    properties: list[_Property]
-
-
+# Name, type of the numbers and, of a list, type of its length.
+_Property = tuple[str, str, str | None]
+_Elements = dict[str, tuple[int, list[_Property]]]  # how many, and what each has
 _Columns = dict[str, tuple[NDArray[np.int64], NDArray[Any]]]  # numbers in each row, all numbers
 
 
@@ -65,9 +52,10 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
         if ascii_:  # each word as a double, which is what _header says of it
             body = memoryview(np.array(data[start:].split(), dtype=np.float64).tobytes())
         tables: dict[str, _Columns] = {}
-        for element in elements:
-            if element.length and element.properties:
-                tables[element.name], used = _even(element, body) or _uneven(element, body)
+        for name, (length, properties) in elements.items():
+            if length and properties:
+                read = _even(length, properties, body) or _uneven(length, properties, body)
+                tables[name], used = read
                 body = body[used:]
         if len(body):
             raise FormatError(f"{len(body)} bytes after the last element")
@@ -82,10 +70,6 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
             if (indices != values).any():
                 raise FormatError("the faces are not lists of integers")
             faces = indices[fan(counts)[0]]
-        if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-            raise FormatError(
-                f"faces name the vertices {faces.min()} to {faces.max()}, there are {len(vertices)}"
-            )
         return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces))
 
 
@@ -109,7 +93,7 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
     return write_bytes(path, header.encode() + points + rows.tobytes(), flush=False)
 
 
-def _header(data: bytes) -> tuple[list[_Element], bool, int]:
+def _header(data: bytes) -> tuple[_Elements, bool, int]:
     """Elements, whether the rest is ASCII, and where that begins."""
     if not data.startswith((b"ply\n", b"ply\r")):
         raise FormatError(f"not a PLY file: {describe(data[:64])}")
@@ -118,86 +102,82 @@ def _header(data: bytes) -> tuple[list[_Element], bool, int]:
     if end < 0 or newline < 0:
         raise FormatError("its header does not end")
     order = ""
-    elements: list[_Element] = []
+    elements: _Elements = {}
+    properties: list[_Property] = []
 
-    def kind(word: str) -> np.dtype[Any]:
-        return np.dtype("<f8" if order == "ascii" else order + _KINDS[word])
+    def kind(word: str) -> str:
+        return "<d" if order == "ascii" else order + _KINDS[word]
 
     for line in data[:end].decode("ascii", errors="replace").splitlines()[1:]:
         match line.split():
             case ["format", ("ascii" | "binary_little_endian" | "binary_big_endian") as named, _]:
                 order = {"ascii": "ascii", "binary_big_endian": ">"}.get(named, "<")
-            case ["element", name, length] if length.isdigit():
-                elements.append(_Element(name, int(length), []))
+            case ["element", name, length] if length.isdigit() and name not in elements:
+                properties = []
+                elements[name] = int(length), properties
             case ["property", "list", count, word, name] if (
-                elements and order and word in _KINDS and _KINDS.get(count, "f")[0] != "f"
+                order and word in _KINDS and _KINDS.get(count, "f") not in "fd"
             ):
-                elements[-1].properties.append(_Property(name, kind(word), kind(count)))
-            case ["property", word, name] if elements and order and word in _KINDS:
-                elements[-1].properties.append(_Property(name, kind(word)))
+                properties.append((name, kind(word), kind(count)))
+            case ["property", word, name] if order and word in _KINDS:
+                properties.append((name, kind(word), None))
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
                 raise FormatError(f"unknown line in its header: {line[:60]!r}")
-    names = [element.name for element in elements]
-    if len(set(names)) != len(names):
-        raise FormatError("two elements of one name")
     return elements, order == "ascii", newline + 1
 
 
-def _even(element: _Element, body: memoryview) -> tuple[_Columns, int] | None:
-    """Columns of an element whose rows are all laid out like the first, and its size; or None."""
+def _even(
+    length: int, properties: list[_Property], body: memoryview
+) -> tuple[_Columns, int] | None:
+    """Columns and size of an element whose rows are all laid out like the first, else None."""
     fields: list[Any] = []
     at = 0
-    for p in element.properties:
+    for name, kind, count in properties:
         n = 1
-        if p.count is not None:
-            n = int(np.frombuffer(body, p.count, 1, at)[0])
-            fields.append((f"{p.name} count", p.count))
-            at += p.count.itemsize
-        at += n * p.kind.itemsize
-        if n < 0 or at * element.length > len(body):
+        if count is not None:
+            n = int(np.frombuffer(body, count, 1, at)[0])
+            fields.append((f"{name} count", count))
+            at += np.dtype(count).itemsize
+        fields.append((name, kind, (n,)))
+        at += n * np.dtype(kind).itemsize
+        if n < 0 or at * length > len(body):
             return None
-        fields.append((p.name, p.kind, (n,)))
-    rows = np.frombuffer(body, fields, element.length)
-    columns: _Columns = {}
-    for p in element.properties:
-        values = rows[p.name]
-        counts = np.full(element.length, values.shape[1], dtype=np.int64)
-        if p.count is not None and (rows[f"{p.name} count"] != counts).any():
-            return None
-        columns[p.name] = counts, values.astype(p.kind.newbyteorder("=")).ravel()
-    return columns, rows.nbytes
+    rows = np.frombuffer(body, fields, length)
+    counts = {name: np.full(length, rows[name].shape[1]) for name, _, _ in properties}
+    lists = [name for name, _, count in properties if count is not None]
+    if any((rows[f"{name} count"] != counts[name]).any() for name in lists):
+        return None
+    return {name: (counts[name], rows[name].ravel()) for name in counts}, rows.nbytes
 
 
-def _uneven(element: _Element, body: memoryview) -> tuple[_Columns, int]:
-    """Columns of an element whose rows differ in their lists, and its size in bytes."""
-    counts: dict[str, list[int]] = {p.name: [] for p in element.properties}
-    starts: dict[str, list[int]] = {p.name: [] for p in element.properties}
+def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
+    """Columns and size of an element whose rows differ in the lengths of their lists."""
+    sizes = [np.dtype(kind).itemsize for _, kind, _ in properties]
+    lengths = [None if count is None else struct.Struct(count) for _, _, count in properties]
+    counts: list[int] = []
+    starts: list[int] = []
     at = 0
-    for _ in range(element.length):
-        for p in element.properties:
-            n = 1
-            if p.count is not None:
-                stated = np.frombuffer(body, p.count, 1, at)[0]
-                n = int(stated)
-                if n < 0 or n != stated:
-                    raise FormatError(f"a list in {element.name} states a length of {stated}")
-                at += p.count.itemsize
-            counts[p.name].append(n)
-            starts[p.name].append(at)
-            at += n * p.kind.itemsize
-            if at > len(body):
-                raise FormatError(
-                    f"{element.length} of {element.name} stated, the file ends before"
-                )
+    for _ in range(length):
+        for size, stated in zip(sizes, lengths, strict=True):
+            n = value = 1
+            if stated is not None:
+                (value,) = stated.unpack_from(body, at)
+                n = int(value)
+                at += stated.size
+            counts.append(n)
+            starts.append(at)
+            at += n * size
+            if n < 0 or n != value or at > len(body):
+                raise FormatError(f"states {length} rows, but the file ends before")
     columns: _Columns = {}
-    for p in element.properties:
-        count = np.array(counts[p.name], dtype=np.int64)
-        size = count * p.kind.itemsize
-        first = np.repeat(np.array(starts[p.name]) - np.cumsum(size) + size, size)
-        values = np.frombuffer(body, np.uint8)[first + np.arange(len(first))].view(p.kind)
-        columns[p.name] = count, values.astype(p.kind.newbyteorder("="))
+    for k, (name, kind, _) in enumerate(properties):
+        count = np.array(counts[k :: len(sizes)], dtype=np.int64)
+        n = count * sizes[k]
+        first = np.repeat(np.array(starts[k :: len(sizes)], dtype=np.int64) - np.cumsum(n) + n, n)
+        data = np.frombuffer(body, np.uint8)[first + np.arange(len(first))]
+        columns[name] = count, data.view(kind)
     return columns, at
 
 

@@ -115,7 +115,7 @@ def test_another_topology_is_refused_by_name(folder, tmp_path):
     swapped[7] = swapped[7][::-1]
     more = np.concatenate([points, points[:1]])
     for vertices, faces, mapping, says in (
-        (points, cut, uv, r"mesh_001\.glb: 8391 triangles, but mesh_000\.glb has 8392"),
+        (points, cut, uv, r"mesh_001\.glb: 8391 faces, but mesh_000\.glb has 8392"),
         (points, swapped, uv, r"mesh_001\.glb: triangle 7 is .*, in mesh_000\.glb it is"),
         (more, sample.faces, uv_of(more), r"mesh_001\.glb: 4203 vertices, but mesh_000\.glb"),
     ):
