@@ -26,7 +26,7 @@ from ..sequence import MeshSequence, native
 
 __all__ = ["Executor", "Frames", "Local", "SpanTask", "executor_for", "spans_of"]
 
-# Bytes of a block in float64: enough for matrix products at full speed, little enough to hold a few.
+# Bytes of a block in float64: enough for fast matrix products, few enough to hold several.
 _BLOCK = 32 << 20
 _FEWEST = 8  # frames in a block, whatever their size
 # Spans of all frames: enough for the workers of a cluster, few since each returns (V, 4B) sums.

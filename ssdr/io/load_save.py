@@ -112,9 +112,9 @@ def load(
 def list_clips(
     path: str | os.PathLike[str], *, fps: float | None = None, **options: Any
 ) -> tuple[Clip, ...]:
-    """The clips of a file: those that :func:`load` takes, with frames as in :func:`load_skinning`.
+    """Clips of a file, with frames numbered as in :func:`load_skinning`.
 
-    A file whose format has no clips is one, called as its animation, mesh or file.
+    A file of a format without clips is one clip, named after its animation, mesh or file.
 
     Parameters
     ----------
@@ -331,15 +331,15 @@ def copy(
 
 
 def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
-    """What a file has and :func:`load` or :func:`load_skinning` leave out, in words.
+    """Contents of a file that :func:`load` and :func:`load_skinning` leave out, in words.
 
-    Known of glTF, USD and FBX; of other formats nothing is said.
+    Known for glTF, USD and FBX, empty for other formats.
 
     Parameters
     ----------
     path : path
     **options
-        Of :func:`load`; those that choose meshes count.
+        Options of :func:`load`, of which `meshes` matters.
 
     Examples
     --------

@@ -38,8 +38,8 @@ def read(
     ----------
     path : Path
     fps : float, optional
-        By default that of the times of an MDD cache; a PC2 cache says nothing of it and gets the
-        mesh's, else 24.
+        By default the rate of the times of an MDD cache.  A PC2 cache states none and takes the
+        rate of the mesh, else 24.
     mesh : path, MeshSequence, (T, 3) int array or "none", optional
         What the cache deforms; the mesh of the same stem beside it by default,
         "none" for a point cloud.
@@ -136,7 +136,7 @@ def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
     steps = np.diff(times.astype(np.float64))
     if not np.isfinite(times).all() or not (steps > 0).all():
         raise FormatError(f"{path}: its times are not increasing numbers")
-    mean, least, most = steps.mean(), steps.min(), steps.max()
+    mean, least, most = float(steps.mean()), float(steps.min()), float(steps.max())
     if max(mean - least, most - mean) > 0.01 * mean:
         _log.warning("%s: uneven times, %g to %g s apart, are taken as even", path, least, most)
     return round(1 / mean, 3) or 1 / mean  # the times are float32: 1/24 s comes back as 23.9999996

@@ -1,4 +1,4 @@
-"""Which module reads and writes which suffix, and what all of them share."""
+"""Table of the file formats, and helpers that they share."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SaveReport:
-    """What :func:`ssdr.save` wrote and what the format's own storage cost.
+    """Size of a file that :func:`ssdr.save` wrote, and the error of its format's storage.
 
     Attributes
     ----------
@@ -68,13 +68,13 @@ class SaveReport:
     max_error : float or None
         Largest distance of a vertex, likewise.
     between_frames : float or None
-        As `error`, midway between frames: the engine's interpolation of the
+        As `error`, midway between frames: an engine's interpolation of the
         bones against the mean of the two frames.  None where no engine
         interpolates.
     note : str
-        What else the user should know, in a sentence.
+        A sentence on what else the user should know.
     lost : tuple of str
-        What the file that was a template holds and the new one does not.
+        Contents of the template file that the new file does not have.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def is_many(path: Path) -> bool:
 
 
 def format_to_read(path: Path) -> Format:
-    """Format of what is to be read, which may be a folder or a pattern of numbered files.
+    """Format of a file, or of a folder or pattern of numbered files, that is to be read.
 
     Raises
     ------

@@ -14,7 +14,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +113,7 @@ def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
             raise FormatError(f"{path}: not a .npy array: {describe(head)}")
         stream.seek(0)
         dtype, shape, fortran = _read_header(stream)
-        offset, order = stream.tell(), "F" if fortran else "C"
+        offset, order = stream.tell(), _order(fortran)
         held, stated = path.stat().st_size - offset, math.prod(shape) * dtype.itemsize
         if held != stated:
             raise FormatError(
@@ -153,6 +153,10 @@ def shape_of(path: Path, key: str) -> tuple[int, ...]:
     """Shape of an array of an archive, which is not read."""
     with _open(path) as (_, archive, members):
         return _header_of(path, archive, members[key])[1]
+
+
+def _order(fortran: bool) -> Literal["F", "C"]:
+    return "F" if fortran else "C"
 
 
 _Members = dict[str, zipfile.ZipInfo]
@@ -233,4 +237,4 @@ def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) 
     name, extra = struct.unpack("<HH", stream.read(4))
     end = info.header_offset + 30 + name + extra + info.file_size
     start = end - math.prod(shape) * dtype.itemsize
-    return np.memmap(path, dtype, "r", start, shape, "F" if fortran else "C")
+    return np.memmap(path, dtype, "r", start, shape, _order(fortran))

@@ -59,7 +59,7 @@ def read(
     ----------
     path : Path
     clip : str or int, optional
-        Of a skinning of several clips; the first by default.
+        Clip of a skinning that has several; the first by default.
     fps : float, optional
         Instead of the file's own.
     mmap : bool
@@ -149,7 +149,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
 def read_skinning(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> Skinning:
-    """Read what :func:`write_skinning` wrote; `fps` is the rate of all clips instead of theirs."""
+    """Read what :func:`write_skinning` wrote; `fps` replaces the rate of every clip."""
     from ...skinning import Skinning
 
     arrays = read_arrays(
@@ -211,7 +211,7 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
 
 
 def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> SaveReport:
-    """Write arrays and what a sequence and a skinning have in common, where they have it."""
+    """Write arrays and the fields that a sequence and a skinning have in common."""
     arrays |= {"faces": thing.faces, "fps": np.float64(thing.fps)}
     for key in ("name", "clip"):
         if getattr(thing, key, ""):
@@ -225,7 +225,7 @@ def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> Sa
 
 
 def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """Clips of an archive; None where it has no names for them."""
+    """Clips of an archive, or None if it states none."""
     text = _text(arrays, "clip_names")
     if not text:
         return None

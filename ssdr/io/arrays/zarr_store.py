@@ -72,10 +72,10 @@ def read(
 
 
 def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
-    """Refuse an array whose chunks are not all there or take more memory than they may.
+    """Refuse an array with missing chunks or with chunks that take more memory than they may.
 
-    A chunk that is missing reads as zeros, so that a damaged store would give wrong positions and
-    a store without data could state any number of frames.
+    A missing chunk reads as zeros: a damaged store would give wrong positions, and a store
+    without data could state any number of frames.
     """
     codecs = [type(codec).__name__.removesuffix("Codec") for codec in array.compressors]
     if array.shards or codecs not in ([], ["Zstd"], ["Blosc"]):
@@ -89,14 +89,14 @@ def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
         )
     size = math.prod(array.chunks) * array.dtype.itemsize
     afford(size, "a chunk", folder, max_bytes)
-    if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):  # are converted at once
+    if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):  # is converted as a whole
         afford(8 * math.prod(array.shape), f"the shape {array.shape}", folder, max_bytes)
     stored = inflated = 0
     for file in files:
         held = file.stat().st_size
         stored += held
         if codecs and held:
-            data = np.memmap(file, np.uint8, "r")  # of which the headers alone are read
+            data = np.memmap(file, np.uint8, "r")  # only the headers are read
             held = _zstd_size(data) if codecs == ["Zstd"] else _number(data, 4, 4)
         inflated += max(size, held)
     refuse_bomb(inflated, stored, "the array", folder, max_bytes)
@@ -108,7 +108,7 @@ def _number(data: Any, start: int, width: int) -> int:
 
 
 def _zstd_size(data: Any) -> int:
-    """Bytes that zstd frames (RFC 8878) decode to, as their headers state it."""
+    """Size that zstd frames (RFC 8878) decode to, by their headers."""
     size = at = 0
     while at < len(data):
         flags = _number(data, at + 4, 1)

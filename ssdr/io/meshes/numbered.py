@@ -30,7 +30,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     Files come in the natural order of their names (2 before 10).  Polygons are
     cut into fans of triangles.  STL has no shared vertices: corners that
     coincide in every frame become one vertex and `vertex_map` (3T,) keeps which.
-    Of glTF files, each a frame, UVs, materials and textures of the first are kept.
+    A glTF file is one frame.  UVs, normals and materials are those of the first file.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     InputError
         If a sequence of several frames gets a plain name.
     """
-    names = check_pattern(path, sequence.n_frames)
+    several = check_pattern(path, sequence.n_frames)
     if start < 0:
         raise InputError("start", "a number >= 0", start)
-    if names:
+    if several:
         path.parent.mkdir(parents=True, exist_ok=True)
-    stem = _PRINTF.sub("", path.stem) if names else path.stem
+    stem = _PRINTF.sub("", path.stem) if several else path.stem
     size, note = 0, ""
     writer = None
     if path.suffix.lower() == ".obj":
@@ -111,8 +111,8 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
 
 
-def check_pattern(path: Path, n_frames: int) -> list[str]:
-    """The numbers in a name, of which there must be one for a sequence of several frames.
+def check_pattern(path: Path, n_frames: int) -> bool:
+    """Whether a name holds a number, as ``frame_%04d.obj`` does; several frames need one.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def check_pattern(path: Path, n_frames: int) -> list[str]:
         raise InputError(
             "path", f"one number such as %04d in the name, for {n_frames} files", path.name
         )
-    return names
+    return bool(names)
 
 
 def _files(path: Path) -> list[Path]:

@@ -184,7 +184,7 @@ def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
 
 
 class ObjWriter:
-    """Frames of one mesh as OBJ files; texts that all frames share are made once."""
+    """Writer of the frames of one mesh, which makes the text that they share once."""
 
     def __init__(
         self, faces: NDArray[np.int32], surface: Surface | None, folder: Path, stem: str
@@ -211,8 +211,8 @@ class ObjWriter:
             )
             columns.append(index.reshape(-1, 3) + 1)
             corner += "/%d" if self._vt else "//%d"
-        table = np.stack(columns, axis=2).reshape(len(faces), -1)
-        lines = [f"f {corner} {corner} {corner}" % tuple(row) for row in table.tolist()]
+        rows = np.stack(columns, axis=2).reshape(len(faces), 3 * len(columns)).tolist()
+        lines = [f"f {corner} {corner} {corner}" % tuple(row) for row in rows]
         if self._surface.materials:
             material = self._surface.material_index
             material = np.zeros(len(faces), dtype=np.int32) if material is None else material
@@ -222,7 +222,7 @@ class ObjWriter:
         self._f = "".join(f"{line}\n" for line in lines).encode()
 
     def write(self, path: Path, vertices: NDArray[Any], *, first: bool) -> None:
-        """Write one frame; the first has the normals given, others the mean of their triangles."""
+        """Write one frame, with the given normals if it is the first, else with new ones."""
         parts = [self._head, _rows("v", vertices), self._vt]
         normals = self._surface.normals
         if normals is not None:

@@ -49,7 +49,7 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
         data = read_file(path)
         elements, ascii_, start = _header(data)
         body = memoryview(data)[start:]
-        if ascii_:  # each word as a double, which is what _header says of it
+        if ascii_:  # words become doubles, the type that _header states for ASCII
             body = memoryview(np.array(data[start:].split(), dtype=np.float64).tobytes())
         tables: dict[str, _Columns] = {}
         for name, (length, properties) in elements.items():
@@ -74,7 +74,7 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
 
 
 def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> int:
-    """Write one binary little-endian PLY file, float or double as given; its size."""
+    """Write one binary little-endian PLY file, float or double as given; returns its size."""
     kind, name = ("<f8", "double") if vertices.dtype == np.float64 else ("<f4", "float")
     header = "\n".join(
         [
@@ -174,9 +174,10 @@ def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple
     columns: _Columns = {}
     for k, (name, kind, _) in enumerate(properties):
         count = np.array(counts[k :: len(sizes)], dtype=np.int64)
-        n = count * sizes[k]
-        first = np.repeat(np.array(starts[k :: len(sizes)], dtype=np.int64) - np.cumsum(n) + n, n)
-        data = np.frombuffer(body, np.uint8)[first + np.arange(len(first))]
+        n_bytes = count * sizes[k]
+        gaps = np.array(starts[k :: len(sizes)], dtype=np.int64) - np.cumsum(n_bytes) + n_bytes
+        offsets = np.repeat(gaps, n_bytes)  # from a byte's place in the column to that in the file
+        data = np.frombuffer(body, np.uint8)[offsets + np.arange(len(offsets))]
         columns[name] = count, data.view(kind)
     return columns, at
 
