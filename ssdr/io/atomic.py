@@ -45,10 +45,10 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
         with naming(path, temporary):
             yield temporary
             if flush:
-                _flush(temporary, os.O_RDWR)
+                _flush(temporary)
             os.replace(temporary, target)
             if flush and os.name == "posix":  # other systems cannot open a folder
-                _flush(target.parent, os.O_RDONLY)
+                _flush(target.parent)
     except BaseException:
         remove(temporary)
         raise
@@ -129,9 +129,9 @@ def _file_behind(path: Path | str) -> Path:
     return target
 
 
-def _flush(path: Path, flags: int) -> None:
+def _flush(path: Path) -> None:
     """Have the system write a file, or a folder's list of names, to the disk."""
-    number = os.open(path, flags)
+    number = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(number)
     except OSError as error:
