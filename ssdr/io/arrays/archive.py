@@ -70,7 +70,7 @@ def read_arrays(
             for key in members
             if any(fnmatch.fnmatchcase(key, p) for p in (*required, *optional))
         ]
-        headers = {key: _header_of(path, archive, members[key]) for key in chosen}
+        headers = {key: _header_of(archive, members[key]) for key in chosen}
         read = [members[key] for key in chosen if key not in mapped]
         size, stored = sum(i.file_size for i in read), sum(i.compress_size for i in read)
         what = f"reading {', '.join(i.filename for i in read[:9])}"
@@ -112,13 +112,9 @@ def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
         if not head.startswith(b"\x93NUMPY"):
             raise FormatError(f"{path}: not a .npy array: {describe(head)}")
         stream.seek(0)
-        dtype, shape, fortran = _read_header(stream)
-        offset, order = stream.tell(), _order(fortran)
-        held, stated = path.stat().st_size - offset, math.prod(shape) * dtype.itemsize
-        if held != stated:
-            raise FormatError(
-                f"{path}: states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
-            )
+        dtype, shape, order = _read_header(stream)
+        offset = stream.tell()
+        _check_size("the array", dtype, shape, path.stat().st_size - offset)
         if mmap:
             return np.memmap(path, dtype, "r", offset, shape, order)
         flat = np.fromfile(stream, dtype=dtype, count=math.prod(shape))
@@ -152,15 +148,11 @@ def names_in(path: Path) -> set[str]:
 def shape_of(path: Path, key: str) -> tuple[int, ...]:
     """Shape of an array of an archive, which is not read."""
     with _open(path) as (_, archive, members):
-        return _header_of(path, archive, members[key])[1]
-
-
-def _order(fortran: bool) -> Literal["F", "C"]:
-    return "F" if fortran else "C"
+        return _header_of(archive, members[key])[1]
 
 
 _Members = dict[str, zipfile.ZipInfo]
-_Header = tuple[np.dtype[Any], tuple[int, ...], bool]
+_Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 
 @contextlib.contextmanager
@@ -182,8 +174,8 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
             yield stream, archive, members
 
 
-def _read_header(stream: IO[bytes]) -> _Header:
-    """Type, shape and Fortran order of a ``.npy`` stream, left at its data.
+def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
+    """Type, shape and order of a ``.npy`` stream, left at its data.
 
     Raises
     ------
@@ -197,31 +189,31 @@ def _read_header(stream: IO[bytes]) -> _Header:
             read = {(1, 0): _npy.read_array_header_1_0, (2, 0): _npy.read_array_header_2_0}[version]
             shape, fortran, dtype = read(stream, max_header_size=_MOST_HEADER)
         except Exception as error:
-            raise FormatError(f"no usable .npy header ({error})") from error
+            raise FormatError(f"{member} has no usable .npy header ({error})") from error
     if dtype.hasobject:
-        raise FormatError("holds pickled Python objects, which are never read")
+        raise FormatError(f"{member} holds pickled Python objects, which are never read")
     if dtype.kind not in "fiubU" or (dtype.itemsize == 0 and dtype.kind != "U"):
-        raise FormatError(f"holds {dtype}, neither numbers nor text")
+        raise FormatError(f"{member} holds {dtype}, neither numbers nor text")
     if any(type(n) is not int or n < 0 for n in shape):
-        raise FormatError(f"has the shape {shape}")
-    return dtype, shape, fortran
+        raise FormatError(f"{member} has the shape {shape}")
+    return dtype, shape, "F" if fortran else "C"
 
 
-def _header_of(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FormatError(f"{path}: {info.filename} is neither stored nor deflated")
-    with archive.open(info) as member:
-        try:
-            dtype, shape, fortran = _read_header(member)
-        except FormatError as error:
-            raise FormatError(f"{path}: {info.filename} {error}") from error
-        size, held = math.prod(shape) * dtype.itemsize, info.file_size - member.tell()
-    if size != held:
+def _check_size(member: str, dtype: np.dtype[Any], shape: tuple[int, ...], held: int) -> None:
+    stated = math.prod(shape) * dtype.itemsize
+    if held != stated:
         raise FormatError(
-            f"{path}: {info.filename} states the shape {shape} of {dtype}, {size} bytes, "
-            f"but holds {held}"
+            f"{member} states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
         )
-    return dtype, shape, fortran
+
+
+def _header_of(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FormatError(f"{info.filename} is neither stored nor deflated")
+    with archive.open(info) as member:
+        dtype, shape, order = _read_header(member, info.filename)
+        _check_size(info.filename, dtype, shape, info.file_size - member.tell())
+    return dtype, shape, order
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
@@ -232,9 +224,9 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
 
 
 def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) -> NDArray[Any]:
-    dtype, shape, fortran = header
+    dtype, shape, order = header
     stream.seek(info.header_offset + 26)
     name, extra = struct.unpack("<HH", stream.read(4))
     end = info.header_offset + 30 + name + extra + info.file_size
     start = end - math.prod(shape) * dtype.itemsize
-    return np.memmap(path, dtype, "r", start, shape, _order(fortran))
+    return np.memmap(path, dtype, "r", start, shape, order)

@@ -21,7 +21,7 @@ class Bang:
 def test_pickles_are_never_read(tmp_path, wave):
     payload = np.array([Bang()], dtype=object)
     np.save(tmp_path / "a.npy", payload, allow_pickle=True)
-    with pytest.raises(FormatError, match=r"a\.npy: holds pickled Python objects"):
+    with pytest.raises(FormatError, match=r"a\.npy: the array holds pickled Python objects"):
         ssdr.load(tmp_path / "a.npy", faces="none")
     for key in ("vertices", "faces", "fps", "name", "materials"):
         arrays = {"vertices": wave.vertices, "faces": wave.faces, "fps": 24.0, key: payload}
