@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..checks import check_faces
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .arrays.archive import read_array
@@ -91,8 +92,6 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
 
 
 def _still(faces: Any, n_vertices: int, argument: str) -> MeshSequence:
-    """Faces as a mesh of one frame, which checks them."""
-    try:
-        return MeshSequence(np.zeros((1, n_vertices, 3)), faces, validate=False)
-    except InputError as error:
-        raise InputError(argument, error.expected, error.got) from error
+    """Faces as a mesh of one frame."""
+    checked = check_faces(faces, n_vertices, argument)
+    return MeshSequence(np.zeros((1, n_vertices, 3)), checked, validate=False)

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from ...clips import Clip, pick
 from ...errors import FormatError, InputError
-from ...sequence import Material, MeshSequence, Surface
+from ...sequence import MeshSequence
+from ...surface import Material, Surface
 from ..budget import afford
 from ..registry import SaveReport, bake, reading
 from .archive import names_in, read_arrays, shape_of, write_arrays

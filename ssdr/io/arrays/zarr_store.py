@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_faces
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
@@ -64,8 +65,7 @@ def read(
         _check_chunks(vertices, path / vertices.path, max_bytes)
         if faces is None and "faces" in group:
             _check_chunks(group["faces"], path / "faces", max_bytes)
-            still = np.zeros((1, *vertices.shape[1:]))
-            faces = MeshSequence(still, group["faces"][:], validate=False)
+            faces = check_faces(group["faces"][:], vertices.shape[1], "faces")
         if fps is None and "fps" in node.attrs:
             fps = float(node.attrs["fps"])
     return over_mesh(vertices, path, faces, "faces", fps)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...sequence import Material, Surface
+from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..corners import corner_normals
 from ..references import find_inside

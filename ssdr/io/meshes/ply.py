@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...sequence import Surface
+from ...surface import Surface
 from ..atomic import write_bytes
 from ..registry import describe, read_file, reading
 from .polygons import Mesh, fan

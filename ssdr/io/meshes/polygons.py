@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...sequence import Surface
+from ...surface import Surface
 
 __all__ = ["Mesh", "fan", "vertex_rows"]
 
