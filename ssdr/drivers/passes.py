@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..search.given import Given
@@ -135,7 +135,7 @@ class AllFrames:
                 model.transforms[span],
             )
 
-        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
+        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
             model.transforms[start:stop] = part[0]
             y += part[1]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.initialization import farthest_points
@@ -100,7 +100,7 @@ def scan(
     spans = spans_of(n_frames)
     parts = []
     walk = (executor or Local()).map(
-        Walk(_scan_span, sequences, spans, shared=(first, weight, probes))
+        SpanTask(_scan_span, sequences, spans, shared=(first, weight, probes))
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
@@ -160,7 +160,7 @@ def subset(
     used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
     used = [u for u in used if len(u[1])]
     walk = (executor or Local()).map(
-        Walk(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
+        SpanTask(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
     )
     vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
     return dataclasses.replace(first, vertices=vertices, validate=False)
