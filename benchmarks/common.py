@@ -281,7 +281,7 @@ def run(
         rates = machine()
         words = ["--set", *args.set] if changes else []
         row = fresh([script, "--case", case, *words], threads=args.threads)
-        rows[name] = cases[case] | changes | row | {"threads": args.threads, "machine": rates}
+        rows[name] = {"threads": args.threads, "machine": rates, **cases[case], **changes, **row}
         write_rows(args.out, rows)
         shown = {k: v for k, v in row.items() if not isinstance(v, list | dict)}
         print(name, json.dumps(shown), flush=True)
