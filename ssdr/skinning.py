@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from .checks import BoneModel, check_faces, check_floats, check_frames, check_skin
 from .clips import Clip, check_clips, in_order, pick
 from .errors import InputError, check_choice, is_real, is_whole
 from .hierarchy.transforms import (
@@ -21,12 +22,10 @@ from .hierarchy.transforms import (
     to_local,
 )
 from .lbs import skin
-from .sequence import Surface
-from .shapes import floats_of, frame_index
+from .sequence import check_vertex_map
+from .surface import Surface, check_surface
 
 __all__ = ["BoneModel", "Skinning", "skin"]
-
-BoneModel = Literal["rigid", "similarity", "affine"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,34 +104,15 @@ class Skinning:
     joint_positions: Any = None
 
     def __post_init__(self) -> None:
-        from .sequence import _check_faces, _check_surface, _check_vertex_map
-
         put = object.__setattr__
-        rest = floats_of(self.rest, "rest", ("V", 3))
+        rest = check_floats(self.rest, "rest", ("V", 3))
         n_vertices = len(rest)
-        indices = np.asarray(self.indices)
-        if indices.ndim != 2 or len(indices) != n_vertices or indices.shape[1] < 1:
-            raise InputError("indices", f"shape ({n_vertices}, K)", f"shape {indices.shape}")
-        if indices.dtype.kind not in "iu":
-            raise InputError("indices", "integers", f"dtype {indices.dtype}")
-        weights = floats_of(self.weights, "weights", indices.shape)
-        transforms = floats_of(self.transforms, "transforms", ("F", "B", 3, 4))
+        transforms = check_floats(self.transforms, "transforms", ("F", "B", 3, 4))
         n_bones = transforms.shape[1]
-        if indices.min() < 0 or indices.max() >= n_bones:
-            raise InputError(
-                "indices", f"indices from 0 to {n_bones - 1}", f"{indices.min()} to {indices.max()}"
-            )
-        if weights.min() < 0:
-            raise InputError("weights", "numbers >= 0", f"{weights.min()}")
-        off = np.abs(weights.sum(axis=1, dtype=np.float64) - 1)
-        if off.max() > 1e-4:
-            worst = int(off.argmax())
-            raise InputError(
-                "weights", "rows that sum to 1", f"{weights[worst].sum()} at vertex {worst}"
-            )
+        indices, weights = check_skin(self.indices, self.weights, n_vertices, n_bones)
         check_choice(self.bone_model, "bone_model", BoneModel)
         clips, fps = check_clips(self.clips, fps=self.fps, name=self.name, n_frames=len(transforms))
-        faces = _check_faces(self.faces, n_vertices, "faces")
+        faces = check_faces(self.faces, n_vertices)
         if self.keyframes is not None:
             keyframes = np.asarray(self.keyframes)
             if keyframes.shape != transforms.shape[:2] or keyframes.dtype != bool:
@@ -143,9 +123,9 @@ class Skinning:
                 )
             put(self, "keyframes", keyframes)
         if self.surface is not None:
-            _check_surface(self.surface, len(faces))
+            check_surface(self.surface, len(faces))
         if self.vertex_map is not None:
-            put(self, "vertex_map", _check_vertex_map(self.vertex_map, n_vertices))
+            put(self, "vertex_map", check_vertex_map(self.vertex_map, n_vertices))
         if self.bone_names is not None:
             named = self.bone_names
             if not isinstance(named, (list, tuple, np.ndarray)) or np.ndim(named) != 1:
@@ -158,10 +138,10 @@ class Skinning:
             raise InputError(missing, "parents and joint_positions together", "one of them")
         if self.parents is not None:
             put(self, "parents", check_parents(self.parents, n_bones))
-            positions = floats_of(self.joint_positions, "joint_positions", (n_bones, 3))
+            positions = check_floats(self.joint_positions, "joint_positions", (n_bones, 3))
             put(self, "joint_positions", positions)
         put(self, "rest", rest)
-        put(self, "indices", np.ascontiguousarray(indices, dtype=np.int32))
+        put(self, "indices", indices)
         put(self, "weights", weights)
         put(self, "transforms", transforms)
         put(self, "faces", faces)
@@ -338,7 +318,7 @@ class Skinning:
         """Positions ``(f, V, 3)`` of the named frames; all of them by default."""
         chosen = self.transforms
         if frames is not None:
-            chosen = chosen[frame_index(frames, self.n_frames)]
+            chosen = chosen[check_frames(frames, self.n_frames)]
         return skin(self.rest, self.indices, self.weights, chosen, dtype=dtype)
 
     def select(self, *clips: str | int) -> Skinning:

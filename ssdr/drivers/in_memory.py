@@ -9,56 +9,46 @@ import dataclasses
 import logging
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from ..clips import names_of
 from ..errors import Cancelled
-from ..frames.digest import Digests
 from ..frames.error import squared_error
 from ..frames.executor import Executor
 from ..hierarchy.tree import Tree
-from ..joints.changes import loss_of_bones
+from ..joints.changes import removal_losses
 from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import settled, spanning_tree
-from ..search.prescribed import Prescribed
-from ..search.progress import Clock, Record, Reporter
-from ..search.run import Run
-from ..search.state import SolverState, check_settings, check_size, taking_up, whole
+from ..search.given import Given
+from ..search.progress import Clock, ProgressReport, Record
+from ..search.run import Run, Schedule
+from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import bone_costs
 from ..solver.bone_models import normalise_gauge
 from ..solver.model import Model, pad_influences
 from ..solver.trajectories import Alignment, Trajectories
 from .problem import Problem
-from .schedule import fingerprint, schedule_for
+from .schedule import schedule_for
 
-__all__ = [
-    "Outcome",
-    "begin",
-    "hierarchy_of",
-    "idle_bones",
-    "outcome_of",
-    "restore",
-    "solve",
-    "state_of",
-    "walk",
-    "with_tree",
-]
+__all__ = ["Outcome", "begin", "idle_bones", "make_steps", "outcome_of", "skinning_of", "solve"]
 
 _logger = logging.getLogger(__name__)
-# Ratio of the true error to the objective's, beyond which they say different things: the error is
-# then of vertices of next to no importance, and records keep the objective's.
+# Ratio of the true error to the objective's beyond which they say different things: the error then
+# is of vertices of next to no importance, and records keep the objective's.
 _MOST_RATIO = 10.0
-# Of the motion's energy: what solving for it leaves to rounding.  A bone whose loss costs less
-# is idle.
+# Relative to the motion's energy: what solving for it leaves to rounding.  A bone whose removal
+# costs less is idle.
 _NO_LOSS = 1e-13
+
+# iteration, seconds, squared error and phase of an accepted model
+Step = tuple[int, float, float, str]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """What a driver hands back to ``decompose``.
+    """What a driver hands back.
 
     Attributes
     ----------
@@ -67,7 +57,6 @@ class Outcome:
         Over all frames, measured by skinning.
     stop_reason : str
     history : tuple of Record
-    state : SolverState
     warnings : tuple of str
     """
 
@@ -75,7 +64,6 @@ class Outcome:
     rmse: float
     stop_reason: str
     history: tuple[Record, ...]
-    state: SolverState
     warnings: tuple[str, ...] = ()
 
 
@@ -84,100 +72,67 @@ def solve(problem: Problem) -> Outcome:
 
     Raises
     ------
-    InputError
-        If the state to resume from is of another run.
     Cancelled
         If the callback stopped the run before there was any model.
     """
     clock = Clock()
     data = problem.gather(problem.sequences, problem.frame_importance)
-    run, settings = begin(problem, data, problem.prescribed.inside(data), clock)
+    run = begin(problem, data, problem.given.inside(data), clock)
     del data  # what a compressed run needs no longer is freed
-    if problem.resume is not None:
-        restore(run, problem.resume)
-
-    def state() -> SolverState:
-        return state_of(run, settings)
-
-    checkpoint = problem.checkpoint
-    reason = walk(
-        run, problem, save=None if checkpoint is None else lambda: checkpoint.offer(state)
-    )
+    reason = make_steps(run, problem, save=lambda: skinning_of(problem, run.whole, run.best_model))
     return outcome_of(
-        problem,
-        run.whole,
-        run.best_model,
-        run.records,
-        importance=run.whole.importance,
-        reason=reason,
-        state=state(),
-        idle=idle_bones(run),
+        problem, run.whole, run.best_model, run.records, reason=reason, idle=idle_bones(run)
     )
 
 
 def begin(
     problem: Problem,
     data: Trajectories,
-    prescribed: Prescribed,
+    given: Given,
     clock: Clock,
-    digests: Digests | None = None,
-) -> tuple[Run, dict[str, Any]]:
-    """The effort's run, and the settings that a state of it carries.
-
-    `digests` are those of all frames where a walk has made them already.
-
-    Raises
-    ------
-    InputError
-        If the state to resume from is of another run.
-    """
+    schedule: Schedule | None = None,
+) -> Run:
+    """A run on some frames; the schedule is the effort's by default."""
     smoothness = problem.smoothness_of(data)
-    schedule = schedule_for(
-        problem.effort,
-        fixed=problem.fixed,
-        bones=problem.bones,
-        prescribed=prescribed,
-        smoothed=smoothness is not None,
-        size=float(data.n_vertices) * data.n_frames * problem.bones,
-        hierarchy=problem.hierarchy,
-    )
-    run = Run(
+    if schedule is None:
+        schedule = schedule_for(
+            problem.effort,
+            fixed=problem.fixed,
+            bones=problem.bones,
+            given=given,
+            smoothed=smoothness is not None,
+            size=float(data.n_vertices) * data.n_frames * problem.bones,
+            rig=problem.rig,
+        )
+    return Run(
         data,
         schedule,
         bones=problem.bones,
         influences=min(problem.influences, problem.bones),
         rng=problem.rng,
         fixed=problem.fixed,
-        prescribed=prescribed,
+        given=given,
         smoothness=smoothness,
         clock=clock,
-        rigid_joints=problem.hierarchy == "rigid",
+        rigid_joints=problem.rig == "rigid",
     )
-    settings = problem.settings(
-        smoothness=problem.smoothness,
-        input=problem.fingerprint(data, digests),
-        schedule=fingerprint(schedule),
-    )
-    if problem.resume is not None:
-        check_settings(problem.resume, settings)
-    return run, settings
 
 
-def walk(
+def make_steps(
     run: Run,
     problem: Problem,
     *,
-    save: Callable[[], None] | None,
+    save: Callable[[], Skinning] | None,
     part: tuple[float, float] = (0.0, 1.0),
 ) -> str:
-    """Steps until the schedule, a limit or the caller ends it; says why.
+    """Steps until the schedule, the time limit or the caller ends them; returns the reason.
 
     Parameters
     ----------
     run : Run
     problem : Problem
     save : callable or None
-        Called after every step; may write a checkpoint.
+        Makes the best model so far, for a checkpoint.
     part : (float, float)
         Fractions of the whole work that are done before and after this run.
 
@@ -187,108 +142,129 @@ def walk(
         If the callback stopped the run before there was any model.
     """
     unit = run.whole.scale / math.sqrt(run.whole.n_frames * run.whole.n_vertices)
-    report = Reporter(problem.callback, run.clock, problem.time_limit)
-
-    def limit() -> str | None:
-        if run.best is None or run.finished:
-            return None
-        if problem.max_iterations is not None and run.iteration >= problem.max_iterations:
-            return "iterations"
-        return "time limit" if report.out_of_time else None
+    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
 
     def after_step(phase: str) -> str | None:
         rmse = unit * math.sqrt(run.best_value)
         _logger.debug("%s, iteration %d, rmse %.6g", phase, run.iteration, rmse)
-        if save is not None:
-            save()
+        if save is not None and run.best is not None:
+            problem.save(save)
         fraction = part[0] + (part[1] - part[0]) * run.fraction
         if report(phase, iteration=run.iteration, rmse=rmse, fraction=fraction):
             if run.best is None:
                 raise Cancelled("stopped by the callback before there was any model")
             return "cancelled"
-        return limit()
+        return "time limit" if run.best is not None and report.out_of_time else None
 
-    reason = limit() or run.drive(after_step)
-    return reason or ("converged" if run.converged else "plan finished")
+    return run.drive(after_step) or ("converged" if run.converged else "effort spent")
 
 
 def idle_bones(run: Run) -> int:
-    """How many bones could each go at no loss."""
+    """Number of bones that could each be removed at no loss."""
     wide = run.best_model.with_restarted_support()
     energy = float(run.whole.importance @ run.whole.x2)
     if wide.tree is None:
         costs = bone_costs(run.whole, wide)
     else:
-        costs = np.array([loss.cost for loss in loss_of_bones(run.whole, wide)])
+        costs = np.array([loss.cost for loss in removal_losses(run.whole, wide)])
         # a joint that was asked not to turn says nothing of how many bones there are
         costs[[j for j, _, _ in run.asked.kept_turns(wide.tree)]] = np.inf
     return int((costs <= _NO_LOSS * energy).sum())
+
+
+def skinning_of(
+    problem: Problem,
+    alignment: Alignment,
+    model: Model,
+    sequences: list[MeshSequence] | None = None,
+) -> Skinning:
+    """A model in the input's space, with what the input carries beside its shape.
+
+    `sequences` are the frames that the model is of; all of them by default.
+    """
+    sequences = problem.sequences if sequences is None else sequences
+    indices, weights = pad_influences(model, problem.influences)
+    if problem.fixed.bone_model != "rigid":
+        model = model.copy()
+        importance = problem.vertex_importance
+        equal = np.ones(len(model.rest))
+        normalise_gauge(model, equal if importance is None else importance, problem.fixed)
+    rest, transforms = alignment.to_world(model.rest, model.transforms)
+    first = sequences[0]
+    skinning = Skinning(
+        rest,
+        indices.copy(),
+        weights.copy(),
+        transforms,
+        faces=first.faces,
+        bone_model=problem.fixed.bone_model,
+        surface=first.surface,
+        vertex_map=first.vertex_map,
+        **names_of(sequences),
+    )
+    tree = _tree_of(problem, model, alignment)
+    return skinning if tree is None else _with_tree(skinning, tree, alignment, problem.names)
 
 
 def outcome_of(
     problem: Problem,
     alignment: Alignment,
     model: Model,
-    records: list[tuple[int, float, float, str]],
+    steps: list[Step],
     *,
-    importance: np.ndarray,
     reason: str,
-    state: SolverState,
     idle: int,
     executor: Executor | None = None,
 ) -> Outcome:
-    """The model as a skinning in the input's space, with its true error.
+    """The model in the input's space with its true error; never above the one it started from.
 
-    `records` hold squared errors in the solver's space.
+    `steps` hold squared errors in the solver's space.
     """
-    indices, weights = pad_influences(model, problem.influences)
-    indices, weights = indices.copy(), weights.copy()  # the state has its own
-    if problem.fixed.bone_model != "rigid":
-        model = model.copy()  # the state has its own, so that resuming ends on the same bits
-        normalise_gauge(model, importance, problem.fixed)
-    rest, transforms = alignment.to_world(model.rest, model.transforms)
-    squared = squared_error(
-        problem.sequences, rest, indices, weights, transforms, executor=executor
-    )
-    count = alignment.n_frames * len(rest)
-    rmse = math.sqrt(float(squared.sum()) / count)
-    first = problem.sequences[0]
-    tree = hierarchy_of(problem, model, alignment)
-    skinning = Skinning(
-        rest,
-        indices,
-        weights,
-        transforms,
-        faces=first.faces,
-        bone_model=problem.fixed.bone_model,
-        surface=first.surface,
-        vertex_map=first.vertex_map,
-        **names_of(problem.sequences),
-    )
-    if tree is not None:
-        skinning = with_tree(skinning, tree, alignment, problem.names)
-    values = np.array([value for _, _, value, _ in records])
+    count = problem.n_frames * problem.n_vertices
+
+    def rmse_of(s: Skinning) -> float:
+        parts = (s.rest, s.indices, s.weights, s.transforms)
+        squared = squared_error(problem.sequences, *parts, executor=executor)
+        return math.sqrt(float(squared.sum()) / count)
+
+    skinning = skinning_of(problem, alignment, model)
+    rmse = rmse_of(skinning)
+    start = problem.start
+    if start is not None and _is_an_answer(problem, start):
+        before = rmse_of(start)
+        if before < rmse:
+            skinning, rmse = start, before
+    values = np.array([value for _, _, value, _ in steps])
     hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
     return Outcome(
         skinning=skinning,
         rmse=rmse,
         stop_reason=reason,
-        history=_history(records, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
-        state=state,
+        history=_history(steps, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
         warnings=(hint,) if idle else (),
     )
 
 
-def hierarchy_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
+def _is_an_answer(problem: Problem, start: Skinning) -> bool:
+    """Whether the model that a call starts from could be its result, judged by its error."""
+    plain = problem.vertex_importance is None and problem.frame_importance is None
+    rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
+    frames = start.n_frames == problem.n_frames
+    return plain and rigid and frames and problem.smoothness == 0
+
+
+def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
     """The tree that a model's bones hang on, or over bones that were found without one."""
-    if problem.hierarchy != "loose":
+    if problem.rig == "none":
+        return None
+    if problem.rig == "rigid":
         return model.tree
-    skeleton = problem.prescribed.inside(alignment).skeleton
+    skeleton = problem.given.inside(alignment).tree
     return spanning_tree(model, by_gap=True) if skeleton is None else settled(model, skeleton)
 
 
-def with_tree(
-    skinning: Skinning, tree: Tree, alignment: Alignment, names: tuple[str, ...] = ()
+def _with_tree(
+    skinning: Skinning, tree: Tree, alignment: Alignment, names: tuple[str, ...]
 ) -> Skinning:
     """A skinning whose bones hang on the joints of a tree in the solver's space.
 
@@ -310,13 +286,11 @@ def with_tree(
     )
 
 
-def _history(
-    records: list[tuple[int, float, float, str]], errors: np.ndarray, rmse: float
-) -> tuple[Record, ...]:
+def _history(steps: list[Step], errors: np.ndarray, rmse: float) -> tuple[Record, ...]:
     """Records whose last error is the true one, measured on the frames.
 
-    The reduced basis and importance change the objective, not which model is better: the
-    others keep their ratio to the last, unless there is none to keep.
+    The reduced basis and importance change the objective, not which model is better: the others
+    keep their ratio to the last, unless there is none to keep.
     """
     last = errors[-1]
     proportional = last > 0 and rmse < _MOST_RATIO * last
@@ -326,55 +300,5 @@ def _history(
     errors[-1] = rmse
     return tuple(
         Record(iteration=iteration, elapsed=elapsed, rmse=float(error), phase=phase)
-        for (iteration, elapsed, _, phase), error in zip(records, errors, strict=True)
+        for (iteration, elapsed, _, phase), error in zip(steps, errors, strict=True)
     )
-
-
-def state_of(
-    run: Run,
-    settings: dict[str, Any],
-    progress: dict[str, Any] | None = None,
-    driver: dict[str, Any] | None = None,
-) -> SolverState:
-    """The state of a run, with what its driver adds to `progress` and arrays of its own."""
-    return SolverState(
-        settings=settings,
-        progress=run.progress() | (progress or {}),
-        history=np.array([r[:3] for r in run.records], dtype=np.float64).reshape(-1, 3),
-        phases=tuple(phase for _, _, _, phase in run.records),
-        current=run.model,
-        best=run.best,
-        aside=run.aside,
-        recycled=run.recycled,
-        driver=driver or {},
-    )
-
-
-def restore(run: Run, state: SolverState) -> None:
-    """Go on where a saved run was.
-
-    Raises
-    ------
-    InputError
-        If the state is of other frames, or damaged.
-    """
-    check_size(state.best, run.whole.n_vertices, run.whole.n_frames)
-    with taking_up():
-        run.go_to(whole(state.progress, "position"))
-    for model in (state.current, state.aside):
-        check_size(model, run.data.n_vertices, run.data.n_frames)
-    with taking_up():
-        if not (np.isfinite(state.history).all() and (state.history >= 0).all()):
-            raise ValueError("history holds negative numbers, NaN or Inf")
-        records = [
-            (int(iteration), float(elapsed), float(value), phase)
-            for (iteration, elapsed, value), phase in zip(state.history, state.phases, strict=True)
-        ]
-        run.restore(
-            state.progress,
-            None if state.current is None else state.current.copy(),
-            None if state.best is None else state.best.copy(),
-            None if state.aside is None else state.aside.copy(),
-            records,
-        )
-        run.recycled = state.recycled

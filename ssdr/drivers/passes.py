@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.digest import BYTES, Digests, check_same, of_block
 from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..search.given import Given
 from ..sequence import MeshSequence
 from ..solver.bone_models import fit_motion
 from ..solver.model import CHUNK, Fixed, Model
@@ -36,9 +36,9 @@ GAIN = 2e-3  # of the objective, below which another pass is not made
 
 
 def carried(
-    model: Model, nearest: NDArray[np.int64], ratio: float, prescribed: Array | None, fixed: Fixed
+    model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, fixed: Fixed
 ) -> Model:
-    """A copy with the bones that each frame starts with: those of the frame it is most like.
+    """A copy with bones for each frame: at first those of the frame that it is most like.
 
     Parameters
     ----------
@@ -47,15 +47,17 @@ def carried(
         That frame's place among the model's.
     ratio : float
         Of the scale of the model's space to the scale of the new one.
-    prescribed : (F, B0, 3, 4) array or None
-        Transforms that the caller handed over, in the new space: locked bones have these.
+    given : Given
+        In the new space: bones that stay, or all bones of a model to go on from.
     fixed : Fixed
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
-    if prescribed is not None:
-        locked = np.flatnonzero(fixed.locked(prescribed.shape[1]))
-        transforms[:, locked] = prescribed[:, locked]
+    if given.transforms is not None:
+        own = np.full(given.transforms.shape[1], given.free) | fixed.locked(
+            given.transforms.shape[1]
+        )
+        transforms[:, np.flatnonzero(own)] = given.transforms[:, own]
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
     if moved.tree is not None:
@@ -75,14 +77,12 @@ class AllFrames:
     model : Model
         Of these frames; copied.
     fixed : Fixed
-    prescribed : (F, B0, 3, 4) array or None
-        Transforms that the caller handed over, in the solver's space of all frames.
+    given : Given
+        In the solver's space of all frames.
     importance : (F,) array or None
         Of the frames.
     executor : Executor, optional
         Who walks over the frames; this process by default.
-    resumed : bool
-        Whether the scan is of the run that is resumed.
     """
 
     def __init__(
@@ -93,18 +93,16 @@ class AllFrames:
         model: Model,
         *,
         fixed: Fixed,
-        prescribed: Array | None,
+        given: Given,
         importance: Array | None,
         executor: Executor | None = None,
-        resumed: bool = False,
     ) -> None:
-        self.resumed = resumed
         self.sequences, self.fixed = sequences, fixed
         self.executor = executor or Local()
-        self.alignment, self.digests = scan.alignment, scan.digests
+        self.alignment = scan.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, scan.nearest, ratio, prescribed, fixed)
+        self.model = carried(model, scan.nearest, ratio, given, fixed)
         self.vertex_importance = data.importance
         self.frame_scale = frame_scale_of(importance, len(scan.nearest))
 
@@ -116,11 +114,6 @@ class AllFrames:
         """One exact alternation; returns the objective in the solver's space.
 
         `on_progress` is called with the fraction of the frames that is done.
-
-        Raises
-        ------
-        InputError
-            If a frame is not the one that was scanned.
         """
         model, n_frames = self.model, len(self.frame_scale)
         n, n_bones = len(model.rest), model.n_bones
@@ -148,7 +141,6 @@ class AllFrames:
 
         walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
-            check_same(part[4], self.digests[start:stop], range(start, stop), resumed=self.resumed)
             model.transforms[start:stop] = part[0]
             y += part[1]
             g += part[2]
@@ -191,16 +183,14 @@ def _pass_span(
     frame_scale: Array,
     transforms: Array,
     shared: _Shared,
-) -> tuple[Array, Array, Array, Array, Digests]:
-    """Bones of a span, its part of Y, G and Σ|x|², and which frames they were."""
+) -> tuple[Array, Array, Array, Array]:
+    """Bones of a span, and its part of Y, G and Σ|x|²."""
     n, n_bones = len(shared.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
-    digests = np.empty((len(frames), BYTES), dtype=np.uint8)
     alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
-        digests[start:stop] = of_block(block)
         x = alignment.inward(block, start)
         x *= frame_scale[start:stop, None]
         flat = x.reshape(n, -1)
@@ -236,4 +226,4 @@ def _pass_span(
             y[i:k] += flat[i:k] @ hat
 
         run_chunks(add, chunk_bounds(n, 2 * CHUNK))
-    return transforms, y, g, x2, digests
+    return transforms, y, g, x2

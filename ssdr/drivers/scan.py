@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.digest import BYTES, Digests, of_frame
 from ..frames.executor import Executor, Frames, Local, Walk, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
@@ -52,59 +51,11 @@ class Scan:
         :meth:`extended` others as well.
     nearest : (F,) int64
         For each frame, the position in `chosen` of the one that it is most like.
-    digests : (F, 16) uint8
-        Of the frames that were seen.
     """
 
     alignment: Alignment
     chosen: NDArray[np.int64]
     nearest: NDArray[np.int64]
-    digests: Digests
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """What :meth:`of_arrays` needs, by name."""
-        a = self.alignment
-        return {
-            "centre": a.centre,
-            "turn": a.turn,
-            "scale": np.array(a.scale),
-            "chosen": self.chosen,
-            "nearest": self.nearest,
-            "digests": self.digests,
-        }
-
-    @staticmethod
-    def of_arrays(arrays: dict[str, NDArray[Any]]) -> Scan:
-        """The scan whose arrays these are.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If one is missing or damaged.
-        """
-        centre = np.ascontiguousarray(arrays["centre"], dtype=np.float64)
-        turn = np.ascontiguousarray(arrays["turn"], dtype=np.float64)
-        scale = float(np.asarray(arrays["scale"]).item())
-        chosen = np.ascontiguousarray(arrays["chosen"], dtype=np.int64)
-        nearest = np.ascontiguousarray(arrays["nearest"], dtype=np.int64)
-        digests = np.ascontiguousarray(arrays["digests"])
-        n = len(centre)
-        if digests.shape != (n, BYTES) or digests.dtype != np.uint8:
-            raise ValueError(f"digests have shape {digests.shape}, dtype {digests.dtype}")
-        if centre.shape != (n, 3) or turn.shape != (n, 3, 3) or nearest.shape != (n,):
-            raise ValueError(f"centre has shape {centre.shape}")
-        if not (np.isfinite(centre).all() and np.isfinite(turn).all() and 0 < scale < np.inf):
-            raise ValueError("the alignment holds NaN or Inf")
-        if chosen.ndim != 1 or len(chosen) == 0 or (np.diff(chosen) <= 0).any():
-            raise ValueError("chosen is not ascending")
-        if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
-            raise ValueError("a frame is named that is not there")
-        return Scan(
-            alignment=Alignment(centre=centre, turn=turn, scale=scale),
-            chosen=chosen,
-            nearest=nearest,
-            digests=digests,
-        )
 
     def importance(self, frames: Array | None) -> Array:
         """(S,) importance of the representative frames: that of the frames they stand for."""
@@ -156,9 +107,9 @@ def scan(
         parts.append(part)
         if on_progress is not None:
             on_progress(stop / n_frames)
-    centre, turn, features, digests = (np.concatenate([p[k] for p in parts]) for k in range(4))
+    centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
     turn[0] = np.eye(3)
-    size, spread = sum(p[4] for p in parts), max(p[5] for p in parts)
+    size, spread = sum(p[3] for p in parts), max(p[4] for p in parts)
     seeds, nearest = farthest_points(features, min(_representatives(n), n_frames), 0)
     chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
     where = np.searchsorted(chosen, seeds)[nearest]
@@ -168,7 +119,6 @@ def scan(
         alignment=Alignment(centre=centre, turn=turn, scale=scale),
         chosen=chosen,
         nearest=where.astype(np.int64),
-        digests=digests,
     )
 
 
@@ -179,16 +129,13 @@ def _representatives(n_vertices: int) -> int:
 @serial_blas()
 def _scan_span(
     frames: Frames, first: Array, weight: Array | None, probes: NDArray[np.int64]
-) -> tuple[Array, Array, Array, Digests, float, float]:
+) -> tuple[Array, Array, Array, float, float]:
     centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
     features = np.empty((len(frames), 3 * len(probes)))
     sizes, spreads = np.empty(len(frames)), np.empty(len(frames))
-    digests = np.empty((len(frames), BYTES), dtype=np.uint8)
     for start, block in frames.blocks():
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
-            for t in range(i, k):
-                digests[start + t] = of_frame(block[t])
             here, centre[start + i : start + k] = centred(block[i:k], weight)
             turned = turn_onto(here, first, weight)
             turn[start + i : start + k] = turned
@@ -198,7 +145,7 @@ def _scan_span(
             spreads[start + i : start + k] = np.abs(here).max(axis=(1, 2))
 
         run_chunks(work, chunk_bounds(len(block), 8))
-    return centre, turn, features, digests, float(sizes.sum()), float(spreads.max())
+    return centre, turn, features, float(sizes.sum()), float(spreads.max())
 
 
 def subset(

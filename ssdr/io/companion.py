@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..checks import check_faces
 from ..errors import FormatError, InputError
-from ..sequence import MeshSequence, Surface, _check_faces
+from ..sequence import MeshSequence, Surface
 from .arrays.archive import read_array
 from .registry import reading
 
@@ -73,7 +74,7 @@ def find(path: Path, given: Any, argument: str, n_vertices: int) -> Companion:
         if given.n_vertices != n_vertices:
             raise InputError(argument, f"a mesh of {n_vertices} vertices", given.n_vertices)
         return _of(given)
-    return Companion(faces=_check_faces(given, n_vertices, argument))
+    return Companion(faces=check_faces(given, n_vertices, argument))
 
 
 def _sibling(path: Path, argument: str) -> Path:
@@ -92,7 +93,7 @@ def _from_file(mesh: Path, path: Path, n_vertices: int) -> Companion:
 
     if mesh.suffix.lower() == ".npy":
         try:
-            return Companion(faces=_check_faces(read_array(mesh), n_vertices, "faces"))
+            return Companion(faces=check_faces(read_array(mesh), n_vertices))
         except InputError as error:
             raise FormatError(f"{mesh}: {error} (for {path})") from error
     sequence = load(mesh)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..hierarchy.tree import Tree
-from ..search.moves import polish_steps, worst_patch
+from ..search.moves import patch_of_most_error, polish_steps
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.initialization import fit_patches
 from ..solver.model import Fixed, Model
@@ -27,15 +27,15 @@ from .placement import (
 )
 
 __all__ = [
-    "give_up_bone",
-    "join_touching",
-    "loss_of_bones",
+    "add_edge_between_skin_neighbours",
+    "attach_by_stiffness",
     "mirror_edge",
+    "move_bone_to_error",
+    "removal_losses",
+    "remove_cheapest_bone",
     "reparent",
     "replace_bone",
-    "seize",
     "split_bone",
-    "stiffen",
 ]
 
 _HARD = 100.0  # stiffness at the end of a ramp, of the lighter bone's mass: next to no gap is left
@@ -47,17 +47,19 @@ _WEAKEST = 0.7  # how often the edge that goes is the one whose bones share leas
 _PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
 
 
-def stiffen(data: Trajectories, model: Model, fixed: Fixed, *, start: float, steps: int) -> None:
+def attach_by_stiffness(
+    data: Trajectories, model: Model, fixed: Fixed, *, start: float, steps: int
+) -> None:
     """Bring bones to their joints by a ramp of stiffness, then hang them (in place)."""
     for stiffness in np.geomspace(start, _HARD, steps):
         soft_step(data, model, float(stiffness), fixed)
     hang(data, model, fixed)
 
 
-def join_touching(
+def add_edge_between_skin_neighbours(
     data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
 ) -> Model:
-    """Bones that share skin become neighbours; an edge of the circle that this closes goes."""
+    """Connect two bones that share weights and drop one edge of the resulting cycle."""
     changed = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_JOINED + 1))):
         tree = _tree(changed)
@@ -75,7 +77,9 @@ def join_touching(
         point, _ = joint_between(changed, a, b, meet.point[a, b])
         a, b = (a, b) if edge in up else (b, a)
         changed.tree = tree.rehung(edge, a, b, point)
-    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+    attach_by_stiffness(
+        data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP
+    )
     return changed
 
 
@@ -104,7 +108,7 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     chance = 1.0 / (costs + 0.1 * costs.mean() + 1e-300)
     _, edge, a, b = ways[int(rng.choice(len(ways), p=chance / chance.sum()))]
     changed.tree = tree.rehung(edge, a, b, points[a, b])
-    stiffen(data, changed, fixed, start=1.0, steps=4)
+    attach_by_stiffness(data, changed, fixed, start=1.0, steps=4)
     return changed
 
 
@@ -128,13 +132,17 @@ def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixe
     gone = min(up + down, key=lambda k: (k not in alone, overlap[k, tree.parents[k]], k))
     a, b = (a, b) if gone in up else (b, a)
     changed.tree = tree.rehung(gone, a, b, mirror.image(tree.points[edge]))
-    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+    attach_by_stiffness(
+        data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP
+    )
     return changed
 
 
-def seize(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+def move_bone_to_error(
+    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+) -> Model:
     """A bone near the error lets go of what it moves and takes a patch with much error instead."""
-    members = worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
+    members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
     tree = _tree(model)
     away = np.linalg.norm(tree.points - model.rest[members].mean(axis=0), axis=1)
     chance = 1.0 / (away + 0.1 * away.mean() + 1e-12) ** 2
@@ -148,7 +156,9 @@ def seize(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fix
     changed.support[free], changed.support_weights[free] = 0, 0.0
     changed.support[free, 0], changed.support_weights[free, 0], changed.count[free] = bone, 1.0, 1
     vertex_step(data, changed, fixed=fixed)
-    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+    attach_by_stiffness(
+        data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP
+    )
     return changed
 
 
@@ -156,7 +166,7 @@ def replace_bone(data: Trajectories, model: Model, rng: np.random.Generator, fix
     """A bone splits where the error is, and after some polish the cheapest bone goes."""
     grown = split_bone(data, model.with_restarted_support(), rng)
     polish_steps(data, grown, int(rng.integers(3, 7)), fixed)
-    return give_up_bone(data, grown, fixed)
+    return remove_cheapest_bone(data, grown, fixed)
 
 
 def split_bone(
@@ -176,7 +186,7 @@ def split_bone(
     """
     size = float(rng.choice(_PATCH_SIZES))
     main = model.indices[np.arange(data.n_vertices), model.weights.argmax(axis=1)]
-    members = worst_patch(data, model, rng, size, among=main == parent)
+    members = patch_of_most_error(data, model, rng, size, among=main == parent)
     share = np.bincount(
         model.indices[members].ravel(),
         weights=model.weights[members].ravel(),
@@ -211,9 +221,9 @@ def split_bone(
     return grown
 
 
-def give_up_bone(data: Trajectories, model: Model, fixed: Fixed) -> Model:
+def remove_cheapest_bone(data: Trajectories, model: Model, fixed: Fixed) -> Model:
     """A copy without the bone that it costs least to lose, the others hung anew."""
-    losses = loss_of_bones(data, model)
+    losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
     smaller = model.without(np.array([bone]))
@@ -241,7 +251,7 @@ class Loss:
     points: dict[int, Array]
 
 
-def loss_of_bones(data: Trajectories, model: Model) -> list[Loss]:
+def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
     """For every bone the cheapest way to do without it; infinite for one without neighbours."""
     tree = _tree(model)
     mass = masses(model)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from ..checks import check_floats
 from ..errors import InputError
 from ..hierarchy.transforms import rest_diagonal
-from ..shapes import floats_of
 from ..skinning import Skinning
 
 __all__ = [
@@ -108,7 +108,7 @@ def mirror_of(
     rest: ArrayLike, indices: NDArray[np.integer], weights: NDArray[np.floating], n_bones: int
 ) -> Mirror | None:
     """As :func:`find_mirror`, from a model's arrays; None for a vertex alone, too."""
-    points = floats_of(rest, "rest", ("V", 3)).astype(np.float64)
+    points = check_floats(rest, "rest", ("V", 3)).astype(np.float64)
     size = rest_diagonal(points)
     if not size > 0:
         return None

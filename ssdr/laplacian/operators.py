@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array, dia_array
 
-from ..checks import LARGEST, check_squarable
+from ..checks import LARGEST, check_faces, check_squarable
 from ..errors import InputError, check_choice, is_whole
-from ..sequence import _check_faces
 
 __all__ = ["MassKind", "cotangent_laplacian", "mass_matrix", "uniform_laplacian"]
 
@@ -64,7 +63,7 @@ def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
            [-1, -1,  2]])
     """
     n = _check_count(n_vertices)
-    triangles = _check_faces(faces, n, "faces")
+    triangles = check_faces(faces, n)
     ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     return _assemble(ends[:, 0], ends[:, 1], np.ones(len(ends)), n)
@@ -244,7 +243,7 @@ def _check_mesh(
     points = points.astype(np.float64)
     if not np.isfinite(points).all():
         raise InputError("vertices", "finite numbers", "NaN or Inf")
-    return points, _check_faces(faces, len(points), "faces")
+    return points, check_faces(faces, len(points))
 
 
 def _check_count(n_vertices: int) -> int:

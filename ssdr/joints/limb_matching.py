@@ -16,7 +16,7 @@ from ..solver.initialization import fit_patches
 from ..solver.trajectories import Array, Trajectories
 from .placement import pair_joints
 
-__all__ = ["limb_distances", "matched_bones", "moved_like"]
+__all__ = ["limb_distances", "match_by_motion", "matched_bones"]
 
 # Of the squared gap of a joint, beside squared distances from limbs: gaps tell twins apart that
 # are equally near.  On a tree of 18 bones 16 are matched right with 1, all with 10 to 1000.
@@ -46,7 +46,7 @@ def limb_distances(points: Array, tree: Tree) -> Array:
     return away
 
 
-def moved_like(
+def match_by_motion(
     data: Trajectories, rest: Array, label: NDArray[np.intp], count: int, tree: Tree
 ) -> NDArray[np.intp]:
     """The bone (V,) of a skeleton for each vertex, from `count` free bones that move them.
