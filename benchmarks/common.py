@@ -238,17 +238,6 @@ def write_json(path: Path, content: Any) -> None:
     part.replace(path)
 
 
-def command_line(doc: str, name: str) -> argparse.ArgumentParser:
-    """Options that scripts with kept results share."""
-    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name holds one")
-    parser.add_argument("--again", action="store_true", help="measure what has a result, too")
-    parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
-    parser.add_argument("--out", type=Path, default=RESULTS / f"{name}.json", help="results")
-    parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
-    return parser
-
-
 def run(
     script: str,
     doc: str,
@@ -261,11 +250,17 @@ def run(
 
     A case is the arguments of ``measure``, which runs in a process of its own.
     """
-    parser = command_line(doc, Path(script).stem)
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name holds one")
+    parser.add_argument("--again", action="store_true", help="measure what has a result, too")
+    parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
         "--set", nargs="+", default=[], metavar="NAME=VALUE", help="effort=fast: of every case"
     )
+    default = RESULTS / f"{Path(script).stem}.json"
+    parser.add_argument("--out", type=Path, default=default, help="results")
+    parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
     parser.add_argument("--case", help=argparse.SUPPRESS)  # this one, in this process
     args = parser.parse_args()
     changes = dict(pair.split("=", 1) for pair in args.set)
@@ -273,7 +268,8 @@ def run(
     if args.case:
         print(json.dumps(measure(**cases[args.case] | changes)))
         return
-    names = {" ".join([case, *args.set]): case for case in named(cases, args)}
+    only = args.only or [""]
+    names = {" ".join([c, *args.set]): c for c in cases if any(text in c for text in only)}
     rows = read_rows(args.out)
     for name, case in names.items():
         if args.report or (name in rows and not args.again):
@@ -288,10 +284,6 @@ def run(
     if chart is not None:
         chart({case: rows[case] for case in cases if case in rows}, args.images)
     print(table([{"case": n} | rows[n] for n in names if n in rows], ["case", *columns]))
-
-
-def named(cases: Iterable[str], args: argparse.Namespace) -> list[str]:
-    return [case for case in cases if not args.only or any(text in case for text in args.only)]
 
 
 def table(rows: Sequence[Row], columns: Sequence[str]) -> str:

@@ -65,9 +65,8 @@ def races(short: bool, threads: list[int]) -> Iterator[Row]:
         if name == "cow_elastic" and not short:  # squash and stretch
             ours = [*OURS, *STRETCH, "ssdr best affine"]
         for solver in PEERS + ours:
-            stops = (0.0, 0.3, 0.7, 1.0) if solver == "ssdr balanced" else ()
             for count in threads:
-                yield job("race", solver, name, bones, threads=count, stops=stops)
+                yield job("race", solver, name, bones, threads=count)
     for bones in (5, 10, 20):
         yield job("race", "published", "ea_bone", bones)
 
@@ -125,7 +124,7 @@ class Runner:
             "OPENBLAS_NUM_THREADS": "1" if job["solver"].startswith("dembones") else threads,
         }
         message = json.dumps({**job, "slice": slice_seconds, "machine": rates})
-        self.errors = tempfile.TemporaryFile("w+")
+        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115
         self.process = subprocess.Popen(
             [sys.executable, str(Path(__file__).with_name("solvers.py")), message],
             stdin=subprocess.PIPE,

@@ -191,7 +191,7 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
         _, wall, cpu = next(reached, (0, pace.wall, pace.cpu))
         curve.append((record.iteration, wall, cpu, 1000 * record.rmse / 3**0.5))
     model = result.skinning
-    out: Row = {
+    return {
         "curve": curve,
         "bones found": model.n_bones,
         "E": e_of(frames, model),
@@ -201,26 +201,6 @@ def run_ssdr(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
             frames, model.rest, model.indices, model.weights, model.transforms, model.bone_model
         ),
     }
-    if job.get("stops"):
-        out["walk"] = [stopped(s, options, frames, faces, result) for s in job["stops"]]
-    return out
-
-
-def stopped(share: float, options: Row, frames: np.ndarray, faces: np.ndarray, whole: Any) -> Row:
-    """The run again, stopped along its history and skinned: does the history state true errors?"""
-    import ssdr
-
-    wanted = whole.history[round(share * (len(whole.history) - 1))]
-
-    def enough(progress: ssdr.Progress) -> bool:
-        return progress.iteration >= wanted.iteration and np.isfinite(progress.rmse)
-
-    found = ssdr.decompose(frames, faces, callback=enough, **options)
-    # the run may have stopped one record later: compare at the same iteration
-    at = found.history[-1].iteration
-    before = [r for r in whole.history if r.iteration <= at]
-    e = 1000 * before[-1].rmse / 3**0.5
-    return {"iteration": at, "E": e_of(frames, found.skinning), "history": e}
 
 
 def run_smooth(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row:

@@ -73,9 +73,11 @@ def summary(records: list[Row]) -> Row | None:
     best = min(peers, key=lambda r: r["E"])
     row: Row = {
         "case": case_of(best),
+        "sequence": best["sequence"],
+        "bones": best["bones"],
         "Dem Bones": best["E"],
         "setting": best["solver"].removeprefix("dembones "),
-        "2012": least(records, "2012"),
+        "SSDR 2012": least(records, "2012"),
         "threads": ", ".join(map(str, sorted({r["threads"] for r in peers}))),
         "machine": best["machine"],
     }
@@ -106,7 +108,7 @@ def seed_rows() -> list[Row]:
     """How far best differs between seeds, of the revision of most of the runs."""
     first = [r for r in read("race") if r["solver"] == "ssdr best" and r["threads"] == 1]
     rows = []
-    for case, records in by_case(first + read("seeds")).items():
+    for records in by_case(first + read("seeds")).values():
         records = [r for r in records if r.get("E") is not None]
         counts = Counter(r["machine"]["revision"] for r in records).most_common(1)
         records = [r for r in records if r["machine"]["revision"] == counts[0][0]]
@@ -114,7 +116,8 @@ def seed_rows() -> list[Row]:
         if len(errors) > 1:
             low, high = min(errors), max(errors)
             rows.append({
-                "case": case, "runs": len(errors), "least": low, "most": high,
+                "sequence": records[0]["sequence"], "bones": records[0]["bones"],
+                "runs": len(errors), "least": low, "most": high,
                 "spread": 100 * (high - low) / low, "revision": counts[0][0],
                 "cpu": float(np.mean([r["total cpu"] for r in records])),
             })  # fmt: skip
@@ -181,34 +184,3 @@ def sweeps(records: Iterable[Row]) -> list[Row]:
                 "machine": line[-1]["machine"],
             })  # fmt: skip
     return rows
-
-
-def run_words() -> str:
-    """How the race that is shown was run."""
-    records = [r for r in read("race") if r["solver"] != "pca" and "load" in r["machine"]]
-    level, apart = level_and_apart(read("race"))
-    threads = " and ".join(str(n) for n in sorted({r["threads"] for r in records}))
-    loads = sorted(r["machine"]["load"] for r in records)
-    rates = sorted(r["machine"]["gemm_1"] for r in records)
-    return (
-        f"The run shown: {sum(summary(rs) is not None for rs in level.values())} sequences and "
-        f"{len(apart)} apart, on {threads} thread{'s' * (threads != '1')}; charts in seconds; load "
-        f"{loads[0]} to {loads[-1]}; GEMM float64 in one thread {rates[0]} to {rates[-1]} "
-        "GFLOP/s. What has no figure was not run."
-    )
-
-
-def history_words() -> str:
-    """How far what the histories of the race state is from the errors of their models."""
-    stops = [
-        (abs(stop["E"] / stop["history"] - 1), case_of(r), stop["iteration"])
-        for r in read("race")
-        for stop in r.get("walk", [])
-        if stop["E"] > 1e-4  # below that the error is rounding, and there is nothing to compare
-    ]
-    worst, case, iteration = max(stops)
-    return (
-        f"At {len(stops)} stops of {len({case for _, case, _ in stops})} runs the error of the "
-        "re-skinned model and the one that the history states differ by at most "
-        f"{worst:.1e} of it ({case.replace('-', ', ')} bones, iteration {iteration})."
-    )

@@ -14,7 +14,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -38,9 +37,10 @@ PLAIN = next(case for case in CASES if case.name == "column order")  # an undist
 
 def measure(name: str) -> Row:
     case = next(case for case in CASES if case.name == name)
+    group = next(group for group in GROUPS if case in group.cases)
     outcome = run(case)
     row = {k: v for k, v in dataclasses.asdict(outcome).items() if k != "case"}
-    row |= {"passed": outcome.passed}
+    row |= {"number": group.number, "catches": group.catches, "passed": outcome.passed}
     if case.check is None:
         found = attempts(case)
         right, words = judge(case, found)
@@ -179,36 +179,11 @@ def undisturbed(case: Case) -> float | None:
     return found.get("behind", found).get("error")
 
 
-# --- the page ------------------------------------------------------------------------------------
-
-
-def shown(rows: list[Row]) -> list[Row]:
-    """Words of the table; a group's number and what it catches stand in its first row."""
-    out, seen = [], None
-    groups = {case.name: group for group in GROUPS for case in group.cases}
-    for r in rows:
-        group = groups[r["case"]]
-        ours = re.sub(r" \(\d+ such.*", "", r["outcome"]).replace("|", "/")
-        if ours == "solved" and r["figure"] is None:
-            ours = "passes"
-        elif ours == "solved":
-            ours = f"error {r['figure']:.1e}"
-            ours += "" if r["bound"] is None else f" (may be {r['bound']:.1e})"
-        first = group.number != seen
-        seen = group.number
-        out.append({
-            "case": r["case"], "ours": ours if r["passed"] else f"FAILS: {ours}",
-            "ours right": "yes" if r["passed"] else "no",
-            "Dem Bones": r.get("Dem Bones", "not run"),
-            "theirs right": {True: "yes", False: "no"}.get(r.get("right"), ""),
-            "first": group.number if first else "", "caught": group.catches if first else "",
-        })  # fmt: skip
-    return out
+# --- the chart ----------------------------------------------------------------------------------
 
 
 def charts(rows: dict[str, Row], images: Path) -> None:
     """Errors of both, case by case; what has no error has its word at the right."""
-    numbers = {case.name: group.number for group in GROUPS for case in group.cases}
     both = {k: r for k, r in rows.items() if r["figure"] is not None and "Dem Bones" in r}
     figure, axes = common.pyplot().subplots(figsize=(8, 0.19 * len(both) + 1.2))
     floor, wall = 1e-10, 30.0
@@ -230,7 +205,7 @@ def charts(rows: dict[str, Row], images: Path) -> None:
     axes.plot([], [], "x", color="tab:red", ms=4, label="Dem Bones, fewer bones than asked for")
     axes.set_xscale("log")
     axes.set_xlim(0.5 * floor, 10 * wall)
-    axes.set_yticks(range(len(both)), [f"{numbers[k]}. {k}" for k in both], fontsize=7)
+    axes.set_yticks(range(len(both)), [f"{r['number']}. {k}" for k, r in both.items()], fontsize=7)
     axes.set_ylim(len(both) - 0.3, -0.7)
     axes.set_xlabel("RMSE over the size of the mesh (1e-10: that or less)")
     axes.legend(loc="upper center", bbox_to_anchor=(0.35, 1.07), ncols=3, fontsize=7, frameon=False)

@@ -145,8 +145,6 @@ def bounds(data: Trajectories, model: Model, flop: dict[str, float], rates: Row)
 
 
 def measure(data: str, step: str, threads: int = 1) -> Row:
-    if step == "peak memory":
-        return memory(data)
     ssdr.set_threads(threads)
     rates = common.machine()
     with serial_blas():
@@ -203,18 +201,6 @@ def quickest(step: Callable[[], object], targets: list[tuple[str, Any, str]]) ->
     return min(watches, key=lambda w: w.seconds["all"])
 
 
-def memory(data: str) -> Row:
-    """MiB that the process held at most before and after a call; kernels are loaded before."""
-    frames, faces = common.load(data)
-    common.compile_kernels()
-    before = common.peak_memory()
-    ssdr.decompose(frames, faces, bones=DATA[data])
-    return {
-        "bones": DATA[data], "float64 MiB": frames.size / 2**17, "before MiB": before,
-        "peak MiB": common.peak_memory(),
-    }  # fmt: skip
-
-
 def chart(rows: dict[str, Row], images: Path) -> None:
     shown = [row for row in rows.values() if row.get("parts")]
     figure, axes = common.pyplot().subplots(-(-len(shown) // 2), 2, figsize=(11, 8))
@@ -236,7 +222,5 @@ if __name__ == "__main__":
         for data, bones in DATA.items()
         for threads in (1, 2)
     }
-    for data in ("horse_gallop", "samba"):
-        cases[f"{data}, peak memory"] = {"data": data, "step": "peak memory"}
-    columns = ("V", "F", "r", "ms", "GFLOP", "floor ms", "ratio", "rate", "peak MiB")
+    columns = ("V", "F", "r", "ms", "GFLOP", "floor ms", "ratio", "rate")
     common.run(__file__, __doc__, cases, measure, columns, chart)
