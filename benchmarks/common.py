@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import importlib.util
 import json
 import os
 import platform
@@ -281,7 +282,7 @@ def run(
         write_rows(args.out, rows)
         shown = {k: v for k, v in row.items() if not isinstance(v, list | dict)}
         print(name, json.dumps(shown), flush=True)
-    if chart is not None:
+    if chart is not None and importlib.util.find_spec("matplotlib"):
         chart({case: rows[case] for case in cases if case in rows}, args.images)
     print(table([{"case": n} | rows[n] for n in names if n in rows], ["case", *columns]))
 

@@ -165,7 +165,7 @@ class Runner:
     def stop(self) -> None:
         if self.process.poll() is None and self.record is None:
             self.process.kill()
-        self.process.wait()
+        self.process.communicate()  # closes the pipes
         self.errors.close()
 
 
