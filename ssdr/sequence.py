@@ -20,7 +20,7 @@ from .checks import as_array, check_faces
 from .errors import InputError, is_real
 from .surface import Material, Surface, check_surface
 
-__all__ = ["Material", "MeshSequence", "Surface", "WeldReport", "as_sequences", "check_vertex_map"]
+__all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
 _CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 

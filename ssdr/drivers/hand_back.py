@@ -12,12 +12,12 @@ from ..frames.error import squared_error
 from ..frames.executor import Executor
 from ..hierarchy.tree import Tree
 from ..joints.mirror import mirror_of, side_names
-from ..joints.placement import settled, spanning_tree
+from ..joints.placement import refit_joints, spanning_tree
 from ..search.progress import Record
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from ..solver.bone_models import normalise_gauge
-from ..solver.model import Model, pad_influences
+from ..solver.gauge import normalise_gauge
+from ..solver.model import Model
 from ..solver.trajectories import Alignment, Array
 from .problem import Problem
 
@@ -63,7 +63,7 @@ def skinning_of(
     `sequences` are the frames that the model is of; all of them by default.
     """
     sequences = problem.sequences if sequences is None else sequences
-    indices, weights = pad_influences(model, problem.influences)
+    padded = model.with_influences(problem.influences)
     if problem.fixed.bone_model != "rigid":
         model = model.copy()
         importance = problem.vertex_importance
@@ -76,8 +76,8 @@ def skinning_of(
     first = sequences[0]
     skinning = Skinning(
         rest,
-        indices.copy(),
-        weights.copy(),
+        padded.indices,
+        padded.weights,
         transforms,
         faces=first.faces,
         bone_model=problem.fixed.bone_model,
@@ -111,8 +111,8 @@ def outcome_of(
 
     skinning = skinning_of(problem, alignment, model)
     rmse = rmse_of(skinning)
-    start = problem.start
-    if start is not None and _is_an_answer(problem, start):
+    if problem.start is not None and _is_an_answer(problem, problem.start):
+        start = _start_as_result(problem, alignment)
         before = rmse_of(start)
         if before < rmse:
             skinning, rmse = start, before
@@ -135,6 +135,20 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     return plain and rigid and frames and problem.smoothness == 0
 
 
+def _start_as_result(problem: Problem, alignment: Alignment) -> Skinning:
+    """The model that a call starts from, with what its result has beside rest pose and bones."""
+    given, inner = problem.given, problem.given.inside(alignment)
+    assert inner.rest is not None
+    assert inner.indices is not None
+    assert inner.weights is not None
+    assert inner.transforms is not None
+    parts = (inner.rest, inner.indices, inner.weights, problem.influences)
+    model = Model.with_weights(inner.transforms, *parts)
+    model.tree = inner.tree
+    skinning = skinning_of(problem, alignment, model)
+    return dataclasses.replace(skinning, rest=given.rest, transforms=given.transforms)
+
+
 def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
     """The tree that a model's bones hang on, or over bones that were found without one."""
     if problem.rig == "none":
@@ -142,7 +156,7 @@ def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | Non
     if problem.rig == "rigid":
         return model.tree
     skeleton = problem.given.inside(alignment).tree
-    return spanning_tree(model, by_gap=True) if skeleton is None else settled(model, skeleton)
+    return spanning_tree(model, by_gap=True) if skeleton is None else refit_joints(model, skeleton)
 
 
 def _with_tree(skinning: Skinning, tree: Tree, joints: Array, names: tuple[str, ...]) -> Skinning:

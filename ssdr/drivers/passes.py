@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..search.given import Given
 from ..sequence import MeshSequence
-from ..solver.bone_models import fit_motion
+from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
@@ -106,10 +106,6 @@ class AllFrames:
         self.vertex_importance = data.importance
         self.frame_scale = frame_scale_of(importance, len(scan.nearest))
 
-    def restore(self, model: Model, passes: int) -> None:
-        """Go on with a model of all frames after so many passes."""
-        self.model, self.passes = model, passes
-
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
         """One exact alternation; returns the objective in the solver's space.
 
@@ -134,12 +130,12 @@ class AllFrames:
             span = slice(*spans[k])
             return (
                 self.alignment.centre[span],
-                self.alignment.turn[span],
+                self.alignment.rotation[span],
                 self.frame_scale[span],
                 model.transforms[span],
             )
 
-        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
+        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
             model.transforms[start:stop] = part[0]
             y += part[1]
@@ -188,7 +184,7 @@ def _pass_span(
     n, n_bones = len(shared.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
-    alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
+    alignment = Alignment(centre=centre, rotation=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         x = alignment.inward(block, start)
@@ -202,9 +198,8 @@ def _pass_span(
             importance=shared.importance,
             frame_scale=frame_scale[start:stop],
             centre=centre[start:stop],
-            turn=turn[start:stop],
+            rotation=turn[start:stop],
             scale=shared.scale,
-            lost=0.0,
         )
         piece = Model(
             transforms=transforms[start:stop],
@@ -219,7 +214,7 @@ def _pass_span(
         )
         fit_motion(part, piece, fixed=shared.fixed, sweeps=_SWEEPS, leaps=shared.leaps)
         transforms[start:stop] = piece.transforms
-        hat = part.hat(piece.transforms)
+        hat = part.stack(piece.transforms)
         g += hat.T @ hat
 
         def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:

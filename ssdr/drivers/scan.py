@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.initialization import farthest_points
-from ..solver.trajectories import Alignment, Array, centred, scale_of, turn_onto
+from ..solver.trajectories import Alignment, Array, centred, rotations_onto, scale_of
 
 __all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 
@@ -100,7 +100,7 @@ def scan(
     spans = spans_of(n_frames)
     parts = []
     walk = (executor or Local()).map(
-        Walk(_scan_span, sequences, spans, shared=(first, weight, probes))
+        SpanTask(_scan_span, sequences, spans, shared=(first, weight, probes))
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
@@ -115,7 +115,7 @@ def scan(
     where[chosen] = np.arange(len(chosen))
     scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
     return Scan(
-        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        alignment=Alignment(centre=centre, rotation=turn, scale=scale),
         chosen=chosen,
         nearest=where.astype(np.int64),
     )
@@ -136,7 +136,7 @@ def _scan_span(
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
             here, centre[start + i : start + k] = centred(block[i:k], weight)
-            turned = turn_onto(here, first, weight)
+            turned = rotations_onto(here, first, weight)
             turn[start + i : start + k] = turned
             seen = np.matmul(here[:, probes], turned)
             features[start + i : start + k] = seen.reshape(k - i, -1)
@@ -160,7 +160,7 @@ def subset(
     used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
     used = [u for u in used if len(u[1])]
     walk = (executor or Local()).map(
-        Walk(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
+        SpanTask(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
     )
     vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
     return dataclasses.replace(first, vertices=vertices, validate=False)

@@ -48,7 +48,7 @@ def solve(problem: Problem) -> Outcome:
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    if problem.given.turns is not None:
+    if problem.given.rotations is not None:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     clock = Clock()
     executor = executor_for(problem.sequences)
@@ -59,16 +59,18 @@ def solve(problem: Problem) -> Outcome:
     run = begin(problem, data, given, clock)
     del data  # what a compressed run needs no longer is freed
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
+    # transforms of a model to go on from may turn out to be of other frames
+    later = problem if run.given.transforms is not None else problem.without_transforms()
     chosen = few
     if more is not None and reason not in ("cancelled", "time limit"):
         chosen = more
         run.release()
         weights = None if importance is None else importance[more.chosen]
-        sequence, data, given = _read(problem, more, weights, executor)
-        run = _settling(problem, few, more, run, data, given)
+        sequence, data, given = _read(later, more, weights, executor)
+        run = _settling(later, few, more, run, data, given)
         reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
     idle = run.idle_bones
-    frames = _all_frames(problem, chosen, run, executor)
+    frames = _all_frames(later, chosen, run, executor)
     run.release()
     passes, why = _passes(problem, run, frames, hurried=reason == "cancelled")
     return outcome_of(

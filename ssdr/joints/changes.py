@@ -19,12 +19,11 @@ from ..solver.model import Fixed, Model
 from ..solver.trajectories import Array, Trajectories
 from .mirror import edges_with_image, mirror_of
 from .placement import (
-    contacts,
-    hang,
-    joint_between,
-    masses,
-    pair_joints,
-    soft_step,
+    find_contacts,
+    fit_joint,
+    fit_joints,
+    snap_to_joints,
+    step_with_joint_penalty,
 )
 
 __all__ = [
@@ -54,8 +53,8 @@ def attach_by_stiffness(
 ) -> None:
     """Bring bones to their joints by growing stiffness, then attach them (in place)."""
     for stiffness in np.geomspace(start, _HARD, steps):
-        soft_step(data, model, float(stiffness), fixed)
-    hang(data, model, fixed)
+        step_with_joint_penalty(data, model, float(stiffness), fixed)
+    snap_to_joints(data, model, fixed)
 
 
 def add_edge_between_skin_neighbours(
@@ -65,20 +64,20 @@ def add_edge_between_skin_neighbours(
     changed = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_EDGES + 1))):
         tree = _tree(changed)
-        meet = contacts(changed)
+        meet = find_contacts(changed)
         chance = np.triu(meet.overlap, 1)
-        hung = tree.hung
+        hung = tree.non_roots
         chance[hung, tree.parents[hung]] = chance[tree.parents[hung], hung] = 0.0
         if not chance.sum() > 0:
             break
         n = changed.n_bones
         a, b = divmod(int(rng.choice(n * n, p=chance.ravel() / chance.sum())), n)
-        up, down = tree.way(a, b)
+        up, down = tree.path(a, b)
         edges = sorted(up + down, key=lambda k: (meet.overlap[k, tree.parents[k]], k))
         edge = edges[0] if rng.random() < _WEAKEST else edges[int(rng.integers(len(edges)))]
-        point, _ = joint_between(changed, a, b, meet.point[a, b])
+        point, _ = fit_joint(changed, a, b, meet.points[a, b])
         a, b = (a, b) if edge in up else (b, a)
-        changed.tree = tree.rehung(edge, a, b, point)
+        changed.tree = tree.replace_edge(edge, a, b, point)
     attach_by_stiffness(
         data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
     )
@@ -89,13 +88,13 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     """Move one edge of the tree, drawn by the gap that its joint would have there."""
     changed = model.with_restarted_support()
     tree, n = _tree(changed), changed.n_bones
-    meet = contacts(changed)
-    points, gap = pair_joints(changed.transforms, meet.point)
-    beyond = tree.beyond(masses(changed))
+    meet = find_contacts(changed)
+    points, gap = fit_joints(changed.transforms, meet.points)
+    beyond = tree.subtree_sums(changed.bone_masses())
     lighter = np.minimum(beyond, beyond.max() - beyond)
     ways = []
-    for edge in tree.hung.tolist():
-        part = tree.part(edge)
+    for edge in tree.non_roots.tolist():
+        part = tree.subtree(edge)
         for a in part:
             others = np.setdiff1d(np.arange(n), part)
             ways += [
@@ -109,7 +108,7 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     costs = np.array([way[0] for way in ways])
     chance = 1.0 / (costs + 0.1 * costs.mean() + 1e-300)
     _, edge, a, b = ways[int(rng.choice(len(ways), p=chance / chance.sum()))]
-    changed.tree = tree.rehung(edge, a, b, points[a, b])
+    changed.tree = tree.replace_edge(edge, a, b, points[a, b])
     attach_by_stiffness(data, changed, fixed, start=1.0, steps=4)
     return changed
 
@@ -129,11 +128,11 @@ def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixe
         return reparent(data, model, rng, fixed)
     edge = alone[int(rng.integers(len(alone)))]
     a, b = int(other[edge]), int(other[tree.parents[edge]])
-    up, down = tree.way(a, b)
-    overlap = contacts(changed).overlap
+    up, down = tree.path(a, b)
+    overlap = find_contacts(changed).overlap
     gone = min(up + down, key=lambda k: (k not in alone, overlap[k, tree.parents[k]], k))
     a, b = (a, b) if gone in up else (b, a)
-    changed.tree = tree.rehung(gone, a, b, mirror.image(tree.points[edge]))
+    changed.tree = tree.replace_edge(gone, a, b, mirror.image(tree.points[edge]))
     attach_by_stiffness(
         data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
     )
@@ -234,8 +233,8 @@ def remove_cheapest_bone(data: Trajectories, model: Model, fixed: Fixed) -> Mode
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
     smaller = model.without(np.array([bone]))
-    smaller.tree = _tree(model).without(bone, loss.heir, loss.points)
-    hang(data, smaller, fixed)
+    smaller.tree = _tree(model).contract(bone, loss.heir, loss.points)
+    snap_to_joints(data, smaller, fixed)
     return smaller
 
 
@@ -261,8 +260,8 @@ class Loss:
 def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
     """The cheapest way to remove each bone; the cost is inf for a bone without neighbours."""
     tree = _tree(model)
-    mass = masses(model)
-    beyond, total = tree.beyond(mass), float(mass.sum())
+    mass = model.bone_masses()
+    beyond, total = tree.subtree_sums(mass), float(mass.sum())
     losses = []
     for bone, cost in enumerate(bone_costs(data, model)):
         near = tree.neighbours(bone)
@@ -272,7 +271,7 @@ def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
             for k in near:
                 if k == heir:
                     continue
-                points[k], gap = joint_between(model, k, heir, tree.joint(bone, k))
+                points[k], gap = fit_joint(model, k, heir, tree.joint(bone, k))
                 there = beyond[k] if tree.parents[k] == bone else total - beyond[bone]
                 price += min(there, total - there) * gap
             if price < best.cost:

@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from ..hierarchy.tree import Tree
 from ..solver.initialization import fit_patches
 from ..solver.trajectories import Array, Trajectories
-from .placement import pair_joints
+from .placement import fit_joints
 
 __all__ = ["limb_distances", "match_by_motion", "matched_bones"]
 
@@ -59,10 +59,10 @@ def match_by_motion(
     for j in np.flatnonzero(used):
         place[j] = away[label == j].mean(axis=0)
     bones = fit_patches(data, rest, label, count)
-    hung = tree.hung
+    hung = tree.non_roots
     gap = np.empty((len(hung), count, count))
     for row, k in enumerate(hung):
-        point, squared = pair_joints(
+        point, squared = fit_joints(
             bones, np.broadcast_to(tree.points[k], (count, count, 3)), away=_AWAY
         )
         gap[row] = squared / len(bones) + _AWAY * ((point - tree.points[k]) ** 2).sum(axis=-1)
@@ -83,7 +83,7 @@ def matched_bones(place: Array, gap: Array, tree: Tree) -> NDArray[np.intp]:
     its parent.
     """
     n, n_bones = place.shape
-    hung, above = tree.hung, tree.parents[tree.hung]
+    hung, above = tree.non_roots, tree.parents[tree.non_roots]
     # one more free bone, which costs nothing and stands for none
     place = np.pad(place, [(0, 1), (0, 0)])
     gap = np.pad(gap, [(0, 0), (0, 1), (0, 1)])

@@ -20,7 +20,7 @@ from ..errors import Cancelled
 from ..parallel import serial_blas
 from ..solver.alternation import bone_costs
 from ..solver.model import Fixed, Model
-from ..solver.skin_contact import judged
+from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .given import Given
@@ -157,6 +157,7 @@ class Run:
         self.chosen: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.given, self.smoothness = fixed, given, smoothness
+        self.objective = Objective(fixed, smoothness)
         self.clock = clock or Clock()
         self.model: Model | None = None
         self.best: Model | None = None
@@ -169,7 +170,7 @@ class Run:
     @property
     def fixed(self) -> Fixed:
         """What the present step may move, and how."""
-        fixed = self.asked if self.chosen is None else self.asked.of_vertices(self.chosen)
+        fixed = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
             return fixed
         return dataclasses.replace(fixed, bone_model="rigid")
@@ -278,7 +279,7 @@ class Run:
             self.whole.importance @ self.whole.x2
         )
         if wide.tree is not None:
-            idle[wide.tree.parents[wide.tree.hung]] = False
+            idle[wide.tree.parents[wide.tree.non_roots]] = False
         return int(idle.sum())
 
     def steps_of(self, stage: Stage) -> Iterator[None]:
@@ -290,9 +291,8 @@ class Run:
         self._done = end
 
     def value(self, model: Model) -> float:
-        """The objective: squared error, and what joints and weights add where asked to."""
-        penalty = 0.0 if self.smoothness is None else self.smoothness.penalty(model)
-        return judged(self.data, model, self.asked) + penalty
+        """The objective of a model."""
+        return self.objective.value(self.data, model)
 
     def accept_if_lower(self, trial: Model) -> bool:
         """Continue from the trial if its objective is lower; True if it is."""
@@ -315,7 +315,7 @@ class Run:
             order = np.argsort(self.whole.x2, kind="stable")
             every = np.linspace(0, n - 1, count).round().astype(np.intp)
             self.chosen = np.sort(order[every])
-            self.data = self.whole.vertices(self.chosen)
+            self.data = self.whole.select_vertices(self.chosen)
 
     def take_all(self) -> None:
         """Work on all vertices again."""
@@ -341,6 +341,6 @@ class Run:
         if value < self.best_value:
             self.best, self.best_value = model.copy(), value
             # the error alone, without the penalty that `value` may carry
-            error = model.objective(self.data)
+            error = model.weighted_error(self.data)
             self.records.append((self.iteration, self.clock.elapsed, error, stage.phase))
         return stage.phase
