@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from ssdr.io.gltf.document import _COMPONENTS, _WIDTHS, Document
+from ssdr.io.gltf.document import COMPONENTS, WIDTHS, Document
 
 # What a new skin on the meshes of a file is allowed to change.
 NEW_SKIN = re.compile(
@@ -33,8 +33,8 @@ def tree(path):
         for key in ("bufferView", "byteOffset", "sparse"):
             item.pop(key, None)
         code = json["accessors"][number]["componentType"]
-        exact = _COMPONENTS[code].kind == "u"
-        values = document.accessor(number, tuple(_WIDTHS), "it", integers=exact)
+        exact = COMPONENTS[code].kind == "u"
+        values = document.accessor(number, tuple(WIDTHS), "it", integers=exact)
         item["values"] = hashlib.sha256(values.tobytes()).hexdigest()
         return item
 

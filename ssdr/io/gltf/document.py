@@ -1,4 +1,4 @@
-"""A glTF file as checked JSON and checked arrays: nothing is allocated on the file's word alone."""
+"""A glTF file as checked JSON and checked arrays."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ import json
 import math
 import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
+from ..budget import Budget
+from ..references import is_inside
 from ..registry import describe
-from .compression import DRACO, MESHOPT, decode_view, meshopt_of
+from .compression import DRACO, MESHOPT, decode_view
 
-__all__ = ["Document"]
+__all__ = ["COMPONENTS", "WIDTHS", "Document"]
 
-_COMPONENTS: dict[int, np.dtype[Any]] = {
+_T = TypeVar("_T")
+COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"),
     5121: np.dtype("<u1"),
     5122: np.dtype("<i2"),
@@ -28,9 +31,7 @@ _COMPONENTS: dict[int, np.dtype[Any]] = {
     5125: np.dtype("<u4"),
     5126: np.dtype("<f4"),
 }
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-# bytes (1 GiB) of an accessor without a buffer: the file needs no data to claim any size
-_ZEROS_LIMIT = 1 << 30
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _KNOWN = {
     "KHR_mesh_quantization",
     "KHR_texture_transform",
@@ -41,24 +42,31 @@ _KNOWN = {
 
 
 class Document:
-    """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed."""
+    """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed.
 
-    def __init__(self, path: Path) -> None:
+    Parameters
+    ----------
+    path : Path
+    max_bytes : int, optional
+        Memory that the file may ask for; see :class:`~ssdr.io.budget.Budget`.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
         self.path = path
-        self._folder = path.parent.resolve()
         self._buffers: dict[int, memoryview] = {}
         self._binary: memoryview | None = None
         self._decoded_views: dict[int, memoryview] = {}
-        self._decoded: dict[int, NDArray[Any]] = {}  # of accessors
+        self._decoded: dict[int, NDArray[Any]] = {}  # accessors whose numbers Draco holds
         data = path.read_bytes()
+        self.budget = Budget(path, len(data), max_bytes)
         if data[:4] == b"glTF":
-            text, self._binary = self._chunks(data)
+            data = self._json_chunk(data)
         elif path.suffix.lower() == ".glb":
             raise FormatError(f"{path}: not a binary glTF: {describe(data[:64])}")
-        else:
-            text = data
         try:
-            self.json = json.loads(text.decode("utf-8-sig"), parse_constant=self._no_constant)
+            self.json = json.loads(
+                data.decode("utf-8-sig"), parse_constant=self._finite, parse_float=self._finite
+            )
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise FormatError(f"{path}: not a glTF file ({error})") from error
         if not isinstance(self.json, dict):
@@ -76,10 +84,13 @@ class Document:
     def error(self, what: str) -> FormatError:
         return FormatError(f"{self.path}: {what}")
 
-    def _no_constant(self, text: str) -> float:
-        raise self.error(f"{text} is no JSON number")
+    def _finite(self, text: str) -> float:
+        if not math.isfinite(value := float(text)):
+            raise self.error(f"the number {text} is not finite")
+        return value
 
-    def _chunks(self, data: bytes) -> tuple[bytes, memoryview | None]:
+    def _json_chunk(self, data: bytes) -> bytes:
+        """The JSON of a ``.glb``; its binary chunk is kept."""
         if len(data) < 20:
             raise self.error(f"truncated: {len(data)} bytes")
         version, total = struct.unpack_from("<II", data, 4)
@@ -97,32 +108,31 @@ class Document:
             place += 8 + length + (-length % 4)
         if not chunks or chunks[0][0] != b"JSON":
             raise self.error("the first chunk is not JSON")
-        binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == b"BIN\0" else None
-        return bytes(chunks[0][1]), binary
+        if len(chunks) > 1 and chunks[1][0] == b"BIN\0":
+            self._binary = chunks[1][1]
+        return bytes(chunks[0][1])
 
     def array(self, item: dict[str, Any], key: str) -> list[Any]:
-        value = item.get(key, [])
-        if not isinstance(value, list):
-            raise self.error(f"{key} is not a list")
-        return value
+        return self._typed(item, key, list, "a list")
 
     def dictionary(self, item: dict[str, Any], key: str) -> dict[str, Any]:
-        value = item.get(key, {})
-        if not isinstance(value, dict):
-            raise self.error(f"{key} is not an object")
+        return self._typed(item, key, dict, "an object")
+
+    def _typed(self, item: dict[str, Any], key: str, kind: type[_T], noun: str) -> _T:
+        value = item.get(key, kind())
+        if not isinstance(value, kind):
+            raise self.error(f"{key} is not {noun}")
         return value
 
     def integer(self, value: Any, what: str, limit: int | None = None, least: int = 0) -> int:
         if type(value) is not int or value < least or (limit is not None and value >= limit):
             upper = "" if limit is None else f" to {limit - 1}"
-            raise self.error(f"{what} is {value!r}, not an integer from {least}{upper}")
+            raise self.error(f"{what} is {repr(value)[:200]}, not an integer from {least}{upper}")
         return value
 
     def number(self, value: Any, what: str) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(f"{what} is {value!r}, not a number")
-        if not math.isfinite(float(value)):
-            raise self.error(f"{what} is not finite")
+            raise self.error(f"{what} is {repr(value)[:200]}, not a number")
         return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
@@ -142,7 +152,7 @@ class Document:
         return value
 
     def uri(self, uri: Any, what: str) -> bytes:
-        """Bytes behind a data URI, or a file that lies in the glTF's own folder."""
+        """Bytes behind a data URI, or of a file in the glTF's own folder."""
         if not isinstance(uri, str):
             raise self.error(f"the uri of {what} is no text")
         if uri.startswith("data:"):
@@ -153,11 +163,15 @@ class Document:
                 return base64.b64decode(body, validate=True)
             except binascii.Error as error:
                 raise self.error(f"the data URI of {what}: {error}") from error
-        target = (self._folder / unquote(uri)).resolve()
-        if "://" in uri or not target.is_relative_to(self._folder):
-            raise self.error(f"{what} lies outside the file's folder: {uri[:200]!r}")
-        if not target.is_file():
-            raise self.error(f"{what} is missing: {uri[:200]!r}")
+        target = self.path.parent / unquote(uri)
+        try:
+            outside = "://" in uri or not is_inside(target, self.path.parent)
+            missing = not target.is_file()  # nor is a pipe or a device
+        except (OSError, ValueError, RuntimeError):  # a name that no file can have
+            outside, missing = False, True
+        if outside or missing:
+            problem = "lies outside the file's folder" if outside else "is missing"
+            raise self.error(f"{what} {problem}: {uri[:200]!r}")
         return target.read_bytes()
 
     def buffer(self, index: int) -> memoryview:
@@ -166,6 +180,7 @@ class Document:
             length = self.integer(item.get("byteLength"), "byteLength of a buffer", least=1)
             if "uri" in item:
                 data = memoryview(self.uri(item["uri"], f"buffer {index}"))
+                self.budget.most = max(self.budget.most, 1000 * len(data))
             elif index == 0 and self._binary is not None:
                 data = self._binary
             else:
@@ -181,47 +196,64 @@ class Document:
         stride = item.get("byteStride")
         if stride is not None:
             stride = self.integer(stride, "byteStride", 253, least=4)
-        packed = meshopt_of(self, item)
-        if packed is not None:
-            if index not in self._decoded_views:
-                self._decoded_views[index] = decode_view(self, packed)
-            return self._decoded_views[index], stride
+        packed = self._compression(item)
+        if packed is None:
+            return self._bytes(item, f"bufferView {index}"), stride
+        if index not in self._decoded_views:
+            count = self.integer(packed.get("count"), "count of a compressed view", least=1)
+            width = packed.get("byteStride")
+            width = self.integer(width, "byteStride of a compressed view", 257, least=1)
+            self.budget.spend(count * width, f"bufferView {index}, decompressed,")
+            self._decoded_views[index] = decode_view(
+                bytes(self._bytes(packed, "compressed data")),
+                count,
+                width,
+                str(packed.get("mode")),
+                str(packed.get("filter", "NONE")),
+                self.path,
+            )
+        return self._decoded_views[index], stride
+
+    def _compression(self, view: dict[str, Any]) -> dict[str, Any] | None:
+        """How a buffer view is compressed; None where it is not, or its plain bytes are there."""
+        extensions = self.dictionary(view, "extensions")
+        for name in MESHOPT:
+            if name in extensions and name in self.array(self.json, "extensionsRequired"):
+                return self.dictionary(extensions, name)
+        return None
+
+    def _bytes(self, item: dict[str, Any], what: str) -> memoryview:
         data = self.buffer(self.integer(item.get("buffer"), "buffer of a view"))
         start = self.integer(item.get("byteOffset", 0), "byteOffset of a view")
         length = self.integer(item.get("byteLength"), "byteLength of a view", least=1)
         if start + length > len(data):
-            raise self.error(
-                f"bufferView {index} ends at byte {start + length} of a buffer of {len(data)}"
-            )
-        return data[start : start + length], stride
+            raise self.error(f"{what} ends at byte {start + length} of a buffer of {len(data)}")
+        return data[start : start + length]
 
     def accessor(
         self, index: Any, kinds: tuple[str, ...], what: str, *, integers: bool = False
     ) -> NDArray[Any]:
-        """An accessor's numbers: ``(count,)`` or ``(count, width)``.
+        """Numbers of an accessor, ``(count,)`` or ``(count, width)``.
 
-        Integers stay what they are where `integers`; else they become float64,
-        normalised where the accessor says so.
+        They become float64, normalised where the accessor says so; with `integers`, they must be
+        unsigned integers and stay what they are.
         """
         item = self.item("accessors", index)
-        kind = item.get("type")
+        kind, code = item.get("type"), item.get("componentType")
         if kind not in kinds:
             raise self.error(f"{what} is {kind!r}, not {' or '.join(kinds)}")
-        code = item.get("componentType")
-        if code not in _COMPONENTS:
+        if code not in COMPONENTS:
             raise self.error(f"{what} has the component type {code!r}")
-        dtype, width = _COMPONENTS[code], _WIDTHS[str(kind)]
+        dtype, width = COMPONENTS[code], WIDTHS[str(kind)]
         if integers and dtype.kind != "u":
             raise self.error(f"{what} holds {dtype}, not unsigned integers")
         count = self.integer(item.get("count"), f"count of {what}", least=1)
+        self.budget.spend(8 * count * width, f"{what} of {count} elements")
         if index in self._decoded:
             values = self._fitting(self._decoded[index], dtype, width, count, what)
         elif "bufferView" in item:
-            offset = self.integer(item.get("byteOffset", 0), f"byteOffset of {what}")
-            values = self._strided(item["bufferView"], offset, dtype, width, count, what)
+            values = self._rows(item, dtype, width, count, what)
         else:
-            if count * width * dtype.itemsize > _ZEROS_LIMIT:
-                raise self.error(f"{what} states {count} elements and holds none")
             values = np.zeros((count, width), dtype=dtype)
         if "sparse" in item:
             values = self._sparse(self.dictionary(item, "sparse"), values, what)
@@ -252,10 +284,12 @@ class Document:
             raise self.error(f"{what}: decoded to {values.dtype}, which {dtype} does not hold")
         return plain
 
-    def _strided(
-        self, view: Any, offset: int, dtype: np.dtype[Any], width: int, count: int, what: str
+    def _rows(
+        self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        data, stride = self.view(view)
+        """Elements of a view at which an accessor or a part of a sparse one begins."""
+        data, stride = self.view(item.get("bufferView"))
+        offset = self.integer(item.get("byteOffset", 0), f"byteOffset of {what}")
         size = dtype.itemsize * width
         step = size if stride is None else stride
         if step < size:
@@ -272,21 +306,9 @@ class Document:
         code = where.get("componentType")
         if code not in (5121, 5123, 5125):
             raise self.error(f"sparse indices of {what} have the component type {code!r}")
-        offset = self.integer(where.get("byteOffset", 0), "byteOffset")
-        rows = self._strided(
-            where.get("bufferView"),
-            offset,
-            _COMPONENTS[code],
-            1,
-            count,
-            f"sparse indices of {what}",
-        )[:, 0]
+        rows = self._rows(where, COMPONENTS[code], 1, count, f"sparse indices of {what}")[:, 0]
         if int(rows.max()) >= len(values):
             raise self.error(f"sparse index {rows.max()} of {what}, which has {len(values)}")
-        offset = self.integer(new.get("byteOffset", 0), "byteOffset")
-        fresh = self._strided(
-            new.get("bufferView"), offset, values.dtype, values.shape[1], count, what
-        )
         values = values.copy()
-        values[rows.astype(np.intp)] = fresh
+        values[rows.astype(np.intp)] = self._rows(new, values.dtype, values.shape[1], count, what)
         return values

@@ -1,0 +1,380 @@
+"""glTF's meshes: vertices that move together, their skins and morph targets."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ..corners import unit
+from ..registry import reading
+from ..scene import Bones, Shape
+from .compression import DRACO, decode_mesh
+from .document import Document
+from .nodes import Nodes
+
+__all__ = ["PrimitiveGroup", "check_meshes", "read_parts", "triangles"]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PrimitiveGroup:
+    """The primitives of a node's mesh that share their vertices: a `ScenePart`.
+
+    Attributes
+    ----------
+    node, mesh : int
+    skin : int or None
+    primitives : tuple of int
+        Their numbers in the mesh.
+    positions : (V, 3) float64
+    targets : (M, V, 3) float64
+        Displacements of the morph targets.
+    vertex : (V,) int
+        The file's vertex that stands for each vertex here.
+    label : (N,) int
+        The vertex here for each of the file's.
+    skeletons, indices, weights, faces, uv, normals, material
+        As in `ScenePart`.
+    """
+
+    node: int
+    mesh: int
+    skin: int | None
+    primitives: tuple[int, ...]
+    positions: NDArray[np.float64]
+    targets: NDArray[np.float64]
+    vertex: NDArray[np.int64]
+    label: NDArray[np.int64]
+    skeletons: tuple[tuple[str, int], ...]
+    indices: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float32] | None
+    normals: NDArray[np.float32] | None
+    material: NDArray[np.int64]
+
+    def morph_weights(self, nodes: Nodes) -> NDArray[np.float64] | None:
+        """Weights ``(F, M)`` of the morph targets; None where there are none."""
+        if not len(self.targets):
+            return None
+        document, count = nodes.document, len(self.targets)
+        values = nodes.animation.sample(self.node, "weights")
+        if values is None:
+            holder = nodes.items[self.node]
+            if "weights" not in holder:
+                holder = document.item("meshes", self.mesh)
+            values = document.numbers(holder, "weights", [0.0] * count)[None]
+        if values.shape[1] != count:
+            raise document.error(f"{values.shape[1]} morph weights for {count} targets")
+        return np.broadcast_to(values, (len(nodes.animation.times), count))
+
+    def shape(self, nodes: Nodes) -> Shape:
+        """Vertices before skinning; a function of the frame where morph targets change them."""
+        amounts = self.morph_weights(nodes)
+        if amounts is None:
+            return self.positions
+
+        def morphed(frame: int) -> NDArray[np.float64]:
+            return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[frame], self.targets))
+
+        return morphed if (amounts != amounts[:1]).any() else morphed(0)
+
+    def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
+        """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose."""
+        count = len(nodes.animation.times)
+        if self.skin is None:
+            return np.broadcast_to(nodes.matrices(self.node)[:, None, :3], (count, 1, 3, 4))
+        joints, inverse = _skin(nodes.document, self.skin)
+        nodes.document.budget.spend(
+            96 * count * len(joints), f"{len(joints)} joints over {count} frames"
+        )
+        result = np.empty((count, len(joints), 3, 4))
+        for k, joint in enumerate(joints):
+            result[:, k] = (nodes.matrices(joint) @ inverse[k])[:, :3]
+        return result
+
+    def bones(self, worlds: Sequence[Nodes]) -> Bones:
+        """Bones over the frames of all clips; a mesh without a skin is one bone, a root."""
+        nodes, document = worlds[0], worlds[0].document
+        transforms = np.concatenate([self.transforms(one) for one in worlds])
+        if self.skin is None:
+            name = str(nodes.items[self.node].get("name", f"node_{self.node}"))
+            return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
+        joints, inverse = _skin(document, self.skin)
+        number = {joint: k for k, joint in enumerate(joints)}
+        parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
+        # a joint of size 0 in the rest pose is nowhere
+        usable = np.abs(np.linalg.det(inverse[:, :3, :3])) > 1e-30
+        bind = np.linalg.inv(np.where(usable[:, None, None], inverse, np.eye(4)))
+        names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
+        return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
+
+    def has_axes(self, document: Document) -> bool:
+        """Whether joints of the rest pose are turned against the axes of the world."""
+        if self.skin is None:
+            return False
+        linear = _skin(document, self.skin)[1][:, :3, :3]
+        return bool(np.abs(linear - np.eye(3)).max() > 1e-6)
+
+
+def check_meshes(document: Document, meshes: Any) -> list[str] | None:
+    """Names of meshes as a list.
+
+    Raises
+    ------
+    InputError
+        If no mesh of the file has that name.
+    """
+    if meshes is None:
+        return None
+    wanted = [meshes] if isinstance(meshes, str) else list(meshes)
+    with reading(document.path):
+        nodes = [k for k, n in enumerate(document.items("nodes")) if "mesh" in n]
+        known = set().union(*(_names_of(document, k) for k in nodes))
+    for name in wanted:
+        if name not in known:
+            raise InputError("meshes", f"one of {sorted(known)}", repr(name))
+    return wanted
+
+
+def _names_of(document: Document, node: int) -> set[str]:
+    """Names by which the mesh of a node can be chosen: the mesh's and the node's."""
+    item = document.item("nodes", node)
+    return {str(x["name"]) for x in (document.item("meshes", item["mesh"]), item) if x.get("name")}
+
+
+def read_parts(
+    document: Document, nodes: Nodes, meshes: Sequence[str] | None = None
+) -> list[PrimitiveGroup]:
+    """All triangles and points of the scene, or of the named meshes alone.
+
+    Raises
+    ------
+    FormatError
+        If there are none, or an index, an accessor or a joint is not there.
+    """
+    parts: list[PrimitiveGroup] = []
+    for node in nodes.shown:
+        item = nodes.items[node]
+        if "mesh" not in item:
+            continue
+        mesh = document.integer(item["mesh"], "a mesh", len(document.items("meshes")))
+        if meshes is not None and not _names_of(document, node) & set(meshes):
+            continue
+        groups: dict[str, dict[int, dict[str, Any]]] = {}
+        listed = document.array(document.item("meshes", mesh), "primitives")
+        for place, primitive in enumerate(listed):
+            if DRACO in document.dictionary(primitive, "extensions"):
+                _decode(document, primitive)
+            if primitive.get("mode", 4) in (1, 2, 3):
+                _log.warning("%s: lines in mesh %d are left out", document.path, mesh)
+                continue
+            attributes = document.dictionary(primitive, "attributes")
+            if "POSITION" not in attributes:
+                raise document.error("a primitive has no POSITION")
+            # Primitives over the same vertices, one a material, are one part.
+            key = repr((sorted(attributes.items()), document.array(primitive, "targets")))
+            groups.setdefault(key, {})[place] = primitive
+        parts += [_group(document, nodes, node, mesh, group) for group in groups.values()]
+    if not parts:
+        raise document.error("the scene holds no mesh")
+    return parts
+
+
+def _decode(document: Document, primitive: dict[str, Any]) -> None:
+    """Decode a primitive's Draco data into its accessors, unless these have data as well."""
+    item = document.dictionary(document.dictionary(primitive, "extensions"), DRACO)
+    names = document.dictionary(primitive, "attributes")
+    if "bufferView" in document.item("accessors", names.get("POSITION")):
+        return
+    data = bytes(document.view(item.get("bufferView"))[0])
+    found, faces = decode_mesh(data, document.path)
+    for name, number in document.dictionary(item, "attributes").items():
+        if name not in names or number not in found:
+            raise document.error(f"its Draco data hold no {name}")
+        document.replace(names[name], found[number], name)
+    if "indices" in primitive:
+        if faces is None:
+            raise document.error("its Draco data hold no triangles")
+        document.replace(primitive["indices"], faces.reshape(-1), "indices")
+        if primitive.get("mode", 4) != 4:
+            raise document.error("Draco data of a strip or fan")
+
+
+def _group(
+    document: Document, nodes: Nodes, node: int, mesh: int, primitives: dict[int, dict[str, Any]]
+) -> PrimitiveGroup:
+    group = list(primitives.values())
+    attributes = group[0]["attributes"]
+    positions = document.accessor(attributes["POSITION"], ("VEC3",), "POSITION")
+
+    def fitting(values: NDArray[Any], what: str) -> NDArray[Any]:
+        if len(values) != len(positions):
+            raise document.error(f"{len(values)} {what} for {len(positions)} vertices")
+        return values
+
+    def attribute(name: str, kind: str, **options: Any) -> NDArray[Any] | None:
+        if name not in attributes:
+            return None
+        return fitting(document.accessor(attributes[name], (kind,), name, **options), name)
+
+    targets = [
+        fitting(document.accessor(t["POSITION"], ("VEC3",), "a morph target"), "a morph target")
+        if "POSITION" in t
+        else np.zeros_like(positions)
+        for t in document.array(group[0], "targets")
+    ]
+    skin = nodes.items[node].get("skin")
+    indices = np.zeros((len(positions), 1), dtype=np.int32)
+    weights = np.ones((len(positions), 1))
+    if skin is not None:
+        document.integer(skin, "a skin", len(document.items("skins")))
+        indices, weights = _influences(document, skin, attributes, attribute)
+    blocks = [triangles(document, primitive, len(positions)) for primitive in group]
+    faces = np.concatenate(blocks)
+    count = len(document.items("materials"))
+    material = [
+        document.integer(p["material"], "a material", count) if "material" in p else -1
+        for p in group
+    ]
+    uv = attribute(_uv_name(document, group), "VEC2")
+    normals = attribute("NORMAL", "VEC3")
+    if skin is None:
+        linear = nodes.matrices(node)[0, :3, :3]
+        if np.linalg.det(linear) < 0:
+            faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
+        if normals is not None:
+            normals = normals @ np.linalg.pinv(linear)
+    if uv is not None:
+        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)[faces].astype(np.float32)
+    vertex, label = _close_seams(
+        document, attribute("_VERTEX", "SCALAR"), [positions, *targets, indices, weights]
+    )
+    return PrimitiveGroup(
+        node=node,
+        mesh=mesh,
+        skin=skin,
+        primitives=tuple(primitives),
+        positions=positions[vertex],
+        targets=np.array(targets)[:, vertex] if targets else np.zeros((0, len(vertex), 3)),
+        vertex=vertex,
+        label=label,
+        skeletons=(("node", node) if skin is None else ("skin", skin),),
+        indices=indices[vertex],
+        weights=weights[vertex],
+        faces=label[faces],
+        uv=uv,
+        normals=None if normals is None else unit(normals)[faces].astype(np.float32),
+        material=np.repeat(material, [len(block) for block in blocks]),
+    )
+
+
+def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
+    """Triangles (T, 3) of a primitive over the file's `count` vertices; none of points."""
+    index = np.arange(count)
+    if "indices" in primitive:
+        found = document.accessor(primitive["indices"], ("SCALAR",), "indices", integers=True)
+        index = found.astype(np.int64)
+        if int(index.max()) >= count:
+            raise document.error(f"index {index.max()} into {count} vertices")
+    mode = primitive.get("mode", 4)
+    if mode == 0:
+        return np.zeros((0, 3), dtype=np.int64)
+    if mode == 4:
+        if len(index) % 3:
+            raise document.error(f"{len(index)} indices are no triangles")
+        return index.reshape(-1, 3)
+    if mode not in (5, 6):
+        raise document.error(f"primitive mode {mode!r}")
+    if len(index) < 3:
+        raise document.error(f"a strip or fan of {len(index)} vertices")
+    strip = np.stack([index[:-2], index[1:-1], index[2:]], axis=1)
+    if mode == 6:
+        strip[:, 0] = index[0]
+    else:
+        strip[1::2] = strip[1::2][:, [1, 0, 2]]
+    return strip
+
+
+def _skin(document: Document, index: int) -> tuple[list[int], NDArray[np.float64]]:
+    """Joints of a skin and their inverse bind matrices (B, 4, 4)."""
+    item = document.item("skins", index)
+    count = len(document.items("nodes"))
+    joints = [document.integer(j, "a joint", count) for j in document.array(item, "joints")]
+    if not joints:
+        raise document.error(f"skin {index} has no joints")
+    if "inverseBindMatrices" not in item:
+        return joints, np.tile(np.eye(4), (len(joints), 1, 1))
+    flat = document.accessor(item["inverseBindMatrices"], ("MAT4",), "inverseBindMatrices")
+    if len(flat) < len(joints):
+        raise document.error(f"{len(flat)} inverse bind matrices for {len(joints)} joints")
+    return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
+
+
+def _influences(
+    document: Document, skin: int, attributes: dict[str, Any], attribute: Any
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Indices (V, K) and weights (V, K) of a skinned mesh."""
+    n_joints = len(_skin(document, skin)[0])
+    sets = [k for k in range(64) if f"JOINTS_{k}" in attributes]
+    if not sets:
+        raise document.error("a skinned mesh has no JOINTS_0")
+    for k in sets:
+        if f"WEIGHTS_{k}" not in attributes:
+            raise document.error(f"JOINTS_{k} without WEIGHTS_{k}")
+    found = [attribute(f"JOINTS_{k}", "VEC4", integers=True).astype(np.int64) for k in sets]
+    joint = np.concatenate(found, axis=1)
+    weight = np.concatenate([attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
+    if (weight < 0).any():
+        raise document.error("negative skin weights")
+    bad = (joint >= n_joints) & (weight > 0)
+    if bad.any():
+        raise document.error(f"joint {joint[bad].max()} of a skin of {n_joints}")
+    total = weight.sum(axis=1, keepdims=True)
+    if (total <= 0).any():
+        raise document.error(f"{int((total <= 0).sum())} vertices have no skin weight")
+    if np.abs(total - 1).max() > 1e-3:
+        _log.warning("%s: skin weights that do not sum to 1 are scaled", document.path)
+    width = int(np.flatnonzero(weight.max(axis=0) > 0).max()) + 1
+    kept = np.where(weight > 0, joint, 0).astype(np.int32)
+    return kept[:, :width], (weight / total)[:, :width]
+
+
+def _close_seams(
+    document: Document, mark: NDArray[Any] | None, compared: list[NDArray[Any]]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Undo the splitting of vertices by the writer: representative of each vertex, and its label.
+
+    The attribute `mark` numbers the model's vertices. Vertices of one number are merged if nobody
+    has edited the file, so that they agree in all arrays `compared`.
+    """
+    same = np.arange(len(compared[0]))
+    if mark is None:
+        return same, same
+    label = np.rint(mark).astype(np.int64)
+    found, vertex = np.unique(label, return_index=True)
+    if (label != mark).any() or found[0] != 0 or found[-1] != len(found) - 1:
+        return same, same  # another program's attribute of that name
+    if any((values[vertex[label]] != values).any() for values in compared):
+        _log.warning("%s: edited since it was written, seams stay open", document.path)
+        return same, same
+    return vertex, label
+
+
+def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
+    """The UVs that the first material of some primitives uses."""
+    for primitive in group:
+        if "material" in primitive:
+            item = document.item("materials", primitive["material"])
+            look = document.dictionary(item, "pbrMetallicRoughness")
+            texture = document.dictionary(look, "baseColorTexture")
+            if "texCoord" in texture:
+                return f"TEXCOORD_{document.integer(texture['texCoord'], 'texCoord', 64)}"
+    return "TEXCOORD_0"
