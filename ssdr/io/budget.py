@@ -6,9 +6,12 @@ from pathlib import Path
 
 from ..errors import FormatError
 
-__all__ = ["MOST_BYTES", "Budget", "afford"]
+__all__ = ["MOST_BYTES", "afford", "refuse_bomb"]
 
 MOST_BYTES = 16 << 30  # 16 GiB: more than a mesh needs, less than a false count can ask for
+# Compression of more than this ratio is refused in what is larger than this size: frames of a
+# real animation shrink to a tenth at best, and a small file must not fill the memory.
+_MOST_RATIO, _UNSUSPICIOUS_BYTES = 100, 256 << 20
 
 
 def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None) -> None:
@@ -34,33 +37,31 @@ def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None)
         size = min(n_bytes, 1e18)  # a product of a file's counts may have hundreds of digits
         raise FormatError(
             f"{path}: {what} needs {size:.0f} bytes, above the limit of {limit} "
-            "(max_bytes= raises it)"
+            "(max_bytes= raises it where the format has that option)"
         )
 
 
-class Budget:
-    """Memory that a scene file may ask for in all: 1000 times its size, but at least 1 GiB.
-
-    A scene states counts, frames and copies of meshes that need no data of their own, so a small
-    file can ask for any amount of memory.
+def refuse_bomb(
+    n_bytes: int, stored: int, what: str, path: Path | str, most: int | None = None
+) -> None:
+    """Refuse compressed data that inflate like a zip bomb, before they do.
 
     Parameters
     ----------
-    path : path
-    n_bytes : int
-        Size of the file and of what it refers to.
-    max_bytes : int, optional
-        The caller's limit instead.
+    n_bytes, stored : int
+        Size once inflated and in the file.
+    what, path
+        As for :func:`afford`.
+    most : int, optional
+        The caller's `max_bytes`, which admits any ratio where it is stated.
+
+    Raises
+    ------
+    FormatError
+        If `n_bytes` is above 256 MiB and 100 times `stored`.
     """
-
-    def __init__(self, path: Path | str, n_bytes: int, max_bytes: int | None = None) -> None:
-        self.path = path
-        self.most = (
-            min(MOST_BYTES, max(1 << 30, 1000 * n_bytes)) if max_bytes is None else max_bytes
+    if most is None and n_bytes > max(_UNSUSPICIOUS_BYTES, _MOST_RATIO * stored):
+        raise FormatError(
+            f"{path}: {what} needs {n_bytes} bytes, inflated {n_bytes // max(1, stored)}-fold like "
+            f"a zip bomb; max_bytes={n_bytes} admits it"
         )
-        self.spent = 0.0
-
-    def spend(self, n_bytes: float, what: str) -> None:
-        """Add memory that reading on takes; refuse what goes over the limit, as `afford` does."""
-        self.spent += n_bytes
-        afford(self.spent, what, self.path, self.most)

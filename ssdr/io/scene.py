@@ -15,10 +15,12 @@ from ..errors import InputError
 from ..lbs import skin
 from ..sequence import Material, Surface
 from ..skinning import BoneModel, Skinning
+from .budget import MOST_BYTES, afford
 from .corners import corner_normals
 
 __all__ = [
     "Bones",
+    "SceneBudget",
     "ScenePart",
     "Shape",
     "bake",
@@ -35,6 +37,43 @@ Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
 _CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 
 
+class SceneBudget:
+    """Memory that a scene file may ask for in all: 1000 times its size, but at least 1 GiB.
+
+    A scene states counts, frames and copies of meshes that need no data of their own, so a small
+    file can ask for any amount of memory.
+
+    Parameters
+    ----------
+    path : Path
+    n_bytes : int
+        Size of the file and of what it refers to.
+    max_bytes : int, optional
+        The caller's limit instead.
+    """
+
+    def __init__(self, path: Path, n_bytes: int, max_bytes: int | None = None) -> None:
+        self.path, self.spent, self._fixed = path, 0.0, max_bytes
+        self.most = 1 << 30 if max_bytes is None else max_bytes
+        self.grow(n_bytes)
+
+    def grow(self, n_bytes: int) -> None:
+        """Allow more, for another file of that size."""
+        if self._fixed is None:
+            self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
+
+    def spend(self, n_bytes: float, what: str) -> None:
+        """Add memory that reading on takes; refuse what goes over the limit.
+
+        Raises
+        ------
+        FormatError
+            If it does; see :func:`~ssdr.io.budget.afford`.
+        """
+        self.spent += n_bytes
+        afford(self.spent, what, self.path, self.most)
+
+
 class ScenePart(Protocol):
     """Vertices of a scene that the same skeletons move, and the triangles over them.
 
@@ -48,8 +87,6 @@ class ScenePart(Protocol):
         Over the part's own vertices.
     uv : (T, 3, 2) float32 array or None
     normals : (T, 3, 3) float32 array or None
-    material : (T,) int array
-        -1 where a triangle has none.
     """
 
     skeletons: tuple[Hashable, ...]
@@ -58,7 +95,6 @@ class ScenePart(Protocol):
     faces: NDArray[np.int64]
     uv: NDArray[np.float32] | None
     normals: NDArray[np.float32] | None
-    material: NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -84,12 +120,16 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
 
 
 def join_surface(
-    parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], materials: list[Material]
+    parts: Sequence[ScenePart],
+    rest: Sequence[NDArray[np.floating]],
+    material_index: Sequence[NDArray[np.integer]],
+    materials: Sequence[Material],
 ) -> Surface | None:
     """UVs, normals and materials of all parts; None where there are none.
 
     A part without UVs beside others that have some gets zeros, one without normals those of its
-    rest pose, one without a material a default one.
+    rest pose. `material_index` holds an array (T,) for each part, -1 where a triangle has none; it
+    gets a default material.
     """
     if not sum(len(part.faces) for part in parts):
         return None
@@ -104,7 +144,7 @@ def join_surface(
         ]
     if uv is None and normals is None and not materials:
         return None
-    index = np.concatenate([part.material for part in parts])
+    index = np.concatenate(material_index)
     if materials and (index < 0).any():
         index = np.where(index < 0, len(materials), index)
         materials = [*materials, Material(name="default")]

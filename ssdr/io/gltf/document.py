@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ..budget import Budget
 from ..references import is_inside
 from ..registry import describe
+from ..scene import SceneBudget
 from .compression import DRACO, MESHOPT, decode_view
 
 __all__ = ["COMPONENTS", "WIDTHS", "Document"]
@@ -48,7 +48,7 @@ class Document:
     ----------
     path : Path
     max_bytes : int, optional
-        Memory that the file may ask for; see :class:`~ssdr.io.budget.Budget`.
+        Memory that the file may ask for; see :class:`~ssdr.io.scene.SceneBudget`.
     """
 
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:
@@ -58,7 +58,7 @@ class Document:
         self._decoded_views: dict[int, memoryview] = {}
         self._decoded: dict[int, NDArray[Any]] = {}  # accessors whose numbers Draco holds
         data = path.read_bytes()
-        self.budget = Budget(path, len(data), max_bytes)
+        self.budget = SceneBudget(path, len(data), max_bytes)
         if data[:4] == b"glTF":
             data = self._json_chunk(data)
         elif path.suffix.lower() == ".glb":
@@ -180,7 +180,7 @@ class Document:
             length = self.integer(item.get("byteLength"), "byteLength of a buffer", least=1)
             if "uri" in item:
                 data = memoryview(self.uri(item["uri"], f"buffer {index}"))
-                self.budget.most = max(self.budget.most, 1000 * len(data))
+                self.budget.grow(len(data))
             elif index == 0 and self._binary is not None:
                 data = self._binary
             else:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...clips import Clip, in_order, pick
-from ...errors import FormatError
+from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ..registry import reading
@@ -28,6 +28,7 @@ def read(
     *,
     fps: float | None = None,
     clip: int | str | None = None,
+    animation: int | str | None = None,
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
@@ -40,6 +41,8 @@ def read(
         Where to sample; by default at the rate of the keys, 24 where they do not determine one.
     clip : int or str, optional
         Which animation, by number or name; the first by default. The log lists them all.
+    animation : int or str, optional
+        The same by glTF's word.
     meshes : str or several of them, optional
         Names of meshes, or of nodes that have one; the others are left out.
     max_bytes : int, optional
@@ -61,7 +64,9 @@ def read(
     with reading(path):
         document = Document(path, max_bytes)
         names = animation_names(document)
-    index = pick(names, clip)
+    if clip is not None and animation is not None:
+        raise InputError("animation", "nothing beside a clip", repr(animation))
+    index = pick(names, clip) if animation is None else pick(names, animation, "animation")
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, names[index], names)
     wanted = check_meshes(document, meshes)
@@ -81,7 +86,9 @@ def read(
             nodes.animation.fps,
             name=mesh_name(document),
             clip=nodes.animation.name,
-            surface=join_surface(parts, rest, read_materials(document)),
+            surface=join_surface(
+                parts, rest, [part.material for part in parts], read_materials(document)
+            ),
         )
 
 
@@ -95,6 +102,7 @@ def read_skinning(
     path: Path,
     *,
     fps: float | None = None,
+    animation: int | str | None = None,
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> Skinning:
@@ -107,19 +115,23 @@ def read_skinning(
     ----------
     path, fps, meshes, max_bytes
         As in :func:`read`, of every animation.
+    animation : int or str, optional
+        One animation alone, by number or name; all of them by default.
 
     Raises
     ------
     FormatError
         Also where morph targets move the mesh: no skinning holds them.
     InputError
-        If there is no such mesh.
+        If there is no such animation or mesh.
     """
     with reading(path):
         document = Document(path, max_bytes)
+        names = animation_names(document)
+    numbers = range(len(names)) if animation is None else [pick(names, animation, "animation")]
     wanted = check_meshes(document, meshes)
     with reading(path):
-        clips = [Nodes(document, one) for one in read_animations(document, fps)]
+        clips = [Nodes(document, read_animation(document, k, fps)) for k in numbers]
         parts = read_parts(document, clips[0], wanted)
         shapes = [[part.shape(nodes) for nodes in clips] for part in parts]
         if any(callable(shape) for row in shapes for shape in row):
@@ -135,5 +147,7 @@ def read_skinning(
             {key: part.bones(clips) for key, part in first.items()},
             clips=[nodes.animation.clip for nodes in clips],
             name=mesh_name(document),
-            surface=join_surface(parts, rest, read_materials(document)),
+            surface=join_surface(
+                parts, rest, [part.material for part in parts], read_materials(document)
+            ),
         )

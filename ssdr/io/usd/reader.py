@@ -10,22 +10,129 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
 
-from ...clips import Clip, in_order, pick, unique_names
+from ...clips import Clip, in_order, pick
 from ...errors import FormatError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ..axes import Up, check_up, turn_skinning_up, turn_up
-from ..registry import reading, require
-from ..rig import MAX_BYTES, check_size, frame_rate, join_trees, model_of
-from .mesh import Mesh
-from .stage import Take, name_of, open_stage, takes_of
-from .surface import join_surface
+from ..registry import reading
+from ..rig import frame_rate
+from ..scene import SceneBudget, bake, join_faces, join_skinning, join_surface
+from .materials import read_materials
+from .parts import MeshPrim
+from .stage import StageClip, find_clips, open_stage, stage_name
 
-__all__ = ["list_clips", "read", "read_skinning"]
+__all__ = ["SampledClip", "StageReader", "list_clips", "read", "read_skinning"]
 
 _log = logging.getLogger(__name__)
-_Clock = tuple[float, NDArray[np.float64]]  # frames per second, time codes
+_ALL = Usd.TraverseInstanceProxies()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SampledClip:
+    """A clip of a stage: its visible meshes, frame rate and the time codes of its frames."""
+
+    name: str
+    meshes: list[MeshPrim]
+    fps: float
+    codes: NDArray[np.float64]
+
+    @property
+    def clip(self) -> Clip:
+        return Clip(self.name, 0, len(self.codes), self.fps)
+
+
+class StageReader:
+    """An open stage and its clips.
+
+    Raises
+    ------
+    FormatError
+        If the file is no stage or must not be opened.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        self.path = path
+        self.stage = open_stage(path)
+        self.clips = find_clips(self.stage, path)
+        self.name = stage_name(self.stage, path)
+        files = [Path(layer.realPath) for layer in self.stage.GetUsedLayers() if layer.realPath]
+        self.budget = SceneBudget(
+            path, sum(f.stat().st_size for f in files if f.is_file()), max_bytes
+        )
+        self.up: Up = "z" if UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z else "y"
+        unit = UsdGeom.GetStageMetersPerUnit(self.stage)
+        _log.info("%s: %s up, %g m a unit", path, self.up, unit)
+
+    def sample(self, clip: StageClip, fps: float | None = None) -> SampledClip:
+        """The visible meshes while a clip is bound, and its time codes.
+
+        Raises
+        ------
+        FormatError
+            If there is no visible mesh, or a mesh is damaged.
+        """
+        if clip.animation is not None:
+            with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
+                binding = UsdSkel.BindingAPI.Apply(self.stage.GetPrimAtPath(clip.skeleton))
+                binding.CreateAnimationSourceRel().SetTargets([clip.animation])
+        prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
+        cache = UsdSkel.Cache()
+        bound: dict[str, tuple[Any, Any]] = {}
+        for root in (UsdSkel.Root(prim) for prim in prims if prim.IsA(UsdSkel.Root)):
+            cache.Populate(root, _ALL)
+            for binding in cache.ComputeSkelBindings(root, _ALL):
+                skeleton = cache.GetSkelQuery(binding.GetSkeleton())
+                for query in binding.GetSkinningTargets():
+                    bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
+        meshes = [
+            MeshPrim(self.path, prim, *bound.get(str(prim.GetPath()), ()))
+            for prim in prims
+            if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)
+        ]
+        if not meshes:
+            raise FormatError(f"{self.path}: no visible mesh")
+        rate, codes = self._clock(meshes, clip, fps)
+        return SampledClip(clip.name, meshes, rate, codes)
+
+    def _is_shown(self, prim: Any) -> bool:
+        shown = UsdGeom.Imageable(prim)
+        visible = shown.ComputeVisibility(Usd.TimeCode.EarliestTime())
+        if visible != UsdGeom.Tokens.invisible and shown.ComputePurpose() in ("default", "render"):
+            return True
+        _log.info("%s: %s is not shown and left out", self.path, prim.GetPath())
+        return False
+
+    def _clock(
+        self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Frames per second and the time code of each frame."""
+        stage = self.stage
+        tempo = float(stage.GetTimeCodesPerSecond())
+        if not (math.isfinite(tempo) and tempo > 0):
+            raise FormatError(f"timeCodesPerSecond is {tempo}")
+        stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
+        if clip.fps is not None and clip.frames is not None and fps in (None, clip.fps):
+            rate, first, count = clip.fps, clip.start, clip.frames
+        else:
+            first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
+            if clip.bound and stage.HasAuthoredTimeCodeRange():
+                first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
+            if not (math.isfinite(first) and math.isfinite(last) and first <= last):
+                raise FormatError(f"the time codes run from {first} to {last}")
+            ticks = stamps - first
+            on_codes = not len(stamps) or np.abs(ticks - np.rint(ticks)).max() < 0.01
+            rate = fps or (None if on_codes else frame_rate([stamps / tempo])) or tempo
+            count = math.floor(min((last - first) / tempo * rate, 1e15) + 1e-3) + 1
+        n_vertices = sum(mesh.n_points for mesh in meshes)
+        n_bones = sum(mesh.n_bones for mesh in meshes)
+        self.budget.spend(
+            count * (12.0 * n_vertices + 96.0 * n_bones),
+            f"{count} frames of {n_vertices} vertices and {n_bones} bones",
+        )
+        return rate, first + np.arange(count) * (tempo / rate)
 
 
 def read(
@@ -42,227 +149,106 @@ def read(
     ----------
     path : Path
     clip : str or int, optional
-        Which SkelAnimation, by number or name, where one skeleton has several;
-        the one that is bound by default.
+        Which SkelAnimation, by number or name, where one skeleton has several; by default the
+        one that is bound.
     fps : float, optional
-        Where to sample; one frame a time code by default, or a frame a sample
-        where samples lie between time codes.
+        Where to sample; by default one frame a time code, or one a sample where samples lie
+        between time codes.
     up : {"y", "z"}, optional
-        Turn the scene to have that axis up; as in the file by default.
+        Turn the scene to have that axis up; by default it stays as in the file.
     max_bytes : int, optional
-        Largest size of the vertices; 16 GiB by default.
+        Memory that the file may ask for; by default 1000 times its size, but at least 1 GiB and
+        at most 16 GiB.
 
     Returns
     -------
     MeshSequence
-        float32, in the file's unit (the log says how many metres); polygons
-        are cut into fans of triangles.
+        float32, in the file's unit (the log says how many metres); polygons are cut into fans of
+        triangles.
 
     Raises
     ------
     FormatError
         If the file is damaged or holds no mesh, or its topology changes.
-    MissingDependencyError
-        Without usd-core.
+    InputError
+        If there is no such clip.
     """
     check_up(up, optional=True)
-    require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        takes = takes_of(path)
-    index = pick([take.name for take in takes], clip)
-    if len(takes) > 1:
-        _log.info("%s: clip %r of %s", path, takes[index].name, [take.name for take in takes])
+        reader = StageReader(path, max_bytes)
+    names = [one.name for one in reader.clips]
+    index = pick(names, clip)
+    if len(names) > 1:
+        _log.info("%s: clip %r of %s", path, names[index], names)
     with reading(path):
-        take = takes[index]
-        stage, meshes = _open(path, take)
-        rate, codes = _clock(stage, meshes, fps, take)
-        count = sum(mesh.n_points for mesh in meshes)
-        check_size(len(codes), count, MAX_BYTES if max_bytes is None else max_bytes)
-        frames = np.empty((len(codes), count, 3), dtype=np.float32)
-        first = 0
-        for mesh in meshes:
-            mesh.bake(codes, frames[:, first : first + mesh.n_points])
-            first += mesh.n_points
-        found = _up(stage)
-        faces, surface = join_surface(path, stage, [m.polygons for m in meshes], codes[0])
+        found = reader.sample(reader.clips[index], fps)
+        meshes, codes = found.meshes, found.codes
+        shapes = [mesh.shape(codes) for mesh in meshes]
+        moved = (mesh.transforms(codes) for mesh in meshes)
+        frames = bake(meshes, len(codes), zip(shapes, moved, strict=True))
+        rest = [shape(0) if callable(shape) else shape for shape in shapes]
+        surface = join_surface(meshes, rest, *read_materials(path, meshes))
         if up is not None and surface is not None and surface.normals is not None:
-            surface = dataclasses.replace(surface, normals=turn_up(surface.normals, found, up))
+            normals = turn_up(surface.normals, reader.up, up)
+            surface = dataclasses.replace(surface, normals=normals)
         return MeshSequence(
-            frames if up is None else turn_up(frames, found, up),
-            faces,
-            rate,
-            name=name_of(stage, path),
-            clip=take.name,
+            frames if up is None else turn_up(frames, reader.up, up),
+            join_faces(meshes),
+            found.fps,
+            name=reader.name,
+            clip=found.name,
             surface=surface,
         )
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
     """The animations of a file, in the frames of :func:`read_skinning`."""
-    require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        clips = []
-        for take in takes_of(path):
-            rate, codes = _clock(*_open(path, take), fps, take)
-            clips.append(Clip(take.name, 0, len(codes), rate))
-        return in_order(clips)
+        reader = StageReader(path)
+        return in_order(reader.sample(clip, fps).clip for clip in reader.clips)
 
 
-def read_skinning(path: Path, *, fps: float | None = None, up: Up | None = None) -> Skinning:
+def read_skinning(
+    path: Path, *, fps: float | None = None, up: Up | None = None, max_bytes: int | None = None
+) -> Skinning:
     """Read UsdSkel skins as they are; a rigid mesh without one becomes one bone.
 
-    Joints hang on each other as their paths say; where none does, there is no hierarchy.
+    The parent of a joint is the one whose path contains its own; where no joint has a parent,
+    there is no hierarchy.
 
     Parameters
     ----------
-    path, fps, up
+    path, fps, up, max_bytes
         As in :func:`read`, of every animation.
 
     Raises
     ------
     FormatError
         Also where points or blend shapes move a mesh: no skinning holds them.
-    MissingDependencyError
-        Without usd-core.
     """
     check_up(up, optional=True)
-    require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        clips, moved = [], []
-        for take in takes_of(path):
-            stage, meshes = _open(path, take)
-            rate, codes = _clock(stage, meshes, fps, take)
-            clips.append(Clip(take.name, 0, len(codes), rate))
-            moved.append(_transforms(path, meshes, codes))
-            if len(clips) == 1:
-                points = [mesh.points(codes[0]) for mesh in meshes]
-                polygons = [mesh.polygons for mesh in meshes]
-                faces, surface = join_surface(path, stage, polygons, codes[0])
-                parents, positions = _hierarchy(meshes)
-        width = max(mesh.indices.shape[1] for mesh in meshes)
-
-        def wide(values: NDArray[Any]) -> NDArray[Any]:
-            return np.pad(values, ((0, 0), (0, width - values.shape[1])))
-
-        starts, names = _bones(meshes)
-        indices = np.concatenate([wide(m.indices + starts[m.bones_key]) for m in meshes])
-        weights = np.concatenate([wide(m.weights) for m in meshes])
-        transforms = np.concatenate(moved)
-        model = Skinning(
-            np.concatenate(points),
-            np.where(weights > 0, indices, 0),
-            weights,
-            transforms,
-            faces=faces,
-            clips=in_order(clips),
-            bone_model=model_of(transforms),
-            surface=surface,
-            bone_names=unique_names(names),
-            name=name_of(stage, path),
-            parents=parents,
-            joint_positions=positions,
+        reader = StageReader(path, max_bytes)
+        clips = [reader.sample(clip, fps) for clip in reader.clips]
+        meshes = clips[0].meshes
+        shapes = [mesh.shape(clip.codes) for clip in clips for mesh in clip.meshes]
+        if any(callable(shape) for shape in shapes):
+            raise FormatError(
+                f"{path}: points or blend shapes move a mesh, which no skinning holds; "
+                "ssdr.load bakes them"
+            )
+        rest = [shape for shape in shapes if not callable(shape)][: len(meshes)]
+        first = {mesh.skeletons[0]: k for k, mesh in reversed(list(enumerate(meshes)))}
+        moved = {
+            key: np.concatenate([clip.meshes[k].transforms(clip.codes) for clip in clips])
+            for key, k in first.items()
+        }
+        model = join_skinning(
+            meshes,
+            rest,
+            {key: meshes[k].bones(moved[key]) for key, k in first.items()},
+            clips=[clip.clip for clip in clips],
+            name=reader.name,
+            surface=join_surface(meshes, rest, *read_materials(path, meshes)),
         )
-        return model if up is None else turn_skinning_up(model, _up(stage), up)
-
-
-def _bones(meshes: list[Mesh]) -> tuple[dict[Any, int], list[str]]:
-    """First bone of each skeleton, and the names of all bones."""
-    starts: dict[Any, int] = {}
-    names: list[str] = []
-    for mesh in meshes:
-        if mesh.bones_key not in starts:
-            starts[mesh.bones_key] = len(names)
-            names += mesh.bone_names
-    return starts, names
-
-
-def _hierarchy(meshes: list[Mesh]) -> tuple[Any, Any]:
-    """Parents and joints of all bones, None where nothing hangs on anything."""
-    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
-    return join_trees([first[key].hierarchy() for key in _bones(meshes)[0]])
-
-
-def _transforms(path: Path, meshes: list[Mesh], codes: NDArray[np.float64]) -> NDArray[np.float64]:
-    if any(mesh.deforms for mesh in meshes):
-        raise FormatError(
-            f"{path}: points or blend shapes move a mesh, which no skinning holds; "
-            "ssdr.load bakes them"
-        )
-    starts, names = _bones(meshes)
-    check_size(len(codes), 4 * len(names), MAX_BYTES)
-    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
-    return np.concatenate([first[key].transforms(codes) for key in starts], axis=1)
-
-
-def _up(stage: Any) -> Up:
-    from pxr import UsdGeom
-
-    return "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
-
-
-def _open(path: Path, take: Take) -> tuple[Any, list[Mesh]]:
-    from pxr import Usd, UsdGeom, UsdSkel
-
-    stage = open_stage(path)
-    every = Usd.TraverseInstanceProxies()
-    if take.animation is not None:
-        with Usd.EditContext(stage, stage.GetSessionLayer()):
-            binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(take.skeleton))
-            binding.CreateAnimationSourceRel().SetTargets([take.animation])
-    cache = UsdSkel.Cache()
-    bound: dict[str, tuple[Any, Any]] = {}
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), every):
-        if prim.IsA(UsdSkel.Root):
-            root = UsdSkel.Root(prim)
-            cache.Populate(root, every)
-            for binding in cache.ComputeSkelBindings(root, every):
-                skeleton = cache.GetSkelQuery(binding.GetSkeleton())
-                for query in binding.GetSkinningTargets():
-                    bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
-    meshes = []
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), every):
-        if not prim.IsA(UsdGeom.Mesh):
-            continue
-        shown = UsdGeom.Imageable(prim)
-        if shown.ComputePurpose() not in ("default", "render") or (
-            shown.ComputeVisibility(Usd.TimeCode.EarliestTime()) == UsdGeom.Tokens.invisible
-        ):
-            _log.info("%s: %s is not shown and left out", path, prim.GetPath())
-            continue
-        meshes.append(Mesh(path, prim, *bound.get(str(prim.GetPath()), (None, None))))
-    if not meshes:
-        raise FormatError(f"{path}: no visible mesh")
-    _log.info(
-        "%s: %s up, %g m a unit",
-        path,
-        UsdGeom.GetStageUpAxis(stage),
-        UsdGeom.GetStageMetersPerUnit(stage),
-    )
-    return stage, meshes
-
-
-def _clock(stage: Any, meshes: list[Mesh], fps: float | None, take: Take) -> _Clock:
-    tempo = float(stage.GetTimeCodesPerSecond())
-    if not (math.isfinite(tempo) and tempo > 0):
-        raise FormatError(f"timeCodesPerSecond is {tempo}")
-    stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
-    if take.fps is not None and take.frames is not None and fps in (None, take.fps):
-        check_size(take.frames, 1, MAX_BYTES)
-        ticks = np.arange(take.frames, dtype=np.float64)
-        return take.fps, take.start + ticks * (tempo / take.fps)
-    if take.bound and stage.HasAuthoredTimeCodeRange():
-        first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
-    elif len(stamps):
-        first, last = float(stamps[0]), float(stamps[-1])
-    else:
-        first = last = 0.0
-    if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-        raise FormatError(f"the time codes run from {first} to {last}")
-    rate = fps
-    if rate is None:
-        on_codes = not len(stamps) or np.abs(stamps - first - np.rint(stamps - first)).max() < 0.01
-        rate = tempo if on_codes else frame_rate([stamps / tempo]) or tempo
-    need = (last - first) / tempo * rate
-    check_size(int(min(need, 1e15)), 1, MAX_BYTES)
-    count = np.arange(math.floor(need + 1e-3) + 1, dtype=np.float64)
-    return rate, np.asarray(first + count * (tempo / rate), dtype=np.float64)
+        return model if up is None else turn_skinning_up(model, reader.up, up)
