@@ -5,29 +5,30 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, in_order, unique_names
-from ..errors import InputError
+from ..errors import FormatError, InputError
 from ..lbs import skin
-from ..sequence import Material, Surface
+from ..sequence import Material, MeshSequence, Surface
 from ..skinning import BoneModel, Skinning
 from .budget import MOST_BYTES, afford
 from .corners import corner_normals
 
 __all__ = [
     "Bones",
+    "Looks",
     "SceneBudget",
     "ScenePart",
     "Shape",
-    "bake",
     "check_kept",
     "join_faces",
+    "join_sequence",
     "join_skinning",
-    "join_surface",
+    "make_skinning",
     "match_template",
     "part_starts",
 ]
@@ -75,13 +76,14 @@ class SceneBudget:
 
 
 class ScenePart(Protocol):
-    """Vertices of a scene that the same skeletons move, and the triangles over them.
+    """Vertices of a scene that one skeleton moves, and the triangles over them.
 
     Attributes
     ----------
-    skeletons : tuple of hashable
-        Keys of the skeletons, whose bones `indices` counts one skeleton after the other.
+    skeleton : hashable
+        Parts with the same one share its bones.
     indices : (V, K) int array
+        Bones of the skeleton.
     weights : (V, K) float array
     faces : (T, 3) int array
         Over the part's own vertices.
@@ -89,12 +91,18 @@ class ScenePart(Protocol):
     normals : (T, 3, 3) float32 array or None
     """
 
-    skeletons: tuple[Hashable, ...]
-    indices: NDArray[np.int32]
-    weights: NDArray[np.floating]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float32] | None
-    normals: NDArray[np.float32] | None
+    @property
+    def skeleton(self) -> Hashable: ...
+    @property
+    def indices(self) -> NDArray[np.int32]: ...
+    @property
+    def weights(self) -> NDArray[np.float64]: ...
+    @property
+    def faces(self) -> NDArray[np.int64]: ...
+    @property
+    def uv(self) -> NDArray[np.float32] | None: ...
+    @property
+    def normals(self) -> NDArray[np.float32] | None: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,6 +113,17 @@ class Bones:
     parents: NDArray[np.integer]
     joint_positions: NDArray[np.float64]
     transforms: NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Looks:
+    """The materials of a scene, and for each part which of them its triangles (T,) have.
+
+    -1 stands for a triangle without one, which gets a default material.
+    """
+
+    index: Sequence[NDArray[np.integer]]
+    materials: Sequence[Material]
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
@@ -119,20 +138,14 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
     return np.concatenate(joined).astype(np.int32)
 
 
-def join_surface(
-    parts: Sequence[ScenePart],
-    rest: Sequence[NDArray[np.floating]],
-    material_index: Sequence[NDArray[np.integer]],
-    materials: Sequence[Material],
+def _join_surface(
+    parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], looks: Looks
 ) -> Surface | None:
     """UVs, normals and materials of all parts; None where there are none.
 
     A part without UVs beside others that have some gets zeros, one without normals those of its
-    rest pose. `material_index` holds an array (T,) for each part, -1 where a triangle has none; it
-    gets a default material.
+    rest pose.
     """
-    if not sum(len(part.faces) for part in parts):
-        return None
     uv = normals = None
     if any(part.uv is not None for part in parts):
         blank = [np.zeros((len(part.faces), 3, 2), dtype=np.float32) for part in parts]
@@ -142,12 +155,12 @@ def join_surface(
             corner_normals(points, part.faces, None) if part.normals is None else part.normals
             for part, points in zip(parts, rest, strict=True)
         ]
-    if uv is None and normals is None and not materials:
+    index, materials = np.concatenate(looks.index), list(looks.materials)
+    if not len(index) or (uv is None and normals is None and not materials):
         return None
-    index = np.concatenate(material_index)
     if materials and (index < 0).any():
         index = np.where(index < 0, len(materials), index)
-        materials = [*materials, Material(name="default")]
+        materials.append(Material(name="default"))
     return Surface(
         uv=None if uv is None else np.concatenate(uv),
         normals=None if normals is None else np.concatenate(normals),
@@ -156,65 +169,131 @@ def join_surface(
     )
 
 
-def join_skinning(
+def join_sequence(
     parts: Sequence[ScenePart],
-    rest: Sequence[NDArray[np.floating]],
-    bones: Mapping[Hashable, Bones],
-    *,
-    clips: Sequence[Clip],
+    clip: Clip,
+    shapes: Sequence[Shape],
+    transforms: Iterable[NDArray[np.float64]],
+    looks: Looks,
     name: str,
-    surface: Surface | None,
-) -> Skinning:
-    """One skinning of all parts; parts of one skeleton share its bones.
+) -> MeshSequence:
+    """One sequence of all parts, skinned.
 
     Parameters
     ----------
     parts : sequence of ScenePart
-    rest : sequence of (V, 3) arrays
-        Rest pose of each part.
+    clip : Clip
+    shapes : sequence
+        For each part its vertices (V, 3) before skinning, or a function that gives those of a
+        frame.
+    transforms : iterable of (F, B, 3, 4) arrays
+        For each part.
+    looks : Looks
+    name : str
+    """
+    starts = part_starts(parts)
+    frames = np.empty((clip.n_frames, starts[-1], 3), dtype=np.float32)
+    for part, start, shape, moved in zip(parts, starts[:-1], shapes, transforms, strict=True):
+        out = frames[:, start : start + len(part.indices)]
+        step = 1 if callable(shape) else max(1, _CHUNK_BYTES // (24 * out.shape[1]))
+        for first in range(0, clip.n_frames, step):
+            block = slice(first, first + step)
+            rest = shape(first) if callable(shape) else shape
+            out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
+    rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
+    surface = _join_surface(parts, rest_poses, looks)
+    return MeshSequence(
+        frames, join_faces(parts), clip.fps, name=name, clip=clip.name, surface=surface
+    )
+
+
+def join_skinning(
+    parts: Sequence[ScenePart],
+    clips: Iterable[Clip],
+    shapes: Sequence[Shape],
+    bones: Mapping[Hashable, Bones],
+    looks: Looks,
+    name: str,
+) -> Skinning:
+    """One skinning of all parts.
+
+    Parameters
+    ----------
+    parts : sequence of ScenePart
+    clips : iterable of Clip
+    shapes : sequence
+        Vertices before skinning of each part in the first clip, then in the others.
     bones : mapping
         Bones of each skeleton, the frames of all clips one after the other.
-    clips : sequence of Clip
+    looks : Looks
     name : str
-    surface : Surface or None
+
+    Raises
+    ------
+    FormatError
+        If the vertices of a part change before they are skinned.
     """
-    keys = list(dict.fromkeys(key for part in parts for key in part.skeletons))
-    counts = [len(bones[key].names) for key in keys]
-    first = dict(zip(keys, np.cumsum([0, *counts]).tolist(), strict=False))
-    width = max(part.indices.shape[1] for part in parts)
-    indices, weights = [], []
-    for part in parts:
-        numbers = [first[key] + np.arange(len(bones[key].names)) for key in part.skeletons]
-        pad = ((0, 0), (0, width - part.indices.shape[1]))
-        indices.append(np.pad(np.concatenate(numbers)[part.indices], pad))
-        weights.append(np.pad(part.weights, pad))
+    rest = [shape for shape in shapes if not callable(shape)]
+    if len(rest) < len(shapes):
+        raise FormatError(
+            "morph targets, blend shapes or points move a mesh, which no skinning holds; "
+            "ssdr.load bakes them"
+        )
+    rest = rest[: len(parts)]
+    keys = list(dict.fromkeys(part.skeleton for part in parts))
     found = [bones[key] for key in keys]
-    transforms = np.concatenate([one.transforms for one in found], axis=1)
-    parents = np.concatenate(
-        [
-            np.where(bones[k].parents >= 0, bones[k].parents + start, -1)
-            for k, start in first.items()
-        ]
+    starts = np.cumsum([0, *(len(one.names) for one in found)])[:-1]
+    first = dict(zip(keys, starts, strict=True))
+    width = max(part.indices.shape[1] for part in parts)
+
+    def widened(part: ScenePart, values: NDArray[Any]) -> NDArray[Any]:
+        return np.pad(values, ((0, 0), (0, width - part.indices.shape[1])))
+
+    shifted = [
+        np.where(one.parents >= 0, one.parents + start, -1)
+        for one, start in zip(found, starts, strict=True)
+    ]
+    joined = Bones(
+        [name for one in found for name in one.names],
+        np.concatenate(shifted),
+        np.concatenate([one.joint_positions for one in found]),
+        np.concatenate([one.transforms for one in found], axis=1),
     )
-    tree = bool((parents >= 0).any())
-    joined = np.concatenate(weights)
-    return Skinning(
+    return make_skinning(
         np.concatenate(rest),
-        np.where(joined > 0, np.concatenate(indices), 0),
+        np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),
+        np.concatenate([widened(part, part.weights) for part in parts]),
         joined,
-        transforms,
         faces=join_faces(parts),
-        bone_model=bone_model_of(transforms),
-        surface=surface,
-        bone_names=unique_names([name for one in found for name in one.names]),
+        surface=_join_surface(parts, rest, looks),
         name=name,
         clips=in_order(clips),
-        parents=parents if tree else None,
-        joint_positions=np.concatenate([one.joint_positions for one in found]) if tree else None,
     )
 
 
-def bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
+def make_skinning(
+    rest: NDArray[np.floating],
+    indices: NDArray[np.integer],
+    weights: NDArray[np.floating],
+    bones: Bones,
+    **fields: Any,
+) -> Skinning:
+    """A skinning with these bones, of the narrowest bone model; flat where no bone has a parent."""
+    tree = bool((bones.parents >= 0).any())
+    return Skinning(
+        rest,
+        np.where(weights > 0, indices, 0),
+        weights,
+        bones.transforms,
+        bone_model=_bone_model_of(bones.transforms),
+        bone_names=unique_names(bones.names),
+        parents=bones.parents if tree else None,
+        joint_positions=bones.joint_positions if tree else None,
+        **fields,
+    )
+
+
+def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
     """The narrowest bone model that holds the transforms to float32 accuracy."""
     linear = transforms[..., :3]
     gram = np.swapaxes(linear, -1, -2) @ linear
@@ -223,33 +302,6 @@ def bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
     if (off > 1e-4 * size).any() or (np.linalg.det(linear) <= 0).any():
         return "affine"
     return "rigid" if np.abs(size - 1).max() < 1e-4 else "similarity"
-
-
-def bake(
-    parts: Sequence[ScenePart],
-    n_frames: int,
-    posed: Iterable[tuple[Shape, NDArray[np.float64]]],
-) -> NDArray[np.float32]:
-    """Skinned vertices ``(F, V, 3)`` of all parts.
-
-    Parameters
-    ----------
-    parts : sequence of ScenePart
-    n_frames : int
-    posed : iterable of (shape, transforms)
-        For each part its vertices (V, 3) before skinning, or a function that gives those of a
-        frame, and its transforms (F, B, 3, 4).
-    """
-    starts = part_starts(parts)
-    frames = np.empty((n_frames, starts[-1], 3), dtype=np.float32)
-    for part, start, (shape, transforms) in zip(parts, starts[:-1], posed, strict=True):
-        out = frames[:, start : start + len(part.indices)]
-        step = 1 if callable(shape) else max(1, _CHUNK_BYTES // (24 * out.shape[1]))
-        for first in range(0, n_frames, step):
-            block = slice(first, first + step)
-            rest = shape(first) if callable(shape) else shape
-            out[block] = skin(rest, part.indices, part.weights, transforms[block], dtype=np.float64)
-    return frames
 
 
 def match_template(

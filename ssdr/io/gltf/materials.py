@@ -6,16 +6,19 @@ import logging
 from typing import Any
 
 from ...sequence import Material
+from ..scene import Looks
 from .document import Document
+from .parts import PrimitiveGroup
 
-__all__ = ["read_materials"]
+__all__ = ["read_looks"]
 
 _log = logging.getLogger(__name__)
 
 
-def read_materials(document: Document) -> list[Material]:
-    """The materials of a file, in its order."""
-    return [_material(document, k) for k in range(len(document.items("materials")))]
+def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
+    """All materials of a file, in its order, and those of the parts."""
+    count = len(document.items("materials"))
+    return Looks([part.material for part in parts], [_material(document, k) for k in range(count)])
 
 
 def _material(document: Document, index: int) -> Material:

@@ -40,7 +40,9 @@ class PrimitiveGroup:
         The file's vertex that stands for each vertex here.
     label : (N,) int
         The vertex here for each of the file's.
-    skeletons, indices, weights, faces, uv, normals, material
+    material : (T,) int
+        -1 where a triangle has none.
+    skeleton, indices, weights, faces, uv, normals
         As in `ScenePart`.
     """
 
@@ -52,7 +54,7 @@ class PrimitiveGroup:
     targets: NDArray[np.float64]
     vertex: NDArray[np.int64]
     label: NDArray[np.int64]
-    skeletons: tuple[tuple[str, int], ...]
+    skeleton: tuple[str, int]
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -266,7 +268,7 @@ def _group(
         targets=np.array(targets)[:, vertex] if targets else np.zeros((0, len(vertex), 3)),
         vertex=vertex,
         label=label,
-        skeletons=(("node", node) if skin is None else ("skin", skin),),
+        skeleton=("node", node) if skin is None else ("skin", skin),
         indices=indices[vertex],
         weights=weights[vertex],
         faces=label[faces],

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 
 from ...clips import Clip, in_order, pick
-from ...errors import FormatError, InputError
+from ...errors import InputError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ..registry import reading
-from ..scene import bake, join_faces, join_skinning, join_surface, part_starts
+from ..scene import Bones, join_sequence, join_skinning, part_starts
 from .animation import animation_names, mesh_name, read_animation, read_animations
 from .document import Document
-from .materials import read_materials
+from .materials import read_looks
 from .nodes import Nodes
 from .parts import check_meshes, read_parts
 
@@ -78,18 +78,10 @@ def read(
             12.0 * n_frames * n_vertices, f"{n_frames} frames of {n_vertices} vertices"
         )
         shapes = [part.shape(nodes) for part in parts]
-        rest = [shape(0) if callable(shape) else shape for shape in shapes]
         moved = (part.transforms(nodes) for part in parts)
-        return MeshSequence(
-            bake(parts, n_frames, zip(shapes, moved, strict=True)),
-            join_faces(parts),
-            nodes.animation.fps,
-            name=mesh_name(document),
-            clip=nodes.animation.name,
-            surface=join_surface(
-                parts, rest, [part.material for part in parts], read_materials(document)
-            ),
-        )
+        looks = read_looks(document, parts)
+        clip_read = nodes.animation.clip
+        return join_sequence(parts, clip_read, shapes, moved, looks, mesh_name(document))
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -133,21 +125,15 @@ def read_skinning(
     with reading(path):
         clips = [Nodes(document, read_animation(document, k, fps)) for k in numbers]
         parts = read_parts(document, clips[0], wanted)
-        shapes = [[part.shape(nodes) for nodes in clips] for part in parts]
-        if any(callable(shape) for row in shapes for shape in row):
-            raise FormatError(
-                f"{path}: morph targets move the mesh, which no skinning holds; "
-                "ssdr.load bakes them"
-            )
-        rest = [row[0] for row in shapes if not callable(row[0])]
-        first = {part.skeletons[0]: part for part in reversed(parts)}
+        bones: dict[Hashable, Bones] = {}
+        for part in parts:
+            if part.skeleton not in bones:
+                bones[part.skeleton] = part.bones(clips)
         return join_skinning(
             parts,
-            rest,
-            {key: part.bones(clips) for key, part in first.items()},
-            clips=[nodes.animation.clip for nodes in clips],
-            name=mesh_name(document),
-            surface=join_surface(
-                parts, rest, [part.material for part in parts], read_materials(document)
-            ),
+            [nodes.animation.clip for nodes in clips],
+            [part.shape(nodes) for nodes in clips for part in parts],
+            bones,
+            read_looks(document, parts),
+            mesh_name(document),
         )

@@ -15,20 +15,20 @@ from ...errors import FormatError
 from ...sequence import Material, Surface
 from ..atomic import write_bytes
 from ..references import find_inside
+from ..scene import Looks
 from .parts import MeshPrim
 from .skeleton import identifier
 
-__all__ = ["read_materials", "write_materials"]
+__all__ = ["read_looks", "write_materials"]
 
 _log = logging.getLogger(__name__)
 
 
-def read_materials(
-    path: Path, meshes: list[MeshPrim]
-) -> tuple[list[NDArray[np.int64]], list[Material]]:
-    """For each mesh the material of its triangles, -1 where they have none; and the materials."""
+def read_looks(path: Path, meshes: list[MeshPrim]) -> Looks:
+    """The materials of meshes."""
     found = _Materials(path)
-    return [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes], found.materials
+    index = [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes]
+    return Looks(index, found.materials)
 
 
 class _Materials:

@@ -53,17 +53,17 @@ class MeshPrim:
         self.attribute = UsdGeom.Mesh(prim).GetPointsAttr()
         self.n_points = len(self.raw_points(_FIRST))
         self._read_polygons()
-        self.skeleton = skeleton if query is not None and query.HasJointInfluences() else None
+        self.joints = skeleton if query is not None and query.HasJointInfluences() else None
         self._query = query
         self._shapes = None
         if query is not None and query.HasBlendShapes() and skeleton.GetAnimQuery():
             self._shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
             self._shaper = skeleton.GetAnimQuery()
-        self.skeletons: tuple[Any, ...] = (str(prim.GetPath()),)
+        self.skeleton: Any = str(prim.GetPath())
         self.n_bones = 1
         self.indices = np.zeros((self.n_points, 1), dtype=np.int32)
         self.weights = np.ones((self.n_points, 1))
-        if self.skeleton is not None:
+        if self.joints is not None:
             self._read_influences()
 
     def _fail(self, what: str) -> FormatError:
@@ -161,7 +161,7 @@ class MeshPrim:
             raise self._fail("its joint influences do not match its points")
         indices = np.array(found[0], dtype=np.int64).reshape(self.n_points, -1)
         weights = np.array(found[1], dtype=np.float64).reshape(self.n_points, -1)
-        joints = [str(token) for token in self.skeleton.GetJointOrder()]
+        joints = [str(token) for token in self.joints.GetJointOrder()]
         self._order = [str(token) for token in query.GetJointOrder() or ()] or joints
         if not indices.shape[1] or indices.min() < 0 or indices.max() >= len(self._order):
             raise self._fail(f"a joint index outside 0 to {len(self._order) - 1}")
@@ -177,19 +177,19 @@ class MeshPrim:
         if not set(joints) >= set(self._order):
             raise self._fail("it names joints that its skeleton does not have")
         self._rows = [joints.index(token) for token in self._order]
-        place = str(self.skeleton.GetSkeleton().GetPrim().GetPath())
-        self.skeletons = ((place, tuple(self._order), self._bind.tobytes()),)
+        place = str(self.joints.GetSkeleton().GetPrim().GetPath())
+        self.skeleton = place, tuple(self._order), self._bind.tobytes()
 
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
         """Matrices (B, 4, 4) of the bones, for column vectors, from those of all joints."""
-        if not transforms or len(transforms) != len(self.skeleton.GetJointOrder()):
+        if not transforms or len(transforms) != len(self.joints.GetJointOrder()):
             raise self._fail("its skeleton has no usable bind or rest transforms")
         frames = np.array(transforms, dtype=np.float64).reshape(-1, 4, 4)
         return np.swapaxes(frames, 1, 2)[self._rows]
 
     def _binds(self) -> NDArray[np.float64]:
         """Joints' frames (B, 4, 4) of the bind pose, in the space of the points."""
-        frames = self._frames(self.skeleton.GetJointWorldBindTransforms())
+        frames = self._frames(self.joints.GetJointWorldBindTransforms())
         try:
             return np.asarray(np.linalg.solve(self._bind, frames))
         except np.linalg.LinAlgError:
@@ -197,7 +197,7 @@ class MeshPrim:
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
         """Bones with these transforms; a mesh without a skin is one bone, a root."""
-        if self.skeleton is None:
+        if self.joints is None:
             name = str(self.prim.GetName())
             return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
         number = {token: k for k, token in enumerate(self._order)}
@@ -209,26 +209,26 @@ class MeshPrim:
             parents.append(number.get(above, -1))
         # Names that the skeleton gives its joints, else the last part of their paths.
         names = [token.rsplit("/", 1)[-1] for token in self._order]
-        stated = self.skeleton.GetSkeleton().GetJointNamesAttr().Get() or ()
-        if len(stated) == len(self.skeleton.GetJointOrder()):
+        stated = self.joints.GetSkeleton().GetJointNamesAttr().Get() or ()
+        if len(stated) == len(self.joints.GetJointOrder()):
             names = [str(stated[k]) for k in self._rows]
         return Bones(names, np.array(parents), self._binds()[:, :3, 3], transforms)
 
     @property
     def has_axes(self) -> bool:
         """Whether joints of the bind pose are turned against the axes of the points."""
-        if self.skeleton is None:
+        if self.joints is None:
             return False
         return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
     def stamps(self) -> NDArray[np.float64]:
         """Time codes at which anything about this mesh is sampled."""
         found = list(self.attribute.GetTimeSamples())
-        if self.skeleton is not None and self.skeleton.GetAnimQuery():
-            found += self.skeleton.GetAnimQuery().GetJointTransformTimeSamples()
+        if self.joints is not None and self.joints.GetAnimQuery():
+            found += self.joints.GetAnimQuery().GetJointTransformTimeSamples()
         if self._shapes is not None:
             found += self._shaper.GetBlendShapeWeightTimeSamples()
-        prim = self.prim if self.skeleton is None else self.skeleton.GetPrim()
+        prim = self.prim if self.joints is None else self.joints.GetPrim()
         while prim and not prim.IsPseudoRoot():
             if prim.IsA(UsdGeom.Xformable):
                 found += UsdGeom.Xformable(prim).GetTimeSamples()
@@ -282,8 +282,8 @@ class MeshPrim:
 
     def _transforms_at(self, code: float) -> NDArray[np.float64]:
         world = UsdGeom.XformCache(code)
-        if self.skeleton is None:
+        if self.joints is None:
             return np.array(world.GetLocalToWorldTransform(self.prim)).T[None, :3]
-        place = np.array(world.GetLocalToWorldTransform(self.skeleton.GetPrim())).T
-        frames = self._frames(self.skeleton.ComputeSkinningTransforms(code))
+        place = np.array(world.GetLocalToWorldTransform(self.joints.GetPrim())).T
+        frames = self._frames(self.joints.ComputeSkinningTransforms(code))
         return np.asarray((place @ frames @ self._bind)[:, :3])

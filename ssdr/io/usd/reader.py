@@ -16,11 +16,11 @@ from ...clips import Clip, in_order, pick
 from ...errors import FormatError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ..axes import Up, check_up, turn_skinning_up, turn_up
+from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
 from ..registry import reading
 from ..rig import frame_rate
-from ..scene import SceneBudget, bake, join_faces, join_skinning, join_surface
-from .materials import read_materials
+from ..scene import SceneBudget, join_sequence, join_skinning
+from .materials import read_looks
 from .parts import MeshPrim
 from .stage import StageClip, find_clips, open_stage, stage_name
 
@@ -185,19 +185,14 @@ def read(
         meshes, codes = found.meshes, found.codes
         shapes = [mesh.shape(codes) for mesh in meshes]
         moved = (mesh.transforms(codes) for mesh in meshes)
-        frames = bake(meshes, len(codes), zip(shapes, moved, strict=True))
-        rest = [shape(0) if callable(shape) else shape for shape in shapes]
-        surface = join_surface(meshes, rest, *read_materials(path, meshes))
-        if up is not None and surface is not None and surface.normals is not None:
-            normals = turn_up(surface.normals, reader.up, up)
-            surface = dataclasses.replace(surface, normals=normals)
-        return MeshSequence(
-            frames if up is None else turn_up(frames, reader.up, up),
-            join_faces(meshes),
-            found.fps,
-            name=reader.name,
-            clip=found.name,
-            surface=surface,
+        looks = read_looks(path, meshes)
+        sequence = join_sequence(meshes, found.clip, shapes, moved, looks, reader.name)
+        if up is None:
+            return sequence
+        return dataclasses.replace(
+            sequence,
+            vertices=turn_up(sequence.vertices, reader.up, up),
+            surface=turn_surface_up(sequence.surface, reader.up, up),
         )
 
 
@@ -231,24 +226,17 @@ def read_skinning(
         reader = StageReader(path, max_bytes)
         clips = [reader.sample(clip, fps) for clip in reader.clips]
         meshes = clips[0].meshes
-        shapes = [mesh.shape(clip.codes) for clip in clips for mesh in clip.meshes]
-        if any(callable(shape) for shape in shapes):
-            raise FormatError(
-                f"{path}: points or blend shapes move a mesh, which no skinning holds; "
-                "ssdr.load bakes them"
-            )
-        rest = [shape for shape in shapes if not callable(shape)][: len(meshes)]
-        first = {mesh.skeletons[0]: k for k, mesh in reversed(list(enumerate(meshes)))}
-        moved = {
-            key: np.concatenate([clip.meshes[k].transforms(clip.codes) for clip in clips])
-            for key, k in first.items()
-        }
+        bones = {}
+        for k, mesh in enumerate(meshes):
+            if mesh.skeleton not in bones:
+                moved = [clip.meshes[k].transforms(clip.codes) for clip in clips]
+                bones[mesh.skeleton] = mesh.bones(np.concatenate(moved))
         model = join_skinning(
             meshes,
-            rest,
-            {key: meshes[k].bones(moved[key]) for key, k in first.items()},
-            clips=[clip.clip for clip in clips],
-            name=reader.name,
-            surface=join_surface(meshes, rest, *read_materials(path, meshes)),
+            [clip.clip for clip in clips],
+            [mesh.shape(clip.codes) for clip in clips for mesh in clip.meshes],
+            bones,
+            read_looks(path, meshes),
+            reader.name,
         )
         return model if up is None else turn_skinning_up(model, reader.up, up)

@@ -125,8 +125,8 @@ def _free_path(stage: Any, scope: Any, name: str) -> Any:
 
 def _remove_skeletons(stage: Any, meshes: list[MeshPrim], animations: list[Any]) -> None:
     """Remove the skeletons that moved these meshes, and the animations."""
-    skinned = [mesh.skeleton for mesh in meshes if mesh.skeleton is not None]
-    for path in {skeleton.GetSkeleton().GetPrim().GetPath() for skeleton in skinned}:
+    queries = [mesh.joints for mesh in meshes if mesh.joints is not None]
+    for path in {query.GetSkeleton().GetPrim().GetPath() for query in queries}:
         prim = stage.GetPrimAtPath(path)
         kinds = {str(child.GetTypeName()) for child in Usd.PrimRange(prim)}
         if prim and kinds <= {"Skeleton", "SkelAnimation"}:
