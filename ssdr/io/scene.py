@@ -87,22 +87,12 @@ class ScenePart(Protocol):
     weights : (V, K) float array
     faces : (T, 3) int array
         Over the part's own vertices.
-    uv : (T, 3, 2) float32 array or None
-    normals : (T, 3, 3) float32 array or None
     """
 
-    @property
-    def skeleton(self) -> Hashable: ...
-    @property
-    def indices(self) -> NDArray[np.int32]: ...
-    @property
-    def weights(self) -> NDArray[np.float64]: ...
-    @property
-    def faces(self) -> NDArray[np.int64]: ...
-    @property
-    def uv(self) -> NDArray[np.float32] | None: ...
-    @property
-    def normals(self) -> NDArray[np.float32] | None: ...
+    skeleton: Any
+    indices: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    faces: NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -117,13 +107,21 @@ class Bones:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Looks:
-    """The materials of a scene, and for each part which of them its triangles (T,) have.
+    """The surface of each part of a scene.
 
-    -1 stands for a triangle without one, which gets a default material.
+    Attributes
+    ----------
+    uv, normals : list
+        For each part an array (T, 3, 2) and (T, 3, 3), or None.
+    material_index : list of (T,) int arrays
+        -1 for a triangle without a material, which gets a default one.
+    materials : list of Material
     """
 
-    index: Sequence[NDArray[np.integer]]
-    materials: Sequence[Material]
+    uv: list[NDArray[np.float32] | None]
+    normals: list[NDArray[np.float32] | None]
+    material_index: list[NDArray[np.int64]]
+    materials: list[Material]
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
@@ -146,24 +144,23 @@ def _join_surface(
     A part without UVs beside others that have some gets zeros, one without normals those of its
     rest pose.
     """
-    uv = normals = None
-    if any(part.uv is not None for part in parts):
-        blank = [np.zeros((len(part.faces), 3, 2), dtype=np.float32) for part in parts]
-        uv = [b if p.uv is None else p.uv for p, b in zip(parts, blank, strict=True)]
-    if any(part.normals is not None for part in parts):
-        normals = [
-            corner_normals(points, part.faces, None) if part.normals is None else part.normals
-            for part, points in zip(parts, rest, strict=True)
-        ]
-    index, materials = np.concatenate(looks.index), list(looks.materials)
-    if not len(index) or (uv is None and normals is None and not materials):
+    index, materials = np.concatenate(looks.material_index), looks.materials
+    some_uv = any(uv is not None for uv in looks.uv)
+    some_normals = any(normals is not None for normals in looks.normals)
+    if not len(index) or not (some_uv or some_normals or materials):
         return None
     if materials and (index < 0).any():
         index = np.where(index < 0, len(materials), index)
-        materials.append(Material(name="default"))
+        materials = [*materials, Material(name="default")]
+    blank = [np.zeros((len(part.faces), 3, 2), dtype=np.float32) for part in parts]
+    uv = [zeros if uv is None else uv for zeros, uv in zip(blank, looks.uv, strict=True)]
+    normals = [
+        corner_normals(points, part.faces, None) if normals is None else normals
+        for points, part, normals in zip(rest, parts, looks.normals, strict=True)
+    ]
     return Surface(
-        uv=None if uv is None else np.concatenate(uv),
-        normals=None if normals is None else np.concatenate(normals),
+        uv=np.concatenate(uv) if some_uv else None,
+        normals=np.concatenate(normals) if some_normals else None,
         material_index=index.astype(np.int32) if materials else None,
         materials=tuple(materials),
     )

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import json
 import struct
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote, unquote
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from ..atomic import write_bytes
 from .compression import MESHOPT
 from .document import Document
 
-__all__ = ["ARRAY", "ELEMENTS", "Builder", "Encoded"]
+__all__ = ["ARRAY", "ELEMENTS", "Builder"]
 
 _COMPONENT = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
 ARRAY, ELEMENTS = 34962, 34963
@@ -88,9 +87,15 @@ class Builder:
         accessors.append(item)
         return len(accessors) - 1
 
-    def encode(self, path: Path) -> Encoded:
-        """The file as bytes, with what belongs beside it."""
-        pictures = self._pictures(path)
+    def save(self, path: Path) -> int:
+        """Write the file, and the ``.bin`` of a ``.gltf``; the number of bytes.
+
+        Raises
+        ------
+        InputError
+            If a ``.glb`` would be larger than its format allows.
+        """
+        self._embed_pictures(path)
         blocks: list[memoryview | bytes] = []
         length = 0
         for view in self.json["bufferViews"]:
@@ -109,11 +114,11 @@ class Builder:
             if not self.json.get(key, True):
                 del self.json[key]
         if path.suffix.lower() == ".gltf":
-            sidecar = path.with_suffix(".bin")
-            files = {sidecar: b"".join(blocks)} if length else {}
+            sidecar, size = path.with_suffix(".bin"), 0
             if length:
                 buffer["uri"] = quote(sidecar.name)
-            return Encoded(pictures, files | {path: json.dumps(self.json, indent=1).encode()})
+                size = write_bytes(sidecar, b"".join(blocks))
+            return size + write_bytes(path, json.dumps(self.json, indent=1).encode())
         text = json.dumps(self.json, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         total = 20 + len(text) + (8 + length if length else 0)
@@ -122,47 +127,18 @@ class Builder:
         head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON") + text
         if length:
             head += struct.pack("<I4s", length, b"BIN\0")
-        return Encoded(pictures, {path: b"".join([head, *blocks])})
+        return write_bytes(path, b"".join([head, *blocks]))
 
-    def _pictures(self, path: Path) -> dict[Path, bytes]:
-        """Put pictures into a ``.glb``; those that must lie beside a ``.gltf``."""
-        beside: dict[Path, bytes] = {}
-        if self.document is None:
-            return beside
-        for image in self.json.get("images", []):
-            uri = image.get("uri")
-            if uri is None or str(uri).startswith("data:"):
+    def _embed_pictures(self, path: Path) -> None:
+        """Put pictures that do not lie beside `path` into the buffer."""
+        for image in self.json.get("images", []) if self.document is not None else []:
+            uri = str(image.get("uri", "data:"))
+            if uri.startswith("data:"):
                 continue
             data = self.document.uri(uri, "an image")
-            if path.suffix.lower() == ".glb":
+            beside = path.parent.resolve() == self.document.path.parent.resolve()
+            if path.suffix.lower() == ".glb" or not beside:
                 del image["uri"]
                 jpeg = data.startswith(b"\xff\xd8\xff")
                 image.setdefault("mimeType", "image/jpeg" if jpeg else "image/png")
                 image["bufferView"] = self.view(data)
-            else:
-                beside[path.parent / unquote(uri)] = data
-        return beside
-
-
-@dataclasses.dataclass(frozen=True)
-class Encoded:
-    """Bytes of files: pictures that others may share, and the file's own."""
-
-    pictures: dict[Path, bytes]
-    files: dict[Path, bytes]
-
-    def write(self) -> int:
-        """Write all files; the number of bytes.
-
-        Raises
-        ------
-        InputError
-            If a picture would replace another file.
-        """
-        new = {file: data for file, data in self.pictures.items() if not file.is_file()}
-        for file in self.pictures.keys() - new.keys():
-            if file.read_bytes() != self.pictures[file]:
-                raise InputError("path", "a folder without another picture", str(file))
-        for file in new:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        return sum(write_bytes(file, data) for file, data in (new | self.files).items())

@@ -93,24 +93,21 @@ class Document:
         """The JSON of a ``.glb``; its binary chunk is kept."""
         if len(data) < 20:
             raise self.error(f"truncated: {len(data)} bytes")
-        version, total = struct.unpack_from("<II", data, 4)
+        version, total, length, kind = struct.unpack_from("<III4s", data, 4)
         if version != 2:
             raise self.error(f"binary glTF version {version}; 2 is read")
-        if total > len(data):
-            raise self.error(f"truncated: states {total} bytes, holds {len(data)}")
-        chunks: list[tuple[bytes, memoryview]] = []
-        place = 12
-        while place + 8 <= total:
-            length, kind = struct.unpack_from("<I4s", data, place)
-            if place + 8 + length > total:
-                raise self.error(f"truncated: a chunk of {length} bytes at byte {place}")
-            chunks.append((kind, memoryview(data)[place + 8 : place + 8 + length]))
-            place += 8 + length + (-length % 4)
-        if not chunks or chunks[0][0] != b"JSON":
+        if kind != b"JSON":
             raise self.error("the first chunk is not JSON")
-        if len(chunks) > 1 and chunks[1][0] == b"BIN\0":
-            self._binary = chunks[1][1]
-        return bytes(chunks[0][1])
+        if total > len(data) or 20 + length > total:
+            raise self.error(f"truncated: states {max(total, length)} bytes, holds {len(data)}")
+        place = 20 + length + (-length % 4)
+        if place + 8 <= total:
+            size, kind = struct.unpack_from("<I4s", data, place)
+            if place + 8 + size > total:
+                raise self.error(f"truncated: a chunk of {size} bytes at byte {place}")
+            if kind == b"BIN\0":
+                self._binary = memoryview(data)[place + 8 : place + 8 + size]
+        return data[20 : 20 + length]
 
     def array(self, item: dict[str, Any], key: str) -> list[Any]:
         return self._typed(item, key, list, "a list")

@@ -18,7 +18,12 @@ _log = logging.getLogger(__name__)
 def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
     """All materials of a file, in its order, and those of the parts."""
     count = len(document.items("materials"))
-    return Looks([part.material for part in parts], [_material(document, k) for k in range(count)])
+    return Looks(
+        [part.uv for part in parts],
+        [part.normals for part in parts],
+        [part.material for part in parts],
+        [_material(document, k) for k in range(count)],
+    )
 
 
 def _material(document: Document, index: int) -> Material:

@@ -9,51 +9,28 @@ __all__ = ["Kind", "remove", "unknown_extensions", "used"]
 
 Kind = Literal["nodes", "skins", "accessors", "bufferViews"]
 
-# Extensions that refer to none of the four kinds, or in a way that stands in the table below.
-_KNOWN = (
-    "EXT_mesh_gpu_instancing",
-    "EXT_meshopt_",
-    "EXT_texture_",
-    "KHR_draco_mesh_compression",
-    "KHR_lights_punctual",
-    "KHR_materials_",
-    "KHR_mesh",
-    "KHR_node_visibility",
-    "KHR_texture_",
-    "KHR_xmp",
-)
 # Every place that holds such a number; * stands for each entry of a list or object.
-_PLACES: dict[Kind, tuple[str, ...]] = {
-    "nodes": (
-        "scenes/*/nodes/*",
-        "nodes/*/children/*",
-        "skins/*/joints/*",
-        "skins/*/skeleton",
-        "animations/*/channels/*/target/node",
-    ),
-    "skins": ("nodes/*/skin",),
-    "accessors": (
-        "meshes/*/primitives/*/indices",
-        "meshes/*/primitives/*/attributes/*",
-        "meshes/*/primitives/*/targets/*/*",
-        "skins/*/inverseBindMatrices",
-        "animations/*/samplers/*/input",
-        "animations/*/samplers/*/output",
-        "nodes/*/extensions/EXT_mesh_gpu_instancing/attributes/*",
-    ),
-    "bufferViews": (
-        "accessors/*/bufferView",
-        "accessors/*/sparse/indices/bufferView",
-        "accessors/*/sparse/values/bufferView",
-        "images/*/bufferView",
-        "meshes/*/primitives/*/extensions/KHR_draco_mesh_compression/bufferView",
-    ),
+_PLACES: dict[Kind, str] = {
+    "nodes": """scenes/*/nodes/* nodes/*/children/* skins/*/joints/* skins/*/skeleton
+        animations/*/channels/*/target/node""",
+    "skins": "nodes/*/skin",
+    "accessors": """meshes/*/primitives/*/indices meshes/*/primitives/*/attributes/*
+        meshes/*/primitives/*/targets/*/* skins/*/inverseBindMatrices
+        animations/*/samplers/*/input animations/*/samplers/*/output
+        nodes/*/extensions/EXT_mesh_gpu_instancing/attributes/*""",
+    "bufferViews": """accessors/*/bufferView accessors/*/sparse/indices/bufferView
+        accessors/*/sparse/values/bufferView images/*/bufferView
+        meshes/*/primitives/*/extensions/KHR_draco_mesh_compression/bufferView""",
 }
+# Beginnings of extensions that refer to none of these, or in a way that stands in the table.
+_KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_compression
+    KHR_lights_punctual KHR_materials_ KHR_mesh KHR_node_visibility KHR_texture_ KHR_xmp"""
 
 
 def unknown_extensions(json: dict[str, Any]) -> list[str]:
     """Extensions that may refer to items by number, so that none must be renumbered."""
-    return [str(e) for e in json.get("extensionsUsed", []) if not str(e).startswith(_KNOWN)]
+    known = tuple(_KNOWN.split())
+    return [str(e) for e in json.get("extensionsUsed", []) if not str(e).startswith(known)]
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
@@ -69,7 +46,7 @@ def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
 
 
 def _references(json: dict[str, Any], kind: Kind) -> Iterator[tuple[Any, Any]]:
-    for path in _PLACES[kind]:
+    for path in _PLACES[kind].split():
         yield from _slots(json, path.split("/"))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from collections.abc import Sequence
 from typing import Any
@@ -23,50 +22,148 @@ __all__ = ["PrimitiveGroup", "check_meshes", "read_parts", "triangles"]
 _log = logging.getLogger(__name__)
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class PrimitiveGroup:
     """The primitives of a node's mesh that share their vertices: a `ScenePart`.
 
+    Parameters
+    ----------
+    document : Document
+    nodes : Nodes
+    node, mesh : int
+    primitives : dict
+        By their numbers in the mesh.
+
     Attributes
     ----------
-    node, mesh : int
-    skin : int or None
-    primitives : tuple of int
-        Their numbers in the mesh.
     positions : (V, 3) float64
     targets : (M, V, 3) float64
         Displacements of the morph targets.
-    vertex : (V,) int
-        The file's vertex that stands for each vertex here.
     label : (N,) int
         The vertex here for each of the file's.
+    skin : int or None
     material : (T,) int
         -1 where a triangle has none.
     skeleton, indices, weights, faces, uv, normals
-        As in `ScenePart`.
+        As in `ScenePart` and `Looks`.
     """
 
-    node: int
-    mesh: int
-    skin: int | None
-    primitives: tuple[int, ...]
-    positions: NDArray[np.float64]
-    targets: NDArray[np.float64]
-    vertex: NDArray[np.int64]
-    label: NDArray[np.int64]
-    skeleton: tuple[str, int]
-    indices: NDArray[np.int32]
-    weights: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float32] | None
-    normals: NDArray[np.float32] | None
-    material: NDArray[np.int64]
+    def __init__(
+        self,
+        document: Document,
+        nodes: Nodes,
+        node: int,
+        mesh: int,
+        primitives: dict[int, dict[str, Any]],
+    ) -> None:
+        self.document, self.node, self.mesh, self.primitives = document, node, mesh, primitives
+        group = list(primitives.values())
+        self._attributes = group[0]["attributes"]
+        positions = self._attribute("POSITION", "VEC3")
+        count = len(positions)
+        targets = [
+            document.accessor(t["POSITION"], ("VEC3",), "a morph target")
+            if "POSITION" in t
+            else np.zeros_like(positions)
+            for t in document.array(group[0], "targets")
+        ]
+        if any(len(target) != count for target in targets):
+            raise document.error(f"a morph target of other vertices than {count}")
+        self.skin = nodes.items[node].get("skin")
+        self.skeleton = ("node", node) if self.skin is None else ("skin", self.skin)
+        indices, weights = self._influences(count)
+        blocks = [triangles(document, primitive, count) for primitive in group]
+        faces = np.concatenate(blocks)
+        limit = len(document.items("materials"))
+        material = [
+            document.integer(p["material"], "a material", limit) if "material" in p else -1
+            for p in group
+        ]
+        self.material = np.repeat(material, [len(block) for block in blocks])
+        uv = self._attribute(_uv_name(document, group), "VEC2")
+        normals = self._attribute("NORMAL", "VEC3")
+        if self.skin is None:
+            linear = nodes.matrices(node)[0, :3, :3]
+            if np.linalg.det(linear) < 0:
+                faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
+            if normals is not None:
+                normals = normals @ np.linalg.pinv(linear)
+        self.uv = self.normals = None
+        if uv is not None:
+            self.uv = (np.array([0, 1]) + uv * [1, -1])[faces].astype(np.float32)
+        if normals is not None:
+            self.normals = unit(normals)[faces].astype(np.float32)
+        vertex, self.label = self._close_seams([positions, *targets, indices, weights])
+        self.positions = positions[vertex]
+        self.targets = np.array(targets).reshape(-1, count, 3)[:, vertex]
+        self.indices, self.weights = indices[vertex], weights[vertex]
+        self.faces = self.label[faces]
+
+    def _attribute(self, name: str, kind: str, **options: Any) -> Any:
+        """An attribute of all vertices, None where there is none."""
+        if name not in self._attributes:
+            return None
+        values = self.document.accessor(self._attributes[name], (kind,), name, **options)
+        position = self.document.item("accessors", self._attributes["POSITION"])
+        if len(values) != position["count"]:
+            count = position["count"]
+            raise self.document.error(f"{len(values)} {name} for {count} vertices")
+        return values
+
+    def _influences(self, count: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Indices (V, K) and weights (V, K) of the skin; those of one bone without a skin."""
+        document = self.document
+        if self.skin is None:
+            return np.zeros((count, 1), dtype=np.int32), np.ones((count, 1))
+        n_joints = len(_skin(document, self.skin)[0])
+        sets = [k for k in range(64) if f"JOINTS_{k}" in self._attributes]
+        if not sets:
+            raise document.error("a skinned mesh has no JOINTS_0")
+        for k in sets:
+            if f"WEIGHTS_{k}" not in self._attributes:
+                raise document.error(f"JOINTS_{k} without WEIGHTS_{k}")
+        found = [self._attribute(f"JOINTS_{k}", "VEC4", integers=True) for k in sets]
+        joint = np.concatenate(found, axis=1).astype(np.int64)
+        weight = np.concatenate([self._attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
+        if (weight < 0).any():
+            raise document.error("negative skin weights")
+        bad = (joint >= n_joints) & (weight > 0)
+        if bad.any():
+            raise document.error(f"joint {joint[bad].max()} of a skin of {n_joints}")
+        total = weight.sum(axis=1, keepdims=True)
+        if (total <= 0).any():
+            raise document.error(f"{int((total <= 0).sum())} vertices have no skin weight")
+        if np.abs(total - 1).max() > 1e-3:
+            _log.warning("%s: skin weights that do not sum to 1 are scaled", document.path)
+        width = int(np.flatnonzero(weight.max(axis=0) > 0).max()) + 1
+        kept = np.where(weight > 0, joint, 0).astype(np.int32)
+        return kept[:, :width], (weight / total)[:, :width]
+
+    def _close_seams(
+        self, compared: list[NDArray[Any]]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Undo the splitting of vertices by the writer: representative of each, and its label.
+
+        An attribute numbers the model's vertices. Vertices of one number are merged if nobody has
+        edited the file, so that they agree in all arrays `compared`.
+        """
+        same = np.arange(len(compared[0]))
+        mark = self._attribute("_VERTEX", "SCALAR")
+        if mark is None:
+            return same, same
+        label = np.rint(mark).astype(np.int64)
+        found, vertex = np.unique(label, return_index=True)
+        if (label != mark).any() or found[0] != 0 or found[-1] != len(found) - 1:
+            return same, same  # another program's attribute of that name
+        if any((values[vertex[label]] != values).any() for values in compared):
+            _log.warning("%s: edited since it was written, seams stay open", self.document.path)
+            return same, same
+        return vertex, label
 
     def morph_weights(self, nodes: Nodes) -> NDArray[np.float64] | None:
         """Weights ``(F, M)`` of the morph targets; None where there are none."""
         if not len(self.targets):
             return None
-        document, count = nodes.document, len(self.targets)
+        document, count = self.document, len(self.targets)
         values = nodes.animation.sample(self.node, "weights")
         if values is None:
             holder = nodes.items[self.node]
@@ -184,7 +281,7 @@ def read_parts(
             # Primitives over the same vertices, one a material, are one part.
             key = repr((sorted(attributes.items()), document.array(primitive, "targets")))
             groups.setdefault(key, {})[place] = primitive
-        parts += [_group(document, nodes, node, mesh, group) for group in groups.values()]
+        parts += [PrimitiveGroup(document, nodes, node, mesh, g) for g in groups.values()]
     if not parts:
         raise document.error("the scene holds no mesh")
     return parts
@@ -208,74 +305,6 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
         document.replace(primitive["indices"], faces.reshape(-1), "indices")
         if primitive.get("mode", 4) != 4:
             raise document.error("Draco data of a strip or fan")
-
-
-def _group(
-    document: Document, nodes: Nodes, node: int, mesh: int, primitives: dict[int, dict[str, Any]]
-) -> PrimitiveGroup:
-    group = list(primitives.values())
-    attributes = group[0]["attributes"]
-    positions = document.accessor(attributes["POSITION"], ("VEC3",), "POSITION")
-
-    def fitting(values: NDArray[Any], what: str) -> NDArray[Any]:
-        if len(values) != len(positions):
-            raise document.error(f"{len(values)} {what} for {len(positions)} vertices")
-        return values
-
-    def attribute(name: str, kind: str, **options: Any) -> NDArray[Any] | None:
-        if name not in attributes:
-            return None
-        return fitting(document.accessor(attributes[name], (kind,), name, **options), name)
-
-    targets = [
-        fitting(document.accessor(t["POSITION"], ("VEC3",), "a morph target"), "a morph target")
-        if "POSITION" in t
-        else np.zeros_like(positions)
-        for t in document.array(group[0], "targets")
-    ]
-    skin = nodes.items[node].get("skin")
-    indices = np.zeros((len(positions), 1), dtype=np.int32)
-    weights = np.ones((len(positions), 1))
-    if skin is not None:
-        document.integer(skin, "a skin", len(document.items("skins")))
-        indices, weights = _influences(document, skin, attributes, attribute)
-    blocks = [triangles(document, primitive, len(positions)) for primitive in group]
-    faces = np.concatenate(blocks)
-    count = len(document.items("materials"))
-    material = [
-        document.integer(p["material"], "a material", count) if "material" in p else -1
-        for p in group
-    ]
-    uv = attribute(_uv_name(document, group), "VEC2")
-    normals = attribute("NORMAL", "VEC3")
-    if skin is None:
-        linear = nodes.matrices(node)[0, :3, :3]
-        if np.linalg.det(linear) < 0:
-            faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
-        if normals is not None:
-            normals = normals @ np.linalg.pinv(linear)
-    if uv is not None:
-        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)[faces].astype(np.float32)
-    vertex, label = _close_seams(
-        document, attribute("_VERTEX", "SCALAR"), [positions, *targets, indices, weights]
-    )
-    return PrimitiveGroup(
-        node=node,
-        mesh=mesh,
-        skin=skin,
-        primitives=tuple(primitives),
-        positions=positions[vertex],
-        targets=np.array(targets)[:, vertex] if targets else np.zeros((0, len(vertex), 3)),
-        vertex=vertex,
-        label=label,
-        skeleton=("node", node) if skin is None else ("skin", skin),
-        indices=indices[vertex],
-        weights=weights[vertex],
-        faces=label[faces],
-        uv=uv,
-        normals=None if normals is None else unit(normals)[faces].astype(np.float32),
-        material=np.repeat(material, [len(block) for block in blocks]),
-    )
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
@@ -318,56 +347,6 @@ def _skin(document: Document, index: int) -> tuple[list[int], NDArray[np.float64
     if len(flat) < len(joints):
         raise document.error(f"{len(flat)} inverse bind matrices for {len(joints)} joints")
     return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
-
-
-def _influences(
-    document: Document, skin: int, attributes: dict[str, Any], attribute: Any
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices (V, K) and weights (V, K) of a skinned mesh."""
-    n_joints = len(_skin(document, skin)[0])
-    sets = [k for k in range(64) if f"JOINTS_{k}" in attributes]
-    if not sets:
-        raise document.error("a skinned mesh has no JOINTS_0")
-    for k in sets:
-        if f"WEIGHTS_{k}" not in attributes:
-            raise document.error(f"JOINTS_{k} without WEIGHTS_{k}")
-    found = [attribute(f"JOINTS_{k}", "VEC4", integers=True).astype(np.int64) for k in sets]
-    joint = np.concatenate(found, axis=1)
-    weight = np.concatenate([attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
-    if (weight < 0).any():
-        raise document.error("negative skin weights")
-    bad = (joint >= n_joints) & (weight > 0)
-    if bad.any():
-        raise document.error(f"joint {joint[bad].max()} of a skin of {n_joints}")
-    total = weight.sum(axis=1, keepdims=True)
-    if (total <= 0).any():
-        raise document.error(f"{int((total <= 0).sum())} vertices have no skin weight")
-    if np.abs(total - 1).max() > 1e-3:
-        _log.warning("%s: skin weights that do not sum to 1 are scaled", document.path)
-    width = int(np.flatnonzero(weight.max(axis=0) > 0).max()) + 1
-    kept = np.where(weight > 0, joint, 0).astype(np.int32)
-    return kept[:, :width], (weight / total)[:, :width]
-
-
-def _close_seams(
-    document: Document, mark: NDArray[Any] | None, compared: list[NDArray[Any]]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Undo the splitting of vertices by the writer: representative of each vertex, and its label.
-
-    The attribute `mark` numbers the model's vertices. Vertices of one number are merged if nobody
-    has edited the file, so that they agree in all arrays `compared`.
-    """
-    same = np.arange(len(compared[0]))
-    if mark is None:
-        return same, same
-    label = np.rint(mark).astype(np.int64)
-    found, vertex = np.unique(label, return_index=True)
-    if (label != mark).any() or found[0] != 0 or found[-1] != len(found) - 1:
-        return same, same  # another program's attribute of that name
-    if any((values[vertex[label]] != values).any() for values in compared):
-        _log.warning("%s: edited since it was written, seams stay open", document.path)
-        return same, same
-    return vertex, label
 
 
 def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:

@@ -53,7 +53,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
             _keep_clips(builder.json, kept)
     elif alone and path.suffix.lower() == target.suffix.lower() == ".glb":
         return SaveReport(path=target, bytes=write_bytes(target, path.read_bytes()))
-    return SaveReport(path=target, bytes=builder.encode(target).write())
+    return SaveReport(path=target, bytes=builder.save(target))
 
 
 def _keep_clips(json: dict[str, Any], kept: set[int]) -> None:
@@ -72,11 +72,8 @@ def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[
     wanted = check_meshes(document, meshes)
     with reading(path):
         parts = read_parts(document, Nodes(document, read_animation(document, 0, None)), wanted)
-        primitives = [
-            document.item("meshes", part.mesh)["primitives"][k]
-            for part in sorted(parts, key=lambda part: part.mesh)
-            for k in part.primitives
-        ]
+        parts.sort(key=lambda part: part.mesh)
+        primitives = [p for part in parts for p in part.primitives.values()]
         found = [_of_attribute(name) for p in primitives for name in p["attributes"]]
         for number in sorted({p["material"] for p in primitives if "material" in p}):
             found += _of_material(document.item("materials", number))

@@ -117,13 +117,13 @@ class Template:
             index = vertices[part.label]
             attributes = self._carried_attributes(part, rig.rest[index])
             attributes |= add_weights(self.builder, rig.indices[index], stored[index], rig.n_bones)
-            for place in part.primitives:
+            for place, old in part.primitives.items():
                 primitive = meshes[nodes[part.node]["mesh"]]["primitives"][place]
                 primitive["attributes"] = dict(attributes)
                 primitive.pop("targets", None)
                 if self._mirrors(part) and primitive.get("mode", 4) != 0:
                     # Joints mirror nothing, so that the triangles must be turned round.
-                    faces = self._triangles(part, place)[:, ::-1]
+                    faces = triangles(self.document, old, len(part.label))[:, ::-1]
                     flat = faces.reshape(-1).astype(np.uint16 if faces.max() < 65535 else np.uint32)
                     number = self.builder.accessor(flat, "SCALAR", target=ELEMENTS)
                     primitive |= {"indices": number, "mode": 4}
@@ -136,20 +136,17 @@ class Template:
     def _determinant(self, node: int) -> float:
         return float(np.linalg.det(self.world.matrices(node)[0, :3, :3]))
 
-    def _triangles(self, part: PrimitiveGroup, place: int) -> NDArray[np.int64]:
-        primitive = self.document.item("meshes", part.mesh)["primitives"][place]
-        return triangles(self.document, primitive, len(part.label))
-
     def _carried_attributes(
         self, part: PrimitiveGroup, rest: NDArray[np.float32]
     ) -> dict[str, int]:
         """Attributes of a part, its normals and tangents carried to the rest pose."""
         document, builder = self.document, self.builder
-        old = document.item("meshes", part.mesh)["primitives"][part.primitives[0]]["attributes"]
+        group = list(part.primitives.values())
+        old = group[0]["attributes"]
         kept = {k: v for k, v in old.items() if not k.startswith(("JOINTS_", "WEIGHTS_"))}
         kept["POSITION"] = builder.accessor(rest, "VEC3", target=ARRAY, bounds=True)
         source = document.accessor(old["POSITION"], ("VEC3",), "POSITION")
-        faces = np.concatenate([self._triangles(part, place) for place in part.primitives])
+        faces = np.concatenate([triangles(document, one, len(rest)) for one in group])
         poses = faces, faces, source, rest.astype(np.float64)
         if "NORMAL" in old:
             normals = document.accessor(old["NORMAL"], ("VEC3",), "NORMAL")

@@ -144,7 +144,7 @@ def _report(
     lost: Sequence[str] = (),
 ) -> SaveReport:
     """Write the file and report what storing costs."""
-    size = builder.encode(path).write()
+    size = builder.save(path)
     if rig.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
     return rig.report(model, path=path, bytes=size, note="; ".join(notes), lost=tuple(lost))

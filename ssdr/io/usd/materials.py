@@ -25,10 +25,11 @@ _log = logging.getLogger(__name__)
 
 
 def read_looks(path: Path, meshes: list[MeshPrim]) -> Looks:
-    """The materials of meshes."""
+    """UVs, normals and materials of meshes."""
     found = _Materials(path)
     index = [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes]
-    return Looks(index, found.materials)
+    uv, normals = [mesh.uv() for mesh in meshes], [mesh.normals() for mesh in meshes]
+    return Looks(uv, normals, index, found.materials)
 
 
 class _Materials:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import logging
 from pathlib import Path
 from typing import Any
@@ -122,7 +121,6 @@ class MeshPrim:
             return None
         return array[index]
 
-    @functools.cached_property
     def uv(self) -> NDArray[np.float32] | None:
         api = UsdGeom.PrimvarsAPI(self.prim)
         chosen = api.GetPrimvar("st")
@@ -146,7 +144,6 @@ class MeshPrim:
         attribute = mesh.GetNormalsAttr()
         return attribute.Get(_FIRST), str(mesh.GetNormalsInterpolation()), attribute
 
-    @functools.cached_property
     def normals(self) -> NDArray[np.float32] | None:
         values, how, _ = self.normal_values()
         found = None if values is None else self._at_corners(values, how, 3, "normals")
