@@ -47,9 +47,8 @@ def mesh_name(document: Document) -> str:
 
 def animation_names(document: Document) -> tuple[str, ...]:
     """Names of the clips, all different; that of the mesh where nothing is animated."""
-    count = len(document.items("animations"))
-    found = [document.item("animations", k).get("name") for k in range(count)]
-    names = [readable(name or "") or f"animation_{k}" for k, name in enumerate(found)]
+    found = [animation.get("name") or "" for animation in document.items("animations")]
+    names = [readable(name) or f"animation_{k}" for k, name in enumerate(found)]
     return unique_names(names or [mesh_name(document)])
 
 
@@ -58,47 +57,44 @@ def read_animations(document: Document, fps: float | None = None) -> list[Animat
     return [read_animation(document, k, fps) for k in range(len(animation_names(document)))]
 
 
-def read_animation(document: Document, index: int, fps: float | None) -> Animation:
+def read_animation(document: Document, index: int, fps: float | None = None) -> Animation:
     """The clip of that number, sampled at its own frame rate or at `fps`."""
     name = animation_names(document)[index]
     if not document.items("animations"):
-        return Animation(name, 24.0 if fps is None else fps, np.zeros(1), {})
-    item = document.item("animations", index)
+        return Animation(name, fps or 24.0, np.zeros(1), {})
+    item = document.items("animations")[index]
     channels = _channels(document, item)
     stamps = [keys for keys, _, _ in channels.values()]
     first = min((float(keys[0]) for keys in stamps), default=0.0)
     last = max((float(keys[-1]) for keys in stamps), default=0.0)
-    stated = document.dictionary(document.dictionary(item, "extras"), "ssdr")
-    own = document.number(stated.get("fps", 0.0), "fps") if "frames" in stated else 0.0
-    if own < 0:
-        raise document.error(f"fps is {own}")
-    if own and fps in (None, own):
-        rate, first = own, document.number(stated.get("start", 0.0), "start")
-        count = document.integer(stated["frames"], "frames", least=1)
-    else:
-        rate = fps or frame_rate(stamps) or 24.0
-        count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
+    stated = item.get("extras", {}).get("ssdr", {})
+    rate = fps or frame_rate(stamps) or 24.0
+    count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
+    if "fps" in stated and "frames" in stated:
+        own = float(document.numbers({"fps": [stated["fps"]]}, "fps", [24.0])[0])
+        if own <= 0:
+            raise document.error(f"fps is {own}")
+        if fps in (None, own):
+            rate, count = own, document.integer(stated, "frames", f"the clip {name}")
+            first = float(document.numbers({"start": [stated.get("start", 0)]}, "start", [0.0])[0])
     document.budget.spend(8 * count, f"{count} frames at {rate:g} per second")
     return Animation(name, rate, first + np.arange(count) / rate, channels)
 
 
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:
-    samplers = document.array(item, "samplers")
     channels = {}
-    for channel in document.array(item, "channels"):
-        target = document.dictionary(channel, "target")
-        path = target.get("path")
-        if "node" not in target or path not in _KINDS:
+    for channel in item.get("channels", []):
+        path, node = channel["target"].get("path"), channel["target"].get("node")
+        if node is None or path not in _KINDS:
             continue  # KHR_animation_pointer and the like move no vertex
-        node = document.integer(target["node"], "a node", len(document.items("nodes")))
-        sampler = samplers[document.integer(channel.get("sampler"), "a sampler", len(samplers))]
+        sampler = item["samplers"][document.integer(channel, "sampler", "a channel", 0)]
         how = sampler.get("interpolation", "LINEAR")
         if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise document.error(f"the interpolation {how!r}")
-        keys = document.accessor(sampler.get("input"), ("SCALAR",), "key times")
+        keys = document.accessor(sampler["input"], "SCALAR", "key times")
         if (np.diff(keys) <= 0).any() or keys[0] < 0:
             raise document.error("key times do not rise from 0")
-        values = document.accessor(sampler.get("output"), (_KINDS[path],), f"keys of {path}")
+        values = document.accessor(sampler["output"], _KINDS[path], f"keys of {path}")
         rows = len(keys) * (3 if how == "CUBICSPLINE" else 1)
         if values.size % rows or (path != "weights" and len(values) != rows):
             raise document.error(f"{len(values)} keys of {path} for {rows}")

@@ -39,16 +39,14 @@ class Builder:
         self.blocks: list[memoryview | bytes] = []
         if document is not None:
             self.json = copy.deepcopy(document.json)
-            for number, view in enumerate(document.array(self.json, "bufferViews")):
-                view["buffer"] = len(self.blocks)
+            for number, view in enumerate(self.json.get("bufferViews", [])):
+                view["buffer"] = number
                 self.blocks.append(document.view(number)[0])
                 document.budget.spend(len(self.blocks[-1]), "a copy of its buffer views")
-                if document.dictionary(view, "extensions").keys() & set(MESHOPT):
+                if view.get("extensions", {}).keys() & set(MESHOPT):
                     del view["extensions"]
             for key in ("extensionsUsed", "extensionsRequired"):
-                self.json[key] = [e for e in document.items(key) if e not in MESHOPT]
-            for number in range(len(document.items("images"))):
-                document.item("images", number)  # an object
+                self.json[key] = [e for e in self.json.get(key, []) if e not in MESHOPT]
         for key in ("accessors", "bufferViews"):
             self.json.setdefault(key, [])
 
@@ -105,7 +103,7 @@ class Builder:
             length += len(block) + -len(block) % 4
         buffer: dict[str, Any] = {}
         if self.document is not None and self.document.items("buffers"):
-            buffer = dict(self.document.item("buffers", 0))
+            buffer = dict(self.document.items("buffers")[0])
         for key in ("uri", "extensions"):
             buffer.pop(key, None)
         buffer["byteLength"] = length

@@ -54,7 +54,7 @@ def decode_view(
     """
     library = require("meshoptimizer", "meshopt", f"{path}: buffers compressed with meshopt")
     try:
-        if mode == "ATTRIBUTES" and stride % 4 == 0:
+        if mode == "ATTRIBUTES" and stride in range(4, 257, 4):
             plain = library.decode_vertex_buffer(count, stride, data)
             if filter_ != "NONE":
                 filters = {

@@ -8,7 +8,7 @@ import json
 import math
 import struct
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -19,10 +19,10 @@ from ..references import is_inside
 from ..registry import describe
 from ..scene import SceneBudget
 from .compression import DRACO, MESHOPT, decode_view
+from .numbering import check_numbers
 
-__all__ = ["COMPONENTS", "WIDTHS", "Document"]
+__all__ = ["COMPONENTS", "Document"]
 
-_T = TypeVar("_T")
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"),
     5121: np.dtype("<u1"),
@@ -31,18 +31,16 @@ COMPONENTS: dict[int, np.dtype[Any]] = {
     5125: np.dtype("<u4"),
     5126: np.dtype("<f4"),
 }
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_KNOWN = {
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    DRACO,
-    *MESHOPT,
-}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_READ = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual")
+_READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 
 
 class Document:
     """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed.
+
+    Its lists are lists of objects and its numbers of items are those of items that are there, so
+    that both may be used unchecked; other fields may be anything.
 
     Parameters
     ----------
@@ -71,15 +69,18 @@ class Document:
             raise FormatError(f"{path}: not a glTF file ({error})") from error
         if not isinstance(self.json, dict):
             raise self.error("the JSON is not an object")
-        version = str(self.dictionary(self.json, "asset").get("version", ""))
+        version = str(self.json.get("asset", {}).get("version", "missing"))
         if not version.startswith("2."):
-            raise self.error(f"glTF version {version or 'missing'}; 2.0 is read")
-        for extension in self.array(self.json, "extensionsRequired"):
-            if extension not in _KNOWN and not str(extension).startswith("KHR_materials_"):
+            raise self.error(f"glTF version {version}; 2.0 is read")
+        for extension in map(str, self.json.get("extensionsRequired", [])):
+            if not extension.startswith(_READ_EXTENSIONS):
                 raise self.error(
                     f"requires {extension}: that extension is not supported; save it without, "
                     "with Blender say"
                 )
+        problem = check_numbers(self.json)
+        if problem:
+            raise self.error(problem)
 
     def error(self, what: str) -> FormatError:
         return FormatError(f"{self.path}: {what}")
@@ -109,44 +110,27 @@ class Document:
                 self._binary = memoryview(data)[place + 8 : place + 8 + size]
         return data[20 : 20 + length]
 
-    def array(self, item: dict[str, Any], key: str) -> list[Any]:
-        return self._typed(item, key, list, "a list")
+    def items(self, kind: str) -> list[Any]:
+        """The nodes, meshes, ... of the file."""
+        found: list[Any] = self.json.get(kind, [])
+        return found
 
-    def dictionary(self, item: dict[str, Any], key: str) -> dict[str, Any]:
-        return self._typed(item, key, dict, "an object")
-
-    def _typed(self, item: dict[str, Any], key: str, kind: type[_T], noun: str) -> _T:
-        value = item.get(key, kind())
-        if not isinstance(value, kind):
-            raise self.error(f"{key} is not {noun}")
+    def integer(self, item: dict[str, Any], key: str, what: str, least: int = 1) -> int:
+        """A field that is an integer, at least `least`; it may be missing where 0 is allowed."""
+        value = item.get(key, None if least else 0)
+        if type(value) is not int or value < least:
+            raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
         return value
-
-    def integer(self, value: Any, what: str, limit: int | None = None, least: int = 0) -> int:
-        if type(value) is not int or value < least or (limit is not None and value >= limit):
-            upper = "" if limit is None else f" to {limit - 1}"
-            raise self.error(f"{what} is {repr(value)[:200]}, not an integer from {least}{upper}")
-        return value
-
-    def number(self, value: Any, what: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(f"{what} is {repr(value)[:200]}, not a number")
-        return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
-        values = self.array(item, key) if key in item else default
+        """A field that is a list of as many numbers as the default has."""
+        values = item.get(key, default)
         if len(values) != len(default):
             raise self.error(f"{key} has {len(values)} numbers, not {len(default)}")
-        return np.array([self.number(v, key) for v in values], dtype=np.float64)
-
-    def items(self, key: str) -> list[Any]:
-        return self.array(self.json, key)
-
-    def item(self, key: str, index: Any) -> dict[str, Any]:
-        items = self.items(key)
-        value = items[self.integer(index, f"an index into {key}", len(items))]
-        if not isinstance(value, dict):
-            raise self.error(f"{key}[{index}] is not an object")
-        return value
+        for value in values:
+            if type(value) not in (int, float):
+                raise self.error(f"{key} is {repr(value)[:200]}, not a number")
+        return np.array(values, dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
         """Bytes behind a data URI, or of a file in the glTF's own folder."""
@@ -171,10 +155,16 @@ class Document:
             raise self.error(f"{what} {problem}: {uri[:200]!r}")
         return target.read_bytes()
 
-    def buffer(self, index: int) -> memoryview:
+    def picture(self, image: dict[str, Any]) -> bytes:
+        """The encoded bytes of an image."""
+        if "bufferView" in image:
+            return bytes(self.view(image["bufferView"])[0])
+        return self.uri(image.get("uri"), "an image")
+
+    def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
-            item = self.item("buffers", index)
-            length = self.integer(item.get("byteLength"), "byteLength of a buffer", least=1)
+            item = self.items("buffers")[index]
+            length = self.integer(item, "byteLength", "a buffer")
             if "uri" in item:
                 data = memoryview(self.uri(item["uri"], f"buffer {index}"))
                 self.budget.grow(len(data))
@@ -187,106 +177,92 @@ class Document:
             self._buffers[index] = data[:length]
         return self._buffers[index]
 
-    def view(self, index: Any) -> tuple[memoryview, int | None]:
+    def view(self, index: int) -> tuple[memoryview, int | None]:
         """Bytes of a buffer view and its stride."""
-        item = self.item("bufferViews", index)
-        stride = item.get("byteStride")
-        if stride is not None:
-            stride = self.integer(stride, "byteStride", 253, least=4)
-        packed = self._compression(item)
+        item = self.items("bufferViews")[index]
+        stride = self.integer(item, "byteStride", "a view") if "byteStride" in item else None
+        extensions = item.get("extensions", {})
+        required = self.json.get("extensionsRequired", [])
+        # Where an extension is not required, the bytes are there without compression, too.
+        packed = next((extensions[e] for e in MESHOPT if e in extensions and e in required), None)
         if packed is None:
             return self._bytes(item, f"bufferView {index}"), stride
         if index not in self._decoded_views:
-            count = self.integer(packed.get("count"), "count of a compressed view", least=1)
-            width = packed.get("byteStride")
-            width = self.integer(width, "byteStride of a compressed view", 257, least=1)
+            count = self.integer(packed, "count", "a compressed view")
+            width = self.integer(packed, "byteStride", "a compressed view")
             self.budget.spend(count * width, f"bufferView {index}, decompressed,")
-            self._decoded_views[index] = decode_view(
-                bytes(self._bytes(packed, "compressed data")),
-                count,
-                width,
-                str(packed.get("mode")),
-                str(packed.get("filter", "NONE")),
-                self.path,
-            )
+            data = bytes(self._bytes(packed, "compressed data"))
+            how = str(packed.get("mode")), str(packed.get("filter", "NONE"))
+            self._decoded_views[index] = decode_view(data, count, width, *how, self.path)
         return self._decoded_views[index], stride
 
-    def _compression(self, view: dict[str, Any]) -> dict[str, Any] | None:
-        """How a buffer view is compressed; None where it is not, or its plain bytes are there."""
-        extensions = self.dictionary(view, "extensions")
-        for name in MESHOPT:
-            if name in extensions and name in self.array(self.json, "extensionsRequired"):
-                return self.dictionary(extensions, name)
-        return None
-
     def _bytes(self, item: dict[str, Any], what: str) -> memoryview:
-        data = self.buffer(self.integer(item.get("buffer"), "buffer of a view"))
-        start = self.integer(item.get("byteOffset", 0), "byteOffset of a view")
-        length = self.integer(item.get("byteLength"), "byteLength of a view", least=1)
-        if start + length > len(data):
-            raise self.error(f"{what} ends at byte {start + length} of a buffer of {len(data)}")
-        return data[start : start + length]
+        data = self._buffer(self.integer(item, "buffer", what, 0))
+        start = self.integer(item, "byteOffset", what, 0)
+        stop = start + self.integer(item, "byteLength", what)
+        if stop > len(data):
+            raise self.error(f"{what} ends at byte {stop} of a buffer of {len(data)}")
+        return data[start:stop]
 
-    def accessor(
-        self, index: Any, kinds: tuple[str, ...], what: str, *, integers: bool = False
-    ) -> NDArray[Any]:
+    def accessor(self, index: int, kind: str, what: str, *, integers: bool = False) -> NDArray[Any]:
         """Numbers of an accessor, ``(count,)`` or ``(count, width)``.
 
         They become float64, normalised where the accessor says so; with `integers`, they must be
         unsigned integers and stay what they are.
         """
-        item = self.item("accessors", index)
-        kind, code = item.get("type"), item.get("componentType")
-        if kind not in kinds:
-            raise self.error(f"{what} is {kind!r}, not {' or '.join(kinds)}")
+        item = self.items("accessors")[index]
+        code = item.get("componentType")
+        if item.get("type") != kind:
+            raise self.error(f"{what} is {item.get('type')!r}, not {kind}")
         if code not in COMPONENTS:
             raise self.error(f"{what} has the component type {code!r}")
-        dtype, width = COMPONENTS[code], WIDTHS[str(kind)]
+        dtype, width = COMPONENTS[code], _WIDTHS[kind]
         if integers and dtype.kind != "u":
             raise self.error(f"{what} holds {dtype}, not unsigned integers")
-        count = self.integer(item.get("count"), f"count of {what}", least=1)
+        count = self.integer(item, "count", what)
         self.budget.spend(8 * count * width, f"{what} of {count} elements")
+        values: NDArray[Any] = np.zeros((count, width), dtype=dtype)
         if index in self._decoded:
-            values = self._fitting(self._decoded[index], dtype, width, count, what)
+            found = self._decoded[index].reshape(len(self._decoded[index]), -1)
+            if found.shape != values.shape:
+                raise self.error(f"{what}: decoded to {found.shape}, stated is {values.shape}")
+            values = found.astype(dtype)
+            if (found.dtype.kind == "f") != (dtype.kind == "f") or (values != found).any():
+                raise self.error(f"{what}: decoded to {found.dtype}, which {dtype} does not hold")
         elif "bufferView" in item:
             values = self._rows(item, dtype, width, count, what)
-        else:
-            values = np.zeros((count, width), dtype=dtype)
         if "sparse" in item:
-            values = self._sparse(self.dictionary(item, "sparse"), values, what)
+            sparse = item["sparse"]
+            values = values.copy()
+            n_changed = self.integer(sparse, "count", f"sparse {what}")
+            code = sparse["indices"].get("componentType")
+            rows = self._rows(
+                sparse["indices"], COMPONENTS[code], 1, n_changed, f"indices of sparse {what}"
+            )
+            if rows.dtype.kind != "u" or int(rows.max()) >= count:
+                raise self.error(f"sparse index {rows.max()} of {what}, which has {count}")
+            new = self._rows(sparse["values"], dtype, width, n_changed, f"sparse {what}")
+            values[rows[:, 0].astype(np.intp)] = new
         if not integers:
-            plain = values.astype(np.float64)
+            values = values.astype(np.float64)
             if dtype.kind != "f" and item.get("normalized"):
-                plain = np.maximum(plain / np.iinfo(dtype).max, -1.0)
-            values = plain
+                values = np.maximum(values / np.iinfo(dtype).max, -1.0)
             if not np.isfinite(values).all():
                 raise self.error(f"{what} holds NaN or Inf")
         return values[:, 0] if width == 1 else values
 
-    def replace(self, index: Any, values: NDArray[Any], what: str) -> None:
+    def replace(self, index: int, values: NDArray[Any], what: str) -> None:
         """Set the numbers of an accessor that another part of the file holds."""
-        self.item("accessors", index)
         if index in self._decoded and not np.array_equal(self._decoded[index], values):
             raise self.error(f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values
-
-    def _fitting(
-        self, found: NDArray[Any], dtype: np.dtype[Any], width: int, count: int, what: str
-    ) -> NDArray[Any]:
-        values = found.reshape(len(found), -1)
-        if values.shape != (count, width):
-            raise self.error(f"{what}: decoded to {values.shape}, stated is {(count, width)}")
-        plain = values.astype(dtype)
-        if (values.dtype.kind == "f") != (dtype.kind == "f") or (plain != values).any():
-            raise self.error(f"{what}: decoded to {values.dtype}, which {dtype} does not hold")
-        return plain
 
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
         """Elements of a view at which an accessor or a part of a sparse one begins."""
-        data, stride = self.view(item.get("bufferView"))
-        offset = self.integer(item.get("byteOffset", 0), f"byteOffset of {what}")
+        data, stride = self.view(item["bufferView"])
+        offset = self.integer(item, "byteOffset", what, 0)
         size = dtype.itemsize * width
         step = size if stride is None else stride
         if step < size:
@@ -296,16 +272,3 @@ class Document:
                 f"{what}: {count} elements of {size} bytes do not fit in a view of {len(data)}"
             )
         return np.ndarray((count, width), dtype, data, offset, (step, dtype.itemsize))
-
-    def _sparse(self, sparse: dict[str, Any], values: NDArray[Any], what: str) -> NDArray[Any]:
-        count = self.integer(sparse.get("count"), f"sparse count of {what}", len(values) + 1, 1)
-        where, new = self.dictionary(sparse, "indices"), self.dictionary(sparse, "values")
-        code = where.get("componentType")
-        if code not in (5121, 5123, 5125):
-            raise self.error(f"sparse indices of {what} have the component type {code!r}")
-        rows = self._rows(where, COMPONENTS[code], 1, count, f"sparse indices of {what}")[:, 0]
-        if int(rows.max()) >= len(values):
-            raise self.error(f"sparse index {rows.max()} of {what}, which has {len(values)}")
-        values = values.copy()
-        values[rows.astype(np.intp)] = self._rows(new, values.dtype, values.shape[1], count, what)
-        return values

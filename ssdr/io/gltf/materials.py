@@ -16,47 +16,39 @@ _log = logging.getLogger(__name__)
 
 
 def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
-    """All materials of a file, in its order, and those of the parts."""
-    count = len(document.items("materials"))
+    """UVs and normals of the parts, and all materials of a file in its order."""
     return Looks(
         [part.uv for part in parts],
         [part.normals for part in parts],
         [part.material for part in parts],
-        [_material(document, k) for k in range(count)],
+        [_material(document, item) for item in document.items("materials")],
     )
 
 
-def _material(document: Document, index: int) -> Material:
-    item = document.item("materials", index)
-    look = document.dictionary(item, "pbrMetallicRoughness")
+def _material(document: Document, item: dict[str, Any]) -> Material:
+    look = item.get("pbrMetallicRoughness", {})
     r, g, b, a = document.numbers(look, "baseColorFactor", [1.0] * 4).tolist()
+    factors = {"factors": [look.get("metallicFactor", 1.0), look.get("roughnessFactor", 1.0)]}
+    metallic, roughness = document.numbers(factors, "factors", [1.0, 1.0]).tolist()
     texture, kind = None, "image/png"
-    reference = document.dictionary(look, "baseColorTexture")
-    if reference:
-        texture, kind = _texture(document, reference)
+    if "baseColorTexture" in look:
+        reference = look["baseColorTexture"]
+        if "KHR_texture_transform" in reference.get("extensions", {}):
+            _log.warning("%s: the transform of a texture is left out", document.path)
+        source = document.items("textures")[reference["index"]].get("source")
+        if source is None:
+            _log.warning("%s: a texture has no PNG or JPEG image", document.path)
+        else:
+            image = document.items("images")[source]
+            texture = document.picture(image)
+            jpeg = texture.startswith(b"\xff\xd8\xff")
+            kind = str(image.get("mimeType", "image/jpeg" if jpeg else "image/png"))
     return Material(
         name=str(item.get("name", "material")),
         base_color=(r, g, b, a),
-        metallic=document.number(look.get("metallicFactor", 1.0), "metallicFactor"),
-        roughness=document.number(look.get("roughnessFactor", 1.0), "roughnessFactor"),
+        metallic=metallic,
+        roughness=roughness,
         double_sided=bool(item.get("doubleSided", False)),
         texture=texture,
         texture_type=kind,
     )
-
-
-def _texture(document: Document, reference: dict[str, Any]) -> tuple[bytes | None, str]:
-    """The bytes of a picture and their MIME type."""
-    if "KHR_texture_transform" in document.dictionary(reference, "extensions"):
-        _log.warning("%s: the transform of a texture is left out", document.path)
-    texture = document.item("textures", reference.get("index"))
-    if "source" not in texture:
-        _log.warning("%s: a texture has no PNG or JPEG image", document.path)
-        return None, "image/png"
-    image = document.item("images", texture["source"])
-    if "bufferView" in image:
-        data = bytes(document.view(image["bufferView"])[0])
-    else:
-        data = document.uri(image.get("uri"), "an image")
-    kind = "image/jpeg" if data.startswith(b"\xff\xd8\xff") else "image/png"
-    return data, str(image.get("mimeType", kind))

@@ -53,25 +53,23 @@ class Nodes:
 
     def __init__(self, document: Document, animation: Animation) -> None:
         self.document, self.animation = document, animation
-        count = len(document.items("nodes"))
-        self.items = [document.item("nodes", k) for k in range(count)]
+        self.items = document.items("nodes")
         self._cache: dict[int, NDArray[np.float64]] = {}
         self._parent: dict[int, int] = {}
         for parent, node in enumerate(self.items):
-            for child in document.array(node, "children"):
-                if document.integer(child, "a child node", count) in self._parent:
+            for child in node.get("children", []):
+                if child in self._parent:
                     raise document.error(f"node {child} has two parents")
                 self._parent[child] = parent
-        roots = [k for k in range(count) if k not in self._parent]
-        self.order = descendants(self.items, roots)
-        if len(self.order) < count:
-            node = min(set(range(count)) - set(self.order))
+        every = set(range(len(self.items)))
+        self.order = descendants(self.items, sorted(every - self._parent.keys()))
+        if len(self.order) < len(every):
+            node = min(every.difference(self.order))
             raise document.error(f"node {node} is its own ancestor, or hangs on one that is")
+        self.shown = self.order
         if document.items("scenes"):
-            scene = document.item("scenes", document.json.get("scene", 0))
-            listed = document.array(scene, "nodes")
-            roots = [document.integer(k, "a node of the scene", count) for k in listed]
-        self.shown = descendants(self.items, roots)
+            scene = document.items("scenes")[document.json.get("scene", 0)]
+            self.shown = descendants(self.items, scene.get("nodes", []))
 
     def ancestors(self, node: int) -> Iterator[int]:
         """The nodes above a node, the nearest first."""

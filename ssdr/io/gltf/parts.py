@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ..corners import unit
-from ..registry import reading
 from ..scene import Bones, Shape
 from .compression import DRACO, decode_mesh
 from .document import Document
@@ -61,10 +60,10 @@ class PrimitiveGroup:
         positions = self._attribute("POSITION", "VEC3")
         count = len(positions)
         targets = [
-            document.accessor(t["POSITION"], ("VEC3",), "a morph target")
+            document.accessor(t["POSITION"], "VEC3", "a morph target")
             if "POSITION" in t
             else np.zeros_like(positions)
-            for t in document.array(group[0], "targets")
+            for t in group[0].get("targets", [])
         ]
         if any(len(target) != count for target in targets):
             raise document.error(f"a morph target of other vertices than {count}")
@@ -73,11 +72,7 @@ class PrimitiveGroup:
         indices, weights = self._influences(count)
         blocks = [triangles(document, primitive, count) for primitive in group]
         faces = np.concatenate(blocks)
-        limit = len(document.items("materials"))
-        material = [
-            document.integer(p["material"], "a material", limit) if "material" in p else -1
-            for p in group
-        ]
+        material = [primitive.get("material", -1) for primitive in group]
         self.material = np.repeat(material, [len(block) for block in blocks])
         uv = self._attribute(_uv_name(document, group), "VEC2")
         normals = self._attribute("NORMAL", "VEC3")
@@ -102,10 +97,9 @@ class PrimitiveGroup:
         """An attribute of all vertices, None where there is none."""
         if name not in self._attributes:
             return None
-        values = self.document.accessor(self._attributes[name], (kind,), name, **options)
-        position = self.document.item("accessors", self._attributes["POSITION"])
-        if len(values) != position["count"]:
-            count = position["count"]
+        values = self.document.accessor(self._attributes[name], kind, name, **options)
+        count = self.document.items("accessors")[self._attributes["POSITION"]]["count"]
+        if len(values) != count:
             raise self.document.error(f"{len(values)} {name} for {count} vertices")
         return values
 
@@ -168,7 +162,7 @@ class PrimitiveGroup:
         if values is None:
             holder = nodes.items[self.node]
             if "weights" not in holder:
-                holder = document.item("meshes", self.mesh)
+                holder = document.items("meshes")[self.mesh]
             values = document.numbers(holder, "weights", [0.0] * count)[None]
         if values.shape[1] != count:
             raise document.error(f"{values.shape[1]} morph weights for {count} targets")
@@ -234,19 +228,18 @@ def check_meshes(document: Document, meshes: Any) -> list[str] | None:
     if meshes is None:
         return None
     wanted = [meshes] if isinstance(meshes, str) else list(meshes)
-    with reading(document.path):
-        nodes = [k for k, n in enumerate(document.items("nodes")) if "mesh" in n]
-        known = set().union(*(_names_of(document, k) for k in nodes))
+    nodes = [node for node in document.items("nodes") if "mesh" in node]
+    known = set().union(*(_names_of(document, node) for node in nodes))
     for name in wanted:
         if name not in known:
             raise InputError("meshes", f"one of {sorted(known)}", repr(name))
     return wanted
 
 
-def _names_of(document: Document, node: int) -> set[str]:
+def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
     """Names by which the mesh of a node can be chosen: the mesh's and the node's."""
-    item = document.item("nodes", node)
-    return {str(x["name"]) for x in (document.item("meshes", item["mesh"]), item) if x.get("name")}
+    mesh = document.items("meshes")[node["mesh"]]
+    return {str(item["name"]) for item in (mesh, node) if item.get("name")}
 
 
 def read_parts(
@@ -257,31 +250,27 @@ def read_parts(
     Raises
     ------
     FormatError
-        If there are none, or an index, an accessor or a joint is not there.
+        If there are none, or an accessor or joint is not usable.
     """
     parts: list[PrimitiveGroup] = []
-    for node in nodes.shown:
-        item = nodes.items[node]
-        if "mesh" not in item:
-            continue
-        mesh = document.integer(item["mesh"], "a mesh", len(document.items("meshes")))
-        if meshes is not None and not _names_of(document, node) & set(meshes):
+    for number in nodes.shown:
+        node = nodes.items[number]
+        if "mesh" not in node or (meshes and not _names_of(document, node) & set(meshes)):
             continue
         groups: dict[str, dict[int, dict[str, Any]]] = {}
-        listed = document.array(document.item("meshes", mesh), "primitives")
-        for place, primitive in enumerate(listed):
-            if DRACO in document.dictionary(primitive, "extensions"):
+        for place, primitive in enumerate(document.items("meshes")[node["mesh"]]["primitives"]):
+            if DRACO in primitive.get("extensions", {}):
                 _decode(document, primitive)
             if primitive.get("mode", 4) in (1, 2, 3):
-                _log.warning("%s: lines in mesh %d are left out", document.path, mesh)
+                _log.warning("%s: lines in mesh %d are left out", document.path, node["mesh"])
                 continue
-            attributes = document.dictionary(primitive, "attributes")
-            if "POSITION" not in attributes:
+            if "POSITION" not in primitive["attributes"]:
                 raise document.error("a primitive has no POSITION")
             # Primitives over the same vertices, one a material, are one part.
-            key = repr((sorted(attributes.items()), document.array(primitive, "targets")))
+            key = repr((sorted(primitive["attributes"].items()), primitive.get("targets", [])))
             groups.setdefault(key, {})[place] = primitive
-        parts += [PrimitiveGroup(document, nodes, node, mesh, g) for g in groups.values()]
+        for group in groups.values():
+            parts.append(PrimitiveGroup(document, nodes, number, node["mesh"], group))
     if not parts:
         raise document.error("the scene holds no mesh")
     return parts
@@ -289,13 +278,11 @@ def read_parts(
 
 def _decode(document: Document, primitive: dict[str, Any]) -> None:
     """Decode a primitive's Draco data into its accessors, unless these have data as well."""
-    item = document.dictionary(document.dictionary(primitive, "extensions"), DRACO)
-    names = document.dictionary(primitive, "attributes")
-    if "bufferView" in document.item("accessors", names.get("POSITION")):
+    item, names = primitive["extensions"][DRACO], primitive["attributes"]
+    if "bufferView" in document.items("accessors")[names["POSITION"]]:
         return
-    data = bytes(document.view(item.get("bufferView"))[0])
-    found, faces = decode_mesh(data, document.path)
-    for name, number in document.dictionary(item, "attributes").items():
+    found, faces = decode_mesh(bytes(document.view(item["bufferView"])[0]), document.path)
+    for name, number in item.get("attributes", {}).items():
         if name not in names or number not in found:
             raise document.error(f"its Draco data hold no {name}")
         document.replace(names[name], found[number], name)
@@ -311,7 +298,7 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
     """Triangles (T, 3) of a primitive over the file's `count` vertices; none of points."""
     index = np.arange(count)
     if "indices" in primitive:
-        found = document.accessor(primitive["indices"], ("SCALAR",), "indices", integers=True)
+        found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
         index = found.astype(np.int64)
         if int(index.max()) >= count:
             raise document.error(f"index {index.max()} into {count} vertices")
@@ -336,26 +323,22 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
 
 def _skin(document: Document, index: int) -> tuple[list[int], NDArray[np.float64]]:
     """Joints of a skin and their inverse bind matrices (B, 4, 4)."""
-    item = document.item("skins", index)
-    count = len(document.items("nodes"))
-    joints = [document.integer(j, "a joint", count) for j in document.array(item, "joints")]
+    item = document.items("skins")[index]
+    joints = list(item["joints"])
     if not joints:
         raise document.error(f"skin {index} has no joints")
     if "inverseBindMatrices" not in item:
         return joints, np.tile(np.eye(4), (len(joints), 1, 1))
-    flat = document.accessor(item["inverseBindMatrices"], ("MAT4",), "inverseBindMatrices")
+    flat = document.accessor(item["inverseBindMatrices"], "MAT4", "inverseBindMatrices")
     if len(flat) < len(joints):
         raise document.error(f"{len(flat)} inverse bind matrices for {len(joints)} joints")
     return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
 
 
 def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
-    """The UVs that the first material of some primitives uses."""
-    for primitive in group:
-        if "material" in primitive:
-            item = document.item("materials", primitive["material"])
-            look = document.dictionary(item, "pbrMetallicRoughness")
-            texture = document.dictionary(look, "baseColorTexture")
-            if "texCoord" in texture:
-                return f"TEXCOORD_{document.integer(texture['texCoord'], 'texCoord', 64)}"
+    """The UVs that the first textured material of some primitives uses."""
+    for number in [primitive["material"] for primitive in group if "material" in primitive]:
+        look = document.items("materials")[number].get("pbrMetallicRoughness", {})
+        if "texCoord" in look.get("baseColorTexture", {}):
+            return f"TEXCOORD_{look['baseColorTexture']['texCoord']}"
     return "TEXCOORD_0"

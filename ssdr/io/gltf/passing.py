@@ -76,9 +76,9 @@ def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[
         primitives = [p for part in parts for p in part.primitives.values()]
         found = [_of_attribute(name) for p in primitives for name in p["attributes"]]
         for number in sorted({p["material"] for p in primitives if "material" in p}):
-            found += _of_material(document.item("materials", number))
+            found += _of_material(document.items("materials")[number])
         json, scenes = document.json, document.items("scenes")
-        lights = document.dictionary(json, "extensions").get("KHR_lights_punctual")
+        lights = json.get("extensions", {}).get("KHR_lights_punctual")
         found += [
             what
             for what, there in {

@@ -145,15 +145,15 @@ class Template:
         old = group[0]["attributes"]
         kept = {k: v for k, v in old.items() if not k.startswith(("JOINTS_", "WEIGHTS_"))}
         kept["POSITION"] = builder.accessor(rest, "VEC3", target=ARRAY, bounds=True)
-        source = document.accessor(old["POSITION"], ("VEC3",), "POSITION")
+        source = document.accessor(old["POSITION"], "VEC3", "POSITION")
         faces = np.concatenate([triangles(document, one, len(rest)) for one in group])
         poses = faces, faces, source, rest.astype(np.float64)
         if "NORMAL" in old:
-            normals = document.accessor(old["NORMAL"], ("VEC3",), "NORMAL")
+            normals = document.accessor(old["NORMAL"], "VEC3", "NORMAL")
             normals = carry_normals(normals, *poses)
             kept["NORMAL"] = builder.accessor(normals, "VEC3", target=ARRAY)
             if "TANGENT" in old:
-                tangents = document.accessor(old["TANGENT"], ("VEC4",), "TANGENT")
+                tangents = document.accessor(old["TANGENT"], "VEC4", "TANGENT")
                 if self._mirrors(part):
                     tangents[:, 3] *= -1
                 tangents = carry_tangents(tangents, normals, *poses)
