@@ -26,8 +26,7 @@ from ...skinning import Skinning
 from ..atomic import atomic_path
 from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
 from ..budget import MOST_BYTES
-from ..gltf.bone_axes import write_along_bones
-from ..gltf.writer import write_skinning as write_gltf
+from ..gltf import writer as gltf
 from ..registry import SaveReport, describe, reading
 from ..scene import Bones, make_skinning
 from .finder import command
@@ -288,9 +287,9 @@ def write_skinning(
         settings: dict[str, Any] = {"influences": influences, "up": up, "name": title}
         lengths = None  # without a hierarchy nothing says along what a bone lies
         if skinning.parents is None:
-            stored = write_gltf(model, source, **settings)
+            stored = gltf.write_skinning(model, source, **settings)
         else:
-            stored, lengths = write_along_bones(model, source, **settings)
+            stored, lengths = gltf.write_along_bones(model, source, **settings)
         job = {
             "action": "write",
             "source": str(source),

@@ -9,10 +9,9 @@ from typing import Any
 from ...clips import pick
 from ..atomic import write_bytes
 from ..registry import SaveReport, reading
-from .animation import animation_names, read_animation
+from .animation import Nodes, animation_names, read_animation
 from .builder import Builder
 from .document import Document
-from .nodes import Nodes
 from .numbering import remove, unknown_extensions, used
 from .parts import check_meshes, read_parts
 

@@ -12,11 +12,9 @@ from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ..registry import reading
 from ..scene import Bones, join_sequence, join_skinning, part_starts
-from .animation import animation_names, mesh_name, read_animation, read_animations
+from .animation import Nodes, animation_names, mesh_name, read_animation, read_animations
 from .document import Document
-from .materials import read_looks
-from .nodes import Nodes
-from .parts import check_meshes, read_parts
+from .parts import check_meshes, read_looks, read_parts
 
 __all__ = ["list_clips", "read", "read_skinning"]
 

@@ -19,11 +19,10 @@ from ..corners import carry_normals, carry_tangents
 from ..registry import reading
 from ..rig import Rig
 from ..scene import match_template
-from .animation import animation_names, read_animations
+from .animation import Nodes, animation_names, descendants, read_animations
 from .builder import ARRAY, ELEMENTS, Builder
 from .compression import DRACO
 from .document import Document
-from .nodes import Nodes, descendants
 from .numbering import remove, unknown_extensions, used
 from .parts import PrimitiveGroup, check_meshes, read_parts, triangles
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes

@@ -4,9 +4,8 @@ Importing it raises a :class:`~ssdr.MissingDependencyError` without usd-core.
 """
 
 from . import requirement as requirement
-from .passing import copy, left_out
 from .reader import list_clips, read, read_skinning
-from .template import template_problem
+from .template import copy, left_out, template_problem
 from .writer import write_sequence, write_skinning
 
 __all__ = [

@@ -12,6 +12,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from ...errors import FormatError
 from ..corners import unit
+from ..meshes.polygons import fan
 from ..scene import Bones, Shape
 
 __all__ = ["MeshPrim"]
@@ -41,13 +42,7 @@ class MeshPrim:
         The polygon of each triangle.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        prim: Any,
-        skeleton: Any = None,
-        query: Any = None,
-    ) -> None:
+    def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
         self.path, self.prim = path, prim
         self.attribute = UsdGeom.Mesh(prim).GetPointsAttr()
         self.n_points = len(self.raw_points(_FIRST))
@@ -70,17 +65,12 @@ class MeshPrim:
 
     def _read_polygons(self) -> None:
         mesh = UsdGeom.Mesh(self.prim)
-
-        def integers(attribute: Any) -> NDArray[np.int64]:
+        found = []
+        for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
             if len(attribute.GetTimeSamples()) > 1:
                 raise self._fail("its topology changes over time")
-            values = attribute.Get(_FIRST)
-            return np.array([] if values is None else values, dtype=np.int64)
-
-        self.counts = integers(mesh.GetFaceVertexCountsAttr())
-        indices = integers(mesh.GetFaceVertexIndicesAttr())
-        if len(self.counts) and self.counts.min() < 3:
-            raise self._fail(f"a face of {self.counts.min()} corners")
+            found.append(np.array(attribute.Get(_FIRST) or [], dtype=np.int64))
+        self.counts, indices = found
         if self.counts.sum() != len(indices):
             raise self._fail(
                 f"faceVertexCounts add up to {self.counts.sum()}, "
@@ -91,12 +81,7 @@ class MeshPrim:
                 f"faceVertexIndices from {indices.min()} to {indices.max()} "
                 f"for {self.n_points} points"
             )
-        fans = self.counts - 2
-        starts = np.cumsum(self.counts) - self.counts
-        self.polygon = np.repeat(np.arange(len(self.counts)), fans)
-        place = np.arange(int(fans.sum())) - np.repeat(np.cumsum(fans) - fans, fans)
-        first = starts[self.polygon]
-        self.corners = np.stack([first, first + place + 1, first + place + 2], axis=1)
+        self.corners, self.polygon = fan(self.counts)
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             self.corners = self.corners[:, ::-1]
         self.faces = indices[self.corners]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from ...clips import Clip, in_order, pick
-from ...errors import FormatError
+from ...clips import Clip, in_order, pick, unique_names
+from ...errors import FormatError, is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
@@ -22,30 +22,50 @@ from ..rig import frame_rate
 from ..scene import SceneBudget, join_sequence, join_skinning
 from .materials import read_looks
 from .parts import MeshPrim
-from .stage import StageClip, find_clips, open_stage, stage_name
+from .stage import open_stage
 
-__all__ = ["SampledClip", "StageReader", "list_clips", "read", "read_skinning"]
+__all__ = ["StageReader", "list_clips", "read", "read_skinning"]
 
 _log = logging.getLogger(__name__)
 _ALL = Usd.TraverseInstanceProxies()
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class SampledClip:
-    """A clip of a stage: its visible meshes, frame rate and the time codes of its frames."""
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class StageClip:
+    """A clip of a stage: a SkelAnimation of its only skeleton, or all that moves.
+
+    Attributes
+    ----------
+    name : str
+    skeleton, animation : Sdf.Path or None
+        None where nothing has to be bound.
+    bound : bool
+        Whether the file binds this animation, so that the stage's range is that of the clip.
+    fps, frames : float and int, or None
+        Rate and number of frames, where files of several clips state them.
+    start : float
+        Time code of the first frame, where these two are stated.
+    """
 
     name: str
-    meshes: list[MeshPrim]
-    fps: float
-    codes: NDArray[np.float64]
-
-    @property
-    def clip(self) -> Clip:
-        return Clip(self.name, 0, len(self.codes), self.fps)
+    skeleton: Any = None
+    animation: Any = None
+    bound: bool = True
+    fps: float | None = None
+    frames: int | None = None
+    start: float = 0.0
 
 
 class StageReader:
-    """An open stage and its clips.
+    """An open stage.
+
+    Attributes
+    ----------
+    name : str
+        Of the root prim, else of the file.
+    clips : list of StageClip
+        That of the bound animation first.
+    up : {"y", "z"}
 
     Raises
     ------
@@ -56,8 +76,9 @@ class StageReader:
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:
         self.path = path
         self.stage = open_stage(path)
-        self.clips = find_clips(self.stage, path)
-        self.name = stage_name(self.stage, path)
+        root = self.stage.GetDefaultPrim()
+        self.name = str(root.GetName()) if root else path.stem
+        self.clips = self._find_clips()
         files = [Path(layer.realPath) for layer in self.stage.GetUsedLayers() if layer.realPath]
         self.budget = SceneBudget(
             path, sum(f.stat().st_size for f in files if f.is_file()), max_bytes
@@ -66,8 +87,48 @@ class StageReader:
         unit = UsdGeom.GetStageMetersPerUnit(self.stage)
         _log.info("%s: %s up, %g m a unit", path, self.up, unit)
 
-    def sample(self, clip: StageClip, fps: float | None = None) -> SampledClip:
-        """The visible meshes while a clip is bound, and its time codes.
+    def _find_clips(self) -> list[StageClip]:
+        prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
+        skeletons = [prim for prim in prims if prim.IsA(UsdSkel.Skeleton)]
+        if len(skeletons) != 1 or skeletons[0].IsInstanceProxy():
+            return [StageClip(name=self.name)]
+        joints = set(UsdSkel.Skeleton(skeletons[0]).GetJointsAttr().Get() or ())
+        usable = [
+            prim
+            for prim in prims
+            if prim.IsA(UsdSkel.Animation)
+            and joints & set(UsdSkel.Animation(prim).GetJointsAttr().Get() or ())
+        ]
+        bound = UsdSkel.BindingAPI(skeletons[0]).GetInheritedAnimationSource()
+        usable.sort(key=lambda prim: prim != bound)  # a stable order: the others stay in theirs
+        if not usable or (bound and usable[0] != bound):
+            return [StageClip(name=self.name)]
+        clips = []
+        for prim in usable:
+            own = prim.GetCustomDataByKey("ssdr")
+            own = own if isinstance(own, dict) else {}
+            fps, frames = own.get("fps"), own.get("frames")
+            # The stage's own range is that of one clip alone.
+            known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
+            default = self.name if len(usable) == 1 and own else str(prim.GetName())
+            clips.append(
+                StageClip(
+                    name=str(own.get("name") or default),
+                    skeleton=skeletons[0].GetPath(),
+                    animation=prim.GetPath(),
+                    bound=prim == bound,
+                    fps=float(own["fps"]) if known else None,
+                    frames=int(own["frames"]) if known else None,
+                    start=float(own["start"]) if is_real(own.get("start")) else 0.0,
+                )
+            )
+        names = unique_names([clip.name for clip in clips])
+        return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
+
+    def sample(
+        self, clip: StageClip, fps: float | None = None
+    ) -> tuple[Clip, list[MeshPrim], NDArray[np.float64]]:
+        """A clip, the visible meshes while it is bound, and the time codes of its frames.
 
         Raises
         ------
@@ -95,7 +156,7 @@ class StageReader:
         if not meshes:
             raise FormatError(f"{self.path}: no visible mesh")
         rate, codes = self._clock(meshes, clip, fps)
-        return SampledClip(clip.name, meshes, rate, codes)
+        return Clip(clip.name, 0, len(codes), rate), meshes, codes
 
     def _is_shown(self, prim: Any) -> bool:
         shown = UsdGeom.Imageable(prim)
@@ -181,12 +242,11 @@ def read(
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, names[index], names)
     with reading(path):
-        found = reader.sample(reader.clips[index], fps)
-        meshes, codes = found.meshes, found.codes
+        found, meshes, codes = reader.sample(reader.clips[index], fps)
         shapes = [mesh.shape(codes) for mesh in meshes]
         moved = (mesh.transforms(codes) for mesh in meshes)
         looks = read_looks(path, meshes)
-        sequence = join_sequence(meshes, found.clip, shapes, moved, looks, reader.name)
+        sequence = join_sequence(meshes, found, shapes, moved, looks, reader.name)
         if up is None:
             return sequence
         return dataclasses.replace(
@@ -200,7 +260,7 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
     """The animations of a file, in the frames of :func:`read_skinning`."""
     with reading(path):
         reader = StageReader(path)
-        return in_order(reader.sample(clip, fps).clip for clip in reader.clips)
+        return in_order(reader.sample(clip, fps)[0] for clip in reader.clips)
 
 
 def read_skinning(
@@ -224,17 +284,17 @@ def read_skinning(
     check_up(up, optional=True)
     with reading(path):
         reader = StageReader(path, max_bytes)
-        clips = [reader.sample(clip, fps) for clip in reader.clips]
-        meshes = clips[0].meshes
+        sampled = [reader.sample(clip, fps) for clip in reader.clips]
+        meshes = sampled[0][1]
         bones = {}
         for k, mesh in enumerate(meshes):
             if mesh.skeleton not in bones:
-                moved = [clip.meshes[k].transforms(clip.codes) for clip in clips]
+                moved = [same[k].transforms(codes) for _, same, codes in sampled]
                 bones[mesh.skeleton] = mesh.bones(np.concatenate(moved))
         model = join_skinning(
             meshes,
-            [clip.clip for clip in clips],
-            [mesh.shape(clip.codes) for clip in clips for mesh in clip.meshes],
+            [clip for clip, _, _ in sampled],
+            [mesh.shape(codes) for _, same, codes in sampled for mesh in same],
             bones,
             read_looks(path, meshes),
             reader.name,

@@ -1,9 +1,8 @@
-"""Opening a stage safely, and where its clips are."""
+"""Opening a stage: layers are checked before USD opens them."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import errno
 import itertools
 import os
@@ -13,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdSkel, UsdUtils
+from pxr import Sdf, Tf, Usd, UsdUtils
 
-from ...clips import unique_names
-from ...errors import FormatError, is_real, is_whole
+from ...errors import FormatError
 from ..references import is_inside
 from ..registry import refuse_device
 
-__all__ = ["StageClip", "find_clips", "open_stage", "stage_name", "system_errors"]
+__all__ = ["open_stage", "system_errors"]
 
 _DEEPEST = 1000  # levels of nested text; usd-core ends the process at some tens of thousands
 # What is no structure of a text layer: strings, asset paths and comments, closed or not.
@@ -114,76 +112,3 @@ def system_errors(path: Path) -> Iterator[None]:
         number = next((n for n in known if os.strerror(n) in text), None)
         reason = text if number is None else os.strerror(number)
         raise OSError(number or errno.EIO, reason, str(path)) from error
-
-
-def stage_name(stage: Any, path: Path) -> str:
-    """Name of the root prim, else of the file."""
-    root = stage.GetDefaultPrim()
-    return str(root.GetName()) if root else path.stem
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class StageClip:
-    """A clip of a stage: a SkelAnimation of its only skeleton, or all that moves.
-
-    Attributes
-    ----------
-    name : str
-    skeleton, animation : Sdf.Path or None
-        None where nothing has to be bound.
-    bound : bool
-        Whether the file binds this animation, so that the stage's range is that of the clip.
-    fps, frames : float and int, or None
-        Rate and number of frames, where files of several clips state them.
-    start : float
-        Time code of the first frame, where these two are stated.
-    """
-
-    name: str
-    skeleton: Any = None
-    animation: Any = None
-    bound: bool = True
-    fps: float | None = None
-    frames: int | None = None
-    start: float = 0.0
-
-
-def find_clips(stage: Any, path: Path) -> list[StageClip]:
-    """The clips of a stage, that of the bound animation first."""
-    title = stage_name(stage, path)
-    prims = list(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
-    skeletons = [prim for prim in prims if prim.IsA(UsdSkel.Skeleton)]
-    if len(skeletons) != 1 or skeletons[0].IsInstanceProxy():
-        return [StageClip(name=title)]
-    joints = set(UsdSkel.Skeleton(skeletons[0]).GetJointsAttr().Get() or ())
-    usable = [
-        prim
-        for prim in prims
-        if prim.IsA(UsdSkel.Animation)
-        and joints & set(UsdSkel.Animation(prim).GetJointsAttr().Get() or ())
-    ]
-    bound = UsdSkel.BindingAPI(skeletons[0]).GetInheritedAnimationSource()
-    usable.sort(key=lambda prim: prim != bound)  # a stable order: the others stay in theirs
-    if not usable or (bound and usable[0] != bound):
-        return [StageClip(name=title)]
-    clips = []
-    for prim in usable:
-        own = prim.GetCustomDataByKey("ssdr")
-        own = own if isinstance(own, dict) else {}
-        fps, frames = own.get("fps"), own.get("frames")
-        # The stage's own range is that of one clip alone.
-        known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
-        default = title if len(usable) == 1 and own else str(prim.GetName())
-        clips.append(
-            StageClip(
-                name=str(own.get("name") or default),
-                skeleton=skeletons[0].GetPath(),
-                animation=prim.GetPath(),
-                bound=prim == bound,
-                fps=float(own["fps"]) if known else None,
-                frames=int(own["frames"]) if known else None,
-                start=float(own["start"]) if is_real(own.get("start")) else 0.0,
-            )
-        )
-    names = unique_names([clip.name for clip in clips])
-    return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]

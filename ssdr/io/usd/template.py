@@ -1,29 +1,33 @@
-"""A skinning put into the USD file that its meshes came from: all else stays as it is there."""
+"""A USD file passed on whole or with a new skin, and what of it a model does not hold."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pxr import Gf, Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
+from ...clips import pick
 from ...errors import FormatError
 from ...skinning import Skinning
+from ..atomic import atomic_path
 from ..corners import carry_normals
-from ..registry import reading
+from ..registry import SaveReport, reading
 from ..rig import Rig
 from ..scene import check_kept, match_template
 from .parts import MeshPrim
-from .passing import transfer
 from .reader import StageReader
 from .skeleton import bind, put_skeleton
+from .stage import system_errors
 
-__all__ = ["put", "template_problem"]
+__all__ = ["copy", "left_out", "put", "template_problem"]
 
 _REMOVED = ("velocities", "accelerations", "skel:blendShapes", "skel:blendShapeTargets")
+_READ = ("diffuseColor", "opacity", "metallic", "roughness")
 _FIRST = Usd.TimeCode.EarliestTime()
 
 
@@ -31,7 +35,7 @@ def template_problem(path: Path) -> str:
     """Why a file that can be read cannot be a template; empty where it can."""
     with reading(path):
         reader = StageReader(path)
-        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0]).meshes])
+        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0])[1]])
 
 
 def _problem(prims: list[Any]) -> str:
@@ -60,9 +64,9 @@ def put(
     """
     with reading(template):
         reader = StageReader(template)
-        clips = [reader.sample(clip) for clip in reader.clips]
-        codes = {clip_names.get(c.name, c.name): float(c.codes[0]) for c in clips}
-        meshes = reader.sample(reader.clips[0]).meshes
+        sampled = [reader.sample(clip) for clip in reader.clips]
+        starts = {clip_names.get(c.name, c.name): float(codes[0]) for c, _, codes in sampled}
+        meshes = sampled[0][1]
         problem = _problem([mesh.prim for mesh in meshes])
         if problem:
             raise FormatError(f"{template}: {problem}; it cannot be a template")
@@ -70,27 +74,27 @@ def put(
     ours = {clip.name for clip in rig.clips}
     lost = [
         f"the clip {clip.name}, which the model does not have"
-        for clip, name in zip(reader.clips, codes, strict=True)
+        for clip, name in zip(reader.clips, starts, strict=True)
         if clip.animation is not None and name not in ours
     ]
     check_kept(lost, strict)
-    stage = transfer(reader.stage, template, temporary, target)
+    stage = _transfer(reader, temporary, target)
     scope = _scope([stage.GetPrimAtPath(mesh.prim.GetPath()) for mesh in meshes])
     if not scope.IsA("SkelRoot"):
         scope.SetTypeName("SkelRoot")
     _remove_skeletons(stage, meshes, [clip.animation for clip in reader.clips])
     place = _free_path(stage, scope, "Skeleton")
     tempo = float(stage.GetTimeCodesPerSecond())
-    tokens = put_skeleton(stage, place, rig, "", tempo, codes)
+    tokens = put_skeleton(stage, place, rig, "", tempo, starts)
     # The model's bones move the mesh in the world, not relative to the skeleton's parents.
     UsdGeom.Xformable(stage.GetPrimAtPath(place)).SetResetXformStack(True)
-    first = float(clips[0].codes[0])
+    first = float(sampled[0][2][0])
     for mesh, index in zip(meshes, vertices, strict=True):
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
         matrix = _put_points(prim, mesh, rig.rest[index], first)
         bind(prim, rig.indices[index], rig.weights[index], place, matrix, tokens)
     clip = rig.clips[0]
-    begin = codes.get(clip.name, 0.0)
+    begin = starts.get(clip.name, 0.0)
     end = begin + (clip.n_frames - 1) * tempo / clip.fps
     if not stage.HasAuthoredTimeCodeRange():
         stage.SetStartTimeCode(begin)
@@ -176,3 +180,85 @@ def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None
         primvar.BlockIndices()
     new = carry_normals(old, index, mesh.faces, source, points)
     _set(prim.GetAttribute(attribute.GetName()), new)
+
+
+def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:
+    """Write the root layer of a USD file again, as text or binary, with all that is in it.
+
+    Parameters
+    ----------
+    path, target : Path
+    clips : names or numbers, optional
+        The animations to keep; all by default.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    InputError
+        If it has no such clip.
+    """
+    with reading(path):
+        reader = StageReader(path)
+        found = reader.clips
+    names = [clip.name for clip in found]
+    kept = {pick(names, clip) for clip in clips} if clips is not None else set(range(len(found)))
+    with atomic_path(target) as temporary, system_errors(target):
+        stage = _transfer(reader, temporary, target)
+        for number, clip in enumerate(found):
+            if number not in kept and clip.animation is not None:
+                stage.RemovePrim(clip.animation)
+        if 0 not in kept and found[0].animation is not None:
+            binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(found[0].skeleton))
+            binding.CreateAnimationSourceRel().SetTargets([found[min(kept)].animation])
+        stage.GetRootLayer().Save()
+    return SaveReport(path=target, bytes=target.stat().st_size)
+
+
+def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
+    """A stage of `temporary` with the content of the stage that was read.
+
+    Files that it names are found again from where `target` will be.
+    """
+    layer = Sdf.Layer.CreateNew(str(temporary))
+    layer.TransferContent(reader.stage.GetRootLayer())
+    old, new = reader.path.parent.resolve(), target.parent.resolve()
+
+    def moved(asset: str) -> str:
+        if not asset or "://" in asset or os.path.isabs(asset) or not (old / asset).exists():
+            return asset  # what a resolver finds elsewhere
+        return Path(os.path.relpath(old / asset, new)).as_posix()
+
+    if old != new:
+        UsdUtils.ModifyAssetPaths(layer, moved)
+    return Usd.Stage.Open(layer)
+
+
+def left_out(path: Path) -> tuple[str, ...]:
+    """What the file has and a sequence or skinning that is read from it has not."""
+    found: dict[str, None] = {}
+    with reading(path):
+        reader = StageReader(path)
+        _, meshes, _ = reader.sample(reader.clips[0])
+        for mesh in meshes:
+            for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithValues():
+                name = str(primvar.GetPrimvarName())
+                if name not in ("st", "normals") and not name.startswith("skel:"):
+                    found[f"the primvar {name}"] = None
+            if mesh.has_axes:
+                found["orientations of the joints"] = None
+        if len(meshes) > 1:
+            found["names and number of the meshes"] = None
+        for prim in reader.stage.Traverse():
+            shader = UsdShade.Shader(prim)
+            if prim.IsA(UsdGeom.Camera):
+                found["cameras"] = None
+            elif str(prim.GetTypeName()).endswith("Light"):
+                found["lights"] = None
+            elif shader and shader.GetIdAttr().Get() == "UsdPreviewSurface":
+                for holder in shader.GetInputs():
+                    name = str(holder.GetBaseName())
+                    picture = holder.HasConnectedSource() and name != "diffuseColor"
+                    if picture or name not in _READ:
+                        found[f"{name} of materials"] = None
+    return tuple(found)

@@ -13,7 +13,7 @@ import pytest
 import ssdr
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
 from ssdr.errors import FormatError
-from ssdr.io.gltf.bone_axes import write_along_bones
+from ssdr.io.gltf.writer import write_along_bones
 
 DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 
