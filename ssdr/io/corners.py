@@ -91,7 +91,7 @@ def split_corners(
 
 
 def corner_normals(
-    rest: NDArray[np.floating], faces: NDArray[np.int32], surface: Surface | None
+    rest: NDArray[np.floating], faces: NDArray[np.integer], surface: Surface | None
 ) -> NDArray[np.float32]:
     """Normals ``(T, 3, 3)`` of a rest pose, with the hard edges of the input.
 
@@ -106,7 +106,7 @@ def corner_normals(
         return np.zeros((0, 3, 3), dtype=np.float32)
     p = rest.astype(np.float64)[faces]
     face = unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
-    group = faces.reshape(-1)
+    group: NDArray[np.integer] = faces.reshape(-1)
     if surface is not None and surface.normals is not None:
         key = np.concatenate(
             [group[:, None], np.rint(surface.normals.reshape(-1, 3) * 1e3)], axis=1

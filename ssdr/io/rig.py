@@ -282,14 +282,14 @@ def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
             "save the vertices instead, as MeshSequence(skinning.skin(), skinning.faces)",
             f"a shear or reflection (bone {bone}, frame {frame})",
         )
-    return scales
+    return np.asarray(scales)
 
 
 def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
     """Keys (F, B): every frame, or the keyframes with the ends of each of several clips."""
     if skinning.keyframes is None:
         return np.ones(skinning.transforms.shape[:2], dtype=bool)
-    keys = skinning.keyframes.copy()
+    keys: NDArray[np.bool_] = skinning.keyframes.copy()
     bare = ~keys.any(axis=0)
     if bare.any():
         raise InputError("keyframes", "a key for every bone", f"none for bone {int(bare.argmax())}")

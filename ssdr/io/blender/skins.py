@@ -36,7 +36,7 @@ class Skin:
         if len(self.modifiers) > 1:
             names = ", ".join(m.object.name for m in self.modifiers)
             raise ValueError(f"{item.name} hangs on several armatures ({names}), one was expected")
-        self.armature = self.modifiers[0].object if self.modifiers else None
+        self.armature: Any = self.modifiers[0].object if self.modifiers else None
         self.keys: Any = None  # values of the shape keys, which must stay
         self.places: list[Any] = []  # O O₀⁻¹ of each frame
         self.seats: list[Any] = []  # A⁻¹ O O₀⁻¹ of each frame

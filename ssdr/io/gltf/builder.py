@@ -129,7 +129,9 @@ class Builder:
 
     def _embed_pictures(self, path: Path) -> None:
         """Put pictures that do not lie beside `path` into the buffer."""
-        for image in self.json.get("images", []) if self.document is not None else []:
+        if self.document is None:
+            return
+        for image in self.json.get("images", []):
             uri = str(image.get("uri", "data:"))
             if uri.startswith("data:"):
                 continue

@@ -54,9 +54,9 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
     """The lists or objects at the end of a path, each with the index or key of a number in it."""
-    found = [keys[0]] if keys[0] in item else []
+    found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":
-        found = list(range(len(item)) if isinstance(item, list) else item)
+        found = range(len(item)) if isinstance(item, list) else list(item)
     for key in found:
         if len(keys) > 1:
             yield from _slots(item[key], keys[1:])

@@ -89,7 +89,7 @@ class PrimitiveGroup:
         if normals is not None:
             self.normals = unit(normals)[faces].astype(np.float32)
         vertex, self.label = self._close_seams([positions, *targets, indices, weights])
-        self.positions = positions[vertex]
+        self.positions: NDArray[np.float64] = positions[vertex]
         self.targets = np.array(targets).reshape(-1, count, 3)[:, vertex]
         self.indices, self.weights = indices[vertex], weights[vertex]
         self.faces = self.label[faces]
@@ -154,26 +154,19 @@ class PrimitiveGroup:
             return same, same
         return vertex, label
 
-    def morph_weights(self, nodes: Nodes) -> NDArray[np.float64] | None:
-        """Weights ``(F, M)`` of the morph targets; None where there are none."""
-        if not len(self.targets):
-            return None
-        document, count = self.document, len(self.targets)
-        values = nodes.animation.sample(self.node, "weights")
-        if values is None:
-            holder = nodes.items[self.node]
-            if "weights" not in holder:
-                holder = document.items("meshes")[self.mesh]
-            values = document.numbers(holder, "weights", [0.0] * count)[None]
-        if values.shape[1] != count:
-            raise document.error(f"{values.shape[1]} morph weights for {count} targets")
-        return np.broadcast_to(values, (len(nodes.animation.times), count))
-
     def shape(self, nodes: Nodes) -> Shape:
         """Vertices before skinning; a function of the frame where morph targets change them."""
-        amounts = self.morph_weights(nodes)
-        if amounts is None:
+        count = len(self.targets)
+        if not count:
             return self.positions
+        amounts = nodes.animation.sample(self.node, "weights")
+        if amounts is None:
+            holder = nodes.items[self.node]
+            if "weights" not in holder:
+                holder = self.document.items("meshes")[self.mesh]
+            amounts = self.document.numbers(holder, "weights", [0.0] * count)[None]
+        if amounts.shape[1] != count:
+            raise self.document.error(f"{amounts.shape[1]} morph weights for {count} targets")
 
         def morphed(frame: int) -> NDArray[np.float64]:
             return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[frame], self.targets))

@@ -145,7 +145,7 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
     turn = np.swapaxes(parent_axes, 1, 2) @ turn @ axes
 
     def turned(points: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.einsum("bji,...bj->...bi", parent_axes, points).astype(np.float32)
+        return np.asarray(np.einsum("bji,...bj->...bi", parent_axes, points), dtype=np.float32)
 
     return dataclasses.replace(
         rig,

@@ -47,7 +47,7 @@ class MeshPrim:
         self.attribute = UsdGeom.Mesh(prim).GetPointsAttr()
         self.n_points = len(self.raw_points(_FIRST))
         self._read_polygons()
-        self.joints = skeleton if query is not None and query.HasJointInfluences() else None
+        self.joints: Any = skeleton if query is not None and query.HasJointInfluences() else None
         self._query = query
         self._shapes = None
         if query is not None and query.HasBlendShapes() and skeleton.GetAnimQuery():

@@ -193,7 +193,7 @@ class StageReader:
             count * (12.0 * n_vertices + 96.0 * n_bones),
             f"{count} frames of {n_vertices} vertices and {n_bones} bones",
         )
-        return rate, first + np.arange(count) * (tempo / rate)
+        return rate, np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
 
 
 def read(
