@@ -25,6 +25,7 @@ __all__ = [
     "check_nonnegative",
     "check_rng",
     "check_skin",
+    "check_smoothness",
     "check_squarable",
     "check_transforms",
     "check_whole",
@@ -38,6 +39,7 @@ LARGEST = 1e100  # bound on numbers whose squares are summed
 _MOST_INFLUENCES = 64
 _LEAST_DETERMINANT = 1e-12  # of an affine bone: below, it is flat
 _OFF = 1e-4  # by which weights may miss the sum 1, and rotations orthogonality
+_ROUNDING = 1e-13  # by which rotations miss it in double precision: they stay as they are
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 
 # --- numbers -----------------------------------------------------------------------------------
@@ -58,6 +60,13 @@ def check_nonnegative(value: Any, argument: str, expected: str) -> float:
     if not (is_real(value) and value >= 0):
         raise InputError(argument, expected, repr(value))
     return float(value)
+
+
+def check_smoothness(smoothness: Any, faces: NDArray[np.int32]) -> float:
+    value = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
+    if value > 0 and len(faces) == 0:
+        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    return value
 
 
 def check_influences(influences: Any) -> int:
@@ -192,6 +201,8 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     """Non-negative importance, not all zero, scaled to a maximum of 1; only ratios count."""
     if value is None:
         return None
+    if isinstance(value, np.ndarray) and value.dtype == bool:  # a mask of what counts
+        value = value.astype(np.float64)
     array = check_floats(value, argument, (count,), copy=True)
     if (array < 0).any() or not array.max() > 0:
         raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
@@ -223,31 +234,39 @@ def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray
 
 
 def check_skin(
-    indices: Any, weights: Any, n_vertices: int, n_bones: int | None = None
+    indices: Any, weights: Any, n_vertices: int, n_bones: int | None = None, prefix: str = ""
 ) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
-    """Bones and weights (V, K) of every vertex: weights >= 0 whose rows sum to 1 within 1e-4."""
-    w = check_floats(weights, "weights", (n_vertices, "K"))
-    j = as_array(indices, "indices", f"integers of shape {w.shape}")
+    """Bones and weights (V, K) of every vertex: weights >= 0 whose rows sum to 1 within 1e-4.
+
+    `prefix` leads to the arguments in messages, such as ``"start."``.
+    """
+    w = check_floats(weights, f"{prefix}weights", (n_vertices, "K"))
+    j = as_array(indices, f"{prefix}indices", f"integers of shape {w.shape}")
     if j.shape != w.shape or j.dtype.kind not in "iu":
-        raise InputError("indices", f"integers of shape {w.shape}", f"{j.dtype} {j.shape}")
-    _check_range(j, "indices", np.iinfo(np.int32).max if n_bones is None else n_bones)
+        came = f"{j.dtype} {j.shape}"
+        raise InputError(f"{prefix}indices", f"integers of shape {w.shape}", came)
+    _check_range(j, f"{prefix}indices", np.iinfo(np.int32).max if n_bones is None else n_bones)
     if w.min() < 0:
-        raise InputError("weights", "numbers >= 0", f"{w.min()}")
+        raise InputError(f"{prefix}weights", "numbers >= 0", f"{w.min()}")
     off = np.abs(w.sum(axis=1, dtype=np.float64) - 1)
     if off.max() > _OFF:
         worst = int(off.argmax())
-        raise InputError("weights", "rows that sum to 1", f"{w[worst].sum()} at vertex {worst}")
+        came = f"{w[worst].sum()} at vertex {worst}"
+        raise InputError(f"{prefix}weights", "rows that sum to 1", came)
     return np.ascontiguousarray(j, dtype=np.int32), w
 
 
-def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "rigid") -> Array:
+def check_transforms(
+    transforms: Any, n_frames: int, bone_model: BoneModel = "rigid", prefix: str = ""
+) -> Array:
     """Transforms (F, B, 3, 4) that the bone model allows.
 
     Rotations, scaled or not, may be off orthogonal by 1e-4 and come back orthogonal; affine maps
-    keep orientation.
+    keep orientation.  `prefix` leads to the argument in messages, such as ``"start."``.
     """
-    m = check_floats(transforms, "transforms", (n_frames, "B", 3, 4), copy=True)
-    check_squarable(m, "transforms")
+    argument = f"{prefix}transforms"
+    m = check_floats(transforms, argument, (n_frames, "B", 3, 4), copy=True)
+    check_squarable(m, argument)
     r = m[..., :3]
     expected = {
         "rigid": "rigid transforms (rotations, det +1)",
@@ -259,17 +278,19 @@ def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "ri
     if bone_model != "rigid":
         size = np.sqrt(np.trace(gram, axis1=2, axis2=3) / 3)
     if not (size > 0).all():
-        raise InputError("transforms", expected, "a 3×3 block of zeros")
-    det = np.linalg.det(r / size[..., None, None])
+        raise InputError(argument, expected, "a 3×3 block of zeros")
+    det, off = np.linalg.det(r / size[..., None, None]), 0.0
     if bone_model != "affine":
-        off = np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max()
+        off = float(np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max())
         if off > _OFF:
-            raise InputError("transforms", expected, f"off by {off:.2g}")
+            raise InputError(argument, expected, f"off by {off:.2g}")
     if (det < 0).any():
-        raise InputError("transforms", expected, "a reflection")
+        raise InputError(argument, expected, "a reflection")
     if bone_model == "affine":
         if not (det > _LEAST_DETERMINANT).all():
-            raise InputError("transforms", expected, "a singular 3×3 block")
+            raise InputError(argument, expected, "a singular 3×3 block")
+        return np.asarray(m, dtype=np.float64)
+    if off <= _ROUNDING:
         return np.asarray(m, dtype=np.float64)
     u, _, vt = np.linalg.svd(r)
     m[..., :3] = (u @ vt) * size[..., None, None]

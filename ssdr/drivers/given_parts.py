@@ -21,6 +21,7 @@ from ..checks import (
 from ..errors import InputError, check_choice, is_whole
 from ..hierarchy.tree import Tree
 from ..joints.limb_matching import limb_distances
+from ..joints.placement import move_onto_joints
 from ..search.given import Given
 from ..sequence import MeshSequence
 from ..skinning import Skinning
@@ -31,34 +32,38 @@ __all__ = ["check_skeleton", "check_start", "extra_parents", "on_skeleton"]
 
 Skin = tuple[NDArray[np.int32], Array]
 
+# Gaps of joints relative to the mesh's size: such as double precision leaves, and such as single
+# precision or a file's keys leave, which are closed at once.
+_EXACTLY, _NEARLY = 1e-12, 1e-4
+_TURNED = 1e-6  # of a rotation's entries: beyond, a joint is not where it was locked
+
 
 def check_start(
-    start: Any, shape: tuple[int, int, int, int], bone_model: BoneModel
+    start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Given, Skinning | None]:
     """The parts to begin from, and the whole model where they are one; `shape` is (F, V, B, K)."""
-    if start is None:
-        return Given(), None
     if isinstance(start, Skinning):
         return _from_model(start, shape, bone_model), start
-    if isinstance(start, Start):
-        return _from_parts(start, shape, bone_model), None
-    raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
+    return Given() if start is None else _from_parts(start, shape, bone_model), None
 
 
 def _from_model(model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel) -> Given:
     n_frames, n, bones, influences = shape
     if model.n_vertices != n:
         raise InputError("start", f"a model of {n} vertices, as the sequence has", model.n_vertices)
-    indices, weights = _sorted_skin(model.indices, model.weights, (n, bones, influences), "start")
+    if model.n_bones != bones:
+        raise InputError("start", f"a model of {bones} bones, as the rig has", model.n_bones)
+    indices, weights = _sorted_skin(model.indices, model.weights, (n, bones, influences))
     transforms = None
     if model.n_frames == n_frames:
-        transforms = check_transforms(model.transforms, n_frames, bone_model)
+        transforms = check_transforms(model.transforms, n_frames, bone_model, "start.")
     tree = None
     if model.parents is not None:
         points = np.asarray(model.joint_positions, dtype=np.float64)
-        gaps = model.joint_gaps().max()
-        size = float(np.ptp(model.rest, axis=0).max())
-        tree = Tree(model.parents.astype(np.int64), points, rigid=bool(gaps <= 1e-9 * size))
+        gap = model.joint_gaps().max() / float(np.ptp(model.rest, axis=0).max() or 1.0)
+        tree = Tree(model.parents.astype(np.int64), points, rigid=bool(gap <= _NEARLY))
+        if transforms is not None and _EXACTLY < gap <= _NEARLY:
+            move_onto_joints(transforms, tree)
     return Given(
         rest=_check_rest(model.rest, n),
         indices=indices,
@@ -73,20 +78,18 @@ def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: Bone
     n_frames, n, bones, influences = shape
     indices, weights, transforms = start.indices, start.weights, start.transforms
     if (indices is None) != (weights is None):
-        missing = "indices" if indices is None else "weights"
-        raise InputError(
-            f"start.{missing}", "an array beside the other of indices and weights", "None"
-        )
+        missing, there = ("weights", "indices") if weights is None else ("indices", "weights")
+        raise InputError(f"start.{missing}", f"an array beside start.{there}", "None")
     locked_vertices = check_mask(start.locked_vertices, "start.locked_vertices", n)
     if weights is not None:
-        indices, weights = _sorted_skin(indices, weights, (n, bones, influences), "start.weights")
+        indices, weights = _sorted_skin(indices, weights, (n, bones, influences))
         if locked_vertices is None:
             locked_vertices = np.ones(n, dtype=bool)
     elif locked_vertices is not None:
         raise InputError("start.locked_vertices", "None without indices and weights", "a mask")
     locked_bones = None
     if transforms is not None:
-        transforms = check_transforms(transforms, n_frames, bone_model)
+        transforms = check_transforms(transforms, n_frames, bone_model, "start.")
         count = transforms.shape[1]
         if count > bones:
             raise InputError("start.transforms", f"at most {bones} bones, as asked for", count)
@@ -118,16 +121,29 @@ def check_skeleton(rig: Skeleton) -> None:
 
 
 def on_skeleton(
-    rig: Skeleton, given: Given, sequences: list[MeshSequence], influences: int
+    rig: Skeleton,
+    given: Given,
+    sequences: list[MeshSequence],
+    influences: int,
+    start: Skinning | None,
 ) -> Given:
-    """The given parts with the tree of a skeleton, its extra bones and its locked joints."""
-    skeleton, extra = rig.skinning, extra_parents(rig)
-    if extra and (rig.joints == "loose" or given.indices is not None):
-        beside = "loose joints" if rig.joints == "loose" else "indices and weights"
-        raise InputError("rig.extra_bones", f"0 beside {beside}", rig.extra_bones)
-    if given.transforms is not None and not given.free:
-        raise InputError("start.transforms", "None beside a skeleton", "an array")
+    """The given parts with the tree of a skeleton, its extra bones and its locked joints.
+
+    `start` is the whole model that the parts are of, where they are one.
+    """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    skeleton, extra = rig.skinning, extra_parents(rig, n)
+    if extra and rig.joints == "loose":
+        raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
+    rotations = _locked_rotations(skeleton, rig.locked_joints, n_frames)
+    if start is not None:
+        tree = _same_tree(start, given, skeleton, rotations)
+        return dataclasses.replace(given, tree=tree, keeps_tree=True, rotations=rotations)
+    if extra and given.indices is not None:
+        expected = "0 beside start.indices and start.weights"
+        raise InputError("rig.extra_bones", expected, rig.extra_bones)
+    if given.transforms is not None:
+        raise InputError("start.transforms", "None beside a skeleton", "an array")
     points = np.asarray(skeleton.joint_positions, dtype=np.float64)
     tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
     pose, nearest, skin = _frame(sequences, given.rest_frame), None, None
@@ -138,13 +154,29 @@ def on_skeleton(
         nearest = limb_distances(pose if given.rest is None else given.rest, tree).argmin(axis=1)
     return dataclasses.replace(
         given,
-        tree=given.tree if given.free and given.tree is not None else tree,
+        tree=tree,
+        keeps_tree=True,
         tree_pose=pose,
         nearest_bone=nearest,
         skeleton_skin=skin,
         extra_parents=extra,
-        turns=_locked_turns(skeleton, rig.locked_joints, n_frames),
+        rotations=rotations,
     )
+
+
+def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
+    """The tree of a model to go on from, whose parents must be those of the skeleton.
+
+    Joints that are locked at another rotation than the model's have to be attached anew.
+    """
+    known = skeleton.n_bones
+    if given.tree is None or not np.array_equal(given.tree.parents[:known], skeleton.parents):
+        raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
+    if rotations is None or given.transforms is None:
+        return given.tree
+    away = np.abs(start.local_transforms()[:, :known, :, :3] - rotations)
+    turned = bool(np.nan_to_num(away).max() > _TURNED)
+    return dataclasses.replace(given.tree, rigid=given.tree.rigid and not turned)
 
 
 def _check_rest(rest: Any, n_vertices: int) -> Array:
@@ -153,13 +185,13 @@ def _check_rest(rest: Any, n_vertices: int) -> Array:
     return np.asarray(points, dtype=np.float64)
 
 
-def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int], argument: str) -> Skin:
+def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin:
     """Indices and weights, the largest weights first, no bone twice at a vertex."""
     n, bones, influences = size
-    indices, w = check_skin(indices, weights, n, bones)
+    indices, w = check_skin(indices, weights, n, bones, "start.")
     used = int((w > 0).sum(axis=1).max())
     if used > influences:
-        raise InputError(argument, f"at most {influences} influences a vertex", used)
+        raise InputError("start.weights", f"at most {influences} influences a vertex", used)
     w = w.astype(np.float64)
     order = np.argsort(-w, axis=1, kind="stable")
     w, indices = (np.take_along_axis(a, order, axis=1) for a in (w, indices))
@@ -167,7 +199,8 @@ def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int], argumen
     twice = (distinct[:, 1:] == distinct[:, :-1]).any(axis=1)
     if twice.any():
         first = int(twice.argmax())
-        raise InputError(argument, "no bone twice at a vertex", f"one twice at vertex {first}")
+        came = f"one twice at vertex {first}"
+        raise InputError("start.indices", "no bone twice at a vertex", came)
     return np.where(w > 0, indices, 0).astype(np.int32), w / w.sum(axis=1, keepdims=True)
 
 
@@ -178,13 +211,16 @@ def _largest(skeleton: Skinning, influences: int) -> Skin:
     return pruned.indices, weights / weights.sum(axis=1, keepdims=True)
 
 
-def extra_parents(rig: Skeleton) -> tuple[int, ...]:
-    """The parents of the bones that a skeleton gets more; −1: where the error is."""
+def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
+    """The parents of the bones that are added to a skeleton; −1: where the error is."""
     named = rig.extra_bones if isinstance(rig.extra_bones, Mapping) else {"": rig.extra_bones}
     parents: list[int] = []
     for name, count in named.items():
         if not is_whole(count) or count < 0:
             raise InputError("rig.extra_bones", "an integer >= 0, or some by name", repr(count))
+        if count + len(parents) + rig.skinning.n_bones > n_vertices:
+            expected = f"no more bones in all than the {n_vertices} vertices"
+            raise InputError("rig.extra_bones", expected, repr(rig.extra_bones))
         if isinstance(rig.extra_bones, Mapping):
             parents += [_single_joint(rig.skinning, name, "rig.extra_bones")] * int(count)
         else:
@@ -192,23 +228,24 @@ def extra_parents(rig: Skeleton) -> tuple[int, ...]:
     return tuple(parents)
 
 
-def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
+def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
     """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
-    if isinstance(names, str) or not all(isinstance(name, str) for name in names):
+    listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
+    if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
         raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
-    if not names:
+    if not listed:
         return None
     if skeleton.n_frames not in (1, n_frames):
         expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
         raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")
     local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
-    turns = np.full((n_frames, *local.shape[1:]), np.nan)
-    for name in dict.fromkeys(names):
+    rotations = np.full((n_frames, *local.shape[1:]), np.nan)
+    for name in dict.fromkeys(listed):
         joint = _single_joint(skeleton, name, "rig.locked_joints")
         if skeleton.parents[joint] < 0:
             raise InputError("rig.locked_joints", "joints that have a parent", f"{name!r}, a root")
-        turns[:, joint] = local[:, joint]
-    return turns
+        rotations[:, joint] = local[:, joint]
+    return rotations
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:

@@ -13,19 +13,18 @@ from ..checks import (
     check_bone_model,
     check_importance,
     check_influences,
-    check_nonnegative,
     check_rng,
+    check_smoothness,
     check_whole,
 )
-from ..errors import InputError, check_choice, is_real
+from ..errors import InputError, check_choice, is_real, is_whole
 from ..search.given import Given
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.model import Fixed
-from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
-from ..start import Skeleton
+from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
 from .given_parts import check_skeleton, check_start, extra_parents, on_skeleton
 from .schedule import Effort, RigKind
@@ -109,9 +108,15 @@ class Problem:
             compress=False,
         )
 
-    def smoothness_of(self, data: Trajectories) -> WeightSmoothness | None:
-        """The penalty on the weights, where there is one."""
-        return WeightSmoothness.build(data, self.sequences[0].faces, self.smoothness)
+    @property
+    def placed(self) -> bool:
+        """True if weights or all bones are locked, so that no bone has to find its place."""
+        every = self.fixed.locked(self.bones).all() if self.fixed.bones is not None else False
+        return self.given.locked_vertices is not None or bool(every)
+
+    def without_transforms(self) -> Problem:
+        """The same without transforms to start from."""
+        return dataclasses.replace(self, given=dataclasses.replace(self.given, transforms=None))
 
     def save(self, skinning: Callable[[], Skinning], *, last: bool = False) -> None:
         """Offer the best model so far to the checkpoint, where there is one."""
@@ -148,21 +153,21 @@ def check_problem(
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     influences, bone_model = check_influences(influences), check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
+    if not (start is None or isinstance(start, (Skinning, Start))):
+        raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
+    if not (rig is None or isinstance(rig, Skeleton) or _is_kind(rig)):
+        raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
     bones = _count_bones(bones, n, rig, start)
     given, whole = check_start(start, (n_frames, n, bones, influences), bone_model)
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
-        given, kind = on_skeleton(rig, given, sequences, influences), rig.joints
+        given, kind = on_skeleton(rig, given, sequences, influences, whole), rig.joints
         names = rig.skinning.names()
     elif rig is not None:
-        if not isinstance(rig, str) or rig not in ("loose", "rigid"):
-            raise InputError("rig", "None, 'loose', 'rigid' or a Skeleton", repr(rig))
-        kind = rig  # type: ignore[assignment]
-    smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
-    if smoothness > 0 and len(sequences[0].faces) == 0:
-        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
-    _check_rig(kind, given, bone_model, smoothness, whole is not None)
+        kind = rig
+    smoothness = check_smoothness(smoothness, sequences[0].faces)
+    _check_rig(kind, given, bone_model, smoothness)
     if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
     if callback is not None and not callable(callback):
@@ -188,7 +193,7 @@ def check_problem(
             bone_model=bone_model,
             joints=skeleton and kept_rest,
             near_skin=kind == "rigid" and not skeleton,
-            turns=given.turns,
+            rotations=given.rotations,
         ),
         given=given,
         start=whole,
@@ -202,36 +207,41 @@ def check_problem(
     )
 
 
+def _is_kind(rig: Any) -> bool:
+    return isinstance(rig, str) and rig in ("loose", "rigid")
+
+
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
     """How many bones the result has: as asked for, or as a skeleton or a model has."""
-    known, what = None, ""
+    known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)
-        known, what = rig.skinning.n_bones + len(extra_parents(rig)), "skeleton"
+        known, what = rig.skinning.n_bones + len(extra_parents(rig, n_vertices)), "rig"
     elif isinstance(start, Skinning):
         known, what = start.n_bones, "start"
     if bones is None and known is None:
         raise InputError("bones", f"an integer from 1 to {n_vertices}", "None")
-    if known is not None and bones not in (None, known):
+    if known is not None and bones is not None and not (is_whole(bones) and bones == known):
         raise InputError("bones", f"{known}, as the {what} has, or None", repr(bones))
-    note = " (the number of vertices)"
-    return check_whole(known if bones is None else bones, "bones", 1, n_vertices, note)
+    if known is None:
+        return check_whole(bones, "bones", 1, n_vertices, " (the number of vertices)")
+    if known > n_vertices:
+        raise InputError(what, f"at most {n_vertices} bones, as there are vertices", known)
+    return known
 
 
-def _check_rig(
-    kind: RigKind, given: Given, bone_model: str, smoothness: float, whole: bool
-) -> None:
+def _check_rig(kind: RigKind, given: Given, bone_model: str, smoothness: float) -> None:
     """Refuse what does not go together with bones that hang on joints."""
     if kind == "none":
         return
-    beside = f"beside rig={kind!r}"
+    beside = "beside a Skeleton" if given.keeps_tree else f"beside rig={kind!r}"
     if bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(bone_model))
-    if kind == "loose" and given.turns is not None:
+    if kind == "loose" and given.rotations is not None:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
-    if kind == "loose" and given.tree is None:
+    if kind == "loose" and not given.keeps_tree:
         return
-    for name in ("weights", "transforms") if given.tree is None and not whole else ():
+    for name in ("weights", "transforms") if not (given.keeps_tree or given.free) else ():
         if getattr(given, name) is not None:
             raise InputError(f"start.{name}", f"None {beside}", "an array")
     if smoothness > 0:

@@ -23,7 +23,8 @@ from ..search.run import Run
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.trajectories import Array, Trajectories
-from .in_memory import Outcome, Step, begin, idle_bones, make_steps, outcome_of, skinning_of
+from .hand_back import Outcome, Step, outcome_of, skinning_of
+from .in_memory import begin
 from .passes import ENTERING, GAIN, AllFrames, carried
 from .problem import Problem
 from .scan import Scan, scan, subset
@@ -47,7 +48,7 @@ def solve(problem: Problem) -> Outcome:
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    if problem.given.turns is not None:
+    if problem.given.rotations is not None:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     clock = Clock()
     executor = executor_for(problem.sequences)
@@ -58,16 +59,18 @@ def solve(problem: Problem) -> Outcome:
     run = begin(problem, data, given, clock)
     del data  # what a compressed run needs no longer is freed
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
+    # transforms of a model to go on from may turn out to be of other frames
+    later = problem if run.given.transforms is not None else problem.without_transforms()
     chosen = few
     if more is not None and reason not in ("cancelled", "time limit"):
         chosen = more
         run.release()
         weights = None if importance is None else importance[more.chosen]
-        sequence, data, given = _read(problem, more, weights, executor)
-        run = _settling(problem, few, more, run, data, given)
+        sequence, data, given = _read(later, more, weights, executor)
+        run = _settling(later, few, more, run, data, given)
         reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
-    idle = idle_bones(run)
-    frames = _all_frames(problem, chosen, run, executor)
+    idle = run.idle_bones
+    frames = _all_frames(later, chosen, run, executor)
     run.release()
     passes, why = _passes(problem, run, frames, hurried=reason == "cancelled")
     return outcome_of(
@@ -113,7 +116,8 @@ def _make_steps(
     def model() -> Skinning:
         return skinning_of(problem, run.whole, run.best_model, [sequence])
 
-    return make_steps(run, problem, save=model, part=part)
+    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
+    return run.make_steps(report, save=lambda: problem.save(model), part=part)
 
 
 def _settling(

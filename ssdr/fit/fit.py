@@ -14,7 +14,9 @@ from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.trajectories import Array
 
-__all__ = ["Fit", "checked", "checked_transforms", "rmse_of"]
+__all__ = ["NAMES", "Fit", "checked", "checked_transforms", "rmse_of"]
+
+NAMES = ("skinning.rest", "skinning.transforms")  # of what is taken into the solver's space
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,7 +61,7 @@ def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Ar
 def checked_transforms(sequences: list[MeshSequence], skinning: Skinning) -> Array:
     """The model's transforms, which must be of as many frames as the shots."""
     n_frames = sum(len(s) for s in sequences)
-    return check_transforms(skinning.transforms, n_frames, skinning.bone_model)
+    return check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
 
 
 def rmse_of(squared: Array, n_frames: int) -> float:

@@ -13,7 +13,7 @@ from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import gather
-from .fit import Fit, checked, checked_transforms, rmse_of
+from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
 
 __all__ = ["fit_rest_pose"]
 
@@ -59,7 +59,7 @@ def fit_rest_pose(
     world = checked_transforms(sequences, skinning)
     locked = check_mask(locked_vertices, "locked_vertices", len(outer))
     data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(outer, world)
+    inner, bones = data.from_world(outer, world, NAMES)
     assert bones is not None
     model = Model.start(bones, inner, skinning.indices[:, 0], skinning.n_influences)
     model.indices, model.weights = skinning.indices.copy(), weights

@@ -33,6 +33,8 @@ class Given:
     locked_bones : (B0,) mask or None
     tree : Tree or None
         Parents and joints of the first bones.
+    keeps_tree : bool
+        The tree is that of a skeleton, whose parents stay.
     tree_pose : (V, 3) array or None
         Rest pose in which these joints lie, where `rest` is None.
     nearest_bone : (V,) array or None
@@ -41,7 +43,7 @@ class Given:
         Indices and weights of a skeleton of the same mesh, to start from.
     extra_parents : tuple of int
         Parents of the bones that a skeleton gets more; −1: where the error is.
-    turns : (F, B0, 3, 3) array or None
+    rotations : (F, B0, 3, 3) array or None
         Rotations of its joints relative to their parents that stay; NaN where they are free.
     """
 
@@ -54,11 +56,12 @@ class Given:
     locked_vertices: NDArray[np.bool_] | None = None
     locked_bones: NDArray[np.bool_] | None = None
     tree: Tree | None = None
+    keeps_tree: bool = False
     tree_pose: Array | None = None
     nearest_bone: NDArray[np.intp] | None = None
     skeleton_skin: tuple[NDArray[np.int32], Array] | None = None
     extra_parents: tuple[int, ...] = ()
-    turns: Array | None = None
+    rotations: Array | None = None
 
     @property
     def fixed_bones(self) -> NDArray[np.bool_] | None:
@@ -79,18 +82,24 @@ class Given:
     def inside(self, alignment: Alignment) -> Given:
         """The same in the solver's space."""
 
-        def inward(points: Array) -> Array:
-            return np.ascontiguousarray(alignment.from_world(points, None)[0])
+        def inward(points: Array | None, name: str) -> Array | None:
+            if points is None:
+                return None
+            return np.ascontiguousarray(alignment.from_world(points, None, (name, ""))[0])
 
         tree, transforms = self.tree, self.transforms
         if tree is not None:
-            tree = dataclasses.replace(tree, points=inward(tree.points))
+            owner = "rig.skinning" if self.keeps_tree else "start"
+            points = inward(tree.points, f"{owner}.joint_positions")
+            assert points is not None
+            tree = dataclasses.replace(tree, points=points)
         if transforms is not None:
-            _, transforms = alignment.from_world(alignment.centre[:1], transforms)
+            names = ("", "start.transforms")
+            _, transforms = alignment.from_world(alignment.centre[:1], transforms, names)
         return dataclasses.replace(
             self,
-            rest=None if self.rest is None else inward(self.rest),
-            tree_pose=None if self.tree_pose is None else inward(self.tree_pose),
+            rest=inward(self.rest, "start.rest"),
+            tree_pose=inward(self.tree_pose, "rig.skinning.rest"),
             transforms=transforms,
             tree=tree,
         )

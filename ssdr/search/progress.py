@@ -52,7 +52,8 @@ class Progress:
         Seconds.
     rmse : float
         Error of the best model so far, in the mesh's units, weighted by the importances where
-        there are any; inf before there is a model.
+        there are any; inf before there is a model.  Penalties of `smoothness` and of joints away
+        from the skin count as error.
     fraction : float
         Estimated fraction of the work that is done, 0 to 1.
     time_left : float

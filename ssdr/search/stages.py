@@ -8,9 +8,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..solver.alternation import alternate, bone_step, vertex_step
-from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
-from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
+from ..solver.alternation import bone_step, vertex_step
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
 from .moves import (
@@ -35,20 +35,10 @@ __all__ = [
     "Merge",
     "MoveBones",
     "Polish",
-    "QuickStart",
     "Relax",
     "Search",
-    "Spread",
-    "Start",
-    "StartFromModel",
 ]
 
-# Frames of a quick start where there are twice as many or more, and alternations on them: 64
-# frames tell which bones there are, and 16 alternations place them.
-_FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
-# Where bones of a frame start from those of another frame: Gauss–Seidel sweeps, and leaps of all
-# bones together, since sweeps alone carry a bone far only in many rounds.
-_FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
 # An alternation that gains less than this, relative to the objective, does not count.
 _PLATEAU = 1e-5
 _PLATEAU_ALTERNATIONS = 3  # in a row: fewer end on a pause that is followed by progress
@@ -59,130 +49,6 @@ _MOST_MISSES = 8  # failures that count against a kind of change: none is given 
 
 # makes a changed copy of a model
 Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
-
-
-# --- starts ------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Start(Stage):
-    """Bones from motion, or from what the caller gave, and their first weights.
-
-    Attributes
-    ----------
-    factor : float
-        Bones to start with, relative to those asked for; a merge removes the excess.
-    influences : int or None
-        Influences of the start; None: those asked for.
-    """
-
-    phase: ClassVar[str] = "start"
-    cost: float = 8
-    factor: float = 1.0
-    influences: int | None = None
-
-    def apply(self, run: Run) -> Iterator[None]:
-        run.model = self._model(run)
-        vertex_step(run.data, run.model, fixed=run.fixed)
-        yield
-
-    def _model(self, run: Run, *, quick: bool = False) -> Model:
-        data, given = run.data, run.present_parts
-        influences = self.influences or run.influences
-        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
-        bones = given.transforms
-        if given.indices is not None and given.weights is not None:
-            if bones is None:
-                bones = bones_of_weights(data, rest, given.indices, run.bones, run.fixed.bone_model)
-            return Model.with_weights(bones.copy(), rest, given.indices, given.weights, influences)
-        if bones is not None and bones.shape[1] == run.bones:
-            every = np.arange(data.n_vertices)
-            cost, positions = single_bone_errors(data, given.rest, bones, every)
-            label = cost.argmin(axis=1)
-            if positions is not None:
-                rest = np.ascontiguousarray(positions[every, :, label])
-            return Model.start(bones.copy(), rest, label, influences)
-        count = min(data.n_vertices, max(run.bones, round(run.bones * self.factor)))
-        kind = run.fixed.bone_model
-        return start_model(data, rest, count, influences, run.rng, bones, kind, quick=quick)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class QuickStart(Start):
-    """A start that is soon made: settled on 64 frames where there are many, then on all."""
-
-    phase: ClassVar[str] = "quick"
-
-    def apply(self, run: Run) -> Iterator[None]:
-        data, given = run.data, run.given
-        if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
-            run.model = self._model(run, quick=True)
-            vertex_step(data, run.model, fixed=run.fixed)
-            yield
-            return
-        chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-        few = data.some(chosen)
-        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
-        influences, kind = self.influences or run.influences, run.fixed.bone_model
-        model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
-        vertex_step(few, model, fixed=run.fixed)
-        alternate(few, model, _FEW_ALTERNATIONS, run.fixed)
-        between = 0.5 * (chosen[1:] + chosen[:-1])
-        nearest = np.searchsorted(between, np.arange(data.n_frames))
-        model.transforms = np.ascontiguousarray(model.transforms[nearest])
-        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed)
-        vertex_step(data, model, fixed=run.fixed)
-        run.model = model
-        yield
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class StartFromModel(Stage):
-    """A whole model that the caller gave, unchanged where its transforms are of these frames.
-
-    Else its bones are fitted to its weights first.
-    """
-
-    phase: ClassVar[str] = "start"
-    cost: float = 8
-
-    def apply(self, run: Run) -> Iterator[None]:
-        data, given = run.data, run.given
-        assert given.rest is not None
-        assert given.indices is not None
-        assert given.weights is not None
-        bones, kind = given.transforms, run.fixed.bone_model
-        if bones is None:
-            bones = bones_of_weights(data, given.rest, given.indices, run.bones, kind)
-        model = Model.with_weights(
-            bones.copy(), given.rest, given.indices, given.weights, run.influences
-        )
-        if given.transforms is None:
-            fit_motion(data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
-        model.tree = given.tree if run.rigid_joints else None
-        measure_error(run, model)
-        run.model = model
-        yield
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Spread(Stage):
-    """Fit the bones of frames that start with those of other frames; measure the error."""
-
-    phase: ClassVar[str] = "spread"
-    cost: float = 12
-
-    def apply(self, run: Run) -> Iterator[None]:
-        model = run.present
-        fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
-        measure_error(run, model)
-        yield
-
-
-def measure_error(run: Run, model: Model) -> None:
-    """Set the error of every vertex; nothing moves."""
-    every = np.ones(run.data.n_vertices, dtype=bool)
-    vertex_step(run.data, model, fixed=dataclasses.replace(run.fixed, rest=True, weights=every))
 
 
 # --- steps on all bones ------------------------------------------------------------------------
@@ -281,7 +147,7 @@ class Polish(Stage):
     gain: float = 0.0
 
     def apply(self, run: Run) -> Iterator[None]:
-        polish = polish_of(run.data, run.present, fixed=run.fixed)
+        polish = GaussNewton(run.data, run.present, fixed=run.fixed)
         values = [polish.value]
         for k in range(self.steps):
             polish.step(entering=entering_at(k))
