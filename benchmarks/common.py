@@ -38,7 +38,7 @@ Row = dict[str, Any]
 
 
 def data_folder() -> Path:
-    """SSDR_TEST_DATA, else the folder shared/data beside the repository."""
+    """Folder that SSDR_TEST_DATA names, else shared/data beside the repository."""
     folder = Path(os.environ.get("SSDR_TEST_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
         raise SystemExit(f"no data: {folder} is not a folder; set SSDR_TEST_DATA")
@@ -88,7 +88,7 @@ def rmse_of(frames: np.ndarray, model: Any) -> float:
 
 
 def defects(model: Any, bones: int, influences: int) -> list[str]:
-    """What is wrong with a model; empty if nothing is."""
+    """Defects of a model in words."""
     found = []
     if model.transforms.shape[1] != bones:
         found.append(f"{model.transforms.shape[1]} bones, not {bones}")
@@ -110,7 +110,7 @@ def defects(model: Any, bones: int, influences: int) -> list[str]:
 
 
 def compile_kernels() -> None:
-    """Compile or load the solver's kernels, so that what follows is timed without them."""
+    """Compile or load the solver's kernels, which timings leave out."""
     import ssdr
 
     ssdr.decompose(np.random.default_rng(0).standard_normal((4, 30, 3)), bones=2, effort="fast")
@@ -120,7 +120,7 @@ def compile_kernels() -> None:
 
 
 def quickest(function: Callable[[], object], repeats: int) -> float:
-    """Least seconds of several calls, after one that does not count."""
+    """Least seconds of several calls, after one that is not counted."""
     function()
     seconds = []
     for _ in range(repeats):
@@ -131,7 +131,7 @@ def quickest(function: Callable[[], object], repeats: int) -> float:
 
 
 def machine() -> Row:
-    """What times depend on, measured now.
+    """Rates of this machine, measured now.
 
     GFLOP/s of float64 matrix products in one thread and in two at once, GB/s read and written by a
     copy in one thread, and the load.
@@ -160,7 +160,7 @@ def machine() -> Row:
 
 @functools.cache
 def revision() -> str | None:
-    """The commit that is measured, with a plus where the package has changed since."""
+    """Commit that is measured, with a plus if the package has been changed since."""
     try:
         head, changed = (
             subprocess.run(
@@ -191,7 +191,7 @@ def tell(rates: Row) -> str:
 
 
 def peak_memory(what: str = "VmHWM") -> float:
-    """MiB that this process held at most, or of another line of /proc/self/status."""
+    """Most MiB that this process held, or the MiB of another line of /proc/self/status."""
     text = Path("/proc/self/status").read_text()
     line = next(line for line in text.splitlines() if line.startswith(what))
     return int(line.split()[1]) / 1024
@@ -201,7 +201,7 @@ def peak_memory(what: str = "VmHWM") -> float:
 
 
 def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
-    """What a Python of its own with so many threads prints last, as JSON."""
+    """Run Python in a new process; returns its last line of output, which is JSON."""
     settings = {
         "PYTHONPATH": str(ROOT),
         "SSDR_NUM_THREADS": str(threads),
@@ -219,7 +219,7 @@ def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
 
 
 def read_rows(path: Path) -> dict[str, Row]:
-    """Rows of a file of results by their case; none where there is no file."""
+    """Rows of a results file by case; none where there is no file."""
     return dict(json.loads(path.read_text("utf-8"))["rows"]) if path.is_file() else {}
 
 
@@ -252,8 +252,8 @@ def run(
     A case is the arguments of ``measure``, which runs in a process of its own.
     """
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
-    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name holds one")
-    parser.add_argument("--again", action="store_true", help="measure what has a result, too")
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one")
+    parser.add_argument("--again", action="store_true", help="also cases that have a result")
     parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument(
@@ -262,7 +262,7 @@ def run(
     default = RESULTS / f"{Path(script).stem}.json"
     parser.add_argument("--out", type=Path, default=default, help="results")
     parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
-    parser.add_argument("--case", help=argparse.SUPPRESS)  # this one, in this process
+    parser.add_argument("--case", help=argparse.SUPPRESS)  # measure one case in this process
     args = parser.parse_args()
     changes = dict(pair.split("=", 1) for pair in args.set)
     changes = {k: int(v) if v.isdecimal() else v for k, v in changes.items()}
@@ -325,30 +325,30 @@ def pyplot() -> Any:
 
 
 def plain_log_ticks(axis: Any) -> None:
-    """Ticks of a logarithmic y axis as plain numbers, also where it spans less than a decade."""
+    """Label a logarithmic y axis with plain numbers, also where it spans less than a decade."""
     from matplotlib.ticker import LogLocator
 
     axis.yaxis.set_major_formatter("{x:g}")
     low, high = axis.get_ylim()
-    if low > 0 and high > 1e4 * low:  # the decades alone fill the axis
+    if low > 0 and high > 1e4 * low:  # labels of the decades are enough
         return
     axis.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
     axis.yaxis.set_minor_formatter("{x:g}")
 
 
 def number_ticks(axis: Any, values: Iterable[float]) -> None:
-    """These numbers, and none beside them, along a logarithmic x axis."""
+    """Label a logarithmic x axis with these numbers alone."""
     ticks = sorted(set(values))
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_xticks([], minor=True)
 
 
 def save_figure(figure: Any, path: Path, *, tight: bool = True) -> None:
-    """Write a picture without date and version: the same figures give the same file."""
+    """Write a picture without date and version, so that the same figures give the same file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     if tight:
         figure.tight_layout()
-    # a legend may stand beside the panels
+    # a legend of the figure stands outside the panels
     beside = "tight" if tight and figure.legends else None
     figure.savefig(path, metadata={"Software": None}, bbox_inches=beside)
     pyplot().close(figure)

@@ -1,12 +1,12 @@
-"""Which error is left, by effort, bones, influences and kind of bones, and where none need be?
+"""Error by effort, bones, influences, seed and bone model, and on data that is exact skinning.
 
     python benchmarks/accuracy/errors.py                      # hours; --only takes words of names
     python benchmarks/accuracy/errors.py --only "efforts fox" "recovery chain"
 
 efforts: sequences that the race does not run.  recovery: exact linear blend skinning, a game
-character's own (fox, baked to float32) and a tube that this file bends.  kinds: bones that grow or
-stretch, at the number of rigid bones and at the bytes of their transforms.  bones, influences,
-seeds: the dancer that ships with the package; what a model of eight influences keeps when pruned.
+character's own (fox, baked to float32) and a bending tube.  kinds: bones that grow or stretch, with
+as many bones as the rigid model, and with as many as fit into the bytes of its transforms.  bones,
+influences, seeds: the dancer that ships with the package, also pruned from eight influences.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import ssdr
 from benchmarks import common
 from benchmarks.common import COLOURS, EFFORTS, Row, plain_log_ticks, pyplot, save_figure
 
-# E of a plain alternation of weights, bones and rest pose: 100 iterations, a sketch in NumPy
+# E after 100 plain alternations of weights, bones and rest pose
 PLAIN = {
     ("horse_gallop", 10, 4): 4.88,
     ("horse_gallop", 20, 4): 2.05,
@@ -46,10 +46,10 @@ AUTHOR = {
     ("horse_gallop", 20): 3.274,
     ("horse_gallop", 30): 2.056,
 }
-FLOATS = {"rigid": 7, "similarity": 8, "affine": 12}  # of a bone in a frame
+FLOATS = {"rigid": 7, "similarity": 8, "affine": 12}  # numbers per bone and frame
 EXACT = {"fox": 24, "chain": 6}  # bones
 STRETCH = [*AUTHOR, ("ea_bone", 20)]
-GOAL = 1e-4  # RMSE over the diagonal, of exact data
+GOAL = 1e-4  # RMSE over the diagonal on exact data
 
 
 def chain(bones: int = 6, frames: int = 60, seed: int = 7) -> np.ndarray:
@@ -79,7 +79,7 @@ def chain(bones: int = 6, frames: int = 60, seed: int = 7) -> np.ndarray:
 
 
 def cases() -> Iterator[tuple[str, Row]]:
-    """Name and arguments of each."""
+    """Name and arguments of each case."""
 
     def case(group: str, sequence: str, bones: int, **more: Any) -> tuple[str, Row]:
         words = [group, f"{sequence}-{bones}", *map(str, more.values())]
@@ -211,7 +211,7 @@ def kinds_chart(rows: list[Row], path: Path) -> None:
 
 
 def millimetres(e: float) -> float:
-    """RMSE of a sequence in metres, of its E."""
+    """RMSE in millimetres of a sequence in metres, from E."""
     return float(np.sqrt(3) * e)
 
 

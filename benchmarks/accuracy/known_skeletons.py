@@ -1,4 +1,4 @@
-"""Animations whose skeleton is known, and how much of it a found model has."""
+"""Animations whose skeleton is known, and a score of the skeleton that was found."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmarks.common import data_folder, skinned
 ANIMALS = {"fox": "Fox.glb", "llama": "Llama.gltf", "pig": "Pig.gltf"}
 RANDOM = {"tree-8": (8, 0), "tree-18": (18, 1), "tree-30": (30, 2)}  # bones, seed
 INFLUENCES = 4
-SAME = 1e-5  # of the diagonal: where a known joint comes further apart, it is none
+SAME = 1e-5  # of the diagonal: a known joint whose gap is larger is not counted
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -32,9 +32,9 @@ class Truth:
         return ssdr.MeshSequence(self.frames).diagonal()
 
     def groups(self) -> np.ndarray:
-        """A number (B,) for each bone; bones that never turn against each other share it.
+        """Group number (B,) of each bone; bones that never turn against each other share one.
 
-        To any method they are one bone.  −1 where nothing hangs on the bone.
+        No method can tell them apart.  −1 for a bone without weights.
         """
         model, gaps = self.skinning, self.gaps()
         freedom, group = model.joint_freedom(0.2), np.arange(model.n_bones)
@@ -47,11 +47,11 @@ class Truth:
         return np.where(used[group] > 0, group, -1)
 
     def gaps(self) -> np.ndarray:
-        """How far each joint (B,) comes apart at most, over the diagonal."""
+        """Largest gap (B,) of each joint over the diagonal."""
         return np.asarray(self.skinning.joint_gaps().max(axis=0)) / self.diagonal
 
     def bones(self) -> int:
-        """As many as move apart."""
+        """Number of groups."""
         group = self.groups()
         return len(np.unique(group[group >= 0]))
 
@@ -72,7 +72,7 @@ def known(name: str) -> Truth:
         skinning = random_tree(*RANDOM[name])
     weights = np.asarray(skinning.dense_weights(), dtype=np.float64)
     frames = skinned(skinning)
-    # vertices at a seam move alike in every frame
+    # copies of a vertex at a seam move alike in every frame
     paths = np.round(frames.transpose(1, 0, 2).reshape(frames.shape[1], -1) / np.ptp(frames), 6)
     keep = np.sort(np.unique(paths, axis=0, return_index=True)[1])
     return Truth(
@@ -104,7 +104,7 @@ def random_tree(bones: int, seed: int, frames: int = 120) -> ssdr.Skinning:
         direction = rng.normal(size=3) + (1.5 * way[parents[b]] if b else 0.0)
         way[b] = direction / np.linalg.norm(direction)
         if b:
-            # children of one bone hang apart: at one point motion could not tell them from
+            # siblings get joints apart: at the same point the motion could not tell them from
             # children of each other
             points[b] = points[parents[b]] + rng.uniform(0.6, 1.0) * way[parents[b]]
             points[b] += 0.1 * rng.normal(size=3)
@@ -137,7 +137,7 @@ def random_tree(bones: int, seed: int, frames: int = 120) -> ssdr.Skinning:
 
 
 def judge(truth: Truth, found: ssdr.Skinning) -> dict[str, Any]:
-    """How many edges of the true tree were found, and how far their joints are from the true."""
+    """Number of true edges that were found, and distances of their joints from the true ones."""
     model, group, gaps = truth.skinning, truth.groups(), truth.gaps()
     names = np.unique(group[group >= 0])
     merged = np.stack([truth.weights[:, group == g].sum(axis=1) for g in names], axis=1)
@@ -174,12 +174,12 @@ def judge(truth: Truth, found: ssdr.Skinning) -> dict[str, Any]:
 
 
 def carried(transforms: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Where transforms (F, 3, 4) take a point of the rest pose, (F, 3)."""
+    """Positions (F, 3) of a point of the rest pose under transforms (F, 3, 4)."""
     return transforms[..., :3] @ point + transforms[..., 3]
 
 
 def agreement(one: ssdr.Skinning, other: ssdr.Skinning) -> float:
-    """Share of the joints of one that other has, bones matched by what they move."""
+    """Share of the edges of `one` that `other` has; bones are matched by their weights."""
     rows, columns = linear_sum_assignment(-(one.dense_weights().T @ other.dense_weights()))
     place = dict(zip(rows.tolist(), columns.tolist(), strict=True))
     theirs = {frozenset((b, int(a))) for b, a in enumerate(other.parents) if a >= 0}

@@ -113,7 +113,7 @@ def curve_of(name: str) -> common.Row:
 
 
 def smallest(name: str) -> common.Row:
-    """The smallest model for a scene's tolerance, and what one bone less leaves."""
+    """Size of the smallest model for a scene's tolerance, and errors with one bone less."""
     make, asked, made = SCENES[name]
     frames = make()
     common.compile_kernels()
@@ -142,7 +142,7 @@ def smallest(name: str) -> common.Row:
 
 
 def one_less(frames: np.ndarray, bones: int, spent: int) -> tuple[list[float], int]:
-    """Errors of every seed, and iterations in all."""
+    """Error of every seed, and the iterations of all."""
     errors: list[float] = []
     iterations = 0
     while len(errors) < SEEDS or iterations < TIMES * spent:

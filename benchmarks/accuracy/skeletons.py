@@ -68,7 +68,7 @@ def exact(data: str, effort: Any, rng: int) -> Row:
 
 
 def free(data: str, effort: Any, rng: int, bones: int = 19) -> Row:
-    """Free bones beside a rigid tree of as many; on a sequence that is exact skinning."""
+    """Error of free bones beside that of a rigid tree of as many bones."""
     frames, faces = common.load(data)
     diagonal = ssdr.MeshSequence(frames).diagonal()
     out: Row = {"bones": bones}
@@ -101,7 +101,7 @@ def real(data: str, effort: Any, rng: int) -> Row:
 
 
 def held_out(data: str, effort: Any, rng: int) -> Row:
-    """A rig of every second frame; the others by rotations of its joints and its root alone."""
+    """Fit a rig to every second frame and explain the others by its rotations and root alone."""
     frames, _, bones = subject(data)
     rig = ssdr.decompose(frames[::2], bones=bones, effort=effort, rig="rigid", rng=rng).skinning
     other = ssdr.decompose(
@@ -117,12 +117,12 @@ def held_out(data: str, effort: Any, rng: int) -> Row:
 
 
 def kept(rig: ssdr.Skinning) -> ssdr.Start:
-    """Rest pose and weights of a rig, which stay as they are."""
+    """Start that keeps the rest pose and weights of a rig."""
     return ssdr.Start(rest=rig.rest, indices=rig.indices, weights=rig.weights)
 
 
 def seeds(data: str, effort: Any, rng: int) -> Row:
-    """Five seeds, and renumbered vertices: which share of the joints agrees with the first."""
+    """Share of the edges that five seeds and renumbered vertices have in common with the first."""
     frames, _, bones = subject(data)
     order = np.random.default_rng(0).permutation(frames.shape[1])
     options: Row = {"bones": bones, "effort": effort, "rig": "rigid"}
@@ -141,7 +141,7 @@ def seeds(data: str, effort: Any, rng: int) -> Row:
 
 
 def given_exact(data: str, effort: Any, rng: int) -> Row:
-    """The true skeleton as it stands in the first frame, and frames: weights, rest pose and motion.
+    """Fit weights, rest pose and motion to the true skeleton as it stands in the first frame.
 
     Also with joints 2 % off, and in its own rest pose, which is kept.
     """
@@ -171,13 +171,13 @@ def given_exact(data: str, effort: Any, rng: int) -> Row:
 
 
 def moved(joints: np.ndarray, diagonal: float) -> np.ndarray:
-    """Joints 2 % of the diagonal away from where they are."""
+    """Joints displaced by 2 % of the diagonal."""
     off = np.random.default_rng(0).normal(size=joints.shape) / np.sqrt(3)
     return np.asarray(joints + 0.02 * diagonal * off)
 
 
 def given(data: str, effort: Any, rng: int) -> Row:
-    """A rig handed over: its joints off by 2 %, with extra bones, and beside Dem Bones.
+    """Fit a given rig: as it is, with joints 2 % off, with extra bones, and by Dem Bones.
 
     Dem Bones starts from the same rest pose and transforms, with the rig's weights or with its
     own for them; its joints may come apart, as those of a loose rig.

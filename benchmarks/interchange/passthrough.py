@@ -46,7 +46,7 @@ MADE = "everything.gltf"
 def measure(file: str, way: str, bones: int = 24, effort: str = "balanced") -> common.Row:
     folder = three_folder()
     shutil.copy(Path(__file__).with_suffix(".html"), folder / "index.html")
-    # the page asks for the input by its own name, and for what it refers to
+    # the page loads the input under its own name, and the files that it refers to
     before, after = folder / "before", folder / "after.glb"
     shutil.rmtree(before, ignore_errors=True)
     if file == MADE:
@@ -66,7 +66,7 @@ def measure(file: str, way: str, bones: int = 24, effort: str = "balanced") -> c
     looks = [compared(first[c], second[c], f"{source.stem}_{way}_{c}") for c in first]
     return {
         "clips": list(first),
-        **{key: max(look[key] for look in looks) for key in looks[0]},  # of the worst clip
+        **{key: max(look[key] for look in looks) for key in looks[0]},  # the worst clip counts
         "places": len(difference(source, after)),
     }
 
@@ -95,7 +95,7 @@ def pixels(picture: str) -> np.ndarray:
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
-    """Serves a folder, and keeps what the page posts."""
+    """Server of a folder that keeps what the page posts."""
 
     answer: Any = None
     done = threading.Event()
@@ -111,7 +111,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 
 
 def played(folder: Path, job: common.Row) -> Any:
-    """What the folder's page posts back."""
+    """Answer of the folder's page in Chromium."""
     handler = functools.partial(Handler, directory=str(folder))
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -137,7 +137,7 @@ def played(folder: Path, job: common.Row) -> Any:
 
 
 def files() -> dict[str, list[str]]:
-    """Each file, and the ways that it goes."""
+    """Commands that each file goes through."""
     still = ["Duck.glb", "IridescenceSuzanne.glb"]
     return {name: ["convert"] for name in still} | {
         name: ["convert", "decompose"] for name in ("Fox.glb", "Llama.gltf", "Pig.gltf", MADE)

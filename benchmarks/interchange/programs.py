@@ -49,10 +49,10 @@ FORMATS: dict[str, tuple[str, Row]] = {
 
 @dataclasses.dataclass
 class Seen:
-    """What a program shows: each clip's vertices and local transforms, and the skeleton."""
+    """A model as a program shows it: vertices and local transforms by clip, and the skeleton."""
 
     points: dict[str, np.ndarray]
-    index: np.ndarray | None = None  # which vertex of the model each of its vertices is
+    index: np.ndarray | None = None  # (V',) vertex of the model behind each vertex
     seconds_off: float = 0.0
     tree: dict[str, str | None] | None = None
     joints: np.ndarray | None = None  # (B, 3), in the order of the tree, as local
@@ -67,7 +67,7 @@ def from_file(name: str) -> ssdr.Skinning:
 
 
 def llama_clips() -> ssdr.Skinning:
-    """Its five clips, decomposed together."""
+    """Five clips, decomposed together."""
     path = common.data_folder() / "gltf" / "Llama.gltf"
     clips = [ssdr.load(path, clip=clip.name, weld=True) for clip in ssdr.list_clips(path)]
     model = ssdr.decompose(clips, bones=16, effort="fast").skinning
@@ -110,7 +110,7 @@ def in_ssdr(path: Path, model: ssdr.Skinning) -> Seen:
 
 @functools.cache
 def three_folder() -> Path:
-    """Where three.js is installed, with the program that uses it."""
+    """Folder with three.js and the program that uses it."""
     folder = common.ROOT / "out" / "three"
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "node_modules").is_dir():
@@ -136,7 +136,7 @@ def in_three(path: Path, model: ssdr.Skinning) -> Seen:
 
 
 def in_usd(path: Path, model: ssdr.Skinning) -> Seen:
-    """By UsdSkel's own queries and its baking, each animation bound in turn."""
+    """The model by UsdSkel's queries and baking, with each animation bound in turn."""
     from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
     seen = Seen({})
@@ -169,9 +169,9 @@ def in_usd(path: Path, model: ssdr.Skinning) -> Seen:
 
 
 def in_blender(path: Path, model: ssdr.Skinning) -> Seen:
-    """Vertices as Blender evaluates them, in scenes of the clips' frame rates; glTF's bones, too.
+    """The model as Blender evaluates it, in scenes of the clips' frame rates.
 
-    Its USD importer shows the first clip alone, and names of its own.
+    Of USD, whose importer renames bones and shows the first clip alone, only the vertices.
     """
     seen, turn = Seen({}), turn_up(np.eye(3), "z", "y").T
     for clip in model.clips[:1] if path.suffix == ".usdc" else model.clips:
@@ -216,7 +216,7 @@ def has_tree(model: ssdr.Skinning) -> bool:
 
 
 def compared(seen: Seen, model: ssdr.Skinning) -> Row:
-    """Largest differences of what a program shows from the model."""
+    """Largest differences between a model and what a program shows of it."""
     clips = [clip for clip in model.clips if clip.name in seen.points]
     truth = {clip.name: model.skin(clip.frames, dtype=np.float64) for clip in clips}
     diagonal = max(ssdr.MeshSequence(p, validate=False).diagonal() for p in truth.values())
@@ -240,8 +240,8 @@ def compared(seen: Seen, model: ssdr.Skinning) -> Row:
 
 
 def matched(points: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> np.ndarray:
-    """Which vertex of the model each of an importer's is that gives no numbers."""
-    # the first and the middle frame of every clip together tell twins apart
+    """Vertex of the model nearest to each vertex of an importer that does not number them."""
+    # vertices that coincide in one frame differ in another
     pick = [(name, k) for name, p in truth.items() for k in (0, len(p) // 2)]
     ours = np.concatenate([truth[name][k] for name, k in pick], axis=1)
     theirs = np.concatenate([points[name][k] for name, k in pick], axis=1)
@@ -251,7 +251,7 @@ def matched(points: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> np.n
 def measure(model: str, file: str, program: str) -> Row:
     suffix, options = FORMATS[file]
     written = MODELS[model]()
-    if suffix == ".fbx":  # whose takes have one rate
+    if suffix == ".fbx":  # all takes of a file have the same rate
         rate = written.clips[0].fps
         written = written.select(*(c.name for c in written.clips if c.fps == rate))
     with tempfile.TemporaryDirectory() as folder:

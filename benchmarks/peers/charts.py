@@ -50,7 +50,7 @@ EFFORT_STYLES = ("ssdr fast", "ssdr balanced", "ssdr best")
 
 
 def draw(folder: Path, images: Path) -> None:
-    """Every chart that the records in a folder of results allow."""
+    """Draw every chart that the records in a folder of results allow."""
     parts = ("race", "front", "scaling", "choices")
     race, front, scaling, choices = (
         [*read_rows(folder / f"{part}.json").values()] for part in parts
@@ -79,7 +79,7 @@ def draw(folder: Path, images: Path) -> None:
 
 
 def plain_x(axis: Any) -> None:
-    """A logarithmic x axis of at least a decade, with plain numbers."""
+    """Give a logarithmic x axis at least a decade and plain numbers."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_xlim()
@@ -107,7 +107,7 @@ def race_chart(cases: dict[str, list[Row]], path: Path, everything: list[Row]) -
                     runs[0]["E"], color=colour, linewidth=0.8, linestyle=(0, (1, 3))
                 )
             elif runs:
-                # the thread count with which it was done first
+                # of the thread counts the one that ended first
                 curve = min(runs, key=lambda r: r["total wall"])["curve"]
                 points = [(wall, e) for _, wall, _, e in curve if wall > 0]
                 axis.plot(
@@ -130,7 +130,7 @@ def race_chart(cases: dict[str, list[Row]], path: Path, everything: list[Row]) -
     waits_chart(figure.add_subplot(grid[rows, :]), everything)
     labels = [label for label, _, _ in STYLE.values() if label in handles]
     labels += [label for label in handles if label not in labels]
-    # the legend gets a strip of its own above the panels, as high as its lines
+    # the legend stands in a strip above the panels, as high as its lines
     ncols = 4
     strip = 0.15 + 0.17 * -(-len(labels) // ncols)
     figure.set_figheight(figure.get_figheight() + strip)
@@ -143,7 +143,7 @@ def race_chart(cases: dict[str, list[Row]], path: Path, everything: list[Row]) -
 
 
 def waits_chart(axis: Any, records: list[Row]) -> None:
-    """Before the first call of a process: imports, and kernels from the cache or compiled."""
+    """Seconds before the first call of a process: imports, and kernels loaded or compiled."""
     bars: list[tuple[str, float]] = []
     for solver, name in {"ssdr ": "ssdr", "dembones ": "Dem Bones"}.items():
         waits = [r["waits"] for r in records if r["solver"].startswith(solver) and "waits" in r]

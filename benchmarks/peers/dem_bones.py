@@ -1,4 +1,4 @@
-"""Dem Bones through its binding: a solver to step by hand, and the model that it holds."""
+"""Dem Bones through its binding: a solver that is stepped from outside, and its model."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def prepared(
     rest: np.ndarray | None = None,
     regularised: bool = True,
 ) -> Any:
-    """A solver before its start; the rest pose is frame 0 where none is given.
+    """Solver with its data set, not started; the rest pose is frame 0 if none is given.
 
-    Both regularisers are as they come, or 0.
+    Both regularisers have their defaults, or are 0.
     """
     from py_dem_bones._py_dem_bones import DemBones
     from py_dem_bones.portable import _prepare_solver

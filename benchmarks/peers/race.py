@@ -43,8 +43,9 @@ STRETCH = ["ssdr balanced similarity", "ssdr balanced affine"]
 SWEEPS = {"F": (25, 50, 100, 200, 400), "V": (500, 1000, 2000, 4000, 8000), "B": (5, 10, 20, 40)}
 SHORT_CASES = [("ea_bone", 10), ("cow_elastic", 24), ("horse_gallop", 20)]
 SMOOTH = (0.0, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # shares of the diagonal
-WAIT = 900.0  # seconds without a word after which a solver is taken to hang
+WAIT = 900.0  # seconds without output after which a solver counts as hung
 TOGETHER = 8  # processes at a time
+SHOWN = ("failed", "said", "E", "bones found", "total wall", "total cpu", "defects")
 
 
 def job(part: str, solver: str, sequence: str, bones: int, influences: int = 4, **more: Row) -> Row:
@@ -102,7 +103,7 @@ def choices(short: bool, threads: list[int]) -> Iterator[Row]:
 
 
 def seeds(short: bool, threads: list[int]) -> Iterator[Row]:
-    """The race's run of seed 0 counts as the first."""
+    """Seeds beside seed 0, which is a run of the race."""
     for name, bones in SHORT_CASES[:1] if short else CASES:
         for seed in (1,) if short else (1, 2, 3, 4):
             yield job("seeds", "ssdr best", name, bones, seed=seed)
@@ -112,7 +113,7 @@ PARTS = {"race": races, "seeds": seeds, "front": front, "scaling": scaling, "cho
 
 
 class Runner:
-    """A solver's process and its turn; at last its record."""
+    """Process of a solver, which works in slices of time and ends with a record."""
 
     def __init__(self, job: Row, slice_seconds: float, rates: Row) -> None:
         self.job, self.record = job, None
@@ -135,7 +136,7 @@ class Runner:
         )
 
     def turn(self, go: bool = True) -> bool:
-        """Let it work for a slice; whether there is more to do."""
+        """Let the solver work for a slice; True if there is more to do."""
         try:
             if go:
                 self.process.stdin.write("go\n")
@@ -170,12 +171,12 @@ class Runner:
 
 
 def take_turns(jobs: list[Row], slice_seconds: float) -> Iterator[Row]:
-    """Records of jobs that run beside each other, as they end."""
+    """Run jobs in turns; yields the record of each when it ends."""
     rates = common.machine()
     print(f"{len(jobs)} solvers; {common.tell(rates)}", flush=True)
     running: list[Runner] = []
     try:
-        for job in jobs:  # each gets ready alone: compiling disturbs nobody
+        for job in jobs:  # one after the other, so that compiling disturbs no solver
             running.append(Runner(job, slice_seconds, rates))
             if not running[-1].turn(go=False):
                 yield running.pop().record
@@ -190,9 +191,9 @@ def take_turns(jobs: list[Row], slice_seconds: float) -> Iterator[Row]:
 
 
 def groups(jobs: Iterator[Row], rows: dict[str, Row], args: argparse.Namespace) -> list[list[Row]]:
-    """What is still to do, case by case."""
+    """Jobs without a record, grouped by case."""
     found: dict[str, list[Row]] = {}
-    for key, job in {key_of(job): job for job in jobs}.items():  # sweeps cross
+    for key, job in {key_of(job): job for job in jobs}.items():  # two sweeps may share a job
         if args.only and f"{job['sequence']}-{job['bones']}" not in args.only:
             continue
         if args.solvers and job["solver"] not in args.solvers:
@@ -234,19 +235,13 @@ def main() -> None:
             for record in take_turns(jobs, args.slice):
                 rows[key_of(record)] = record
                 common.write_rows(file, rows)
-                print(f"  {key_of(record)}: {told(record)}", flush=True)
-    from benchmarks.peers.charts import draw  # which needs matplotlib, as the runs do not
+                words = {k: record[k] for k in SHOWN if record.get(k)}
+                print(f"  {key_of(record)}: {words}", flush=True)
+    from benchmarks.peers.charts import draw  # needs matplotlib, which the runs do not
 
     draw(results, images)
     columns = ["case", "Dem Bones", "balanced", "best", "balanced ratio", "balanced cpu ratio"]
     print(common.table(summaries(common.read_rows(results / "race.json").values()), columns))
-
-
-def told(record: Row) -> str:
-    if "failed" in record:
-        return f"{record['failed']}: {record['said']}"
-    keys = ("E", "bones found", "total wall", "total cpu", "defects")
-    return ", ".join(f"{k} {record[k]}" for k in keys if record.get(k))
 
 
 if __name__ == "__main__":

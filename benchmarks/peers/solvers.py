@@ -32,7 +32,7 @@ Point = tuple[int, float, float, float]  # iteration, wall, CPU seconds, E
 
 
 class Pace:
-    """The clock of the solver's own work, stopped while others have their turn."""
+    """Clock of the solver's own work, which stops while others have their turn."""
 
     def __init__(self, slice_seconds: float) -> None:
         self.slice = slice_seconds
@@ -142,7 +142,10 @@ def stepped(
     step: Callable[[], object],
     model: Callable[[], tuple[np.ndarray, ...]],
 ) -> Row:
-    """A start and iterations, each timed; the best of their models (rest, weights, transforms)."""
+    """Time a start and iterations; the result is the best of their models.
+
+    `model` returns rest pose, weights (V, B) and transforms.
+    """
     curve: list[Point] = []
     best: tuple[float, Any] = (np.inf, None)
     found = ()
@@ -254,7 +257,7 @@ SOLVERS: dict[str, Callable[..., Row]] = {
 
 
 def ready(kind: str) -> Row:
-    """Everything that is loaded or compiled before the first call: seconds of each."""
+    """Seconds of what is loaded or compiled before the first call."""
     began = time.perf_counter()
     if kind == "dembones":
         import py_dem_bones  # noqa: F401
@@ -283,7 +286,7 @@ def main() -> None:
     pace = Pace(job.pop("slice"))
     load = round(os.getloadavg()[0], 2)
     found = SOLVERS[kind](job, frames, faces, pace)
-    # a solver that fails may leave NaN behind, which is no JSON
+    # the error of a solver that fails may be NaN, which is no JSON
     curve = [point for point in found["curve"] if np.isfinite(point[3])]
     times = {"total wall": round(pace.wall, 4), "total cpu": round(pace.cpu, 4)}
     record = {
@@ -293,7 +296,7 @@ def main() -> None:
         "waits": waits,
         "peak MiB": round(common.peak_memory()),
         **found,
-        # rounded alike, so that the last point of a curve is not after the end
+        # rounded as the curve is, so that its last point is not after the end
         "curve": [[k, round(w, 4), round(c, 4), float(f"{e:.6g}")] for k, w, c, e in curve],
         **times,
         "machine": job["machine"] | {"load": load},

@@ -1,4 +1,4 @@
-"""What the records of race.py come to: rows of the tables, points of the charts."""
+"""Rows of the tables and points of the charts, computed from the records of race.py."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmarks.common import RESULTS, Row, read_rows
 
-WITHIN = 1.01  # of Dem Bones' best error: when its run, and ssdr's, are taken to be there
-# where Dem Bones returns fewer bones than it is asked for, or a model that is none
+WITHIN = 1.01  # times of Dem Bones and ssdr are those until this times Dem Bones' best error
+# where Dem Bones returns fewer bones than it is asked for, or no usable model
 APART = ("fox-24", "ict_face_expressions-20", "morph_stress-20")
-BASE = {"V": 2000, "F": 100, "B": 20}  # where the sweeps of cost cross
-COLUMN = {"wall": 1, "cpu": 2}  # of the points of a curve
+BASE = {"V": 2000, "F": 100, "B": 20}  # each sweep changes one of these
+COLUMN = {"wall": 1, "cpu": 2}  # in a point of a curve
 
 
 def read(part: str) -> list[Row]:
@@ -52,13 +52,13 @@ def soonest(records: Iterable[Row], level: float, clock: str) -> float | None:
 
 
 def collapsed(records: Iterable[Row]) -> bool:
-    """Fewer bones than asked for, or no result, from any run of Dem Bones."""
+    """True if a run of Dem Bones returned fewer bones than asked for, or nothing."""
     peers = [r for r in records if r["solver"].startswith("dembones")]
     return any(r.get("bones found") != r["bones"] for r in peers)
 
 
 def level_and_apart(records: Iterable[Row]) -> tuple[dict[str, list[Row]], dict[str, list[Row]]]:
-    """Cases that are compared, and those where there is nothing to compare with."""
+    """Cases that are compared, and cases in which Dem Bones has no comparable model."""
     cases = by_case(records)
     apart = {k: rs for k, rs in cases.items() if k in APART or collapsed(rs)}
     ours = {k: rs for k, rs in cases.items() if any(r["solver"].startswith("ssdr") for r in rs)}
@@ -66,7 +66,7 @@ def level_and_apart(records: Iterable[Row]) -> tuple[dict[str, list[Row]], dict[
 
 
 def summary(records: list[Row]) -> Row | None:
-    """Dem Bones at its best, each effort of ssdr, and their ratios, of the runs of one case."""
+    """Row of a case: Dem Bones at its best, each effort of ssdr, and their ratios."""
     peers = [r for s in ("dembones default", "dembones 0") for r in only(records, s)]
     if not peers:
         return None
@@ -105,7 +105,7 @@ def apart_rows() -> list[Row]:
 
 
 def seed_rows() -> list[Row]:
-    """How far best differs between seeds, of the revision of most of the runs."""
+    """Spread of `best` over seeds; only runs of the most frequent revision count."""
     first = [r for r in read("race") if r["solver"] == "ssdr best" and r["threads"] == 1]
     rows = []
     for records in by_case(first + read("seeds")).values():
@@ -125,7 +125,7 @@ def seed_rows() -> list[Row]:
 
 
 def at_bytes(pca: list[list[float]], size: float) -> float | None:
-    """E of PCA at a number of bytes, along straight lines of the log-log chart."""
+    """E of PCA at a number of bytes, interpolated linearly in the logarithms."""
     x, y = np.log([[p[1], max(p[2], 1e-12)] for p in pca]).T
     if not x[0] <= np.log(size) <= x[-1]:
         return None
@@ -133,7 +133,7 @@ def at_bytes(pca: list[list[float]], size: float) -> float | None:
 
 
 def size_rows() -> list[Row]:
-    """The front's models of four influences beside PCA of as many bytes."""
+    """Models of four influences beside PCA of as many bytes."""
     records = read("front")
     pca = {r["sequence"]: r["pca"] for r in records if "pca" in r}
     return [
@@ -146,7 +146,7 @@ def size_rows() -> list[Row]:
 
 
 def front_of(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """What nothing else beats in both."""
+    """Pareto front of points (x, y)."""
     out: list[tuple[float, float]] = []
     for x, y in sorted(points):
         if not out or y < out[-1][1]:
@@ -155,7 +155,7 @@ def front_of(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def seconds_of(record: Row) -> float:
-    """Of one call: of Dem Bones its start and 30 iterations, its default, by those measured."""
+    """Seconds of one call; of Dem Bones its start and 30 iterations, its default."""
     if not record["solver"].startswith("dembones"):
         return float(record["total wall"])
     first, last = record["curve"][0], record["curve"][-1]

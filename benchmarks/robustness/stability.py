@@ -31,7 +31,7 @@ from helpers import motions
 from helpers.stability_cases import CASES, GROUPS, Case, Problem, plain, run
 
 ITERATIONS = 30
-LIMIT = 30.0  # seconds of a run of Dem Bones; what ends takes about one
+LIMIT = 30.0  # seconds of a run of Dem Bones; runs that end take about one
 PLAIN = next(case for case in CASES if case.name == "column order")  # an undisturbed mesh
 
 
@@ -54,7 +54,7 @@ def measure(name: str) -> Row:
 
 
 def attempts(case: Case, before: bool = False) -> Row:
-    """The better setting; with what the solver does behind its binding, where that refuses."""
+    """Outcome of the better setting; where the binding refuses, also that without its checks."""
 
     def better(checked: bool) -> Row:
         ways = [{"setting": s, "checked": checked, "before": before} for s in ("default", "0")]
@@ -65,7 +65,7 @@ def attempts(case: Case, before: bool = False) -> Row:
 
 
 def rank(found: Row) -> tuple[bool, bool, float]:
-    """Runs that ended first, then those with all bones, then by error."""
+    """Sort key: runs with a result first, then those with all bones, then by error."""
     error = found.get("error")
     return error is None, found.get("bones") != found.get("asked"), error or 0.0
 
@@ -86,7 +86,7 @@ def attempt(name: str, options: Row) -> Row:
 
 
 def solved(name: str, setting: str, checked: bool, before: bool) -> Row:
-    """One run, of the case or of the mesh before the disturbance: what it found or said."""
+    """Outcome of one run, on the case or on the mesh before the disturbance."""
     case = next(case for case in CASES if case.name == name)
     problem = case.undisturbed() if before and case.undisturbed else case.disturbed()
     assert isinstance(problem, Problem)
@@ -121,7 +121,7 @@ def solved(name: str, setting: str, checked: bool, before: bool) -> Row:
 def unchecked(
     frames: np.ndarray, faces: Any, bones: int, influences: int, *, rest: Any, regularised: bool
 ) -> Any:
-    """What the binding sets, without its checks."""
+    """Solver set as by the binding, without its checks."""
     from py_dem_bones._py_dem_bones import DemBones
 
     solver = DemBones()
@@ -139,7 +139,7 @@ def unchecked(
 
 
 def judge(case: Case, found: Row) -> tuple[bool, str]:
-    """Whether Dem Bones is right, and its outcome in words."""
+    """True if Dem Bones is right, and its outcome in words."""
     if "behind" in found:
         if "refused" in found["behind"]:
             return case.refused is not None, "its binding refuses"
@@ -169,7 +169,7 @@ def judge(case: Case, found: Row) -> tuple[bool, str]:
 
 
 def undisturbed(case: Case) -> float | None:
-    """Dem Bones' error on the mesh before the disturbance, or what is known to be left."""
+    """Dem Bones' error on the mesh before the disturbance, or the known least error."""
     if case.undisturbed is None:
         return None
     known = case.undisturbed()
@@ -183,7 +183,7 @@ def undisturbed(case: Case) -> float | None:
 
 
 def charts(rows: dict[str, Row], images: Path) -> None:
-    """Errors of both, case by case; what has no error has its word at the right."""
+    """Errors of both, case by case; the outcome in words where there is no error."""
     both = {k: r for k, r in rows.items() if r["figure"] is not None and "Dem Bones" in r}
     figure, axes = common.pyplot().subplots(figsize=(8, 0.19 * len(both) + 1.2))
     floor, wall = 1e-10, 30.0

@@ -55,7 +55,7 @@ def measure(what: str) -> Row:
 
 
 def compiled() -> Row:
-    """Seconds of each kernel and of all, in this process, whose cache is empty."""
+    """Seconds to compile each kernel and all of them; the cache must be empty."""
     from numba.core import event
 
     from ssdr.solver.warmup import compile_kernels

@@ -50,11 +50,11 @@ def paper() -> Skirt:
 
 
 def solved(make_input: Callable[[], Any], bones: int, influences: int) -> tuple[Any, Row]:
-    """From the file to the skinned model: the result, and what it took."""
+    """Solve from the file on; returns the result, times and memory."""
     over, most = threading.Event(), [0.0]
 
     def watch() -> None:
-        while not over.wait(0.05):  # mapped files do not count
+        while not over.wait(0.05):  # mapped files are not anonymous memory
             most[0] = max(most[0], common.peak_memory("RssAnon"))
 
     phases: dict[str, float] = {}
@@ -94,7 +94,7 @@ def spread(count: int, frames: int) -> np.ndarray:
 
 
 def frames(size: int) -> Row:
-    """Also, of two sizes, a model of 500 evenly spread frames that is solved in memory."""
+    """Solve the first frames; of two sizes also 500 evenly spread frames in memory."""
     skirt, path = paper(), FOLDER / "paper.npy"
     result, row = streamed(skirt, path, size, FRAMES, 8)
     if size in (5000, FRAMES):
@@ -125,7 +125,7 @@ def streamed(skirt: Skirt, path: Path, count: int, whole: int, influences: int) 
 
 
 def clips(size: int) -> Row:
-    """Clips of 20 to 60 frames, far apart in one endless motion."""
+    """Solve clips of 20 to 60 frames, far apart in one endless motion."""
     skirt, folder = Skirt(vertices=3000, columns=8, influences=4), FOLDER / "clips"
     folder.mkdir(exist_ok=True)
     lengths = np.random.default_rng(2).integers(20, 61, size).tolist()
@@ -155,7 +155,7 @@ def clips(size: int) -> Row:
 
 
 def dem_bones(size: int) -> Row:
-    """Dem Bones on evenly spread frames: its start, two iterations, and 30 of them by these."""
+    """Extrapolate Dem Bones' 30 iterations on evenly spread frames from its start and two."""
     from benchmarks.peers import solvers
 
     skirt, path = paper(), FOLDER / "paper.npy"
@@ -163,7 +163,7 @@ def dem_bones(size: int) -> Row:
     some = np.load(path, mmap_mode="r")[spread(size, FRAMES)]
     job = {"solver": "dembones", "bones": skirt.bones, "influences": 8, "iterations": 2}
     pace = solvers.Pace(np.inf)
-    pace._left = np.inf  # nobody takes turns with it here
+    pace._left = np.inf  # no other solver takes turns with it
     row = solvers.run_dem_bones(job, some, skirt.faces, pace)
     (_, _, begin, _), _, (_, _, end, e) = row["curve"]
     return {"bones": row["bones found"], "cpu": begin + 15 * (end - begin), "E": e}

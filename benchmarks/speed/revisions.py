@@ -38,7 +38,7 @@ from benchmarks.accuracy.parsimony import SCENES
 from benchmarks.common import Row
 from benchmarks.peers.race import CASES
 
-# Only what both revisions offer under the same name, and what one of them replaces.
+# Calls what all revisions have, or `smallest` where a revision has it.
 PROGRAM = """
 import json, sys, time, warnings
 began = time.perf_counter()
@@ -120,7 +120,7 @@ def main() -> None:
 
 
 def copied(revision: str, folder: Path) -> Path:
-    """A folder with the package as it is at a revision, or in a folder now."""
+    """Folder with a copy of the package at a revision, or from a working folder."""
     target = folder / hashlib.sha256(revision.encode()).hexdigest()[:12]
     if Path(revision).is_dir():
         skip = shutil.ignore_patterns("__pycache__")
@@ -134,7 +134,7 @@ def copied(revision: str, folder: Path) -> Path:
 
 
 def path_of(name: str, folder: Path) -> Path:
-    """The file with the frames of a problem; what has no file yet is written."""
+    """File with the frames of a problem, written where there is none."""
     path = common.data_folder() / f"{name}.npz"
     made = folder / f"{name}.npz"
     if not path.exists() and not made.exists():
@@ -159,13 +159,13 @@ def made_problem(name: str) -> dict[str, np.ndarray]:
 
 
 def solve(home: Path, job: Row) -> Row:
-    # -P: the folder of this script must not come before that of the revision
+    # -P: the working folder must not come before that of the revision
     places = {"PYTHONPATH": str(home), "NUMBA_CACHE_DIR": str(home / "numba")}
     return common.fresh(["-P", "-c", PROGRAM, json.dumps(job)], threads=job["threads"], **places)
 
 
 def summary(pairs: list[list[Row]]) -> Row:
-    """Medians of both sides, and of their ratios with the least and the most."""
+    """Medians of both sides, and median, least and most of the ratios."""
     out: Row = {}
     for key in MEASURES:
         ratios = [(b[key] / a[key]) if a[key] > 1e-9 else 1.0 for a, b in pairs]
@@ -178,7 +178,7 @@ def summary(pairs: list[list[Row]]) -> Row:
 
 
 def line(row: dict[str, Any]) -> str:
-    """What differs between both sides."""
+    """Both sides in words; bones and bytes only where they differ."""
     return "; ".join(
         f"{key} {r['before']:.4g} -> {r['after']:.4g}, "
         f"ratio {r['ratio']:.3f} ({r['least']:.3f} to {r['most']:.3f})"

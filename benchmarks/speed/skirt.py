@@ -34,10 +34,10 @@ class Skirt:
         self.vertices, self.columns, self.bones = vertices, columns, columns * RINGS
         k = np.arange(vertices)
         height = 2.0 * (k + 0.5) / vertices
-        turned = np.mod(2.399963229728653 * k, 2 * np.pi)  # the golden angle: even everywhere
+        turned = np.mod(2.399963229728653 * k, 2 * np.pi)  # the golden angle spreads them evenly
         self.rest = _tube(turned, height)
         self.normal = np.stack([np.cos(turned), np.zeros(vertices), np.sin(turned)], axis=1)
-        # Unrolled; the seam stays open, as in a coat.
+        # Triangulated as a flat sheet: the seam stays open.
         self.faces = Delaunay(np.stack([turned * 0.5, height], axis=1)).simplices.astype(np.int32)
         around = 2 * np.pi * (np.arange(columns) + 0.5) / columns
         level = 2.0 - 2.0 * np.arange(RINGS) / RINGS
@@ -63,7 +63,7 @@ class Skirt:
         self.share = share * WAVE * np.sqrt(2 / (share**2).sum())
 
     def transforms(self, frames: np.ndarray) -> np.ndarray:
-        """Rigid (F, B, 3, 4), from the waist down."""
+        """Rigid transforms (F, B, 3, 4) of some frames."""
         angle = np.sin(
             frames[:, None, None, None, None] * self.rates[:, None, None, None] + self.phase
         )
@@ -89,7 +89,7 @@ class Skirt:
         """Frames (F, V, 3) in float32 and their squared distance to their own skinning."""
         frames = np.arange(first, first + count)
         exact = ssdr.skin(self.rest, self.indices, self.weights, self.transforms(frames))
-        # cos(x - st), taken apart: one product for all frames.
+        # cos(x − st) by the addition theorem: one matrix product for all frames
         turned = frames[:, None] * self.speed
         clock = np.concatenate([np.cos(turned), np.sin(turned)], axis=1) * np.tile(self.share, 2)
         waves = (clock @ self.waves.T)[..., None] * self.normal
@@ -101,9 +101,9 @@ class Skirt:
         return out, float(((out - exact) ** 2).sum())
 
     def write(self, path: Path, frames: int, whole: int) -> float:
-        """Write what a file of so many frames lacks of the first; their floor.
+        """Write the first frames of a file of `whole` frames; returns their floor.
 
-        The file has holes for the others; what was written goes on where it was stopped.
+        Frames that an earlier call has written are kept; the others are holes in the file.
         """
         squares = read_rows(path.with_suffix(".json"))
         if not path.is_file():

@@ -61,7 +61,7 @@ POLISH_PARTS = [
 
 
 class Watch:
-    """Seconds and calls, by name, of functions that it stands in for during one step."""
+    """Seconds and calls, by name, of functions that are replaced during one step."""
 
     def __init__(self, step: Callable[[], object], targets: list[tuple[str, Any, str]]) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -85,11 +85,11 @@ class Watch:
 
 
 def prepared(data: str) -> tuple[Trajectories, Model]:
-    """A model some alternations after its start, as most iterations find it."""
+    """Data and a model some alternations after its start."""
     if data == "paper_size":
         skirt = paper()
         frames = np.concatenate([skirt.block(k, 250)[0] for k in range(0, PAPER_FRAMES, 250)])
-        # noise has full rank: a basis would be looked for in vain
+        # noise has full rank, which no basis reduces
         found = gather([ssdr.MeshSequence(frames)], bones=skirt.bones, compress=False)
         rest, bones = found.from_world(skirt.rest, skirt.transforms(np.arange(PAPER_FRAMES)))
         largest = skirt.indices[np.arange(len(rest)), skirt.weights.argmax(axis=1)]
@@ -124,7 +124,7 @@ def products(data: Trajectories, model: Model) -> dict[str, float]:
 
 
 def bounds(data: Trajectories, model: Model, flop: dict[str, float], rates: Row) -> Row:
-    """Milliseconds by part of an outer iteration that its operations or its bytes need."""
+    """Least milliseconds of each part of an outer iteration by its operations and bytes."""
     f, b, v, r = data.n_frames, model.n_bones, data.n_vertices, data.z.shape[1]
     uses = np.zeros((v, b), dtype=bool)
     np.put_along_axis(uses, model.indices, model.weights > 0, axis=1)

@@ -54,7 +54,7 @@ class Body:
         self.indices: NDArray[np.int64] = model.vertex_bone_indices.numpy()
 
     def transforms(self, turns: dict[str, Array], place: Array) -> tuple[list[Rotation], Array]:
-        """Of each bone: its rotations in all frames, and where its head is (B, F, 3)."""
+        """Rotations of each bone in all frames, and positions (B, F, 3) of the heads."""
         rotations: list[Rotation] = []
         heads: list[Array] = []
         for label, parent, head in zip(self.labels, self.parents, self.heads, strict=True):
@@ -69,7 +69,7 @@ class Body:
         return rotations, np.array(heads)
 
     def moved(self, turns: dict[str, Array], place: Array, keep: NDArray[np.intp]) -> Array:
-        """Some vertices in every frame (F, V, 3), by dual quaternion blending."""
+        """Positions (F, V, 3) of some vertices by dual quaternion blending."""
         rotations, heads = self.transforms(turns, place)
         rest, indices, weights = self.vertices[keep], self.indices[keep], self.weights[keep]
         real = np.stack([r.as_quat() for r in rotations], axis=1)
@@ -153,7 +153,9 @@ def main() -> None:
         target = folder / f"{name}.npz"
         np.savez_compressed(
             target,
-            vertices=(np.round(moved * 2**13) / 2**13).astype(np.float32),  # so it compresses
+            vertices=(np.round(moved * 2**13) / 2**13).astype(
+                np.float32
+            ),  # rounded, so that the file compresses
             faces=faces,
             fps=np.float32(FPS / stride),
             format_version=1,

@@ -3,8 +3,8 @@
     python benchmarks/tools/pages.py [--check]
 
 Markers are <!-- NAME --> and <!-- end NAME -->; --check only says whether a page is out of date.
-BLOCKS says what stands there: text, and tables, which are rows of benchmarks/results and, for each
-column, its head and a format of the row.  What a row lacks leaves the cell empty.
+BLOCKS holds their text and tables.  A table is rows of benchmarks/results and, for each column, its
+head and a format string for the row; a value that a row lacks leaves the cell empty.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def cell(template: str, row: Row) -> str:
 
 
 def same(*heads: str) -> dict[str, str]:
-    """Columns that are called as what they show."""
+    """Columns whose heads are the keys of the row."""
     return {head: f"{{{head}}}" for head in heads}
 
 
@@ -64,13 +64,13 @@ def same(*heads: str) -> dict[str, str]:
 
 
 def rows(name: str, **wanted: Any) -> list[Row]:
-    """Rows of a results file, by some of their values; each has its case."""
+    """Rows of a results file that have the wanted values, each with its case."""
     every = [{"case": case} | row for case, row in read_rows(RESULTS / f"{name}.json").items()]
     return [r for r in every if all(r.get(key) == value for key, value in wanted.items())]
 
 
 def pivot(rows: Iterable[Row], line: str, column: str, value: str) -> list[Row]:
-    """A row for each `line`, with a `value` for each `column`."""
+    """Rows grouped into one for each `line`, with a `value` for each `column`."""
     found: dict[str, Row] = {}
     for row in rows:
         first = found.setdefault(cell(line, row), row | {"line": cell(line, row)})
@@ -79,7 +79,7 @@ def pivot(rows: Iterable[Row], line: str, column: str, value: str) -> list[Row]:
 
 
 def effort_rows() -> list[Row]:
-    """Those of errors.py, and of the race where it is that which runs the case."""
+    """Rows of errors.py, or of the race where that runs the case."""
     found = []
     published = {r["bones"]: r["E"] for r in rows("race", solver="published")}
     for (sequence, bones, influences), plain in PLAIN.items():
@@ -97,7 +97,7 @@ def effort_rows() -> list[Row]:
 
 
 def choice_rows(group: str) -> list[Row]:
-    """RMSE in millimetres, and what pruning the model of most influences leaves."""
+    """RMSE in millimetres, also of the model of most influences after pruning."""
     found = rows("errors", group=group)
     pruned = found[-1].get("E pruned", {})
     for r in found:
@@ -107,7 +107,7 @@ def choice_rows(group: str) -> list[Row]:
 
 
 def kind_rows() -> list[Row]:
-    """One row a sequence, a column a kind of bones."""
+    """E by sequence and kind of bones."""
     equal = rows("errors", group="kinds, equal bytes")
     found = rows("errors", group="kinds", effort="balanced") + equal
     for r in found:
@@ -129,7 +129,7 @@ def parsimony_rows() -> list[Row]:
 
 
 def part_rows(step: str) -> list[Row]:
-    """Milliseconds of each part of a step, a column a case; its own bound beside it."""
+    """Milliseconds of each part of a step by case, with the part's bound."""
     found = [
         {"case": cell("{data}-{bones}", r), "part": part, "ms": ms, "bound": r["bounds"].get(part)}
         for r in rows("steps", step=step, threads=1)
@@ -157,7 +157,7 @@ def named(rows: Iterable[Row]) -> list[Row]:
 
 
 def stability_rows() -> list[Row]:
-    """A group's number and what it catches stand in its first row."""
+    """Outcomes in words; the first row of a group has its number and what it catches."""
     seen = None
     found = rows("stability")
     for r in found:
