@@ -25,6 +25,7 @@ __all__ = [
     "check_nonnegative",
     "check_rng",
     "check_skin",
+    "check_smoothness",
     "check_squarable",
     "check_transforms",
     "check_whole",
@@ -59,6 +60,13 @@ def check_nonnegative(value: Any, argument: str, expected: str) -> float:
     if not (is_real(value) and value >= 0):
         raise InputError(argument, expected, repr(value))
     return float(value)
+
+
+def check_smoothness(smoothness: Any, faces: NDArray[np.int32]) -> float:
+    value = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
+    if value > 0 and len(faces) == 0:
+        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    return value
 
 
 def check_influences(influences: Any) -> int:
@@ -193,7 +201,7 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
     """Non-negative importance, not all zero, scaled to a maximum of 1; only ratios count."""
     if value is None:
         return None
-    if getattr(value, "dtype", None) == bool:  # what counts, as a mask
+    if isinstance(value, np.ndarray) and value.dtype == bool:  # a mask of what counts
         value = value.astype(np.float64)
     array = check_floats(value, argument, (count,), copy=True)
     if (array < 0).any() or not array.max() > 0:

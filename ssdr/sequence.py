@@ -1,8 +1,7 @@
-"""An animated mesh of fixed topology: the one input of everything else.
+"""An animated mesh of fixed topology, the input of everything else.
 
-``MeshSequence`` checks its arrays once, at the door; after it every function
-trusts them.  Vertices may live in memory, in a memory map or in a chunked
-array (zarr, dask): they are read by chunks of frames.
+``MeshSequence`` checks its arrays once; every function after it trusts them.  Vertices may be held
+in memory, in a memory map or in a chunked array (zarr, dask), and are read by chunks of frames.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ from .surface import Material, Surface, check_surface
 
 __all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
-_CHUNK_BYTES = 64 << 20  # bytes of frames in memory at a time: more takes more memory
+_CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 
 
 @dataclasses.dataclass(frozen=True)
 class WeldReport:
-    """What :meth:`MeshSequence.weld` merged.
+    """Number of vertices that :meth:`MeshSequence.weld` merged.
 
     Attributes
     ----------
@@ -67,15 +66,14 @@ class MeshSequence:
     name : str
         Of the mesh.
     clip : str
-        Of the animation, where that has a name of its own.
+        Name of the animation, where it has one of its own.
     surface : Surface, optional
         Texture coordinates, normals and materials of the triangles.
     vertex_map : (V0,) int array, optional
-        For a welded sequence, the vertex that each vertex of the original mesh
-        became.
+        For a welded sequence: the welded vertex of each vertex of the original mesh.
     validate : bool
-        ``False`` skips the check for NaN and Inf, which reads all frames; for
-        data that this package wrote and checked before.
+        ``False`` skips the check for NaN and Inf, which reads all frames; for data that is
+        known to be finite.
 
     Raises
     ------
@@ -148,11 +146,11 @@ class MeshSequence:
         return np.stack([native(self.vertices[int(t)]) for t in order])
 
     def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """Walk over the frames in order, as ``(first frame, (n, V, 3) array)``."""
+        """Read the frames in order, as ``(first frame, (n, V, 3) array)``."""
         yield from _chunks(self.vertices, max_bytes)
 
     def diagonal(self) -> float:
-        """Diagonal of the bounding box in the frame where it is largest."""
+        """Diagonal of the largest bounding box of any frame."""
         largest = 0.0
         for _, block in self.chunks():
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
@@ -164,7 +162,7 @@ class MeshSequence:
         return largest
 
     def weld(self, tolerance: float = 1e-6) -> tuple[MeshSequence, WeldReport]:
-        """Merge vertices that coincide in every frame, as seams of UVs or normals do.
+        """Merge vertices that coincide in every frame, such as seams of UVs or normals.
 
         Parameters
         ----------
@@ -224,7 +222,7 @@ class MeshSequence:
         return welded, WeldReport(before=n, after=len(keep), tolerance=distance)
 
     def unweld(self, values: ArrayLike, *, axis: int = 0) -> NDArray[Any]:
-        """Spread values per vertex back over the vertices of the original mesh.
+        """Copy values per welded vertex to the vertices of the original mesh.
 
         Parameters
         ----------
@@ -249,13 +247,13 @@ def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.flo
 
 
 def native(block: Any) -> NDArray[np.floating]:
-    """A block read into memory; a map may have the byte order of its file, kernels take none."""
+    """A block read into memory in native byte order, which a memory map need not have."""
     array = np.asarray(block)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
-    """Labels from 0 on: the same where positions are equal in every frame."""
+    """Label (V,) of each vertex; equal labels where positions are equal in every frame."""
     label = np.zeros(sequence.n_vertices, dtype=np.intp)
     for _, block in sequence.chunks():
         paths = np.ascontiguousarray(block.transpose(1, 0, 2)).reshape(len(label), -1)
@@ -314,7 +312,7 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
 
 
 def _finite_by_dask(vertices: Any) -> bool:
-    """True where Dask says that all is well: it looks where the chunks are."""
+    """True if Dask finds all numbers finite, on the workers that hold the chunks."""
     if not hasattr(vertices, "__dask_graph__"):
         return False
     return bool(np.isfinite(vertices).all().compute())
@@ -332,7 +330,7 @@ def check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
 
 
 def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
-    """A sequence, several shots of one mesh, or plain (F, V, 3) frames and faces."""
+    """The shots of one mesh, from a sequence, a list of them, or plain frames and faces."""
     if isinstance(sequence, MeshSequence):
         shots = [sequence]
     elif (

@@ -1,4 +1,4 @@
-"""The model that a decomposition returns."""
+"""A skinned model: rest pose, skin weights and bone transforms."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Skinning:
     rest : (V, 3) float array
         Rest pose.
     indices : (V, K) int array
-        Bones that move each vertex; padded with bone 0, weight 0.
+        Bones that move each vertex; unused ones have weight 0.
     weights : (V, K) float array
         Non-negative, summing to 1 over K.
     transforms : (F, B, 3, 4) float array
@@ -60,13 +60,12 @@ class Skinning:
     name : str
         Of the mesh.
     clips : tuple of Clip, optional
-        Ranges of frames that play apart, each at its own rate; one behind the
-        other they cover all frames.  One clip over all frames by default.
+        Ranges of frames that play separately, each at its own rate; in order they
+        cover all frames.  One clip over all frames by default.
     parents : (B,) int array, optional
-        The bone that each hangs on, -1 at a root.  None: bones without a
-        hierarchy.
+        Parent of each bone, -1 at a root.  None: bones without a hierarchy.
     joint_positions : (B, 3) array, optional
-        With `parents`: in the rest pose the point by which a bone hangs on its
+        With `parents`: the point of the rest pose at which a bone is attached to its
         parent, and about which a root turns.
 
     Raises
@@ -74,8 +73,8 @@ class Skinning:
     InputError
         If shapes do not match, an index is out of range, a number is not
         finite, a weight is negative, a row of weights does not sum to 1
-        within 1e-4, clips do not cover the frames, parents go round in a
-        circle, or one of `parents` and `joint_positions` is missing.
+        within 1e-4, clips do not cover the frames, parents form a
+        cycle, or one of `parents` and `joint_positions` is missing.
 
     Examples
     --------
@@ -176,7 +175,7 @@ class Skinning:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, which are those of the bones that hang on them."""
+        """Names of the joints: those of the bones that are attached there."""
         return self.names()
 
     def local_transforms(self) -> NDArray[np.float64]:
@@ -209,9 +208,9 @@ class Skinning:
         return to_local(self.transforms, parents, positions)
 
     def joint_gaps(self) -> NDArray[np.float64]:
-        """``(F, B)`` distances between where a bone and its parent put their joint.
+        """``(F, B)`` distances between a joint's images under its bone and the parent.
 
-        0 at roots, and everywhere but for rounding where the joints are rigid.
+        0 at roots, and 0 up to rounding where the joints are rigid.
 
         Raises
         ------
@@ -231,16 +230,16 @@ class Skinning:
         return joint_gaps(self.transforms, parents, positions)
 
     def joint_freedom(self, least_turn: float = 1.0) -> tuple[Freedom, ...]:
-        """What the motion says of each joint's place: "point", "line", "nothing" or "root".
+        """How far the motion determines each joint: "point", "line", "nothing" or "root".
 
-        Where a bone turns about one axis of its parent alone, its joint may be anywhere on a
-        line; where it does not turn, anywhere.  What motion leaves open lies where the skin of
-        the two bones meets.
+        If a bone turns about a single axis of its parent, its joint may be anywhere on a line; if
+        it does not turn, anywhere.  What motion leaves open is placed where the skin of the two
+        bones meets.
 
         Parameters
         ----------
         least_turn : float
-            Degrees, root mean square over the frames, below which a turn says nothing.
+            Degrees, root mean square over the frames; smaller turns do not count.
 
         Raises
         ------
@@ -309,7 +308,7 @@ class Skinning:
         if self.parents is None:
             raise InputError(
                 "parents",
-                f"a hierarchy for {what}: decompose(..., hierarchy=...) finds one",
+                f"a hierarchy for {what}: decompose(..., rig='rigid') finds one",
                 "bones without one",
             )
         return self.parents, self.joint_positions
@@ -385,10 +384,10 @@ class Skinning:
         return np.asarray(np.where(total[:, None] > 0, sums / safe, mean))
 
     def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
-        """Keep the `influences` largest weights of a vertex, at least `minimum` each; renormalise.
+        """Keep the largest weights of each vertex and renormalise.
 
-        The largest weight of a vertex is always kept.  What it costs is the
-        caller's to measure: ``metrics.compare(model.skin(), pruned.skin())``.
+        At most `influences` weights are kept, each at least `minimum`, and the largest in any
+        case.  ``metrics.compare(model.skin(), pruned.skin())`` measures the cost.
 
         Raises
         ------

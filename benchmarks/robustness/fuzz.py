@@ -92,7 +92,6 @@ def samples(folder: Path) -> dict[str, Sample]:
     for suffix in ("obj", "ply"):
         add(suffix, f"a_%d.{suffix}", sequence, lambda p: ssdr.load(p.parent))
     add("csv", "a.csv", skinning, lambda p: read_weights(p, n_vertices=n))
-    add("json", "a.json", skinning, lambda p: read_weights(p, n_vertices=n))
     for suffix in ("glb", "gltf"):
         add(suffix, f"a.{suffix}", skinning, ssdr.load)
         add(f"{suffix}, skinning", f"a.{suffix}", skinning, ssdr.load_skinning)

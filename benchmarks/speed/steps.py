@@ -45,10 +45,11 @@ from benchmarks.common import (
 )
 from benchmarks.speed import paper_size
 from ssdr.parallel import serial_blas
-from ssdr.solver import alternation, moments, vertex_newton
-from ssdr.solver import polish as polishing
+from ssdr.solver import alternation, gauss_newton, moments, vertex_elimination, vertex_newton
+from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Model
+from ssdr.solver.tangents import RigidTangent
 from ssdr.solver.trajectories import Trajectories, gather
 
 CASES = [("horse_gallop", 20), ("samba", 60)]
@@ -97,13 +98,13 @@ VERTEX = [
     ("kernel", alternation, "solve_vertices"),
 ]
 POLISH = [
-    ("bone sums", polishing, "bone_sums"),
-    ("preconditioner", polishing.Polish, "_preconditioner"),
-    ("solve", polishing.Polish, "_solve"),
-    ("elimination", polishing.Polish, "_eliminate"),
-    ("tangents", polishing.Polish, "_image"),
-    ("tangents", polishing.Polish, "_pullback"),
-    ("vertex step", polishing.Polish, "_vertex_step"),
+    ("bone sums", vertex_elimination, "bone_sums"),
+    ("preconditioner", RigidTangent, "precondition"),
+    ("solve", GaussNewton, "_solve"),
+    ("elimination", vertex_elimination.ReducedSystem, "_eliminate"),
+    ("tangents", RigidTangent, "image"),
+    ("tangents", RigidTangent, "pullback"),
+    ("vertex step", gauss_newton, "optimise_vertices"),
     ("vertex kernel", vertex_newton, "polish_vertices"),
 ]
 
@@ -259,7 +260,7 @@ def polish_steps(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
         ssdr.set_threads(threads)
         rates = machine()
         rate = rates["gemm_1"] if threads == 1 else rates["gemm_2"]
-        state = polishing.Polish(data, model.copy())
+        state = GaussNewton(data, model.copy())
         state.step()
         w = fastest(lambda _, s=state: s.step(), POLISH, repeats)
         s = w.seconds

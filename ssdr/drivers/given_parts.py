@@ -135,10 +135,10 @@ def on_skeleton(
     skeleton, extra = rig.skinning, extra_parents(rig, n)
     if extra and rig.joints == "loose":
         raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
-    turns = _locked_turns(skeleton, rig.locked_joints, n_frames)
+    rotations = _locked_rotations(skeleton, rig.locked_joints, n_frames)
     if start is not None:
-        tree = _same_tree(start, given, skeleton, turns)
-        return dataclasses.replace(given, tree=tree, keeps_tree=True, turns=turns)
+        tree = _same_tree(start, given, skeleton, rotations)
+        return dataclasses.replace(given, tree=tree, keeps_tree=True, rotations=rotations)
     if extra and given.indices is not None:
         expected = "0 beside start.indices and start.weights"
         raise InputError("rig.extra_bones", expected, rig.extra_bones)
@@ -160,11 +160,11 @@ def on_skeleton(
         nearest_bone=nearest,
         skeleton_skin=skin,
         extra_parents=extra,
-        turns=turns,
+        rotations=rotations,
     )
 
 
-def _same_tree(start: Skinning, given: Given, skeleton: Skinning, turns: Array | None) -> Tree:
+def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
     """The tree of a model to go on from, whose parents must be those of the skeleton.
 
     Joints that are locked at another rotation than the model's have to be attached anew.
@@ -172,9 +172,9 @@ def _same_tree(start: Skinning, given: Given, skeleton: Skinning, turns: Array |
     known = skeleton.n_bones
     if given.tree is None or not np.array_equal(given.tree.parents[:known], skeleton.parents):
         raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
-    if turns is None or given.transforms is None:
+    if rotations is None or given.transforms is None:
         return given.tree
-    away = np.abs(start.local_transforms()[:, :known, :, :3] - turns)
+    away = np.abs(start.local_transforms()[:, :known, :, :3] - rotations)
     turned = bool(np.nan_to_num(away).max() > _TURNED)
     return dataclasses.replace(given.tree, rigid=given.tree.rigid and not turned)
 
@@ -228,7 +228,7 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
     return tuple(parents)
 
 
-def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
+def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
     """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
     listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
     if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
@@ -239,13 +239,13 @@ def _locked_turns(skeleton: Skinning, names: Any, n_frames: int) -> Array | None
         expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
         raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")
     local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
-    turns = np.full((n_frames, *local.shape[1:]), np.nan)
+    rotations = np.full((n_frames, *local.shape[1:]), np.nan)
     for name in dict.fromkeys(listed):
         joint = _single_joint(skeleton, name, "rig.locked_joints")
         if skeleton.parents[joint] < 0:
             raise InputError("rig.locked_joints", "joints that have a parent", f"{name!r}, a root")
-        turns[:, joint] = local[:, joint]
-    return turns
+        rotations[:, joint] = local[:, joint]
+    return rotations
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:

@@ -13,8 +13,8 @@ from ..checks import (
     check_bone_model,
     check_importance,
     check_influences,
-    check_nonnegative,
     check_rng,
+    check_smoothness,
     check_whole,
 )
 from ..errors import InputError, check_choice, is_real, is_whole
@@ -23,7 +23,6 @@ from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.model import Fixed
-from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -109,13 +108,15 @@ class Problem:
             compress=False,
         )
 
+    @property
+    def placed(self) -> bool:
+        """True if weights or all bones are locked, so that no bone has to find its place."""
+        every = self.fixed.locked(self.bones).all() if self.fixed.bones is not None else False
+        return self.given.locked_vertices is not None or bool(every)
+
     def without_transforms(self) -> Problem:
         """The same without transforms to start from."""
         return dataclasses.replace(self, given=dataclasses.replace(self.given, transforms=None))
-
-    def smoothness_of(self, data: Trajectories) -> WeightSmoothness | None:
-        """The penalty on the weights, where there is one."""
-        return WeightSmoothness.build(data, self.sequences[0].faces, self.smoothness)
 
     def save(self, skinning: Callable[[], Skinning], *, last: bool = False) -> None:
         """Offer the best model so far to the checkpoint, where there is one."""
@@ -165,9 +166,7 @@ def check_problem(
         names = rig.skinning.names()
     elif rig is not None:
         kind = rig
-    smoothness = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
-    if smoothness > 0 and len(sequences[0].faces) == 0:
-        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    smoothness = check_smoothness(smoothness, sequences[0].faces)
     _check_rig(kind, given, bone_model, smoothness)
     if time_limit is not None and not (is_real(time_limit, finite=False) and time_limit > 0):
         raise InputError("time_limit", "a number of seconds > 0 or None", repr(time_limit))
@@ -194,7 +193,7 @@ def check_problem(
             bone_model=bone_model,
             joints=skeleton and kept_rest,
             near_skin=kind == "rigid" and not skeleton,
-            turns=given.turns,
+            rotations=given.rotations,
         ),
         given=given,
         start=whole,
@@ -238,7 +237,7 @@ def _check_rig(kind: RigKind, given: Given, bone_model: str, smoothness: float) 
     beside = "beside a Skeleton" if given.keeps_tree else f"beside rig={kind!r}"
     if bone_model != "rigid":
         raise InputError("bone_model", f"'rigid' {beside}", repr(bone_model))
-    if kind == "loose" and given.turns is not None:
+    if kind == "loose" and given.rotations is not None:
         raise InputError("rig.locked_joints", "() beside loose joints", "some")
     if kind == "loose" and not given.keeps_tree:
         return

@@ -1,7 +1,7 @@
-"""The first walk over frames that do not fit into memory: how they lie, and which represent them.
+"""The first pass over frames that do not fit into memory: alignment and representative frames.
 
-Frames are compared by a few vertices after alignment, and chosen by farthest-point sampling,
-so that rare poses are among the representative ones.
+Frames are compared by a few vertices after alignment and chosen by farthest-point sampling, so that
+rare poses are among the representative ones.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.initialization import farthest_points
-from ..solver.trajectories import Alignment, Array, centred, scale_of, turn_onto
+from ..solver.trajectories import Alignment, Array, centred, rotations_onto, scale_of
 
 __all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
 _SUBSET = 128 << 20  # bytes of those of the representative frames
 _FEWEST, _MOST = 120, 1000  # representative frames
-# Bytes of the trajectories of the frames on which their model settles, and frames at most: half
-# of what is held at once, for the polish needs as much again.
+# Bytes of trajectories, and number of frames, on which the model is settled: half of what is held
+# at once, since the polish needs as much again.
 _SETTLED, _MOST_SETTLED = 512 << 20, 4000
 _PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
@@ -33,24 +33,24 @@ OnProgress = Callable[[float], Any]  # called with the fraction that is done
 
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
-    """Whether the trajectories are too large to be held at once."""
+    """True if the trajectories are too large to be held at once."""
     frames = sum(len(s) for s in sequences)
     return sequences[0].n_vertices * frames * 24 > _IN_MEMORY and frames > _FEWEST
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """What the first walk over the frames found.
+    """Alignment of all frames, and the frames that represent them.
 
     Attributes
     ----------
     alignment : Alignment
-        Of all frames.
+        That of all frames.
     chosen : (S,) int64
         Representative frames, ascending; the first frame is one of them.  After
         :meth:`extended` others as well.
     nearest : (F,) int64
-        For each frame, the position in `chosen` of the one that it is most like.
+        For each frame, the position in `chosen` of the most similar one.
     """
 
     alignment: Alignment
@@ -58,15 +58,15 @@ class Scan:
     nearest: NDArray[np.int64]
 
     def importance(self, frames: Array | None) -> Array:
-        """(S,) importance of the representative frames: that of the frames they stand for."""
+        """(S,) summed importance of the frames that each representative one stands for."""
         each = np.ones(len(self.nearest)) if frames is None else frames
         counts = np.bincount(self.nearest, weights=each, minlength=len(self.chosen))
         return counts.astype(np.float64)
 
     def extended(self, n_vertices: int) -> Scan | None:
-        """As many frames, evenly spread, as may be held, and the representative ones.
+        """The representative frames and as many evenly spread ones as can be held.
 
-        None where that would not be many more.
+        None if that would not be many more.
         """
         n_frames = len(self.nearest)
         count = min(_SETTLED // (24 * n_vertices), _MOST_SETTLED, n_frames)
@@ -88,11 +88,10 @@ def scan(
     executor: Executor | None = None,
     on_progress: OnProgress | None = None,
 ) -> Scan:
-    """Walk over all frames once: alignment, size, and which frames represent the others.
+    """Read all frames once: their alignment, their size, and the representative ones.
 
-    Frames are compared by a few vertices after alignment and chosen by
-    farthest-point sampling, so that rare poses are among them; `keep` are chosen
-    in any case.  `on_progress` is called with the fraction of the frames that is done.
+    The frames `keep` are chosen in any case.  `on_progress` is called with the fraction of the
+    frames that is done.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     weight = None if importance is None else importance / importance.sum()
@@ -101,7 +100,7 @@ def scan(
     spans = spans_of(n_frames)
     parts = []
     walk = (executor or Local()).map(
-        Walk(_scan_span, sequences, spans, shared=(first, weight, probes))
+        SpanTask(_scan_span, sequences, spans, shared=(first, weight, probes))
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
@@ -116,7 +115,7 @@ def scan(
     where[chosen] = np.arange(len(chosen))
     scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
     return Scan(
-        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        alignment=Alignment(centre=centre, rotation=turn, scale=scale),
         chosen=chosen,
         nearest=where.astype(np.int64),
     )
@@ -137,7 +136,7 @@ def _scan_span(
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
             here, centre[start + i : start + k] = centred(block[i:k], weight)
-            turned = turn_onto(here, first, weight)
+            turned = rotations_onto(here, first, weight)
             turn[start + i : start + k] = turned
             seen = np.matmul(here[:, probes], turned)
             features[start + i : start + k] = seen.reshape(k - i, -1)
@@ -161,7 +160,7 @@ def subset(
     used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
     used = [u for u in used if len(u[1])]
     walk = (executor or Local()).map(
-        Walk(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
+        SpanTask(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
     )
     vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
     return dataclasses.replace(first, vertices=vertices, validate=False)

@@ -12,10 +12,12 @@ from __future__ import annotations
 import dataclasses
 from typing import Literal
 
+from ..checks import BoneModel
 from ..joints.stages import (
     AddBones,
     AttachToJoints,
     AttachUnattached,
+    FreeBones,
     SearchTrees,
     SearchWeights,
     StartOnSkeleton,
@@ -34,7 +36,6 @@ from ..search.stages import (
     Search,
 )
 from ..search.starts import QuickStart, Spread, Start, StartFromModel
-from ..solver.model import Fixed
 
 __all__ = ["Effort", "RigKind", "merged_start", "schedule_for", "settling_schedule"]
 
@@ -94,6 +95,8 @@ class Rebuilds:
         Of the search of a start, and of the last one.
     before, after : int
         How often the best model is rebuilt before and after the merged start.
+    trees : int
+        Starts of a tree from which free bones begin, too.
     tree_searches : int
         Searches of the lowest of several trees.
     """
@@ -101,6 +104,7 @@ class Rebuilds:
     trials: int
     before: int
     after: int
+    trees: int
     tree_searches: int
 
 
@@ -108,9 +112,9 @@ class Rebuilds:
 # before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
 # problems have four rebuilds in place of six, for the time that they take.
 _SMALL, _LARGE = 2e6, 1e7
-_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, tree_searches=6)
-_REBUILDS = Rebuilds(trials=10, before=0, after=6, tree_searches=4)
-_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, tree_searches=3)
+_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
+_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
+_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
 _TRIALS_OF_A_REBUILD = 6
 # From so many bones on, alternations alone put many of them in better places, and some starts end
 # where no rebuild helps: so there are several, with few trials each.
@@ -118,6 +122,16 @@ _MANY_BONES, _STARTS, _TRIALS_OF_A_START = 24, 3, 4
 # The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
 # to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
 _TREE_ROUNDS, _TRIALS_OF_A_TREE = 6, 12
+
+
+# Seconds of a start: of any, and for each vertex × frame × bone.
+_START_SECONDS, _SECONDS_OF_A_NUMBER = 0.02, 1e-6
+
+
+def _starts_within_a_tenth(size: float) -> int:
+    """How many starts of a small problem take about a tenth of a second."""
+    each = _START_SECONDS + _SECONDS_OF_A_NUMBER * size
+    return int(0.1 / each)
 
 
 def _rebuilds(size: float) -> Rebuilds:
@@ -134,6 +148,7 @@ FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress(
 # steps gain less than 1 % of the error.
 RELAXED: Schedule = (Relax(polish_steps=4, cost=30), Polish(steps=40, gain=0.01))
 RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
+ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
 LAST_OF_TREES = Polish(steps=40, gain=0.002)
 
 
@@ -195,11 +210,13 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         return (
             *FIRST_MODEL, *merged_start(6, 4), *rigid_start, ReturnToBest(), Polish(steps=6)
         )  # fmt: skip
+    more = _starts_within_a_tenth(size) * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
+    placed: Schedule = (*PLACED, *more, ReturnToBest(), Polish(steps=6)) if more else PLACED
     if effort == "fast":
-        return PLACED
+        return placed
     from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
     if effort == "balanced":
-        return (*PLACED, *RELAXED, *from_rigid)
+        return (*placed, *RELAXED, *from_rigid)
     n = _rebuilds(size)
     many = bones >= _MANY_BONES
     first: Schedule = searched(n.trials)
@@ -207,9 +224,16 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         moved = (Start(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
         first = _STARTS * (*moved, *searched(_TRIALS_OF_A_START))
     rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, _TRIALS_OF_A_REBUILD)))
+    # where the animation comes from a skeleton, a tree leads to a model that free bones miss
+    tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
+    from_tree: Schedule = (
+        Lowest(starts=n.trees * (tree,)),
+        FreeBones(attached=RELAXED_TREE, freed=searched(_TRIALS_OF_A_START)),
+    )
     return (
         *FIRST_MODEL,
         *first,
+        *(() if stretching else from_tree),
         *(from_rigid if n.before else ()),
         *n.before * rebuild,
         # on small smooth motions, such as a beam's, the other starts end far above this one
@@ -269,9 +293,8 @@ def tree_of_bones(effort: Effort, size: float) -> Schedule:
     search ends on is decided where it starts: of a dozen starts on the fox of glTF's samples two
     lead to the right tree.
     """
-    attach: Schedule = (AttachToJoints(), Polish(steps=8))
-    early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *attach)
-    start = (*merged_start(12, 6, influences=1), MoveBones(), *attach)
+    early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
+    start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
     trees = NUMBERS[effort].trees
     first = (Lowest(starts=(early, *trees * (start,))), Polish(steps=20, gain=0.01))
     if effort == "fast":
@@ -310,10 +333,9 @@ def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
     search = SearchWeights(steps=trials, patience=trials)
     relaxed = (AddBones(), *RELAXED_TREE, search)
     if given.skeleton_skin is None:
-        attach: Schedule = (AttachToJoints(), Polish(steps=8))
         free = (*merged_start(12, 6, influences=1), MoveBones())
-        by_motion = (*free, StartOnSkeleton(by_motion=True), *attach)
-        starts = ((*start, *attach), *n.limbs * (by_motion,))
+        by_motion = (*free, StartOnSkeleton(by_motion=True), *ATTACHED)
+        starts = ((*start, *ATTACHED), *n.limbs * (by_motion,))
         attached = (Lowest(starts=starts), Polish(steps=20, gain=0.01))
         if effort == "best":
             attached = (*attached, *relaxed, *lowest(n.limbs, by_motion))
@@ -353,9 +375,10 @@ def from_model(
 def schedule_for(
     effort: Effort,
     *,
-    fixed: Fixed,
+    bone_model: BoneModel,
     bones: int,
     given: Given,
+    placed: bool,
     smoothed: bool,
     size: float,
     rig: RigKind = "none",
@@ -365,9 +388,11 @@ def schedule_for(
     Parameters
     ----------
     effort : {"fast", "balanced", "best"}
-    fixed : Fixed
+    bone_model : {"rigid", "similarity", "affine"}
     bones : int
     given : Given
+    placed : bool
+        Weights or all bones are locked.
     smoothed : bool
         There is a penalty on the weights.
     size : float
@@ -382,13 +407,11 @@ def schedule_for(
         return on_skeleton(effort, given, rigid=rig == "rigid")
     if rig == "rigid":
         return tree_of_bones(effort, size)
-    all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
-    placed = given.weights is not None or all_bones
     if smoothed:
         return smooth(effort, placed=placed)
     if placed:
         return nothing_to_place(effort)
-    stretching = fixed.bone_model != "rigid" and given.transforms is None
+    stretching = bone_model != "rigid" and given.transforms is None
     return free_bones(effort, bones, size, stretching=stretching)
 
 

@@ -23,7 +23,8 @@ from ..search.run import Run
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.trajectories import Array, Trajectories
-from .in_memory import Outcome, Step, begin, idle_bones, make_steps, outcome_of, skinning_of
+from .hand_back import Outcome, Step, outcome_of, skinning_of
+from .in_memory import begin
 from .passes import ENTERING, GAIN, AllFrames, carried
 from .problem import Problem
 from .scan import Scan, scan, subset
@@ -47,7 +48,7 @@ def solve(problem: Problem) -> Outcome:
     Cancelled
         If the callback stopped the run before there was any model.
     """
-    if problem.given.turns is not None:
+    if problem.given.rotations is not None:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     clock = Clock()
     executor = executor_for(problem.sequences)
@@ -68,7 +69,7 @@ def solve(problem: Problem) -> Outcome:
         sequence, data, given = _read(later, more, weights, executor)
         run = _settling(later, few, more, run, data, given)
         reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
-    idle = idle_bones(run)
+    idle = run.idle_bones
     frames = _all_frames(later, chosen, run, executor)
     run.release()
     passes, why = _passes(problem, run, frames, hurried=reason == "cancelled")
@@ -115,7 +116,8 @@ def _make_steps(
     def model() -> Skinning:
         return skinning_of(problem, run.whole, run.best_model, [sequence])
 
-    return make_steps(run, problem, save=model, part=part)
+    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
+    return run.make_steps(report, save=lambda: problem.save(model), part=part)
 
 
 def _settling(

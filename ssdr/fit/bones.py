@@ -21,12 +21,11 @@ from ..errors import check_flag
 from ..frames.error import squared_error
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from ..solver.affine import flat_blocks
 from ..solver.alternation import bone_step
-from ..solver.bone_models import polish_of
-from ..solver.initialization import bones_of_weights
+from ..solver.gauss_newton import GaussNewton
+from ..solver.initialization import fit_patches
 from ..solver.model import Fixed, Model
-from ..solver.moments import bone_sums
+from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
 from .fit import NAMES, Fit, checked, rmse_of
 
@@ -145,8 +144,8 @@ def fit_bones(
     if start is None:
         if kind == "affine":
             kinds = ["rigid", "affine"]
-        largest = indices[np.arange(n), weights.argmax(axis=1)][:, None]
-        start = bones_of_weights(data, inner, largest, skinning.n_bones, kinds[0])
+        largest = indices[np.arange(n), weights.argmax(axis=1)].astype(np.intp)
+        start = fit_patches(data, inner, largest, skinning.n_bones, kinds[0])
     model = Model.start(start, inner, indices[:, 0], indices.shape[1])
     model.indices, model.weights = indices.copy(), weights
     sweeps = 0
@@ -196,7 +195,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
     Where bones overlap widely, a frame's own start now and then leads nowhere.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
-    flat = flat_blocks(u)
+    flat = stack_blocks(u)
     energy = np.array(
         [
             float((data.importance * (data.frame(t) ** 2).sum(axis=1)).sum())
@@ -206,7 +205,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
 
     def error(transforms: Array) -> Array:
         """(F,) squared error."""
-        hat = data.hat(transforms).reshape(data.n_frames, 3, -1)
+        hat = data.stack(transforms).reshape(data.n_frames, 3, -1)
         told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + told
 
@@ -234,6 +233,6 @@ def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: floa
 
     Sweeps alone take hundreds of rounds where bones overlap widely.
     """
-    polish = polish_of(data, model, fixed=fixed, damping=damping)
+    polish = GaussNewton(data, model, fixed=fixed, damping=damping)
     polish.step()
     return polish.damping

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import check_influences, check_whole
+from ..checks import check_influences, check_smoothness, check_whole
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
-from ..solver.model import Fixed, Model, pad_influences
-from ..solver.polish import Polish
+from ..solver.model import Fixed, Model
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import gather
+from ..solver.vertex_newton import optimise_vertices
 from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
 
 __all__ = ["fit_weights"]
@@ -80,19 +80,20 @@ def fit_weights(
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, world.shape[1]))
     fixed = Fixed(rest=True)
     faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
+    check_smoothness(smoothness, faces)
     smooth = WeightSmoothness.build(data, faces, smoothness)
     if smooth is None:
         vertex_step(data, model, fixed=fixed)
         # the K largest are not always the K best: exchange bones wherever that pays
-        Polish(data, model, fixed=fixed)
+        optimise_vertices(data, model, fixed=fixed)
     else:
         for _ in range(iterations):
             pull, stiff = smooth.terms(model)
             vertex_step(data, model, fixed=fixed, pull=pull, stiff=stiff)
     squared = model.error * data.scale**2
-    indices, weights = pad_influences(model, k)
+    padded = model.with_influences(k)
     return Fit(
-        skinning=dataclasses.replace(skinning, indices=indices, weights=weights),
+        skinning=dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights),
         squared_error=squared,
         rmse=rmse_of(squared, data.n_frames),
     )

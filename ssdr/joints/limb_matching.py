@@ -1,8 +1,8 @@
-"""Which vertices are of which bone of a skeleton that was handed over: by place, and by motion.
+"""Vertices assigned to the bones of a skeleton that was handed over: by place, and by motion.
 
-A vertex that is near two limbs goes with either; which, its motion says.  So free bones, each with
-the vertices that move as it does, are matched with those of the skeleton: near its limbs, and so
-that bones which hang on each other stay together at their joint.
+The nearest limb says little about a vertex that is near two.  Its motion says more: free bones,
+each with the vertices that move as it does, are matched with the skeleton's bones, such that they
+lie near its limbs and that parent and child stay together at their joint.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from scipy.optimize import linear_sum_assignment
 from ..hierarchy.tree import Tree
 from ..solver.initialization import fit_patches
 from ..solver.trajectories import Array, Trajectories
-from .placement import pair_joints
+from .placement import fit_joints
 
 __all__ = ["limb_distances", "match_by_motion", "matched_bones"]
 
-# Of the squared gap of a joint, beside squared distances from limbs: gaps tell twins apart that
+# Weight of a joint's squared gap beside squared distances from limbs: gaps tell bones apart that
 # are equally near.  On a tree of 18 bones 16 are matched right with 1, all with 10 to 1000.
 _GAP = 10.0
-_AWAY = 1e-2  # of a joint from where the skeleton has it: places may be a little off
+_AWAY = 1e-2  # weight of a joint's squared distance from its place, which may be a little off
 
 
 def limb_distances(points: Array, tree: Tree) -> Array:
     """Squared distances (V, B) of points from the limbs of bones.
 
-    A bone's limbs go from its joint to those of its children; that of a bone without children goes
-    on from its parent's, as far again.
+    A bone's limbs lead from its joint to those of its children; the limb of a bone without children
+    prolongs its parent's by as much again.
     """
     away = np.full((len(points), len(tree.parents)), np.inf)
     for k in range(len(tree.parents)):
@@ -49,9 +49,9 @@ def limb_distances(points: Array, tree: Tree) -> Array:
 def match_by_motion(
     data: Trajectories, rest: Array, label: NDArray[np.intp], count: int, tree: Tree
 ) -> NDArray[np.intp]:
-    """The bone (V,) of a skeleton for each vertex, from `count` free bones that move them.
+    """The skeleton's bone (V,) for each vertex, from `count` free bones that move the vertices.
 
-    `rest` (V, 3) are the places of the vertices where the skeleton's joints are as it has them.
+    `rest` (V, 3) are the vertices in the pose in which the skeleton's joints are given.
     """
     away = limb_distances(rest, tree)
     used = np.bincount(label, minlength=count)
@@ -59,10 +59,10 @@ def match_by_motion(
     for j in np.flatnonzero(used):
         place[j] = away[label == j].mean(axis=0)
     bones = fit_patches(data, rest, label, count)
-    hung = tree.hung
+    hung = tree.non_roots
     gap = np.empty((len(hung), count, count))
     for row, k in enumerate(hung):
-        point, squared = pair_joints(
+        point, squared = fit_joints(
             bones, np.broadcast_to(tree.points[k], (count, count, 3)), away=_AWAY
         )
         gap[row] = squared / len(bones) + _AWAY * ((point - tree.points[k]) ** 2).sum(axis=-1)
@@ -76,14 +76,15 @@ def match_by_motion(
 
 
 def matched_bones(place: Array, gap: Array, tree: Tree) -> NDArray[np.intp]:
-    """The free bone (B,) for each bone of a skeleton, −1: none, no free bone twice.
+    """The free bone (B,) matched with each bone of a skeleton, each at most once; −1: none.
 
-    What costs least by `place` (n, B) of each, then two at a time changed over while that lowers
-    the sum of `place` and `gap` (hung, n, n), of each free bone and that of its parent.
+    First the assignment of least `place` (n, B); then two bones at a time swap their matches while
+    that lowers the sum of `place` and `gap` (hung, n, n), the latter of each free bone and that of
+    its parent.
     """
     n, n_bones = place.shape
-    hung, above = tree.hung, tree.parents[tree.hung]
-    # one free bone more, which costs nothing and stands for none
+    hung, above = tree.non_roots, tree.parents[tree.non_roots]
+    # one more free bone, which costs nothing and stands for none
     place = np.pad(place, [(0, 1), (0, 0)])
     gap = np.pad(gap, [(0, 0), (0, 1), (0, 1)])
     rows, columns = linear_sum_assignment(place[:n])

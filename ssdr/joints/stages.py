@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..search.moves import exchange_influences, polish_steps
-from ..search.run import Run, Stage
+from ..search.run import Run, Schedule, Stage
 from ..search.stages import STEPS_OF_A_TRIAL, Change, Search
 from ..solver.alternation import vertex_step
 from ..solver.initialization import fit_patches
@@ -24,12 +24,13 @@ from .changes import (
     split_bone,
 )
 from .limb_matching import match_by_motion
-from .placement import hang, soft_step, spanning_tree
+from .placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 
 __all__ = [
     "AddBones",
     "AttachToJoints",
     "AttachUnattached",
+    "FreeBones",
     "RemoveBones",
     "SearchTrees",
     "SearchWeights",
@@ -39,6 +40,7 @@ __all__ = [
 # Stiffness of the joints, relative to the lighter bone's mass, from the first step to the last.
 _STIFFNESS = (1e-2, 100.0)
 _MOST_POLISH = 48  # steps of a trial that is still on its way below the model it has to beat
+_PROMISING = 4.0  # ratio of objectives up to which a tree may lead below the best free bones
 _AHEAD = 4  # so many more blocks of steps as good as the last have to lead below that model
 
 
@@ -63,11 +65,44 @@ class AttachToJoints(Stage):
         if model.tree is None:
             model.tree = spanning_tree(model)
         for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, self.steps)):
-            soft_step(run.data, model, float(stiffness), run.fixed)
+            step_with_joint_penalty(run.data, model, float(stiffness), run.fixed)
             run.iteration += 1
             if k == self.steps - 1:
-                hang(run.data, model, run.fixed)
+                snap_to_joints(run.data, model, run.fixed)
             yield
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FreeBones(Stage):
+    """Improve a tree that promises a better model, drop it, and improve the freed bones.
+
+    A tree whose objective is more than four times the best one is dropped at once, and the best
+    model is returned to.
+
+    Attributes
+    ----------
+    attached, freed : Schedule
+        Stages before and after.
+    """
+
+    phase: ClassVar[str] = "free bones"
+    cost: float = 0.0
+    attached: Schedule
+    freed: Schedule
+
+    @property
+    def work(self) -> float:
+        return sum(stage.work for stage in (*self.attached, *self.freed))
+
+    def apply(self, run: Run) -> Iterator[None]:
+        if run.value(run.present) > _PROMISING * run.best_value:
+            run.model = run.best_model.with_restarted_support()
+            return
+        for stage in self.attached:
+            yield from run.steps_of(stage)
+        run.model = dataclasses.replace(run.present.copy(), tree=None)
+        for stage in self.freed:
+            yield from run.steps_of(stage)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -196,7 +196,7 @@ class FewestBones:
     def _removable(self, model: Model) -> int:
         """Bones whose joint removal may be made up for by a polish, by what each would cost."""
         cost = np.sort(self._costs(model.with_restarted_support()))
-        now = model.objective(self.data)
+        now = model.weighted_error(self.data)
         limit = _OVERSHOOT * self.allowed if self.measure == "rmse" else 2.0 * now
         return max(1, int(np.searchsorted(np.cumsum(cost), limit - now)))
 
@@ -326,7 +326,7 @@ class FewestBones:
             first = () if self.rigid_joints else (Alternate(steps=2),)
             schedule = (Recall(), *first, Polish(steps=4))
             run = self._new_run(data, schedule, model.n_bones, model.n_influences)
-            run.best, run.best_value = current.copy(), current.objective(data)
+            run.best, run.best_value = current.copy(), current.weighted_error(data)
             run.drive()
             self.iteration += run.iteration
             current = run.best_model

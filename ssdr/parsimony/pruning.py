@@ -19,7 +19,7 @@ from ..frames.error import largest_error, squared_error
 from ..frames.executor import Executor
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from ..solver.bone_models import polish_of
+from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
 from .influences import nest
@@ -179,7 +179,7 @@ class ErrorBudget:
         model = nested.build(nested.choose(data.importance, each)[0])
         if self.true_error.measure == "rmse":  # a polish lowers the sum, and may raise the largest
             # a damping handed over: no bone enters, supports stay as they are
-            polish = polish_of(data, model, fixed=self.fixed, damping=_DAMPING)
+            polish = GaussNewton(data, model, fixed=self.fixed, damping=_DAMPING)
             for _ in range(_SETTLE):
                 polish.step(entering=0)
         self.on_try()

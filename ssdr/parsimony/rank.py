@@ -49,5 +49,4 @@ def reduced(data: Trajectories, allowed: float) -> Trajectories:
             return data
         z = np.ascontiguousarray(data.z @ basis)
         q = basis if data.q is None else np.ascontiguousarray(data.q @ basis)
-    lost = max(0.0, float(data.x2.sum() - np.einsum("ij,ij->", z, z)))
-    return dataclasses.replace(data, z=z, q=q, lost=lost)
+    return dataclasses.replace(data, z=z, q=q)

@@ -206,7 +206,7 @@ def _models(
         start = models[larger].with_restarted_support()
         models[bones] = solved(bones, (*merge, *improve), start, _DOWN * place / len(down))
     for smaller, larger in itertools.pairwise(ladder):
-        if models[larger].objective(data) > models[smaller].objective(data):
+        if models[larger].weighted_error(data) > models[smaller].weighted_error(data):
             grown = models[smaller]
             while grown.n_bones < larger:
                 grown = grow_bone(data, grown, alternations=2, fixed=Fixed())

@@ -22,7 +22,7 @@ from ..parallel import serial_blas
 from ..search.progress import Clock, Record, Reporter
 from ..search.state import SolverState, check_settings, check_size, number, taking_up, whole
 from ..skinning import Skinning
-from ..solver.model import Fixed, Model, pad_influences
+from ..solver.model import Fixed, Model
 from ..solver.trajectories import Alignment, Trajectories
 from .fewest_bones import FewestBones, Stopped
 from .fewest_joints import FewestJoints
@@ -203,7 +203,7 @@ class _Hunt:
         """Of a model in the search; over all frames where all of them are in memory."""
         if self.scan is not None and self.problem.tolerance_of == "rmse":
             # representative frames count as often as there are frames like them
-            mean = model.objective(self.data) / (self.data.n_frames * self.data.n_vertices)
+            mean = model.weighted_error(self.data) / (self.data.n_frames * self.data.n_vertices)
             return self.data.scale * math.sqrt(max(mean, 0.0))
         return self.solved_error(self.skinning(model))
 
@@ -305,7 +305,8 @@ class _Hunt:
     def _named(self, model: Model, alignment: Alignment, tree: Tree | None) -> Skinning:
         rest, transforms = alignment.to_world(model.rest, model.transforms)
         most = max(1, int((model.weights > 0).sum(axis=1).max()))
-        indices, weights = pad_influences(model, self.problem.influences)
+        padded = model.with_influences(self.problem.influences)
+        indices, weights = padded.indices, padded.weights
         first, names = self.problem.sequences[0], names_of(self.problem.sequences)
         if len(transforms) != names["clips"][-1].stop:
             # Representative frames alone, of which no clip is whole.

@@ -43,7 +43,7 @@ class Given:
         Indices and weights of a skeleton of the same mesh, to start from.
     extra_parents : tuple of int
         Parents of the bones that a skeleton gets more; −1: where the error is.
-    turns : (F, B0, 3, 3) array or None
+    rotations : (F, B0, 3, 3) array or None
         Rotations of its joints relative to their parents that stay; NaN where they are free.
     """
 
@@ -61,7 +61,7 @@ class Given:
     nearest_bone: NDArray[np.intp] | None = None
     skeleton_skin: tuple[NDArray[np.int32], Array] | None = None
     extra_parents: tuple[int, ...] = ()
-    turns: Array | None = None
+    rotations: Array | None = None
 
     @property
     def fixed_bones(self) -> NDArray[np.bool_] | None:

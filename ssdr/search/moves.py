@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
-from ..solver.bone_models import normalise_gauge, polish_of
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import transform_sums
@@ -144,7 +145,7 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixe
     The bone is placed where a neighbourhood has most error; if that does not lower the objective,
     the bone moves nothing.
     """
-    before = model.objective(data)
+    before = model.weighted_error(data)
     error = np.maximum(model.error, 0.0) * data.importance
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
     size = data.n_vertices // (2 * model.n_bones)
@@ -152,7 +153,7 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixe
     grown = _with_patch(data, model.with_restarted_support(), members, fixed)
     vertex_step(data, grown, fixed=fixed)
     alternate(data, grown, alternations, fixed)
-    if grown.objective(data) <= before:
+    if grown.weighted_error(data) <= before:
         return grown
     return model.with_bone(model.transforms[:, -1])
 
@@ -271,7 +272,7 @@ def entering_at(step: int) -> int:
 
 def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
     """Polish `count` times (in place); every third step lets bones enter."""
-    polish = polish_of(data, model, fixed=fixed)
+    polish = GaussNewton(data, model, fixed=fixed)
     for k in range(count):
         polish.step(entering=entering_at(k))
     normalise_gauge(model, data.importance, fixed)

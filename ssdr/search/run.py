@@ -7,6 +7,8 @@ from, which may have more bones, more influences or, after a change, more error.
 from __future__ import annotations
 
 import dataclasses
+import logging
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from typing import ClassVar
@@ -14,18 +16,24 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import Cancelled
 from ..parallel import serial_blas
+from ..solver.alternation import bone_costs
 from ..solver.model import Fixed, Model
-from ..solver.skin_contact import judged
+from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
 from .given import Given
-from .progress import Clock
+from .progress import Clock, ProgressReport
 
 __all__ = ["Lowest", "Run", "Schedule", "Stage"]
 
-# Objective, of the squared motion, below which all that is left is rounding.
+_logger = logging.getLogger(__name__)
+# Objective, relative to the squared motion, below which all that is left is rounding.
 _EXACT = 1e-30
+# Rise of the objective, likewise, that solving for a bone leaves to rounding: a bone whose removal
+# costs less is idle.
+_NO_LOSS = 1e-13
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -149,6 +157,7 @@ class Run:
         self.chosen: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
         self.asked, self.given, self.smoothness = fixed, given, smoothness
+        self.objective = Objective(fixed, smoothness)
         self.clock = clock or Clock()
         self.model: Model | None = None
         self.best: Model | None = None
@@ -161,7 +170,7 @@ class Run:
     @property
     def fixed(self) -> Fixed:
         """What the present step may move, and how."""
-        fixed = self.asked if self.chosen is None else self.asked.of_vertices(self.chosen)
+        fixed = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
             return fixed
         return dataclasses.replace(fixed, bone_model="rigid")
@@ -221,6 +230,58 @@ class Run:
         self.finished = True
         return None
 
+    def make_steps(
+        self,
+        report: ProgressReport,
+        *,
+        save: Callable[[], None],
+        part: tuple[float, float] = (0.0, 1.0),
+    ) -> str:
+        """Make steps until the schedule, the time limit or the caller ends them; says which.
+
+        Parameters
+        ----------
+        report : ProgressReport
+        save : callable
+            Called after every step from the first model on; may write a checkpoint.
+        part : (float, float)
+            Fractions of the whole work that are done before and after this run.
+
+        Raises
+        ------
+        Cancelled
+            If the callback stopped the run before there was any model.
+        """
+        unit = self.whole.scale / math.sqrt(self.whole.n_frames * self.whole.n_vertices)
+
+        def after_step(phase: str) -> str | None:
+            rmse = unit * math.sqrt(self.best_value)
+            _logger.debug("%s, iteration %d, rmse %.6g", phase, self.iteration, rmse)
+            if self.best is not None:
+                save()
+            fraction = part[0] + (part[1] - part[0]) * self.fraction
+            if report(phase, iteration=self.iteration, rmse=rmse, fraction=fraction):
+                if self.best is None:
+                    raise Cancelled("stopped by the callback before there was any model")
+                return "cancelled"
+            return "time limit" if self.best is not None and report.out_of_time else None
+
+        return self.drive(after_step) or ("converged" if self.converged else "effort spent")
+
+    @property
+    def idle_bones(self) -> int:
+        """Number of bones of the best model that could each be removed at no loss.
+
+        In a tree only bones without children could.
+        """
+        wide = self.best_model.with_restarted_support()
+        idle = bone_costs(self.whole, wide) <= _NO_LOSS * float(
+            self.whole.importance @ self.whole.x2
+        )
+        if wide.tree is not None:
+            idle[wide.tree.parents[wide.tree.non_roots]] = False
+        return int(idle.sum())
+
     def steps_of(self, stage: Stage) -> Iterator[None]:
         """The steps of a stage, which count as work done."""
         self.stage, end = stage, self._done + stage.work
@@ -230,9 +291,8 @@ class Run:
         self._done = end
 
     def value(self, model: Model) -> float:
-        """The objective: squared error, and what joints and weights add where asked to."""
-        penalty = 0.0 if self.smoothness is None else self.smoothness.penalty(model)
-        return judged(self.data, model, self.asked) + penalty
+        """The objective of a model."""
+        return self.objective.value(self.data, model)
 
     def accept_if_lower(self, trial: Model) -> bool:
         """Continue from the trial if its objective is lower; True if it is."""
@@ -255,7 +315,7 @@ class Run:
             order = np.argsort(self.whole.x2, kind="stable")
             every = np.linspace(0, n - 1, count).round().astype(np.intp)
             self.chosen = np.sort(order[every])
-            self.data = self.whole.vertices(self.chosen)
+            self.data = self.whole.select_vertices(self.chosen)
 
     def take_all(self) -> None:
         """Work on all vertices again."""
@@ -281,6 +341,6 @@ class Run:
         if value < self.best_value:
             self.best, self.best_value = model.copy(), value
             # the error alone, without the penalty that `value` may carry
-            error = model.objective(self.data)
+            error = model.weighted_error(self.data)
             self.records.append((self.iteration, self.clock.elapsed, error, stage.phase))
         return stage.phase

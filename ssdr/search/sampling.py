@@ -35,7 +35,7 @@ class SampleVertices(Stage):
         third = run.whole.n_vertices // 3
         run.take_sample(min(self.most * run.bones, max(self.least * run.bones, third)))
         if run.model is not None and run.chosen is not None:
-            run.model = run.model.vertices(run.chosen)
+            run.model = run.model.select_vertices(run.chosen)
         yield
 
 
@@ -60,7 +60,7 @@ class AllVertices(Stage):
             data, given = run.data, run.given
             rest = data.frame(given.rest_frame) if given.rest is None else given.rest.copy()
             near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-            model = few.vertices(near)
+            model = few.select_vertices(near)
             model.rest = rest
             if given.rest is None:
                 model.rest[chosen] = few.rest
@@ -82,8 +82,8 @@ class ReturnToBest(Stage):
     def apply(self, run: Run) -> Iterator[None]:
         best = run.best_model
         if run.chosen is not None:
-            best = best.vertices(run.chosen)
-            if best.objective(run.data) >= run.present.objective(run.data):
+            best = best.select_vertices(run.chosen)
+            if best.weighted_error(run.data) >= run.present.weighted_error(run.data):
                 yield
                 return
         run.model = best.with_restarted_support()

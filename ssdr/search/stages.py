@@ -9,7 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from ..solver.alternation import bone_step, vertex_step
-from ..solver.bone_models import normalise_gauge, polish_of
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
 from .moves import (
@@ -146,7 +147,7 @@ class Polish(Stage):
     gain: float = 0.0
 
     def apply(self, run: Run) -> Iterator[None]:
-        polish = polish_of(run.data, run.present, fixed=run.fixed)
+        polish = GaussNewton(run.data, run.present, fixed=run.fixed)
         values = [polish.value]
         for k in range(self.steps):
             polish.step(entering=entering_at(k))

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..solver.alternation import alternate, bone_step, vertex_step
-from ..solver.bone_models import fit_motion
-from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
+from ..solver.gauss_newton import fit_motion
+from ..solver.initialization import fit_patches, single_bone_errors, start_model
 from ..solver.model import Model
 from ..solver.trajectories import Array
 from .run import Run, Stage
@@ -54,7 +55,7 @@ class Start(Stage):
         bones = given.transforms
         if given.indices is not None and given.weights is not None:
             if bones is None:
-                bones = bones_of_weights(data, rest, given.indices, run.bones, run.fixed.bone_model)
+                bones = _patches_of_weights(run, rest, given.indices)
             return Model.with_weights(bones.copy(), rest, given.indices, given.weights, influences)
         if bones is not None and bones.shape[1] == run.bones:
             every = np.arange(data.n_vertices)
@@ -82,7 +83,7 @@ class QuickStart(Start):
             yield
             return
         chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-        few = data.some(chosen)
+        few = data.select_frames(chosen)
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
         influences, kind = self.influences or run.influences, run.fixed.bone_model
         model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
@@ -112,11 +113,10 @@ class StartFromModel(Stage):
         data, given = run.data, run.given
         assert given.rest is not None
         assert given.indices is not None
-        kind = run.fixed.bone_model
-        own = self._model(run, bones_of_weights(data, given.rest, given.indices, run.bones, kind))
+        own = self._model(run, _patches_of_weights(run, given.rest, given.indices))
         model = own if given.transforms is None else self._model(run, given.transforms.copy())
         tree = given.tree if run.rigid_joints else None
-        if own is model or own.objective(data) < model.objective(data):
+        if own is model or own.weighted_error(data) < model.weighted_error(data):
             model = own
             fit_motion(data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
             _measure_error(run, model)
@@ -149,6 +149,12 @@ class Spread(Stage):
         fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
         _measure_error(run, model)
         yield
+
+
+def _patches_of_weights(run: Run, rest: Array, indices: NDArray[np.int32]) -> Array:
+    """Each bone's own fit to the vertices that it moves most."""
+    label, kind = indices[:, 0].astype(np.intp), run.fixed.bone_model
+    return fit_patches(run.data, rest, label, run.bones, kind)
 
 
 def _measure_error(run: Run, model: Model) -> None:

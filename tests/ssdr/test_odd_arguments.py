@@ -86,7 +86,7 @@ def test_a_mesh_of_no_size_very_far_away_under_a_tolerance() -> None:
         ssdr.smallest(frames * 1e99 + 1e198, faces, tolerance="5%", effort="fast")
 
 
-@pytest.mark.parametrize("name", ["a.usda", "a.usdc", "a.csv", "a.glb", "a.json", "a.npz"])
+@pytest.mark.parametrize("name", ["a.usda", "a.usdc", "a.csv", "a.glb", "a.npz"])
 def test_a_name_with_half_a_character_is_written(name: str, tmp_path: Any) -> None:
     if name.startswith("a.usd"):
         pytest.importorskip("pxr.UsdSkel")
@@ -120,7 +120,7 @@ def test_flags_options_and_kinds_of_the_measures(odd: Any) -> None:
         ssdr.metrics.sted(frames, frames, faces, signed=odd)
     if odd is not None:
         with pytest.raises(InputError, match="backend: expected"):
-            ssdr.laplacian.implicit_smooth(frames, frames[0], faces, length=0.1, backend=odd)
+            ssdr.laplacian.LaplacianSmoother(frames[0], faces, 0.1, backend=odd)
     with pytest.raises(InputError, match="skinning: expected a Skinning"):
         ssdr.parsimony.size(odd)
 
@@ -134,7 +134,7 @@ def test_other_odd_arguments() -> None:
         lambda: ssdr.skin(model.rest, model.indices, model.weights, model.transforms, dtype="x"),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=None),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=(64, 64.5)),
-        lambda: render_frame(ssdr.MeshSequence(frames, faces), supersample=np.array([1, 2])),
+        lambda: render_frame(ssdr.MeshSequence(frames, faces), size=64),
     ):
         with pytest.raises(InputError, match="expected"):
             call()

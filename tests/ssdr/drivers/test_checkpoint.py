@@ -114,7 +114,7 @@ def test_a_checkpoint_must_have_a_place(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.npz").mkdir()
-    with pytest.raises(ssdr.InputError, match="^checkpoint: expected"):
+    with pytest.raises(ssdr.InputError, match=r"^checkpoint: expected"):
         ssdr.decompose(np.zeros((2, 4, 3)), bones=1, checkpoint=path)
 
 

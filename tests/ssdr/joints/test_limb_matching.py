@@ -21,7 +21,7 @@ def _tree(parents) -> Tree:
 def _cost(own, place, gap, tree) -> float:
     """The sum, bone by bone and joint by joint."""
     total = sum(place[j, bone] for bone, j in enumerate(own) if j >= 0)
-    for edge, bone in enumerate(tree.hung):
+    for edge, bone in enumerate(tree.non_roots):
         a, b = own[bone], own[tree.parents[bone]]
         total += gap[edge, a, b] if a >= 0 and b >= 0 else 0.0
     return float(total)

@@ -38,7 +38,7 @@ def _attached(run: Run, frames: np.ndarray, bones: int) -> ssdr.Skinning:
     parts = {"parents": model.tree.parents, "joint_positions": points}
     skinning = ssdr.Skinning(rest, model.indices, model.weights, transforms, **parts)
     assert skinning.joint_gaps().max() < 1e-9
-    error = np.sqrt(model.objective(run.whole) / frames.shape[0] / frames.shape[1])
+    error = np.sqrt(model.weighted_error(run.whole) / frames.shape[0] / frames.shape[1])
     assert rmse_of(skinning, frames) == pytest.approx(run.whole.scale * error, rel=1e-6)
     return skinning
 

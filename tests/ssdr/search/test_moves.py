@@ -38,11 +38,11 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     grown = add_bone(data, model, alternations=2, fixed=Fixed())
     assert grown.n_bones == bones + 1
     assert grown.n_influences == model.n_influences
-    assert grown.objective(data) <= model.objective(data)
+    assert grown.weighted_error(data) <= model.weighted_error(data)
     rest, transforms = data.to_world(grown.rest, grown.transforms)
     built = ssdr.Skinning(rest, grown.indices, grown.weights, transforms)
     measured = rmse_of(built, frames)
-    said = data.scale * np.sqrt(max(grown.objective(data), 0.0) / (5 * 30))
+    said = data.scale * np.sqrt(max(grown.weighted_error(data), 0.0) / (5 * 30))
     assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
 
 
@@ -96,7 +96,7 @@ def test_relaxed_model_is_one_of_the_same_size(extra: int) -> None:
     assert relaxed.n_bones == BONES
     assert (relaxed.weights >= 0).all()
     assert relaxed.weights.sum(axis=1) == pytest.approx(1.0)
-    assert relaxed.objective(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
+    assert relaxed.weighted_error(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
     for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
 
@@ -121,7 +121,7 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
         polish_steps(data, plain, 40, FREE)
         relaxed, _ = relax(data, model, FREE, extra=2, steps=8)
         polish_steps(data, relaxed, 24, FREE)
-        gains.append(relaxed.objective(data) / plain.objective(data))
+        gains.append(relaxed.weighted_error(data) / plain.weighted_error(data))
     assert np.median(gains) < 0.9
 
 
@@ -151,7 +151,7 @@ def test_changed_models_are_of_the_same_size(change: Change) -> None:
         assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
         assert (changed.weights >= 0).all()
         assert changed.weights.sum(axis=1) == pytest.approx(1.0)
-        assert changed.objective(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
+        assert changed.weighted_error(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -178,13 +178,13 @@ def test_rebuilding_finds_what_exchanges_of_one_bone_do_not() -> None:
         for _ in range(40):
             trial = move_cheapest_bone(data, exchanged, rng, 4, FREE)
             assert trial is not None
-            if trial.objective(data) < exchanged.objective(data):
+            if trial.weighted_error(data) < exchanged.weighted_error(data):
                 exchanged = trial
         for _ in range(10):
             trial = rebuild(data, rebuilt, rng, FREE)
-            if trial.objective(data) < rebuilt.objective(data):
+            if trial.weighted_error(data) < rebuilt.weighted_error(data):
                 rebuilt = trial
-        ratios.append(rebuilt.objective(data) / exchanged.objective(data))
+        ratios.append(rebuilt.weighted_error(data) / exchanged.weighted_error(data))
     assert np.median(ratios) < 0.9
 
 

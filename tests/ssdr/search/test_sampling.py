@@ -56,7 +56,7 @@ def test_a_sample_is_spread_from_still_to_wild_vertices() -> None:
     assert run.data.n_vertices == EACH * BONES
     np.testing.assert_array_equal(run.data.z, run.whole.z[run.chosen])
     np.testing.assert_array_equal(run.present.rest, run.best_model.rest[run.chosen])
-    assert run.present.objective(run.data) == pytest.approx(
+    assert run.present.weighted_error(run.data) == pytest.approx(
         float(run.best_model.error[run.chosen].sum())
     )
 
@@ -78,7 +78,7 @@ def test_the_way_back_ends_on_a_model_of_all_vertices(rest: bool) -> None:
     assert model.n_bones == BONES
     assert len(model.rest) == run.whole.n_vertices
     assert run.chosen is None
-    value = model.objective(run.whole)  # in a basis that loses a little
+    value = model.weighted_error(run.whole)  # in a basis that loses a little
     assert value == pytest.approx(true_error(run.whole, model), rel=0.02)
     # as good as a search among all vertices, about
     alone = new_run(*search, rest=rest)
@@ -104,4 +104,4 @@ def test_the_way_back_leads_to_the_best_model_of_all_vertices() -> None:
     stages = (Alternate(steps=2), AllVertices(), ReturnToBest())
     run = new_run(SampleVertices(least=EACH, most=EACH), *stages)
     run.drive()
-    assert run.present.objective(run.data) == run.best_value
+    assert run.present.weighted_error(run.data) == run.best_value

@@ -1,0 +1,67 @@
+"""The memory that a file may ask for: one limit for every format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..errors import FormatError
+
+__all__ = ["MOST_BYTES", "afford", "refuse_bomb"]
+
+MOST_BYTES = 16 << 30  # 16 GiB: more than a mesh needs, less than a false count can ask for
+# Compression of more than this ratio is refused in what is larger than this size: frames of a
+# real animation shrink to a tenth at best, and a small file must not fill the memory.
+_MOST_RATIO, _UNSUSPICIOUS_BYTES = 100, 256 << 20
+
+
+def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None) -> None:
+    """Refuse a file that needs more memory than it may, before any of it is allocated.
+
+    Parameters
+    ----------
+    n_bytes : float
+        Memory that reading on would take.
+    what : str
+        What the file states, such as ``"9600 frames of 800 vertices"``.
+    path : path
+    most : int, optional
+        The caller's `max_bytes`; `MOST_BYTES` by default.
+
+    Raises
+    ------
+    FormatError
+        If `n_bytes` is larger, infinite or no number.
+    """
+    limit = MOST_BYTES if most is None else most
+    if not n_bytes <= limit:
+        size = min(n_bytes, 1e18)  # a product of a file's counts may have hundreds of digits
+        raise FormatError(
+            f"{path}: {what} needs {size:.0f} bytes, above the limit of {limit} "
+            "(max_bytes= raises it where the format has that option)"
+        )
+
+
+def refuse_bomb(
+    n_bytes: int, stored: int, what: str, path: Path | str, most: int | None = None
+) -> None:
+    """Refuse compressed data that inflate like a zip bomb, before they do.
+
+    Parameters
+    ----------
+    n_bytes, stored : int
+        Size once inflated and in the file.
+    what, path
+        As for :func:`afford`.
+    most : int, optional
+        The caller's `max_bytes`, which admits any ratio where it is stated.
+
+    Raises
+    ------
+    FormatError
+        If `n_bytes` is above 256 MiB and 100 times `stored`.
+    """
+    if most is None and n_bytes > max(_UNSUSPICIOUS_BYTES, _MOST_RATIO * stored):
+        raise FormatError(
+            f"{path}: {what} needs {n_bytes} bytes, inflated {n_bytes // max(1, stored)}-fold like "
+            f"a zip bomb; max_bytes={n_bytes} admits it"
+        )
