@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..sequence import Surface
 from ..skinning import Skinning
 
-__all__ = ["Up", "check_up", "turn_skinning_up", "turn_up"]
+__all__ = ["Up", "check_up", "turn_skinning_up", "turn_surface_up", "turn_up"]
 
 Up = Literal["y", "z"]
 
@@ -33,6 +34,13 @@ def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
     return np.asarray(values @ turn.T.astype(values.dtype))
 
 
+def turn_surface_up(surface: Surface | None, source: Up, target: Up) -> Surface | None:
+    """A surface with another axis up."""
+    if surface is None or surface.normals is None:
+        return surface
+    return dataclasses.replace(surface, normals=turn_up(surface.normals, source, target))
+
+
 def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
     """A skinning with another axis up: x' = Q x, M' = Q M Q⁻¹."""
     if source == target:
@@ -44,13 +52,10 @@ def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
     positions = skinning.joint_positions
     if positions is not None:
         positions = turn_up(positions, source, target)
-    surface = skinning.surface
-    if surface is not None and surface.normals is not None:
-        surface = dataclasses.replace(surface, normals=turn_up(surface.normals, source, target))
     return dataclasses.replace(
         skinning,
         rest=turn_up(skinning.rest, source, target),
         joint_positions=positions,
         transforms=moved.astype(skinning.transforms.dtype),
-        surface=surface,
+        surface=turn_surface_up(skinning.surface, source, target),
     )

@@ -1,23 +1,42 @@
-"""UVs and normals at the corners of triangles: splitting vertices, normals of a rest pose."""
+"""UVs and normals at the corners of triangles: split vertices, normals in another pose."""
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..sequence import Surface
 
-__all__ = ["Corners", "corner_normals", "split_corners"]
+__all__ = [
+    "Corners",
+    "carry_normals",
+    "carry_tangents",
+    "corner_normals",
+    "split_corners",
+    "unit",
+]
+
+_UP = np.array([0.0, 1.0, 0.0])
+
+
+def unit(
+    vectors: NDArray[np.floating], fallback: NDArray[np.floating] = _UP, least: float = 1e-300
+) -> NDArray[np.float64]:
+    """Vectors ``(..., 3)`` at unit length; `fallback` where they are shorter than `least`."""
+    length = np.linalg.norm(np.asarray(vectors, dtype=np.float64), axis=-1, keepdims=True)
+    found = length > least
+    return np.asarray(np.where(found, vectors / np.where(found, length, 1.0), fallback))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Corners:
-    """Vertices of a format that has one UV and normal a vertex.
+    """Vertices of a format that has one UV and one normal per vertex.
 
-    The first V of the N are the model's own vertices in their order; behind
-    them stand the copies that seams and hard edges need.
+    The first V of the N are the model's own vertices in their order; the copies that seams and
+    hard edges need follow.
 
     Attributes
     ----------
@@ -40,45 +59,44 @@ def split_corners(
     uv: NDArray[np.float32] | None,
     normals: NDArray[np.float32] | None,
 ) -> Corners:
-    """One vertex for each different (vertex, uv, normal) of the triangles' corners."""
+    """One vertex for each different (vertex, uv, normal) at the corners of the triangles."""
     flat = faces.reshape(-1).astype(np.int64)
     columns = [flat[:, None]]
     for values in (uv, normals):
         if values is not None:
             plain = np.ascontiguousarray(values, dtype=np.float32).reshape(len(flat), -1)
+            # 0 is added so that -0 has the bits of 0
             columns.append((plain + np.float32(0)).view(np.int32).astype(np.int64))
     _, first, inverse = np.unique(
         np.concatenate(columns, axis=1), axis=0, return_index=True, return_inverse=True
     )
-    inverse = inverse.reshape(-1)
     order = np.argsort(first, kind="stable")
     vertices = flat[first[order]]
-    _, head = np.unique(vertices, return_index=True)
-    extra = np.ones(len(order), dtype=bool)
-    extra[head] = False
+    copy = np.ones(len(order), dtype=bool)
+    copy[np.unique(vertices, return_index=True)[1]] = False
     label = np.empty(len(order), dtype=np.int64)
-    label[order[head]] = vertices[head]
-    label[order[extra]] = n_vertices + np.arange(int(extra.sum()))
-    vertex = np.concatenate([np.arange(n_vertices), vertices[extra]]).astype(np.int32)
-    split = label[inverse]
-    uvs = new_normals = None
-    if uv is not None:
-        uvs = np.zeros((len(vertex), 2), dtype=np.float32)
-        uvs[split] = uv.reshape(-1, 2)
-    if normals is not None:
-        new_normals = np.tile(np.array([0, 1, 0], dtype=np.float32), (len(vertex), 1))
-        new_normals[split] = normals.reshape(-1, 3)
-    return Corners(vertex, split.reshape(-1, 3).astype(np.int32), uvs, new_normals)
+    label[order] = np.where(copy, n_vertices - 1 + np.cumsum(copy), vertices)
+    vertex = np.concatenate([np.arange(n_vertices), vertices[copy]]).astype(np.int32)
+    split = label[inverse.reshape(-1)]
+
+    def spread(values: NDArray[np.float32] | None, unused: NDArray[Any]) -> Any:
+        if values is None:
+            return None
+        result = np.tile(unused.astype(np.float32), (len(vertex), 1))
+        result[split] = values.reshape(-1, len(unused))
+        return result
+
+    triangles = split.reshape(-1, 3).astype(np.int32)
+    return Corners(vertex, triangles, spread(uv, np.zeros(2)), spread(normals, _UP))
 
 
 def corner_normals(
-    rest: NDArray[np.floating], faces: NDArray[np.int32], surface: Surface | None
+    rest: NDArray[np.floating], faces: NDArray[np.integer], surface: Surface | None
 ) -> NDArray[np.float32]:
     """Normals ``(T, 3, 3)`` of a rest pose, with the hard edges of the input.
 
-    The mean of the normals of the triangles around a vertex, weighted by their
-    angle there, over those corners whose input normals were equal (all of them
-    without input normals).
+    The mean of the normals of the triangles around a vertex, weighted by their angle there, over
+    those corners whose input normals are equal (over all corners without input normals).
 
     References
     ----------
@@ -87,26 +105,102 @@ def corner_normals(
     if not len(faces):
         return np.zeros((0, 3, 3), dtype=np.float32)
     p = rest.astype(np.float64)[faces]
-    toward = np.roll(p, -1, axis=1) - p
-    back = np.roll(p, 1, axis=1) - p
-    cross = np.cross(toward, back)
-    angle = np.arctan2(np.linalg.norm(cross, axis=2), (toward * back).sum(axis=2))
-    face = _unit(cross[:, 0], np.array([0.0, 1.0, 0.0]))
-    if surface is None or surface.normals is None:
-        group = faces.reshape(-1).astype(np.int64)
-    else:
+    face = unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
+    group: NDArray[np.integer] = faces.reshape(-1)
+    if surface is not None and surface.normals is not None:
         key = np.concatenate(
-            [faces.reshape(-1, 1), np.rint(surface.normals.reshape(-1, 3) * 1e3)], axis=1
+            [group[:, None], np.rint(surface.normals.reshape(-1, 3) * 1e3)], axis=1
         )
-        found = np.unique(key.astype(np.int64), axis=0, return_inverse=True)[1]
-        group = found.reshape(-1).astype(np.int64)
-    share = (face[:, None] * angle[..., None]).reshape(-1, 3)
-    sums = np.stack([np.bincount(group, share[:, c]) for c in range(3)], axis=1)
-    smooth = _unit(sums[group].astype(np.float64), np.repeat(face, 3, axis=0))
-    return smooth.reshape(-1, 3, 3).astype(np.float32)
+        group = np.unique(key.astype(np.int64), axis=0, return_inverse=True)[1].reshape(-1)
+    sums = _sums(face[:, None] * _angles(p)[..., None], group)
+    return unit(sums[group], np.repeat(face, 3, axis=0)).reshape(-1, 3, 3).astype(np.float32)
 
 
-def _unit(vectors: NDArray[np.float64], fallback: NDArray[np.float64]) -> NDArray[np.float64]:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    found = length > 1e-300
-    return np.asarray(np.where(found, vectors / np.where(found, length, 1.0), fallback))
+def carry_normals(
+    normals: NDArray[np.float64],
+    holder: NDArray[np.integer],
+    faces: NDArray[np.integer],
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Normals of a mesh in another pose, as smooth or hard as they were set.
+
+    Each triangle that meets in a normal transforms it by the cofactors of its deformation; the
+    mean is weighted by the angle there. Where the mesh has moved rigidly, this is that motion.
+
+    Parameters
+    ----------
+    normals : (N, 3) array
+        In the pose `source`.
+    holder : (T, 3) int array
+        Index of the normal at each corner.
+    faces : (T, 3) int array
+    source, target : (V, 3) arrays
+        Vertices in both poses.
+
+    Returns
+    -------
+    (N, 3) float32
+        Unit normals; those of no usable triangle stay as they are.
+    """
+    carried = _carry(normals, holder, faces, source, target, cofactors=True)
+    return carried.astype(np.float32)
+
+
+def carry_tangents(
+    tangents: NDArray[np.float64],
+    normals: NDArray[np.floating],
+    holder: NDArray[np.integer],
+    faces: NDArray[np.integer],
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+) -> NDArray[np.float32]:
+    """Tangents ``(N, 4)`` in another pose, perpendicular to its `normals`; signs stay."""
+    moved = _carry(tangents[:, :3], holder, faces, source, target, cofactors=False)
+    flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
+    return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
+
+
+def _carry(
+    vectors: NDArray[np.float64],
+    holder: NDArray[np.integer],
+    faces: NDArray[np.integer],
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    *,
+    cofactors: bool,
+) -> NDArray[np.float64]:
+    before, usable = _triangle_frames(source[faces])
+    after, also = _triangle_frames(target[faces])
+    usable &= also
+    before[~usable] = after[~usable] = np.eye(3)
+    gradient = after @ np.linalg.inv(before)
+    if cofactors:
+        gradient = np.swapaxes(np.linalg.inv(gradient), -1, -2)
+    moved = unit(np.einsum("tij,tcj->tci", gradient, vectors[holder]), np.zeros(3))
+    moved *= (usable[:, None] * _angles(target[faces]))[..., None]
+    return unit(_sums(moved, holder.reshape(-1), len(vectors)), vectors, 1e-9)
+
+
+def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Two edges and the unit normal of each triangle as columns, and where it has an area."""
+    a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    normal = np.cross(a, b)
+    size = np.maximum((a**2).sum(axis=1), (b**2).sum(axis=1))
+    usable = np.linalg.norm(normal, axis=1) > np.maximum(1e-9 * size, 1e-300)
+    return np.stack([a, b, unit(normal, np.zeros(3))], axis=2), usable
+
+
+def _angles(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles ``(T, 3)`` of triangles at their corners."""
+    toward, back = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
+    cross = np.linalg.norm(np.cross(toward, back), axis=2)
+    return np.asarray(np.arctan2(cross, (toward * back).sum(axis=2)))
+
+
+def _sums(
+    values: NDArray[np.float64], group: NDArray[np.integer], size: int = 0
+) -> NDArray[np.float64]:
+    """Sums ``(n, 3)`` of the vectors of each group."""
+    rows = values.reshape(-1, 3)
+    return np.stack([np.bincount(group, rows[:, c], size) for c in range(3)], axis=1)

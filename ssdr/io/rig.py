@@ -1,10 +1,9 @@
-"""What formats with a skeleton share: joints, keys, stored weights, and what storing costs.
+"""The skeleton that engines play: joints, keys, stored weights, and what storing them costs.
 
-Where bones have a hierarchy, their joints and local transforms are what is
-stored.  A bone without one has no joint of its own.  It gets one at the centroid
-of what it moves, so that an engine that interpolates translation and rotation
-between two keys stays near the surface: a rotation about a far origin would
-sweep the bone along a chord.
+With a hierarchy, its joints and local transforms are stored. A bone without one has no joint of
+its own; it gets one at the centroid of what it moves, so that an engine that interpolates
+translation and rotation between two keys stays near the surface: a rotation about a far origin
+would sweep the bone along a chord.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, unique_names
-from ..errors import FormatError, InputError, check_choice
+from ..errors import InputError, check_choice, is_whole
 from ..hierarchy.transforms import (
     from_frames,
     rest_diagonal,
@@ -28,54 +27,40 @@ from ..hierarchy.transforms import (
     translating,
 )
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
-from ..skinning import BoneModel, Skinning, skin
+from ..skinning import Skinning, skin
+from .registry import SaveReport
 
 __all__ = [
-    "MAX_BYTES",
-    "Error",
     "Rig",
     "WeightStorage",
     "build_rig",
-    "check_size",
     "frame_rate",
     "interpolate_quaternions",
-    "join_trees",
-    "model_of",
     "quantise",
-    "unique_names",
 ]
 
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
-MAX_BYTES = 16 << 30  # 16 GiB that a file's counts may ask for unless the caller allows more
 _CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
-
-
-@dataclasses.dataclass(frozen=True)
-class Error:
-    """Root mean square and largest distance of a vertex; None where nothing was measured."""
-
-    rmse: float | None
-    largest: float | None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rig:
     """A skinning as a skeleton of joints, in the precision of its storage.
 
-    What moves a joint is relative to its parent's frame, at a root and where there is no
-    hierarchy to the world.
+    Keys of a joint are relative to its parent's frame; at a root and without a hierarchy they are
+    relative to the world.
 
     Attributes
     ----------
     rest : (V, 3) float32
     indices : (V, K) int32
     weights : (V, K) float64
-        Descending, no joint twice, summing to 1.
+        Descending, no bone twice, summing to 1.
     centers : (B, 3) float32
-        Joints in the rest pose, where their axes are the world's.
+        Joints in the rest pose.
     rotations : (F, B, 4) float32
         Unit quaternions xyzw whose sign never flips from a frame to the next.
     translations : (F, B, 3) float32
@@ -85,16 +70,16 @@ class Rig:
     parents : (B,) int32 or None
         -1 at roots; None without a hierarchy.
     offsets : (B, 3) float32
-        Position of each joint where nothing moves it; the only one of a joint that does not
-        translate.
+        Position of each joint in the rest pose, relative to its parent; the only position of a
+        joint that does not translate.
     translating : (B,) bool
-        Whose `translations` are stored.
+        Which joints store their `translations`.
     keys : (F, B) bool
         Frames that are stored.
     names : tuple of str
     clips : tuple of Clip
     axes : (B, 3, 3) float64 or None
-        With a hierarchy: how each joint is turned in the rest pose; None: all as the world.
+        With a hierarchy: orientations of the joints in the rest pose; None: those of the world.
     """
 
     rest: NDArray[np.float32]
@@ -123,9 +108,8 @@ class Rig:
     def matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Transforms ``(n, B, 3, 4)`` from the stored keys at `times` (in frames).
 
-        Between keys translation and scale are interpolated linearly, rotation
-        along the shortest arc, as glTF and UsdSkel prescribe: relative to the
-        parent, where there is one.
+        Between keys, translation and scale are interpolated linearly and rotation along the
+        shortest arc, relative to the parent where there is one, as glTF and UsdSkel prescribe.
         """
         count = self.n_frames
         frame = np.arange(count)[:, None]
@@ -153,27 +137,23 @@ class Rig:
         shift = moved - np.einsum("fbij,bj->fbi", rotation, self.centers.astype(np.float64))
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
-    def error(
-        self, model: Skinning, *, weights: NDArray[Any] | None = None, between: bool = False
-    ) -> Error:
-        """Distance of what is stored, re-skinned in float64, from what `model` gives.
+    def error(self, model: Skinning, *, between: bool = False) -> tuple[float | None, float | None]:
+        """Root mean square and largest distance of a vertex from what `model` gives.
+
+        What is stored is skinned again in float64. Both are None where there is nothing to compare.
 
         Parameters
         ----------
         model : Skinning
-        weights : (V, K) array, optional
-            Weights as stored; those of the rig by default.
         between : bool
-            Midway between frames, against the mean of the two frames of the
-            model: what an engine shows there.  The path of a turning vertex is
-            curved, the mean lies on its chord, so a part of this number is the
-            motion itself; it falls with the square of the frame time.
+            Midway between frames, against the mean of the two frames of the model: what an engine
+            shows there. The path of a turning vertex is curved and the mean lies on its chord, so
+            a part of this number is the motion itself; it falls with the square of the frame time.
         """
-        shown = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
         rest = self.rest.astype(np.float64)
         count = self.n_frames - len(self.clips) if between else self.n_frames
         if count < 1:
-            return Error(None, None)
+            return None, None
         step = max(1, _CHUNK_BYTES // (len(rest) * 24))
         total, largest = 0.0, 0.0
         for clip in self.clips:
@@ -181,36 +161,45 @@ class Rig:
             for first in range(clip.start, stop, step):
                 last = min(first + step, stop)
                 times = np.arange(first, last, dtype=np.float64) + 0.5 * between
-                stored = skin(rest, self.indices, shown, self.matrices(times))
+                stored = skin(rest, self.indices, self.weights, self.matrices(times))
                 truth = model.skin(slice(first, last + between), dtype=np.float64)
                 if between:
                     truth = (truth[1:] + truth[:-1]) / 2
                 squares = ((stored - truth) ** 2).sum(axis=2)
                 total += float(squares.sum())
                 largest = max(largest, float(squares.max()))
-        return Error(math.sqrt(total / (count * len(rest))), math.sqrt(largest))
+        return math.sqrt(total / (count * len(rest))), math.sqrt(largest)
+
+    def report(self, model: Skinning, **fields: Any) -> SaveReport:
+        """Errors and influences of what is stored, in a report with further `fields`."""
+        rmse, largest = self.error(model)
+        return SaveReport(
+            influences=self.indices.shape[1],
+            error=rmse,
+            max_error=largest,
+            between_frames=self.error(model, between=True)[0],
+            **fields,
+        )
 
 
 def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | None = None) -> Rig:
-    """Joints of the hierarchy, else at the centroids of what bones move; sorted weights.
+    """A skeleton with joints of the hierarchy, else at the centroids of what bones move.
 
     Parameters
     ----------
     skinning : Skinning
     influences : int, optional
-        Keep so many of the largest weights of a vertex.
+        How many of the largest weights of a vertex to keep.
     most : int, optional
-        What the format can hold.
+        How many the format can hold.
 
     Raises
     ------
     InputError
-        If there are more influences than `most`, a bone is not a scaled
-        rotation, or numbers are too large for float32.
+        If there are more influences than `most`, a bone is not a scaled rotation, or numbers are
+        too large for float32.
     """
-    if influences is not None and (
-        isinstance(influences, bool) or int(influences) != influences or influences < 1
-    ):
+    if influences is not None and not (is_whole(influences) and influences >= 1):
         raise InputError("influences", "an integer >= 1", repr(influences))
     indices, weights = _sorted_weights(skinning, influences)
     if most is not None and indices.shape[1] > most:
@@ -219,52 +208,43 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
             f"at most {most} influences of a vertex; influences={most} prunes the smallest",
             indices.shape[1],
         )
-    rotation, scale = _scaled_rotations(skinning)
-    parents = skinning.parents
+    parents, transforms = skinning.parents, np.asarray(skinning.transforms, dtype=np.float64)
+    scales = _scales_of(transforms[..., :3])
+    scaled = skinning.bone_model != "rigid" and np.abs(scales - 1).max() >= 1e-6
     at = skinning.centroids() if parents is None else skinning.joint_positions
     centers = np.asarray(at, dtype=np.float32)
-    linear = np.asarray(skinning.transforms[..., :3], dtype=np.float64)
-    moved = np.einsum("fbij,bj->fbi", linear, centers.astype(np.float64))
-    moved += skinning.transforms[..., 3]
-    largest = max(float(np.abs(moved).max()), float(np.abs(skinning.rest).max()))
+    local = transforms.copy()
+    local[..., 3] += np.einsum("fbij,bj->fbi", transforms[..., :3], centers.astype(np.float64))
+    largest = max(float(np.abs(local[..., 3]).max()), float(np.abs(skinning.rest).max()))
     if largest > 1e30:
         raise InputError("thing", "coordinates that float32 can hold", f"{largest:g}")
-    keys = skinning.keyframes
-    if keys is None:
-        keys = np.ones(skinning.transforms.shape[:2], dtype=bool)
     offsets, moving = centers, np.ones(len(centers), dtype=bool)
     if parents is not None:
-        local = to_local(skinning.transforms, parents, skinning.joint_positions)
+        local = to_local(transforms, parents, skinning.joint_positions)
         moving = translating(
-            skinning.transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
+            transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
         )
         # A bind matrix and a node of float32 differ in their last bits: the mean has neither's.
         steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
         offsets = steady.astype(np.float32)
-        moved = np.where(moving[:, None], local[..., 3], offsets)
-        rotation = local[..., :3]
-        if scale is not None:
-            scale = np.cbrt(np.linalg.det(rotation))
-            rotation = rotation / scale[..., None, None]
-    bare = ~keys.any(axis=0)
-    if bare.any():
-        raise InputError("keyframes", "a key for every bone", f"none for bone {int(bare.argmax())}")
-    if len(skinning.clips) > 1:
-        keys = keys.copy()
-        for clip in skinning.clips:  # each is played without the others
-            keys[[clip.start, clip.stop - 1]] = True
+        local[..., 3] = np.where(moving[:, None], local[..., 3], offsets)
+    linear, sizes = local[..., :3], None
+    if scaled:
+        sizes = np.cbrt(np.linalg.det(linear))
+        linear = linear / sizes[..., None, None]
+    rotations = quaternion_from_matrix(linear)
     return Rig(
         rest=skinning.rest.astype(np.float32),
         indices=indices,
         weights=weights,
         centers=centers,
-        rotations=unflip_quaternions(quaternion_from_matrix(rotation)).astype(np.float32),
-        translations=moved.astype(np.float32),
-        scales=None if scale is None else scale.astype(np.float32),
+        rotations=unflip_quaternions(rotations).astype(np.float32),
+        translations=local[..., 3].astype(np.float32),
+        scales=None if sizes is None else sizes.astype(np.float32),
         parents=parents,
         offsets=offsets,
         translating=moving,
-        keys=keys,
+        keys=_stored_frames(skinning),
         names=unique_names(skinning.names()),
         clips=skinning.clips,
     )
@@ -288,15 +268,12 @@ def _sorted_weights(
     return indices, weights / weights.sum(axis=1, keepdims=True)
 
 
-def _scaled_rotations(
-    skinning: Skinning,
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    linear = np.asarray(skinning.transforms[..., :3], dtype=np.float64)
-    scale = np.cbrt(np.linalg.det(linear))
-    usable = scale > 0
-    rotation = linear / np.where(usable, scale, 1.0)[..., None, None]
-    off = np.abs(np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)).max(axis=(-1, -2))
-    off = np.where(usable, off, np.inf)
+def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Scales (F, B) of scaled rotations (F, B, 3, 3)."""
+    scales = np.cbrt(np.linalg.det(linear))
+    rotations = linear / np.where(scales > 0, scales, 1.0)[..., None, None]
+    off = np.abs(np.swapaxes(rotations, -1, -2) @ rotations - np.eye(3)).max(axis=(-1, -2))
+    off = np.where(scales > 0, off, np.inf)
     if off.max() > 1e-3:
         frame, bone = (int(k) for k in np.unravel_index(int(off.argmax()), off.shape))
         raise InputError(
@@ -305,15 +282,27 @@ def _scaled_rotations(
             "save the vertices instead, as MeshSequence(skinning.skin(), skinning.faces)",
             f"a shear or reflection (bone {bone}, frame {frame})",
         )
-    if skinning.bone_model == "rigid" or np.abs(scale - 1).max() < 1e-6:
-        return rotation, None
-    return rotation, scale
+    return np.asarray(scales)
+
+
+def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
+    """Keys (F, B): every frame, or the keyframes with the ends of each of several clips."""
+    if skinning.keyframes is None:
+        return np.ones(skinning.transforms.shape[:2], dtype=bool)
+    keys: NDArray[np.bool_] = skinning.keyframes.copy()
+    bare = ~keys.any(axis=0)
+    if bare.any():
+        raise InputError("keyframes", "a key for every bone", f"none for bone {int(bare.argmax())}")
+    if len(skinning.clips) > 1:  # each is played without the others
+        for clip in skinning.clips:
+            keys[[clip.start, clip.stop - 1]] = True
+    return keys
 
 
 def interpolate_quaternions(
     a: NDArray[Any], b: NDArray[Any], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """:func:`slerp` of quaternions ``(..., 4)`` of any length but 0, as files hold them."""
+    """:func:`slerp` of quaternions ``(..., 4)`` that need not have unit length, as in files."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
     return slerp(p, q, u)
 
@@ -355,51 +344,11 @@ def quantise(
     return np.where(stored > 0, indices, 0).astype(np.int32), stored, values
 
 
-def check_size(n_frames: int, n_vertices: int, max_bytes: int) -> None:
-    """Refuse to allocate a sequence that a damaged file claims to hold.
-
-    Raises
-    ------
-    FormatError
-        If float32 vertices of that number need more than `max_bytes`.
-    """
-    need = n_frames * n_vertices * 12
-    if need > max_bytes:
-        raise FormatError(
-            f"{n_frames} frames of {n_vertices} vertices need {need} bytes, max_bytes is "
-            f"{max_bytes}; a lower fps or a higher max_bytes admits them"
-        )
-
-
-def model_of(transforms: NDArray[np.float64]) -> BoneModel:
-    """The narrowest bone model that holds the transforms to float32 accuracy."""
-    linear = transforms[..., :3]
-    gram = np.swapaxes(linear, -1, -2) @ linear
-    size = np.trace(gram, axis1=-2, axis2=-1) / 3
-    off = np.abs(gram - size[..., None, None] * np.eye(3)).max(axis=(-1, -2))
-    if (off > 1e-4 * size).any() or (np.linalg.det(linear) <= 0).any():
-        return "affine"
-    return "rigid" if np.abs(size - 1).max() < 1e-4 else "similarity"
-
-
-def join_trees(
-    trees: Sequence[tuple[NDArray[np.int32], NDArray[np.float64]]],
-) -> tuple[NDArray[np.int32] | None, NDArray[np.float64] | None]:
-    """Parents and joints of several skeletons as one; None where nothing hangs on anything."""
-    starts = np.cumsum([0, *(len(parents) for parents, _ in trees)])
-    parents = np.concatenate(
-        [np.where(p >= 0, p + k, -1) for (p, _), k in zip(trees, starts[:-1], strict=True)]
-    ).astype(np.int32)
-    if (parents < 0).all():
-        return None, None
-    return parents, np.concatenate([positions for _, positions in trees])
-
-
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:
-    """Frames per second of key times in seconds, None where they tell nothing.
+    """Frames per second of key times in seconds; None where they do not determine it.
 
-    The rate on whose grid all keys lie: that of the closest two keys, else the
-    lowest usual one; sparse keys say little, so rates below 10 do not count.
+    The rate on whose frames all keys lie: that of the closest two keys, else the lowest usual
+    rate. Sparse keys say little, so rates below 10 do not count.
     """
     stamps = np.unique(np.concatenate([np.zeros(0), *times]))
     if len(stamps) < 2:

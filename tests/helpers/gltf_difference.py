@@ -10,7 +10,7 @@ import re
 import sys
 from pathlib import Path
 
-from ssdr.io.gltf.document import _COMPONENTS, _WIDTHS, Document
+from ssdr.io.gltf.document import COMPONENTS, Document
 
 # What a new skin on the meshes of a file is allowed to change.
 NEW_SKIN = re.compile(
@@ -33,8 +33,8 @@ def tree(path):
         for key in ("bufferView", "byteOffset", "sparse"):
             item.pop(key, None)
         code = json["accessors"][number]["componentType"]
-        exact = _COMPONENTS[code].kind == "u"
-        values = document.accessor(number, tuple(_WIDTHS), "it", integers=exact)
+        exact = COMPONENTS[code].kind == "u"
+        values = document.accessor(number, item["type"], "it", integers=exact)
         item["values"] = hashlib.sha256(values.tobytes()).hexdigest()
         return item
 
@@ -97,7 +97,7 @@ def tree(path):
     result["skins"] = skins
     result["images"] = [
         {k: v for k, v in image.items() if k not in ("uri", "bufferView", "mimeType")}
-        | {"sha256": hashlib.sha256(_picture(document, image)).hexdigest()}
+        | {"sha256": hashlib.sha256(document.picture(image)).hexdigest()}
         for image in json.get("images", [])
     ]
     result["animations"] = {
@@ -115,12 +115,6 @@ def tree(path):
         for k, a in enumerate(json.get("animations", []))
     }
     return result
-
-
-def _picture(document, image):
-    if "bufferView" in image:
-        return bytes(document.view(image["bufferView"])[0])
-    return document.uri(image["uri"], "an image")
 
 
 def difference(before, after):

@@ -1,7 +1,7 @@
 """Alembic and FBX through Blender, which runs in a process of its own.
 
-``bpy`` prints, keeps one global scene and pins an old NumPy; none of that
-reaches the user's process or environment.  `finder` says where Blender is.
+``bpy`` prints, keeps one global scene and pins an old NumPy; none of that reaches the user's
+process or environment. `finder` finds Blender.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order, one_rate, pick, readable, unique_names
-from ...errors import FormatError, InputError, MissingDependencyError, SsdrError
+from ...clips import Clip, in_order, one_rate, pick, readable
+from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
 from ...sequence import Material, MeshSequence, Surface
 from ...skinning import Skinning
 from ..atomic import atomic_path
-from ..axes import Up, check_up, turn_skinning_up, turn_up
-from ..gltf import reader as gltf
-from ..gltf.limbs import write_limbs
+from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
+from ..budget import MOST_BYTES
+from ..gltf import writer as gltf
 from ..registry import SaveReport, describe, reading
-from ..rig import MAX_BYTES, join_trees, model_of
+from ..scene import Bones, make_skinning
 from .finder import command
 
 __all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
@@ -58,8 +58,7 @@ def read(
     clip : str or int, optional
         Which take of an FBX file, by number or name; the first by default.
     fps : float, optional
-        Where to sample; FBX says itself, Alembic holds seconds alone and gets
-        24 by default.
+        Where to sample; FBX states its rate, Alembic holds seconds alone and gets 24 by default.
     up : {"y", "z"}
         Axes of the result: y up as most such files have it, or Blender's own.
     time_limit : float
@@ -80,34 +79,23 @@ def read(
         If there is no Blender, or one that is too old.
     """
     check_up(up)
-    _check_limit(time_limit)
-    suffix, limit = path.suffix.lower(), MAX_BYTES if max_bytes is None else max_bytes
-    wanted = clip if isinstance(clip, (str, int)) and not isinstance(clip, bool) else None
-    job = {"action": "read", "take": wanted, "max_bytes": limit}
-    arrays = _read_by_blender(job, path, fps, time_limit)
+    take = clip if isinstance(clip, (str, int)) and not isinstance(clip, bool) else None
+    arrays = _ask_blender("read", path, fps, time_limit, max_bytes, take=take)
     with reading(path):
         names = _names(arrays, path)
     name = names[pick(names, clip)]
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, name, names)
-    if fps is None and suffix == ".abc":
+    if fps is None and path.suffix.lower() == ".abc":
         _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
     with reading(path):
-        surface = _surface(arrays)
-        if surface is not None and surface.normals is not None:
-            surface = Surface(
-                uv=surface.uv,
-                normals=turn_up(surface.normals, "z", up),
-                material_index=surface.material_index,
-                materials=surface.materials,
-            )
         return MeshSequence(
             turn_up(arrays["vertices"], "z", up),
             arrays["faces"],
-            float(arrays["fps"]),
+            float(arrays["fps"].item()),
             name=_title(arrays, path),
             clip=name,
-            surface=surface,
+            surface=turn_surface_up(_surface(arrays), "z", up),
         )
 
 
@@ -115,17 +103,14 @@ def list_clips(
     path: Path, *, fps: float | None = None, time_limit: float = 600.0
 ) -> tuple[Clip, ...]:
     """The takes of an FBX file."""
-    _check_limit(time_limit)
-    arrays = _read_by_blender({"action": "list"}, path, fps, time_limit)
+    arrays = _ask_blender("list", path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)
 
 
 def left_out(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
     """What a file has and a sequence or skinning that is read from it has not."""
-    _check_limit(time_limit)
-    arrays = _read_by_blender({"action": "list"}, path, None, time_limit)
-    return tuple(json.loads(str(arrays["left_out"])))
+    return tuple(json.loads(str(_ask_blender("list", path, None, time_limit)["left_out"])))
 
 
 def read_skinning(
@@ -138,9 +123,9 @@ def read_skinning(
 ) -> Skinning:
     """Read the skins of an FBX file as they are; a mesh without one becomes one bone.
 
-    The rest pose is the mesh where it stands in the first frame, not skinned.  Bones are those
-    that a skin names, with weights or none; each hangs on the nearest bone above it that is one
-    of them.  Where none hangs on another, there is no hierarchy.
+    The rest pose is the mesh where it stands in the first frame, not skinned. Bones are those
+    that a skin names, with weights or none; the parent of each is the nearest bone above it that
+    is one of them. Where no bone has a parent, there is no hierarchy.
 
     Parameters
     ----------
@@ -148,10 +133,8 @@ def read_skinning(
     fps : float, optional
         Where to sample; by default every take at the rate of the file, or at that of its own keys
         where they do not lie on the file's frames.
-    up : {"y", "z"}
+    up, time_limit
         As in :func:`read`.
-    time_limit : float
-        Seconds after which Blender is stopped.
     max_bytes : int, optional
         Largest size of the transforms; 16 GiB by default.
 
@@ -168,28 +151,21 @@ def read_skinning(
         If there is no Blender, or one that is too old.
     """
     check_up(up)
-    _check_limit(time_limit)
-    limit = MAX_BYTES if max_bytes is None else max_bytes
-    job = {"action": "read skinning", "max_bytes": limit}
-    arrays = _read_by_blender(job, path, fps, time_limit)
+    arrays = _ask_blender("read skinning", path, fps, time_limit, max_bytes)
     with reading(path):
         clips = _clips(arrays, path)
         if len(clips) > 1:
             _log.info("%s: clips %s", path, [clip.name for clip in clips])
-        parents, positions = join_trees([(arrays["parents"], arrays["joint_positions"])])
-        model = Skinning(
+        parents, positions = arrays["parents"], arrays["joint_positions"]
+        model = make_skinning(
             arrays["rest"],
             arrays["indices"],
             arrays["weights"],
-            arrays["transforms"],
+            Bones(json.loads(str(arrays["bones"])), parents, positions, arrays["transforms"]),
             faces=arrays["faces"],
-            bone_model=model_of(arrays["transforms"]),
             surface=_surface(arrays),
-            bone_names=unique_names(json.loads(str(arrays["bones"]))),
             name=_title(arrays, path),
             clips=clips,
-            parents=parents,
-            joint_positions=positions,
         )
         return turn_skinning_up(model, "z", up)
 
@@ -208,29 +184,52 @@ def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
     return [readable(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
 
 
-def _read_by_blender(
-    job: dict[str, Any], path: Path, fps: float | None, time_limit: float
+def _surface(arrays: dict[str, NDArray[Any]]) -> Surface | None:
+    uv, normals = arrays.get("uv"), arrays.get("normals")
+    materials = []
+    for record in json.loads(str(arrays["materials"])) if "materials" in arrays else []:
+        texture = record.pop("texture", None)
+        if "base_color" in record:
+            record["base_color"] = tuple(record["base_color"])
+        encoded = None if texture is None else arrays[texture].tobytes()
+        materials.append(Material(**record, texture=encoded))
+    if uv is None and normals is None and not materials:
+        return None
+    return Surface(
+        uv=None if uv is None else uv.astype(np.float32),
+        normals=None if normals is None else normals.astype(np.float32),
+        material_index=arrays["material_index"].astype(np.int32) if materials else None,
+        materials=tuple(materials),
+    )
+
+
+def _ask_blender(
+    action: str,
+    path: Path,
+    fps: float | None,
+    time_limit: float,
+    max_bytes: int | None = None,
+    **job: Any,
 ) -> dict[str, NDArray[Any]]:
+    """Have ``script.py`` read a file; what it fails with is the file's error."""
+    _check_limit(time_limit)
     command(_SCRIPT)  # whether there is a Blender comes before what may be wrong with the file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
-    if suffix in _MAGIC and not head.startswith(_MAGIC[suffix]):
+    if not head.startswith(_MAGIC[suffix]):
         raise FormatError(f"{path}: not an {suffix} file: {describe(head)}")
-    job |= {
-        "path": str(path.resolve()),
-        "fps": 24.0 if fps is None else fps,
-        "resample": fps is not None,
-    }
+    job |= {"action": action, "path": str(path.resolve()), "fps": fps or 24.0}
+    job |= {"resample": fps is not None, "max_bytes": max_bytes or MOST_BYTES}
     try:
         arrays = run(job, time_limit=time_limit)
-        for name in arrays.get("outside", ()):
-            _log.warning("%s: texture %s lies outside its folder and is left out", path, name)
-        return arrays
     except MissingDependencyError:
         raise
     except SsdrError as error:
         raise FormatError(f"{path}: {error}") from error
+    for name in arrays.get("outside", ()):
+        _log.warning("%s: texture %s lies outside its folder and is left out", path, name)
+    return arrays
 
 
 def write_skinning(
@@ -244,9 +243,9 @@ def write_skinning(
 ) -> SaveReport:
     """Write a skinned ``.fbx``: the glTF of the model, imported and exported by Blender.
 
-    What was written is read back and compared, so that `error` and `max_error`
-    of the report are those of the whole way; `between_frames` is that of the
-    glTF (engines that interpolate FBX's Euler angles differ a little).
+    What was written is read back and compared, so that `error` and `max_error` of the report are
+    those of the whole way; `between_frames` is that of the glTF (engines that interpolate FBX's
+    Euler angles differ a little).
 
     Parameters
     ----------
@@ -276,7 +275,7 @@ def write_skinning(
             ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
         )
     command(_SCRIPT)
-    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
+    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
         # Blender knows the takes by these names, whatever the clips' own, and its glTF importer
         # puts keys on frames at whole rates alone.
@@ -290,64 +289,51 @@ def write_skinning(
         if skinning.parents is None:
             stored = gltf.write_skinning(model, source, **settings)
         else:
-            stored, lengths = write_limbs(model, source, **settings)
-        with atomic_path(path) as temporary:
-            job = {
-                "action": "write",
-                "source": str(source),
-                "path": str(temporary.resolve()),
-                "fps": skinning.fps,
-                "import_fps": _IMPORT_FPS,
-                "lengths": lengths,
-                "clips": [
-                    {"name": one, "action": f"c{k}", "frames": clip.n_frames}
-                    for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
-                ],
-            }
-            written = run(job, time_limit=time_limit)
-            numbers = written["vertex"]
-            if not temporary.is_file():
-                raise SsdrError("Blender wrote no FBX file")
+            stored, lengths = gltf.write_along_bones(model, source, **settings)
+        job = {
+            "action": "write",
+            "source": str(source),
+            "path": str(temporary.resolve()),
+            "fps": skinning.fps,
+            "import_fps": _IMPORT_FPS,
+            "lengths": lengths,
+            "clips": [
+                {"name": one, "action": f"c{k}", "frames": clip.n_frames}
+                for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
+            ],
+        }
+        written = run(job, time_limit=time_limit)
+        if not temporary.is_file():
+            raise SsdrError("Blender wrote no FBX file")
+    back = read_skinning(path, up=up, time_limit=time_limit)
+    vertex = written["vertex"]
+    if (back.n_frames, back.n_vertices) != (skinning.n_frames, len(vertex)):
+        raise SsdrError(
+            f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices, "
+            f"not {skinning.n_frames} of {len(vertex)}"
+        )
+    total, largest = 0.0, 0.0
+    step = max(1, (64 << 20) // (24 * len(vertex)))
+    for first in range(0, skinning.n_frames, step):
+        frames = slice(first, first + step)
+        truth = skinning.skin(frames, dtype=np.float64)[:, vertex]
+        squares = ((back.skin(frames, dtype=np.float64) - truth) ** 2).sum(axis=2)
+        total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
     dropped = len(skinning.faces) - int(written["triangles"])
     lost = f"{dropped} triangles, which Blender drops: without area, or on the vertices of another"
-    total, count, largest = 0.0, 0, 0.0
-    for k, clip in enumerate(skinning.clips):
-        back = read(path, clip=k, up=up, time_limit=time_limit)
-        squares, most = _compare(skinning, clip, back, numbers)
-        total, largest = total + squares, max(largest, most)
-        count += back.n_frames * back.n_vertices
-    return SaveReport(
+    return dataclasses.replace(
+        stored,
         path=path,
         bytes=path.stat().st_size,
-        influences=stored.influences,
-        error=math.sqrt(total / count),
-        max_error=largest,
-        between_frames=stored.between_frames,
+        error=math.sqrt(total / (skinning.n_frames * len(vertex))),
+        max_error=math.sqrt(largest),
         note=stored.note.replace("glTF takes the unit for metres", "the unit is taken for metres"),
         lost=(lost,) if dropped else (),
     )
 
 
-def _compare(
-    skinning: Skinning, clip: Clip, back: MeshSequence, numbers: NDArray[np.int64]
-) -> tuple[float, float]:
-    """Sum of squared distances, and the largest distance."""
-    if back.n_frames != clip.n_frames or back.n_vertices != len(numbers):
-        raise SsdrError(
-            f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices "
-            f"in {clip.name!r}, not {clip.n_frames} of {len(numbers)}"
-        )
-    total, largest = 0.0, 0.0
-    for first, block in back.chunks():
-        start = clip.start + first
-        truth = skinning.skin(slice(start, start + len(block)), dtype=np.float64)
-        squares = ((block - truth[:, numbers]) ** 2).sum(axis=2)
-        total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
-    return total, math.sqrt(largest)
-
-
 def _check_limit(time_limit: float) -> None:
-    if not (math.isfinite(time_limit) and time_limit > 0):
+    if not (is_real(time_limit) and time_limit > 0):
         raise InputError("time_limit", "seconds > 0", time_limit)
 
 
@@ -393,23 +379,3 @@ def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[
             raise SsdrError(f"Blender failed ({done.returncode}): {reason}")
         with np.load(out, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
-
-
-def _surface(arrays: dict[str, NDArray[Any]]) -> Surface | None:
-    uv, normals = arrays.get("uv"), arrays.get("normals")
-    materials = []
-    for record in json.loads(str(arrays["materials"])) if "materials" in arrays else []:
-        texture = record.pop("texture", None)
-        if "base_color" in record:
-            record["base_color"] = tuple(record["base_color"])
-        materials.append(
-            Material(**record, texture=None if texture is None else arrays[texture].tobytes())
-        )
-    if uv is None and normals is None and not materials:
-        return None
-    return Surface(
-        uv=None if uv is None else uv.astype(np.float32),
-        normals=None if normals is None else normals.astype(np.float32),
-        material_index=arrays["material_index"].astype(np.int32) if materials else None,
-        materials=tuple(materials),
-    )

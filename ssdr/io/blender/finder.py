@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import shlex
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -62,11 +60,9 @@ def command(script: Path | str, *arguments: str) -> list[str]:
     blender = _named("SSDR_BLENDER", "a Blender program")
     python = None if blender else _named("SSDR_BLENDER_PYTHON", "a Python with bpy")
     if not (blender or python):
-        if importlib.util.find_spec("bpy") is not None:
-            python = sys.executable
-        else:
-            python = _python_of(environment())
-            blender = None if python else shutil.which("blender")
+        here = sys.executable if importlib.util.find_spec("bpy") is not None else None
+        python = here or _python_of(environment())
+        blender = None if python else shutil.which("blender")
     if python:
         return [python, str(script), *arguments]
     if not blender:
@@ -78,35 +74,27 @@ def command(script: Path | str, *arguments: str) -> list[str]:
 
 def _named(variable: str, what: str) -> str | None:
     name = os.environ.get(variable, "")
-    if not name:
-        return None
-    found = shutil.which(name)
-    if found is None:
+    found = shutil.which(name) if name else None
+    if name and found is None:
         raise InputError(variable, what, repr(name))
     return found
 
 
-def _programs(folder: Path) -> tuple[Path, Path]:
-    if sys.platform == "win32":
-        return folder / "Scripts" / "python.exe", folder / "Scripts" / "pip.exe"
-    return folder / "bin" / "python", folder / "bin" / "pip"
+def _scripts(folder: Path) -> Path:
+    return folder / ("Scripts" if sys.platform == "win32" else "bin")
 
 
 def _python_of(folder: Path) -> str | None:
     """The Python of an environment, if ``bpy`` was installed into it."""
-    python, _ = _programs(folder)
     places = [*folder.glob("lib/python*/site-packages/bpy"), folder / "Lib/site-packages/bpy"]
-    return str(python) if python.is_file() and any(p.is_dir() for p in places) else None
+    installed = any(place.is_dir() for place in places)
+    return shutil.which("python", path=_scripts(folder)) if installed else None
 
 
 def _how() -> str:
     folder = environment()
-    pip = _programs(folder)[1]
-    first, second = [["-m", "venv", str(folder)], [str(pip), "install", "bpy"]]
-    if sys.platform == "win32":
-        make = f"py -3.11 {subprocess.list2cmdline(first)} && {subprocess.list2cmdline(second)}"
-    else:
-        make = f"python3.11 {shlex.join(first)} && {shlex.join(second)}"
+    python = "py -3.11" if sys.platform == "win32" else "python3.11"
+    make = f'{python} -m venv "{folder}" && "{_scripts(folder) / "pip"}" install bpy'
     return (
         "Alembic and FBX need Blender, 4.2 or newer: put it on the PATH, name it in SSDR_BLENDER, "
         f"or give it an environment of its own with: {make} (bpy 4.2 to 5.0 need Python 3.11)"

@@ -1,7 +1,7 @@
 """Run as ``python script.py job.json`` or ``blender --python script.py -- job.json``.
 
-It knows NumPy and Blender alone: the package itself need not be installed
-there.  What it finds goes into an archive of arrays, what goes wrong to stderr.
+It needs NumPy and Blender alone, not the package. What it finds goes into an archive of arrays,
+what goes wrong to stderr.
 """
 
 import importlib
@@ -20,35 +20,27 @@ surfaces: Any = importlib.import_module("surfaces")
 takes: Any = importlib.import_module("takes")
 
 
-def reset(fps: float) -> None:
+def load(path: str, fps: float, **options: Any) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     takes.set_rate(fps)
-
-
-def load(path: str, **options: Any) -> None:
-    if path.lower().endswith(".abc"):
+    suffix = os.path.splitext(path)[1].lower()
+    if suffix == ".abc":
         bpy.ops.wm.alembic_import(filepath=path, as_background_job=False, set_frame_range=True)
-    elif path.lower().endswith(".fbx"):
+    elif suffix == ".fbx":
         bpy.ops.import_scene.fbx(
             filepath=path, use_anim=True, ignore_leaf_bones=False, anim_offset=0.0
         )
-        disconnect()
-    elif path.lower().endswith((".glb", ".gltf")):
+        # The importer fixes bones that begin where another ends: let them slide.
+        for item in list(bpy.context.view_layer.objects):
+            if item.type == "ARMATURE" and any(bone.use_connect for bone in item.data.bones):
+                edit(item, lambda bone: setattr(bone, "use_connect", False))
+    elif suffix in (".glb", ".gltf"):
         bpy.ops.import_scene.gltf(filepath=path, merge_vertices=False, **options)
     else:
         known = bpy.ops.wm.usd_import.get_rna_type().properties.keys()
-        as_is = {
-            "apply_unit_conversion_scale": False
-        }  # Blender 4.2 does not know it: it never does
-        as_is = {key: value for key, value in as_is.items() if key in known}
-        bpy.ops.wm.usd_import(filepath=path, set_frame_range=True, **as_is)
-
-
-def disconnect() -> None:
-    """Let bones slide that begin where another ends: the importer fixes them there."""
-    for item in list(bpy.context.view_layer.objects):
-        if item.type == "ARMATURE" and any(bone.use_connect for bone in item.data.bones):
-            edit(item, lambda bone: setattr(bone, "use_connect", False))
+        if "apply_unit_conversion_scale" in known:  # Blender 4.2 never applies it
+            options["apply_unit_conversion_scale"] = False
+        bpy.ops.wm.usd_import(filepath=path, set_frame_range=True, **options)
 
 
 def edit(item: Any, change: Any) -> None:
@@ -62,25 +54,13 @@ def edit(item: Any, change: Any) -> None:
     item.hide_viewport = hidden
 
 
-def list_takes(job: dict[str, Any]) -> None:
-    reset(job["fps"])
-    load(job["path"])
-    found = takes.listed(job["path"])
-    clocks = [takes.clock(job, pairs) for _, pairs in found] or [takes.clock(job)]
-    np.savez(
-        job["out"],
-        names=np.array(json.dumps([name for name, _ in found])),
-        frames=np.array([clock.count for clock in clocks]),
-        fps=np.array([clock.fps for clock in clocks]),
-        left_out=np.array(json.dumps(surfaces.left_out(meshes()))),
-    )
-
-
 def meshes() -> list[Any]:
     """The meshes that are shown, in the order of their names."""
-    objects = list(bpy.context.scene.objects)
-    found = [o for o in objects if o.type == "MESH" and not (o.hide_render or o.hide_viewport)]
-    found = [o for o in found if len(o.data.vertices)]
+    found = [
+        o
+        for o in bpy.context.scene.objects
+        if o.type == "MESH" and not (o.hide_render or o.hide_viewport) and len(o.data.vertices)
+    ]
     found = [o for o in found if not is_bone_shape(o)] or found
     if not found:
         raise ValueError("no mesh that is shown, one at least was expected")
@@ -94,175 +74,142 @@ def is_bone_shape(item: Any) -> bool:
     return item.name.startswith("Icosphere") and len(item.data.vertices) == 42 and alone
 
 
-def world_points(item: Any, graph: Any) -> Any:
-    shown = item.evaluated_get(graph)
-    mesh = shown.to_mesh()
-    points = np.empty(len(mesh.vertices) * 3, dtype=np.float32)
-    mesh.vertices.foreach_get("co", points)
-    shown.to_mesh_clear()
-    matrix = np.array(shown.matrix_world, dtype=np.float64)
-    return points.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+class Vertices:
+    """Evaluated vertices of all meshes, sampled frame by frame."""
+
+    what = "vertices"
+
+    def __init__(self, items: list[Any]) -> None:
+        self.items = items
+        self.counts = [len(item.data.vertices) for item in items]
+        self.bytes_per_frame = 12 * sum(self.counts)
+        self.frames: list[Any] = []
+
+    def read_rest(self, timeline: Any) -> None:
+        """Show the first frame; each frame is read for itself."""
+        timeline.go(0)
+
+    def sample(self, graph: Any) -> None:
+        found = [skins.world_points(item, graph)[0] for item in self.items]
+        for item, size, points in zip(self.items, self.counts, found, strict=True):
+            if len(points) != size:
+                raise ValueError(f"{item.name}: {size} vertices at first, {len(points)} later")
+        self.frames.append(np.concatenate(found).astype(np.float32))
+
+    def arrays(self) -> dict[str, Any]:
+        arrays = {"vertices": np.stack(self.frames)}
+        if all("_VERTEX" in item.data.attributes for item in self.items):
+            arrays["vertex"] = vertex_numbers(self.items)
+        return arrays
 
 
 def read(job: dict[str, Any]) -> None:
-    reset(job["fps"])
-    load(job["path"])
-    items = meshes()
-    found = takes.listed(job["path"])
+    """Do "list", "read" or "read skinning": the takes of a file, vertices of one, skins of all."""
+    load(job["path"], job["fps"])
+    items, found = meshes(), takes.listed(job["path"])
     names = [name for name, _ in found]
-    arrays: dict[str, Any] = {"names": np.array(json.dumps(names)), **title(items)}
-    take = 0 if job.get("take") is None else job["take"]
-    if take in names:
-        take = names.index(take)
-    elif found and take not in range(len(found)):
-        np.savez(job["out"], **arrays)  # the caller says what is wrong
-        return
-    clock = takes.play(job, found[take][1]) if found else takes.clock(job)
-    counts = [len(item.data.vertices) for item in items]
-    check_size(clock.count * sum(counts) * 12, "vertices", job)
-    frames = np.empty((clock.count, sum(counts), 3), dtype=np.float32)
-    for k in range(len(frames)):
-        graph = clock.go(k)
-        start = 0
-        for item, size in zip(items, counts, strict=True):
-            points = world_points(item, graph)
-            if len(points) != size:
-                raise ValueError(f"{item.name}: {size} vertices at first, {len(points)} later")
-            frames[k, start : start + size] = points
-            start += size
-        if k == 0:
-            surfaces.join(items, arrays, job["path"])
-    if all("_VERTEX" in item.data.attributes for item in items):
-        arrays["vertex"] = vertex_numbers(items)
-    np.savez(job["out"], vertices=frames, fps=np.float64(clock.fps), **arrays)
-
-
-def read_skinning(job: dict[str, Any]) -> None:
-    reset(job["fps"])
-    load(job["path"])
-    items = meshes()
-    found = takes.listed(job["path"])
-    arrays: dict[str, Any] = {
-        "names": np.array(json.dumps([name for name, _ in found])),
-        **title(items),
-    }
-    pose = takes.pose()
-    model = skins.Model(items, takes.clustered(job["path"]))
-    clocks: list[Any] = []
-    need = 0
-    for _, pairs in found or [("", None)]:
+    arrays: dict[str, Any] = {"names": np.array(json.dumps(names))}
+    if len(items) == 1:
+        arrays["title"] = np.array(items[0].name)
+    model: Any = None
+    if job["action"] == "list":
+        arrays["left_out"] = np.array(json.dumps(surfaces.left_out(items)))
+    elif job["action"] == "read":
+        model = Vertices(items)
+        take = job.get("take") or 0
+        take = names.index(take) if take in names else take
+        if found and take not in range(len(found)):
+            np.savez(job["out"], **arrays)  # the caller says what is wrong
+            return
+        found = found[take : take + 1] if found else []
+    else:
+        model = skins.SkinnedMeshes(items, takes.clustered(job["path"]))
+    pose, timelines, need = takes.pose(), [], 0
+    for _, actions in found or [("", None)]:
         takes.restore(pose)
-        clock = takes.clock(job) if pairs is None else takes.play(job, pairs)
-        need += clock.count * model.n_bones * 96
-        check_size(need, "transforms", job)
-        if not clocks:
-            model.show(False)
-            model.read_rest(clock.go(0))
+        timeline = takes.play(job, actions)
+        timelines.append(timeline)
+        if model is None:
+            continue
+        need += timeline.count * model.bytes_per_frame
+        if need > job["max_bytes"]:
+            limit = job["max_bytes"]
+            raise ValueError(f"its {model.what} need {need} bytes, max_bytes is {limit}")
+        if len(timelines) == 1:
+            model.read_rest(timeline)
             surfaces.join(items, arrays, job["path"])
-            model.show(True)
-        for k in range(clock.count):
-            model.sample(clock.go(k))
-        clocks.append(clock)
+        for k in range(timeline.count):
+            model.sample(timeline.go(k))
     np.savez(
         job["out"],
-        frames=np.array([clock.count for clock in clocks]),
-        fps=np.array([clock.fps for clock in clocks]),
-        **model.arrays(),
+        frames=np.array([timeline.count for timeline in timelines]),
+        fps=np.array([timeline.fps for timeline in timelines]),
         **arrays,
+        **({} if model is None else model.arrays()),
     )
-
-
-def title(items: list[Any]) -> dict[str, Any]:
-    return {"title": np.array(items[0].name)} if len(items) == 1 else {}
-
-
-def check_size(need: int, what: str, job: dict[str, Any]) -> None:
-    if need > job["max_bytes"]:
-        raise ValueError(f"its {what} need {need} bytes, max_bytes is {job['max_bytes']}")
 
 
 def vertex_numbers(items: list[Any]) -> Any:
     """The package's number of each vertex, an attribute that its glTF carries."""
-    found = []
-    for item in items:
-        data = item.data.attributes["_VERTEX"].data
-        values = np.empty(len(data), dtype=np.float32)
-        data.foreach_get("value", values)
-        found.append(values.astype(np.int64))
-    return np.concatenate(found)
+    attributes = [item.data.attributes["_VERTEX"].data for item in items]
+    found = [surfaces.values(data, "value", np.float32) for data in attributes]
+    return np.concatenate(found).astype(np.int64)
 
 
-def lay_out(clips: list[dict[str, Any]]) -> None:
-    """A strip a clip: the exporter makes a take of each, called as it is."""
-    for item in bpy.context.scene.objects:
-        if item.type != "ARMATURE" or not item.animation_data:
-            continue
-        motion = item.animation_data
-        motion.action = None
-        # What the importer calls its actions differs between releases, its tracks do not.
-        found = {track.name: track.strips[0] for track in motion.nla_tracks}
-        held = {n: (s.action, getattr(s, "action_slot", None)) for n, s in found.items()}
-        for track in list(motion.nla_tracks):
-            motion.nla_tracks.remove(track)
-        for clip in clips:
-            action, slot = held[clip["action"]]
-            track = motion.nla_tracks.new()
-            strip = track.strips.new(clip["name"], 0, action)
-            if slot is not None:
-                strip.action_slot = slot
-            strip.name = clip["name"]
-            strip.action_frame_start, strip.action_frame_end = 0, clip["frames"] - 1
-            strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
-
-
-def set_lengths(lengths: dict[str, float]) -> None:
-    """How far the bones reach, by name."""
-    for item in bpy.context.scene.objects:
-        if item.type == "ARMATURE":
-            edit(item, lambda b: setattr(b, "length", lengths.get(b.name, b.length)))
+def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
+    """Give an armature a strip for each clip: the exporter makes a take of that name of each."""
+    motion = item.animation_data
+    motion.action = None
+    # What the importer calls its actions differs between releases, its tracks do not.
+    found = {track.name: track.strips[0] for track in motion.nla_tracks}
+    held = {n: (s.action, getattr(s, "action_slot", None)) for n, s in found.items()}
+    for track in list(motion.nla_tracks):
+        motion.nla_tracks.remove(track)
+    for clip in clips:
+        action, slot = held[clip["action"]]
+        strip = motion.nla_tracks.new().strips.new(clip["name"], 0, action)
+        if slot is not None:
+            strip.action_slot = slot
+        strip.name = clip["name"]
+        strip.action_frame_start, strip.action_frame_end = 0, clip["frames"] - 1
+        strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
 
 
 def sew(item: Any) -> None:
-    """One vertex for each of the package's, where glTF needed one for each normal and UV.
+    """Merge the vertices that glTF needed for each normal and UV into the package's.
 
-    Normals and UVs are those of the corners, as FBX has them.  Blender keeps one triangle on the
+    Normals and UVs become those of the corners, as FBX has them. Blender keeps one triangle on the
     same three vertices, so that others there get copies of them.
     """
-    old = item.data
+    old, values = item.data, surfaces.values
     numbers, first, place = np.unique(
         vertex_numbers([item]), return_index=True, return_inverse=True
     )
-    loops = np.empty(len(old.loops), dtype=np.int32)
-    old.loops.foreach_get("vertex_index", loops)
+    loops = values(old.loops, "vertex_index", np.int32)
     faces = place.ravel()[loops].reshape(-1, 3).astype(np.int64)
     solid = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     faces = faces[solid] + len(numbers) * copies(faces[solid])[:, None]
     used = np.union1d(np.arange(len(numbers)), faces)
-    numbers, first = (values[used % len(numbers)] for values in (numbers, first))
-    points = np.empty(len(old.vertices) * 3, dtype=np.float32)
-    old.vertices.foreach_get("co", points)
+    numbers, first = (array[used % len(numbers)] for array in (numbers, first))
 
     new = bpy.data.meshes.new(old.name)
-    new.from_pydata(points.reshape(-1, 3)[first], [], np.searchsorted(used, faces))
+    points = values(old.vertices, "co", np.float32, 3)[first]
+    new.from_pydata(points, [], np.searchsorted(used, faces))
     for layer in old.uv_layers:
-        flat = np.empty(len(old.loops) * 2, dtype=np.float32)
-        layer.data.foreach_get("uv", flat)
-        flat = flat.reshape(-1, 6)[solid].ravel()
+        flat = values(layer.data, "uv", np.float32, 6)[solid].ravel()
         new.uv_layers.new(name=layer.name).data.foreach_set("uv", flat)
     for material in old.materials:
         new.materials.append(material)
-    slots = np.empty(len(old.polygons), dtype=np.int32)
-    old.polygons.foreach_get("material_index", slots)
+    slots = values(old.polygons, "material_index", np.int32)
     new.polygons.foreach_set("material_index", slots[solid])
-    normals = np.empty(len(old.loops) * 3, dtype=np.float32)
-    old.corner_normals.foreach_get("vector", normals)
+    normals = values(old.corner_normals, "vector", np.float32, 9)[solid]
     known = new.attributes.new("_VERTEX", "FLOAT", "POINT")
     known.data.foreach_set("value", numbers.astype(np.float32))
     weights = [[(g.group, g.weight) for g in old.vertices[int(k)].groups] for k in first]
     groups = [group.name for group in item.vertex_groups]
 
     item.data = new
-    new.normals_split_custom_set(normals.reshape(-1, 9)[solid].reshape(-1, 3))
+    new.normals_split_custom_set(normals.reshape(-1, 3))
     item.vertex_groups.clear()
     for name in groups:
         item.vertex_groups.new(name=name)
@@ -285,21 +232,26 @@ def copies(faces: Any) -> Any:
 
 
 def write(job: dict[str, Any]) -> None:
-    reset(job["import_fps"])
-    if job["lengths"] is None:
-        load(job["source"])
+    lengths = job["lengths"]
+    if lengths is None:
+        load(job["source"], job["import_fps"])
     else:
-        load(job["source"], bone_heuristic="BLENDER")  # bones lie along their own y axis
-        set_lengths(job["lengths"])
+        # bones lie along their own y axis
+        load(job["source"], job["import_fps"], bone_heuristic="BLENDER")
     takes.set_rate(job["fps"])
     items = meshes()
     for item in items:
         sew(item)
     triangles = sum(len(item.data.polygons) for item in items)
     np.savez(job["out"], vertex=vertex_numbers(items), triangles=np.array(triangles))
-    lay_out(job["clips"])
+    armatures = [item for item in bpy.context.scene.objects if item.type == "ARMATURE"]
+    for item in armatures:
+        if lengths is not None:
+            edit(item, lambda bone: setattr(bone, "length", lengths.get(bone.name, bone.length)))
+        if item.animation_data:
+            put_strips(item, job["clips"])
     for item in bpy.context.scene.objects:
-        item.select_set(item in items or item.type == "ARMATURE")
+        item.select_set(item in items or item in armatures)
     bpy.ops.export_scene.fbx(
         filepath=job["path"],
         use_selection=True,
@@ -322,14 +274,7 @@ def main() -> None:
         raise RuntimeError(f"Blender 4.2 or newer is needed, this is {bpy.app.version_string}")
     with open(sys.argv[-1], encoding="utf-8") as stream:
         job = json.load(stream)
-    if job["action"] == "write":
-        write(job)
-    elif job["action"] == "list":
-        list_takes(job)
-    elif job["action"] == "read skinning":
-        read_skinning(job)
-    else:
-        read(job)
+    (write if job["action"] == "write" else read)(job)
 
 
 if __name__ == "__main__":

@@ -7,82 +7,54 @@ import json
 import struct
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote, unquote
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
 from ..atomic import write_bytes
+from .compression import MESHOPT
 from .document import Document
 
 __all__ = ["ARRAY", "ELEMENTS", "Builder"]
 
 _COMPONENT = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
 ARRAY, ELEMENTS = 34962, 34963
-_COMPRESSED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 class Builder:
-    """JSON and buffers: empty, or those of a file that is read, to which accessors are added.
+    """JSON and buffer views: none, or those of a file that is read, and what is added to them.
 
     Parameters
     ----------
     document : Document, optional
-        A file whose JSON and bytes are taken over as they are.
+        A file whose JSON and bytes are taken over; compressed views become plain ones.
     """
 
     def __init__(self, document: Document | None = None) -> None:
         self.document = document
-        self.sources: list[memoryview] = []
-        self.json: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "ssdr"},
-            "scene": 0,
-            "accessors": [],
-            "bufferViews": [],
-        }
-        self.compact = False  # whether bytes that no view covers are left out
-        self.blocks: list[bytes] = []
-        self.length = 0
+        self.json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "ssdr"}, "scene": 0}
+        # bytes of each view by the number in its field "buffer", until the file is written
+        self.blocks: list[memoryview | bytes] = []
         if document is not None:
             self.json = copy.deepcopy(document.json)
-            for key in ("accessors", "bufferViews"):
-                self.json.setdefault(key, [])
-            self._decompress(document)
-
-    def _decompress(self, document: Document) -> None:
-        """Views that are compressed become plain ones: their bytes cannot be cut or joined."""
-        views = self.json["bufferViews"]
-        packed = [
-            k for k, view in enumerate(views) if set(view.get("extensions", {})) & set(_COMPRESSED)
-        ]
-        plain = {view["buffer"] for k, view in enumerate(views) if k not in packed}
-        self.sources = [
-            document.buffer(k) if not packed or k in plain else memoryview(b"")
-            for k in range(len(document.items("buffers")))
-        ]
-        for k in packed:
-            data, _ = document.view(k)
-            of_place = ("buffer", "byteOffset", "byteLength", "extensions")
-            rest = {key: value for key, value in views[k].items() if key not in of_place}
-            views[k] = self._place(bytes(data)) | rest
-            self.compact = True
-        for key in ("extensionsUsed", "extensionsRequired") if packed else ():
-            self.json[key] = [e for e in self.json.get(key, []) if e not in _COMPRESSED]
-            if not self.json[key]:
-                del self.json[key]
-
-    def _place(self, data: bytes) -> dict[str, Any]:
-        padding = -len(data) % 4
-        # Until the buffers are merged, new bytes have one of their own, which has no number yet.
-        view = {"buffer": None, "byteOffset": self.length, "byteLength": len(data)}
-        self.blocks.append(data + b"\0" * padding)
-        self.length += len(data) + padding
-        return view
+            for number, view in enumerate(self.json.get("bufferViews", [])):
+                view["buffer"] = number
+                self.blocks.append(document.view(number)[0])
+                document.budget.spend(len(self.blocks[-1]), "a copy of its buffer views")
+                if view.get("extensions", {}).keys() & set(MESHOPT):
+                    del view["extensions"]
+            for key in ("extensionsUsed", "extensionsRequired"):
+                self.json[key] = [e for e in self.json.get(key, []) if e not in MESHOPT]
+        for key in ("accessors", "bufferViews"):
+            self.json.setdefault(key, [])
 
     def view(self, data: bytes, **fields: Any) -> int:
+        """Add a buffer view; its number."""
         views: list[Any] = self.json["bufferViews"]
-        views.append(self._place(data) | {k: v for k, v in fields.items() if v is not None})
+        views.append({"buffer": len(self.blocks), **fields})
+        self.blocks.append(data)
         return len(views) - 1
 
     def accessor(
@@ -94,8 +66,10 @@ class Builder:
         normalized: bool = False,
         bounds: bool = False,
     ) -> int:
+        """Add an accessor over a view of its own; its number."""
+        fields = {} if target is None else {"target": target}
         item: dict[str, Any] = {
-            "bufferView": self.view(np.ascontiguousarray(array).tobytes(), target=target),
+            "bufferView": self.view(np.ascontiguousarray(array).tobytes(), **fields),
             "componentType": _COMPONENT[array.dtype.name],
             "count": len(array),
             "type": kind,
@@ -112,107 +86,59 @@ class Builder:
         return len(accessors) - 1
 
     def save(self, path: Path) -> int:
-        """Write the file with all that belongs to it; the number of bytes.
+        """Write the file, and the ``.bin`` of a ``.gltf``; the number of bytes.
 
         Raises
         ------
         InputError
-            If a ``.glb`` would be larger than its format allows, or a picture would replace
-            another file beside a ``.gltf``.
+            If a ``.glb`` would be larger than its format allows.
         """
-        pictures = self._pictures(path)
-        binary = self._merged()
+        self._embed_pictures(path)
+        blocks: list[memoryview | bytes] = []
+        length = 0
+        for view in self.json["bufferViews"]:
+            block = self.blocks[view["buffer"]]
+            view |= {"buffer": 0, "byteOffset": length, "byteLength": len(block)}
+            blocks += [block, b"\0" * (-len(block) % 4)]
+            length += len(block) + -len(block) % 4
         buffer: dict[str, Any] = {}
-        if self.document is not None:
-            buffer = dict((self.document.items("buffers") or [{}])[0])
-            buffer.pop("uri", None)
-            buffer.pop("extensions", None)
-        buffer["byteLength"] = len(binary)
-        self.json.pop("buffers", None)
-        for key in ("accessors", "bufferViews"):
-            if not self.json[key]:
+        if self.document is not None and self.document.items("buffers"):
+            buffer = dict(self.document.items("buffers")[0])
+        for key in ("uri", "extensions"):
+            buffer.pop(key, None)
+        buffer["byteLength"] = length
+        self.json["buffers"] = [buffer] if length else []
+        for key in ("accessors", "bufferViews", "buffers", "extensionsUsed", "extensionsRequired"):
+            if not self.json.get(key, True):
                 del self.json[key]
-        if binary:
-            self.json["buffers"] = [buffer]
         if path.suffix.lower() == ".gltf":
-            sidecar = path.with_suffix(".bin")
-            size = sum(write_bytes(file, data) for file, data in pictures.items())
-            if binary:
+            sidecar, size = path.with_suffix(".bin"), 0
+            if length:
                 buffer["uri"] = quote(sidecar.name)
-                size += write_bytes(sidecar, binary)
-            text = json.dumps(self.json, indent=1, allow_nan=False).encode()
-            return size + write_bytes(path, text)
-        text = json.dumps(self.json, separators=(",", ":"), allow_nan=False).encode()
+                size = write_bytes(sidecar, b"".join(blocks))
+            return size + write_bytes(path, json.dumps(self.json, indent=1).encode())
+        text = json.dumps(self.json, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
-        binary += b"\0" * (-len(binary) % 4)
-        body = struct.pack("<I4s", len(text), b"JSON") + text
-        if binary:
-            body += struct.pack("<I4s", len(binary), b"BIN\0") + binary
-        total = 12 + len(body)
+        total = 20 + len(text) + (8 + length if length else 0)
         if total > 0xFFFFFFFF:
             raise InputError("path", "a .gltf for more than 4 GiB", str(path))
-        return write_bytes(path, struct.pack("<4sII", b"glTF", 2, total) + body)
+        head = struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON") + text
+        if length:
+            head += struct.pack("<I4s", length, b"BIN\0")
+        return write_bytes(path, b"".join([head, *blocks]))
 
-    def _merged(self) -> bytes:
-        """All buffers as one, the offsets of the views moved with their bytes."""
-        blobs: dict[int | None, Any] = dict(enumerate(self.sources))
-        blobs[None] = b"".join(self.blocks)
-        parts: list[Any] = []
-        length = 0
-        for number, blob in blobs.items():
-            views = [v for v in self.json["bufferViews"] if v["buffer"] == number]
-            views.sort(key=lambda view: view.get("byteOffset", 0))
-            spans = [(0, len(blob))] if not self.compact or number is None else _spans(views)
-            for start, stop in spans:
-                gap = (start - length) % 8  # alignment of what the views hold stays
-                parts += [b"\0" * gap, blob[start:stop]]
-                length += gap
-                shift = length - start
-                for view in views:
-                    if start <= view.get("byteOffset", 0) < stop and view["buffer"] == number:
-                        place = view.get("byteOffset", 0) + shift
-                        if place or "byteOffset" in view:
-                            view["byteOffset"] = place
-                        view["buffer"] = -1
-                length += stop - start
-        for view in self.json["bufferViews"]:
-            view["buffer"] = 0
-        return b"".join(parts)
-
-    def _pictures(self, path: Path) -> dict[Path, bytes]:
-        """Put pictures into a ``.glb``; name those that must lie beside a ``.gltf``."""
+    def _embed_pictures(self, path: Path) -> None:
+        """Put pictures that do not lie beside `path` into the buffer."""
         if self.document is None:
-            return {}
-        beside: dict[Path, bytes] = {}
+            return
         for image in self.json.get("images", []):
-            uri = image.get("uri")
-            if uri is None or str(uri).startswith("data:"):
+            uri = str(image.get("uri", "data:"))
+            if uri.startswith("data:"):
                 continue
             data = self.document.uri(uri, "an image")
-            if path.suffix.lower() == ".glb":
+            beside = path.parent.resolve() == self.document.path.parent.resolve()
+            if path.suffix.lower() == ".glb" or not beside:
                 del image["uri"]
                 jpeg = data.startswith(b"\xff\xd8\xff")
                 image.setdefault("mimeType", "image/jpeg" if jpeg else "image/png")
                 image["bufferView"] = self.view(data)
-                continue
-            target = path.parent / unquote(uri)
-            if target.exists():
-                if target.read_bytes() != data:
-                    raise InputError("path", "a folder without another picture", str(target))
-                continue
-            target.parent.mkdir(parents=True, exist_ok=True)
-            beside[target] = data
-        return beside
-
-
-def _spans(views: list[dict[str, Any]]) -> list[tuple[int, int]]:
-    """Ranges of bytes that some view covers, `views` in the order of their offsets."""
-    spans: list[tuple[int, int]] = []
-    for view in views:
-        start = view.get("byteOffset", 0)
-        stop = start + view["byteLength"]
-        if spans and start <= spans[-1][1]:
-            spans[-1] = spans[-1][0], max(stop, spans[-1][1])
-        else:
-            spans.append((start, stop))
-    return spans

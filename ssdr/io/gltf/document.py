@@ -1,4 +1,4 @@
-"""A glTF file as checked JSON and checked arrays: nothing is allocated on the file's word alone."""
+"""A glTF file as checked JSON and checked arrays."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
+from ..references import is_inside
 from ..registry import describe
-from .compression import DRACO, MESHOPT, decode_view, meshopt_of
+from ..scene import SceneBudget
+from .compression import DRACO, MESHOPT, decode_view
+from .numbering import check_numbers
 
-__all__ = ["Document"]
+__all__ = ["COMPONENTS", "Document"]
 
-_COMPONENTS: dict[int, np.dtype[Any]] = {
+COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"),
     5121: np.dtype("<u1"),
     5122: np.dtype("<i2"),
@@ -29,120 +32,108 @@ _COMPONENTS: dict[int, np.dtype[Any]] = {
     5126: np.dtype("<f4"),
 }
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-# bytes (1 GiB) of an accessor without a buffer: the file needs no data to claim any size
-_ZEROS_LIMIT = 1 << 30
-_KNOWN = {
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-    "KHR_lights_punctual",
-    DRACO,
-    *MESHOPT,
-}
+_READ = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual")
+_READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 
 
 class Document:
-    """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed."""
+    """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed.
 
-    def __init__(self, path: Path) -> None:
+    Its lists are lists of objects and its numbers of items are those of items that are there, so
+    that both may be used unchecked; other fields may be anything.
+
+    Parameters
+    ----------
+    path : Path
+    max_bytes : int, optional
+        Memory that the file may ask for; see :class:`~ssdr.io.scene.SceneBudget`.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
         self.path = path
-        self._folder = path.parent.resolve()
         self._buffers: dict[int, memoryview] = {}
         self._binary: memoryview | None = None
         self._decoded_views: dict[int, memoryview] = {}
-        self._decoded: dict[int, NDArray[Any]] = {}  # of accessors
+        self._decoded: dict[int, NDArray[Any]] = {}  # accessors whose numbers Draco holds
         data = path.read_bytes()
+        self.budget = SceneBudget(path, len(data), max_bytes)
         if data[:4] == b"glTF":
-            text, self._binary = self._chunks(data)
+            data = self._json_chunk(data)
         elif path.suffix.lower() == ".glb":
             raise FormatError(f"{path}: not a binary glTF: {describe(data[:64])}")
-        else:
-            text = data
         try:
-            self.json = json.loads(text.decode("utf-8-sig"), parse_constant=self._no_constant)
+            self.json = json.loads(
+                data.decode("utf-8-sig"), parse_constant=self._finite, parse_float=self._finite
+            )
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise FormatError(f"{path}: not a glTF file ({error})") from error
         if not isinstance(self.json, dict):
             raise self.error("the JSON is not an object")
-        version = str(self.dictionary(self.json, "asset").get("version", ""))
+        version = str(self.json.get("asset", {}).get("version", "missing"))
         if not version.startswith("2."):
-            raise self.error(f"glTF version {version or 'missing'}; 2.0 is read")
-        for extension in self.array(self.json, "extensionsRequired"):
-            if extension not in _KNOWN and not str(extension).startswith("KHR_materials_"):
+            raise self.error(f"glTF version {version}; 2.0 is read")
+        for extension in map(str, self.json.get("extensionsRequired", [])):
+            if not extension.startswith(_READ_EXTENSIONS):
                 raise self.error(
                     f"requires {extension}: that extension is not supported; save it without, "
                     "with Blender say"
                 )
+        problem = check_numbers(self.json)
+        if problem:
+            raise self.error(problem)
 
     def error(self, what: str) -> FormatError:
         return FormatError(f"{self.path}: {what}")
 
-    def _no_constant(self, text: str) -> float:
-        raise self.error(f"{text} is no JSON number")
+    def _finite(self, text: str) -> float:
+        if not math.isfinite(value := float(text)):
+            raise self.error(f"the number {text} is not finite")
+        return value
 
-    def _chunks(self, data: bytes) -> tuple[bytes, memoryview | None]:
+    def _json_chunk(self, data: bytes) -> bytes:
+        """The JSON of a ``.glb``; its binary chunk is kept."""
         if len(data) < 20:
             raise self.error(f"truncated: {len(data)} bytes")
-        version, total = struct.unpack_from("<II", data, 4)
+        version, total, length, kind = struct.unpack_from("<III4s", data, 4)
         if version != 2:
             raise self.error(f"binary glTF version {version}; 2 is read")
-        if total > len(data):
-            raise self.error(f"truncated: states {total} bytes, holds {len(data)}")
-        chunks: list[tuple[bytes, memoryview]] = []
-        place = 12
-        while place + 8 <= total:
-            length, kind = struct.unpack_from("<I4s", data, place)
-            if place + 8 + length > total:
-                raise self.error(f"truncated: a chunk of {length} bytes at byte {place}")
-            chunks.append((kind, memoryview(data)[place + 8 : place + 8 + length]))
-            place += 8 + length + (-length % 4)
-        if not chunks or chunks[0][0] != b"JSON":
+        if kind != b"JSON":
             raise self.error("the first chunk is not JSON")
-        binary = chunks[1][1] if len(chunks) > 1 and chunks[1][0] == b"BIN\0" else None
-        return bytes(chunks[0][1]), binary
+        if total > len(data) or 20 + length > total:
+            raise self.error(f"truncated: states {max(total, length)} bytes, holds {len(data)}")
+        place = 20 + length + (-length % 4)
+        if place + 8 <= total:
+            size, kind = struct.unpack_from("<I4s", data, place)
+            if place + 8 + size > total:
+                raise self.error(f"truncated: a chunk of {size} bytes at byte {place}")
+            if kind == b"BIN\0":
+                self._binary = memoryview(data)[place + 8 : place + 8 + size]
+        return data[20 : 20 + length]
 
-    def array(self, item: dict[str, Any], key: str) -> list[Any]:
-        value = item.get(key, [])
-        if not isinstance(value, list):
-            raise self.error(f"{key} is not a list")
+    def items(self, kind: str) -> list[Any]:
+        """The nodes, meshes, ... of the file."""
+        found: list[Any] = self.json.get(kind, [])
+        return found
+
+    def integer(self, item: dict[str, Any], key: str, what: str, least: int = 1) -> int:
+        """A field that is an integer, at least `least`; it may be missing where 0 is allowed."""
+        value = item.get(key, None if least else 0)
+        if type(value) is not int or value < least:
+            raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
         return value
-
-    def dictionary(self, item: dict[str, Any], key: str) -> dict[str, Any]:
-        value = item.get(key, {})
-        if not isinstance(value, dict):
-            raise self.error(f"{key} is not an object")
-        return value
-
-    def integer(self, value: Any, what: str, limit: int | None = None, least: int = 0) -> int:
-        if type(value) is not int or value < least or (limit is not None and value >= limit):
-            upper = "" if limit is None else f" to {limit - 1}"
-            raise self.error(f"{what} is {value!r}, not an integer from {least}{upper}")
-        return value
-
-    def number(self, value: Any, what: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(f"{what} is {value!r}, not a number")
-        if not math.isfinite(float(value)):
-            raise self.error(f"{what} is not finite")
-        return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
-        values = self.array(item, key) if key in item else default
+        """A field that is a list of as many numbers as the default has."""
+        values = item.get(key, default)
         if len(values) != len(default):
             raise self.error(f"{key} has {len(values)} numbers, not {len(default)}")
-        return np.array([self.number(v, key) for v in values], dtype=np.float64)
-
-    def items(self, key: str) -> list[Any]:
-        return self.array(self.json, key)
-
-    def item(self, key: str, index: Any) -> dict[str, Any]:
-        items = self.items(key)
-        value = items[self.integer(index, f"an index into {key}", len(items))]
-        if not isinstance(value, dict):
-            raise self.error(f"{key}[{index}] is not an object")
-        return value
+        for value in values:
+            if type(value) not in (int, float):
+                raise self.error(f"{key} is {repr(value)[:200]}, not a number")
+        return np.array(values, dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
-        """Bytes behind a data URI, or a file that lies in the glTF's own folder."""
+        """Bytes behind a data URI, or of a file in the glTF's own folder."""
         if not isinstance(uri, str):
             raise self.error(f"the uri of {what} is no text")
         if uri.startswith("data:"):
@@ -153,19 +144,30 @@ class Document:
                 return base64.b64decode(body, validate=True)
             except binascii.Error as error:
                 raise self.error(f"the data URI of {what}: {error}") from error
-        target = (self._folder / unquote(uri)).resolve()
-        if "://" in uri or not target.is_relative_to(self._folder):
-            raise self.error(f"{what} lies outside the file's folder: {uri[:200]!r}")
-        if not target.is_file():
-            raise self.error(f"{what} is missing: {uri[:200]!r}")
+        target = self.path.parent / unquote(uri)
+        try:
+            outside = "://" in uri or not is_inside(target, self.path.parent)
+            missing = not target.is_file()  # nor is a pipe or a device
+        except (OSError, ValueError, RuntimeError):  # a name that no file can have
+            outside, missing = False, True
+        if outside or missing:
+            problem = "lies outside the file's folder" if outside else "is missing"
+            raise self.error(f"{what} {problem}: {uri[:200]!r}")
         return target.read_bytes()
 
-    def buffer(self, index: int) -> memoryview:
+    def picture(self, image: dict[str, Any]) -> bytes:
+        """The encoded bytes of an image."""
+        if "bufferView" in image:
+            return bytes(self.view(image["bufferView"])[0])
+        return self.uri(image.get("uri"), "an image")
+
+    def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
-            item = self.item("buffers", index)
-            length = self.integer(item.get("byteLength"), "byteLength of a buffer", least=1)
+            item = self.items("buffers")[index]
+            length = self.integer(item, "byteLength", "a buffer")
             if "uri" in item:
                 data = memoryview(self.uri(item["uri"], f"buffer {index}"))
+                self.budget.grow(len(data))
             elif index == 0 and self._binary is not None:
                 data = self._binary
             else:
@@ -175,87 +177,92 @@ class Document:
             self._buffers[index] = data[:length]
         return self._buffers[index]
 
-    def view(self, index: Any) -> tuple[memoryview, int | None]:
+    def view(self, index: int) -> tuple[memoryview, int | None]:
         """Bytes of a buffer view and its stride."""
-        item = self.item("bufferViews", index)
-        stride = item.get("byteStride")
-        if stride is not None:
-            stride = self.integer(stride, "byteStride", 253, least=4)
-        packed = meshopt_of(self, item)
-        if packed is not None:
-            if index not in self._decoded_views:
-                self._decoded_views[index] = decode_view(self, packed)
-            return self._decoded_views[index], stride
-        data = self.buffer(self.integer(item.get("buffer"), "buffer of a view"))
-        start = self.integer(item.get("byteOffset", 0), "byteOffset of a view")
-        length = self.integer(item.get("byteLength"), "byteLength of a view", least=1)
-        if start + length > len(data):
-            raise self.error(
-                f"bufferView {index} ends at byte {start + length} of a buffer of {len(data)}"
-            )
-        return data[start : start + length], stride
+        item = self.items("bufferViews")[index]
+        stride = self.integer(item, "byteStride", "a view") if "byteStride" in item else None
+        extensions = item.get("extensions", {})
+        required = self.json.get("extensionsRequired", [])
+        # Where an extension is not required, the bytes are there without compression, too.
+        packed = next((extensions[e] for e in MESHOPT if e in extensions and e in required), None)
+        if packed is None:
+            return self._bytes(item, f"bufferView {index}"), stride
+        if index not in self._decoded_views:
+            count = self.integer(packed, "count", "a compressed view")
+            width = self.integer(packed, "byteStride", "a compressed view")
+            self.budget.spend(count * width, f"bufferView {index}, decompressed,")
+            data = bytes(self._bytes(packed, "compressed data"))
+            how = str(packed.get("mode")), str(packed.get("filter", "NONE"))
+            self._decoded_views[index] = decode_view(data, count, width, *how, self.path)
+        return self._decoded_views[index], stride
 
-    def accessor(
-        self, index: Any, kinds: tuple[str, ...], what: str, *, integers: bool = False
-    ) -> NDArray[Any]:
-        """An accessor's numbers: ``(count,)`` or ``(count, width)``.
+    def _bytes(self, item: dict[str, Any], what: str) -> memoryview:
+        data = self._buffer(self.integer(item, "buffer", what, 0))
+        start = self.integer(item, "byteOffset", what, 0)
+        stop = start + self.integer(item, "byteLength", what)
+        if stop > len(data):
+            raise self.error(f"{what} ends at byte {stop} of a buffer of {len(data)}")
+        return data[start:stop]
 
-        Integers stay what they are where `integers`; else they become float64,
-        normalised where the accessor says so.
+    def accessor(self, index: int, kind: str, what: str, *, integers: bool = False) -> NDArray[Any]:
+        """Numbers of an accessor, ``(count,)`` or ``(count, width)``.
+
+        They become float64, normalised where the accessor says so; with `integers`, they must be
+        unsigned integers and stay what they are.
         """
-        item = self.item("accessors", index)
-        kind = item.get("type")
-        if kind not in kinds:
-            raise self.error(f"{what} is {kind!r}, not {' or '.join(kinds)}")
+        item = self.items("accessors")[index]
         code = item.get("componentType")
-        if code not in _COMPONENTS:
+        if item.get("type") != kind:
+            raise self.error(f"{what} is {item.get('type')!r}, not {kind}")
+        if code not in COMPONENTS:
             raise self.error(f"{what} has the component type {code!r}")
-        dtype, width = _COMPONENTS[code], _WIDTHS[str(kind)]
+        dtype, width = COMPONENTS[code], _WIDTHS[kind]
         if integers and dtype.kind != "u":
             raise self.error(f"{what} holds {dtype}, not unsigned integers")
-        count = self.integer(item.get("count"), f"count of {what}", least=1)
+        count = self.integer(item, "count", what)
+        self.budget.spend(8 * count * width, f"{what} of {count} elements")
+        values: NDArray[Any] = np.zeros((count, width), dtype=dtype)
         if index in self._decoded:
-            values = self._fitting(self._decoded[index], dtype, width, count, what)
+            found = self._decoded[index].reshape(len(self._decoded[index]), -1)
+            if found.shape != values.shape:
+                raise self.error(f"{what}: decoded to {found.shape}, stated is {values.shape}")
+            values = found.astype(dtype)
+            if (found.dtype.kind == "f") != (dtype.kind == "f") or (values != found).any():
+                raise self.error(f"{what}: decoded to {found.dtype}, which {dtype} does not hold")
         elif "bufferView" in item:
-            offset = self.integer(item.get("byteOffset", 0), f"byteOffset of {what}")
-            values = self._strided(item["bufferView"], offset, dtype, width, count, what)
-        else:
-            if count * width * dtype.itemsize > _ZEROS_LIMIT:
-                raise self.error(f"{what} states {count} elements and holds none")
-            values = np.zeros((count, width), dtype=dtype)
+            values = self._rows(item, dtype, width, count, what)
         if "sparse" in item:
-            values = self._sparse(self.dictionary(item, "sparse"), values, what)
+            sparse = item["sparse"]
+            values = values.copy()
+            n_changed = self.integer(sparse, "count", f"sparse {what}")
+            code = sparse["indices"].get("componentType")
+            rows = self._rows(
+                sparse["indices"], COMPONENTS[code], 1, n_changed, f"indices of sparse {what}"
+            )
+            if rows.dtype.kind != "u" or int(rows.max()) >= count:
+                raise self.error(f"sparse index {rows.max()} of {what}, which has {count}")
+            new = self._rows(sparse["values"], dtype, width, n_changed, f"sparse {what}")
+            values[rows[:, 0].astype(np.intp)] = new
         if not integers:
-            plain = values.astype(np.float64)
+            values = values.astype(np.float64)
             if dtype.kind != "f" and item.get("normalized"):
-                plain = np.maximum(plain / np.iinfo(dtype).max, -1.0)
-            values = plain
+                values = np.maximum(values / np.iinfo(dtype).max, -1.0)
             if not np.isfinite(values).all():
                 raise self.error(f"{what} holds NaN or Inf")
         return values[:, 0] if width == 1 else values
 
-    def replace(self, index: Any, values: NDArray[Any], what: str) -> None:
+    def replace(self, index: int, values: NDArray[Any], what: str) -> None:
         """Set the numbers of an accessor that another part of the file holds."""
-        self.item("accessors", index)
         if index in self._decoded and not np.array_equal(self._decoded[index], values):
             raise self.error(f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values
 
-    def _fitting(
-        self, found: NDArray[Any], dtype: np.dtype[Any], width: int, count: int, what: str
+    def _rows(
+        self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        values = found.reshape(len(found), -1)
-        if values.shape != (count, width):
-            raise self.error(f"{what}: decoded to {values.shape}, stated is {(count, width)}")
-        plain = values.astype(dtype)
-        if (values.dtype.kind == "f") != (dtype.kind == "f") or (plain != values).any():
-            raise self.error(f"{what}: decoded to {values.dtype}, which {dtype} does not hold")
-        return plain
-
-    def _strided(
-        self, view: Any, offset: int, dtype: np.dtype[Any], width: int, count: int, what: str
-    ) -> NDArray[Any]:
-        data, stride = self.view(view)
+        """Elements of a view at which an accessor or a part of a sparse one begins."""
+        data, stride = self.view(item["bufferView"])
+        offset = self.integer(item, "byteOffset", what, 0)
         size = dtype.itemsize * width
         step = size if stride is None else stride
         if step < size:
@@ -265,28 +272,3 @@ class Document:
                 f"{what}: {count} elements of {size} bytes do not fit in a view of {len(data)}"
             )
         return np.ndarray((count, width), dtype, data, offset, (step, dtype.itemsize))
-
-    def _sparse(self, sparse: dict[str, Any], values: NDArray[Any], what: str) -> NDArray[Any]:
-        count = self.integer(sparse.get("count"), f"sparse count of {what}", len(values) + 1, 1)
-        where, new = self.dictionary(sparse, "indices"), self.dictionary(sparse, "values")
-        code = where.get("componentType")
-        if code not in (5121, 5123, 5125):
-            raise self.error(f"sparse indices of {what} have the component type {code!r}")
-        offset = self.integer(where.get("byteOffset", 0), "byteOffset")
-        rows = self._strided(
-            where.get("bufferView"),
-            offset,
-            _COMPONENTS[code],
-            1,
-            count,
-            f"sparse indices of {what}",
-        )[:, 0]
-        if int(rows.max()) >= len(values):
-            raise self.error(f"sparse index {rows.max()} of {what}, which has {len(values)}")
-        offset = self.integer(new.get("byteOffset", 0), "byteOffset")
-        fresh = self._strided(
-            new.get("bufferView"), offset, values.dtype, values.shape[1], count, what
-        )
-        values = values.copy()
-        values[rows.astype(np.intp)] = fresh
-        return values

@@ -1,4 +1,4 @@
-"""What of a glTF file a model holds, and the file passed on whole."""
+"""A glTF file passed on whole, and what of it a model does not hold."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 from ...clips import pick
 from ..atomic import write_bytes
 from ..registry import SaveReport, reading
-from .animation import World, every, names_of_clips
+from .animation import Nodes, animation_names, read_animation
 from .builder import Builder
 from .document import Document
-from .mesh import check_meshes, read_parts
-from .references import remove, unknown_extensions, used
+from .numbering import remove, unknown_extensions, used
+from .parts import check_meshes, read_parts
 
-__all__ = ["copy", "left_out", "template_problem"]
+__all__ = ["copy", "left_out"]
 
 _MAPS = {
     "normalTexture": "normal maps",
@@ -43,39 +43,25 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
     with reading(path):
         document = Document(path)
         builder = Builder(document)
-        names = names_of_clips(document)
-        embedded = not any(
-            "uri" in item and not str(item["uri"]).startswith("data:")
-            for item in (*document.items("buffers"), *document.items("images"))
-        )
+        names = animation_names(document)
+        named = (*document.items("buffers"), *document.items("images"))
+        alone = all(str(item.get("uri", "data:")).startswith("data:") for item in named)
     if clips is not None:
         kept = {pick(names, clip) for clip in clips}
-        _keep_clips(builder, kept)
-    elif embedded and path.suffix.lower() == target.suffix.lower() == ".glb":
+        with reading(path):
+            _keep_clips(builder.json, kept)
+    elif alone and path.suffix.lower() == target.suffix.lower() == ".glb":
         return SaveReport(path=target, bytes=write_bytes(target, path.read_bytes()))
     return SaveReport(path=target, bytes=builder.save(target))
 
 
-def _keep_clips(builder: Builder, kept: set[int]) -> None:
-    json = builder.json
+def _keep_clips(json: dict[str, Any], kept: set[int]) -> None:
     accessors, views = used(json, "accessors"), used(json, "bufferViews")
-    if "animations" not in json:
-        return
-    json["animations"] = [a for k, a in enumerate(json["animations"]) if k in kept]
-    if unknown_extensions(json):
-        return
-    remove(json, "accessors", accessors - used(json, "accessors"))
-    remove(json, "bufferViews", views - used(json, "bufferViews"))
-    builder.compact = True
-
-
-def template_problem(path: Path) -> str:
-    """Why a file that can be read cannot be a template; empty where it can."""
-    with reading(path):
-        used_there = Document(path).items("extensionsUsed")
-    if "KHR_draco_mesh_compression" in used_there:
-        return "its geometry is compressed with Draco"
-    return ""
+    if "animations" in json:
+        json["animations"] = [a for k, a in enumerate(json["animations"]) if k in kept]
+        if not unknown_extensions(json):
+            remove(json, "accessors", accessors - used(json, "accessors"))
+            remove(json, "bufferViews", views - used(json, "bufferViews"))
 
 
 def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[str, ...]:
@@ -84,46 +70,36 @@ def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[
         document = Document(path)
     wanted = check_meshes(document, meshes)
     with reading(path):
-        return tuple(_left_out(document, wanted))
+        parts = read_parts(document, Nodes(document, read_animation(document, 0, None)), wanted)
+        parts.sort(key=lambda part: part.mesh)
+        primitives = [p for part in parts for p in part.primitives.values()]
+        found = [_of_attribute(name) for p in primitives for name in p["attributes"]]
+        for number in sorted({p["material"] for p in primitives if "material" in p}):
+            found += _of_material(document.items("materials")[number])
+        json, scenes = document.json, document.items("scenes")
+        lights = json.get("extensions", {}).get("KHR_lights_punctual")
+        found += [
+            what
+            for what, there in {
+                "names and number of the meshes": len({part.node for part in parts}) > 1,
+                "orientations of the joints": any(part.has_axes(document) for part in parts),
+                "cameras": document.items("cameras"),
+                "scenes but the first": len(scenes) > 1,
+                "lights": lights,
+                "meshes that were not chosen": wanted is not None,
+                "extras": _has_extras(json),
+            }.items()
+            if there
+        ]
+        return tuple(dict.fromkeys(what for what in found if what))
 
 
-def _left_out(document: Document, wanted: list[str] | None) -> list[str]:
-    parts = read_parts(document, World(document, every(document)[0]), wanted)
-    found: dict[str, None] = {}
-    numbers = {part.mesh for part in parts}
-    used_materials: set[int] = set()
-    for number in sorted(numbers):
-        mesh = document.item("meshes", number)
-        for primitive in mesh["primitives"]:
-            for name in primitive["attributes"]:
-                if name.startswith("COLOR_"):
-                    found["vertex colours"] = None
-                elif name.startswith("TEXCOORD_") and name != "TEXCOORD_0":
-                    found["further sets of UVs"] = None
-                elif name.startswith("_") and name != "_VERTEX":
-                    found[f"the attribute {name}"] = None
-            if "material" in primitive:
-                used_materials.add(primitive["material"])
-    for number in sorted(used_materials):
-        found |= dict.fromkeys(_of_material(document.item("materials", number)))
-    if len({part.node for part in parts}) > 1:
-        found["names and number of the meshes"] = None
-    if any(part.has_axes(document) for part in parts):
-        found["orientations of the joints"] = None
-    for key, what in (("cameras", "cameras"), ("scenes", "scenes but the first")):
-        if len(document.items(key)) > (key == "scenes"):
-            found[what] = None
-    lights = document.dictionary(document.dictionary(document.json, "extensions"), _LIGHTS)
-    if lights:
-        found["lights"] = None
-    if wanted is not None:
-        found["meshes that were not chosen"] = None
-    if _has_extras(document.json):
-        found["extras"] = None
-    return list(found)
-
-
-_LIGHTS = "KHR_lights_punctual"
+def _of_attribute(name: str) -> str:
+    if name.startswith("COLOR_"):
+        return "vertex colours"
+    if name.startswith("TEXCOORD_") and name != "TEXCOORD_0":
+        return "further sets of UVs"
+    return f"the attribute {name}" if name.startswith("_") and name != "_VERTEX" else ""
 
 
 def _of_material(material: dict[str, Any]) -> list[str]:
@@ -140,9 +116,10 @@ def _of_material(material: dict[str, Any]) -> list[str]:
 
 
 def _has_extras(value: Any) -> bool:
+    """Whether there are extras that this package has not written."""
     if isinstance(value, dict):
-        extras = value.get("extras")
-        if "extras" in value and not (isinstance(extras, dict) and extras.keys() <= {"ssdr"}):
+        extras = value.get("extras", {})
+        if not (isinstance(extras, dict) and extras.keys() <= {"ssdr"}):
             return True
         return any(_has_extras(v) for k, v in value.items() if k != "extras")
     return isinstance(value, list) and any(_has_extras(v) for v in value)

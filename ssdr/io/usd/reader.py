@@ -10,22 +10,190 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pxr import Usd, UsdGeom, UsdSkel
 
 from ...clips import Clip, in_order, pick, unique_names
-from ...errors import FormatError
+from ...errors import FormatError, is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ..axes import Up, check_up, turn_skinning_up, turn_up
-from ..registry import reading, require
-from ..rig import MAX_BYTES, check_size, frame_rate, join_trees, model_of
-from .mesh import Mesh
-from .stage import Take, name_of, open_stage, takes_of
-from .surface import join_surface
+from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
+from ..registry import reading
+from ..rig import frame_rate
+from ..scene import SceneBudget, join_sequence, join_skinning
+from .materials import read_looks
+from .parts import MeshPrim
+from .stage import open_stage
 
-__all__ = ["list_clips", "read", "read_skinning"]
+__all__ = ["StageReader", "list_clips", "read", "read_skinning"]
 
 _log = logging.getLogger(__name__)
-_Clock = tuple[float, NDArray[np.float64]]  # frames per second, time codes
+_ALL = Usd.TraverseInstanceProxies()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class StageClip:
+    """A clip of a stage: a SkelAnimation of its only skeleton, or all that moves.
+
+    Attributes
+    ----------
+    name : str
+    skeleton, animation : Sdf.Path or None
+        None where nothing has to be bound.
+    bound : bool
+        Whether the file binds this animation, so that the stage's range is that of the clip.
+    fps, frames : float and int, or None
+        Rate and number of frames, where files of several clips state them.
+    start : float
+        Time code of the first frame, where these two are stated.
+    """
+
+    name: str
+    skeleton: Any = None
+    animation: Any = None
+    bound: bool = True
+    fps: float | None = None
+    frames: int | None = None
+    start: float = 0.0
+
+
+class StageReader:
+    """An open stage.
+
+    Attributes
+    ----------
+    name : str
+        Of the root prim, else of the file.
+    clips : list of StageClip
+        That of the bound animation first.
+    up : {"y", "z"}
+
+    Raises
+    ------
+    FormatError
+        If the file is no stage or must not be opened.
+    """
+
+    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+        self.path = path
+        self.stage = open_stage(path)
+        root = self.stage.GetDefaultPrim()
+        self.name = str(root.GetName()) if root else path.stem
+        self.clips = self._find_clips()
+        files = [Path(layer.realPath) for layer in self.stage.GetUsedLayers() if layer.realPath]
+        self.budget = SceneBudget(
+            path, sum(f.stat().st_size for f in files if f.is_file()), max_bytes
+        )
+        self.up: Up = "z" if UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z else "y"
+        unit = UsdGeom.GetStageMetersPerUnit(self.stage)
+        _log.info("%s: %s up, %g m a unit", path, self.up, unit)
+
+    def _find_clips(self) -> list[StageClip]:
+        prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
+        skeletons = [prim for prim in prims if prim.IsA(UsdSkel.Skeleton)]
+        if len(skeletons) != 1 or skeletons[0].IsInstanceProxy():
+            return [StageClip(name=self.name)]
+        joints = set(UsdSkel.Skeleton(skeletons[0]).GetJointsAttr().Get() or ())
+        usable = [
+            prim
+            for prim in prims
+            if prim.IsA(UsdSkel.Animation)
+            and joints & set(UsdSkel.Animation(prim).GetJointsAttr().Get() or ())
+        ]
+        bound = UsdSkel.BindingAPI(skeletons[0]).GetInheritedAnimationSource()
+        usable.sort(key=lambda prim: prim != bound)  # a stable order: the others stay in theirs
+        if not usable or (bound and usable[0] != bound):
+            return [StageClip(name=self.name)]
+        clips = []
+        for prim in usable:
+            own = prim.GetCustomDataByKey("ssdr")
+            own = own if isinstance(own, dict) else {}
+            fps, frames = own.get("fps"), own.get("frames")
+            # The stage's own range is that of one clip alone.
+            known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
+            default = self.name if len(usable) == 1 and own else str(prim.GetName())
+            clips.append(
+                StageClip(
+                    name=str(own.get("name") or default),
+                    skeleton=skeletons[0].GetPath(),
+                    animation=prim.GetPath(),
+                    bound=prim == bound,
+                    fps=float(own["fps"]) if known else None,
+                    frames=int(own["frames"]) if known else None,
+                    start=float(own["start"]) if is_real(own.get("start")) else 0.0,
+                )
+            )
+        names = unique_names([clip.name for clip in clips])
+        return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
+
+    def sample(
+        self, clip: StageClip, fps: float | None = None
+    ) -> tuple[Clip, list[MeshPrim], NDArray[np.float64]]:
+        """A clip, the visible meshes while it is bound, and the time codes of its frames.
+
+        Raises
+        ------
+        FormatError
+            If there is no visible mesh, or a mesh is damaged.
+        """
+        if clip.animation is not None:
+            with Usd.EditContext(self.stage, self.stage.GetSessionLayer()):
+                binding = UsdSkel.BindingAPI.Apply(self.stage.GetPrimAtPath(clip.skeleton))
+                binding.CreateAnimationSourceRel().SetTargets([clip.animation])
+        prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
+        cache = UsdSkel.Cache()
+        bound: dict[str, tuple[Any, Any]] = {}
+        for root in (UsdSkel.Root(prim) for prim in prims if prim.IsA(UsdSkel.Root)):
+            cache.Populate(root, _ALL)
+            for binding in cache.ComputeSkelBindings(root, _ALL):
+                skeleton = cache.GetSkelQuery(binding.GetSkeleton())
+                for query in binding.GetSkinningTargets():
+                    bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
+        meshes = [
+            MeshPrim(self.path, prim, *bound.get(str(prim.GetPath()), ()))
+            for prim in prims
+            if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)
+        ]
+        if not meshes:
+            raise FormatError(f"{self.path}: no visible mesh")
+        rate, codes = self._clock(meshes, clip, fps)
+        return Clip(clip.name, 0, len(codes), rate), meshes, codes
+
+    def _is_shown(self, prim: Any) -> bool:
+        shown = UsdGeom.Imageable(prim)
+        visible = shown.ComputeVisibility(Usd.TimeCode.EarliestTime())
+        if visible != UsdGeom.Tokens.invisible and shown.ComputePurpose() in ("default", "render"):
+            return True
+        _log.info("%s: %s is not shown and left out", self.path, prim.GetPath())
+        return False
+
+    def _clock(
+        self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
+    ) -> tuple[float, NDArray[np.float64]]:
+        """Frames per second and the time code of each frame."""
+        stage = self.stage
+        tempo = float(stage.GetTimeCodesPerSecond())
+        if not (math.isfinite(tempo) and tempo > 0):
+            raise FormatError(f"timeCodesPerSecond is {tempo}")
+        stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
+        if clip.fps is not None and clip.frames is not None and fps in (None, clip.fps):
+            rate, first, count = clip.fps, clip.start, clip.frames
+        else:
+            first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
+            if clip.bound and stage.HasAuthoredTimeCodeRange():
+                first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
+            if not (math.isfinite(first) and math.isfinite(last) and first <= last):
+                raise FormatError(f"the time codes run from {first} to {last}")
+            ticks = stamps - first
+            on_codes = not len(stamps) or np.abs(ticks - np.rint(ticks)).max() < 0.01
+            rate = fps or (None if on_codes else frame_rate([stamps / tempo])) or tempo
+            count = math.floor(min((last - first) / tempo * rate, 1e15) + 1e-3) + 1
+        n_vertices = sum(mesh.n_points for mesh in meshes)
+        n_bones = sum(mesh.n_bones for mesh in meshes)
+        self.budget.spend(
+            count * (12.0 * n_vertices + 96.0 * n_bones),
+            f"{count} frames of {n_vertices} vertices and {n_bones} bones",
+        )
+        return rate, np.asarray(first + np.arange(count) * (tempo / rate), dtype=np.float64)
 
 
 def read(
@@ -42,227 +210,93 @@ def read(
     ----------
     path : Path
     clip : str or int, optional
-        Which SkelAnimation, by number or name, where one skeleton has several;
-        the one that is bound by default.
+        Which SkelAnimation, by number or name, where one skeleton has several; by default the
+        one that is bound.
     fps : float, optional
-        Where to sample; one frame a time code by default, or a frame a sample
-        where samples lie between time codes.
+        Where to sample; by default one frame a time code, or one a sample where samples lie
+        between time codes.
     up : {"y", "z"}, optional
-        Turn the scene to have that axis up; as in the file by default.
+        Turn the scene to have that axis up; by default it stays as in the file.
     max_bytes : int, optional
-        Largest size of the vertices; 16 GiB by default.
+        Memory that the file may ask for; by default 1000 times its size, but at least 1 GiB and
+        at most 16 GiB.
 
     Returns
     -------
     MeshSequence
-        float32, in the file's unit (the log says how many metres); polygons
-        are cut into fans of triangles.
+        float32, in the file's unit (the log says how many metres); polygons are cut into fans of
+        triangles.
 
     Raises
     ------
     FormatError
         If the file is damaged or holds no mesh, or its topology changes.
-    MissingDependencyError
-        Without usd-core.
+    InputError
+        If there is no such clip.
     """
     check_up(up, optional=True)
-    require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        takes = takes_of(path)
-    index = pick([take.name for take in takes], clip)
-    if len(takes) > 1:
-        _log.info("%s: clip %r of %s", path, takes[index].name, [take.name for take in takes])
+        reader = StageReader(path, max_bytes)
+    names = [one.name for one in reader.clips]
+    index = pick(names, clip)
+    if len(names) > 1:
+        _log.info("%s: clip %r of %s", path, names[index], names)
     with reading(path):
-        take = takes[index]
-        stage, meshes = _open(path, take)
-        rate, codes = _clock(stage, meshes, fps, take)
-        count = sum(mesh.n_points for mesh in meshes)
-        check_size(len(codes), count, MAX_BYTES if max_bytes is None else max_bytes)
-        frames = np.empty((len(codes), count, 3), dtype=np.float32)
-        first = 0
-        for mesh in meshes:
-            mesh.bake(codes, frames[:, first : first + mesh.n_points])
-            first += mesh.n_points
-        found = _up(stage)
-        faces, surface = join_surface(path, stage, [m.polygons for m in meshes], codes[0])
-        if up is not None and surface is not None and surface.normals is not None:
-            surface = dataclasses.replace(surface, normals=turn_up(surface.normals, found, up))
-        return MeshSequence(
-            frames if up is None else turn_up(frames, found, up),
-            faces,
-            rate,
-            name=name_of(stage, path),
-            clip=take.name,
-            surface=surface,
+        found, meshes, codes = reader.sample(reader.clips[index], fps)
+        shapes = [mesh.shape(codes) for mesh in meshes]
+        moved = (mesh.transforms(codes) for mesh in meshes)
+        looks = read_looks(path, meshes)
+        sequence = join_sequence(meshes, found, shapes, moved, looks, reader.name)
+        if up is None:
+            return sequence
+        return dataclasses.replace(
+            sequence,
+            vertices=turn_up(sequence.vertices, reader.up, up),
+            surface=turn_surface_up(sequence.surface, reader.up, up),
         )
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
     """The animations of a file, in the frames of :func:`read_skinning`."""
-    require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        clips = []
-        for take in takes_of(path):
-            rate, codes = _clock(*_open(path, take), fps, take)
-            clips.append(Clip(take.name, 0, len(codes), rate))
-        return in_order(clips)
+        reader = StageReader(path)
+        return in_order(reader.sample(clip, fps)[0] for clip in reader.clips)
 
 
-def read_skinning(path: Path, *, fps: float | None = None, up: Up | None = None) -> Skinning:
+def read_skinning(
+    path: Path, *, fps: float | None = None, up: Up | None = None, max_bytes: int | None = None
+) -> Skinning:
     """Read UsdSkel skins as they are; a rigid mesh without one becomes one bone.
 
-    Joints hang on each other as their paths say; where none does, there is no hierarchy.
+    The parent of a joint is the one whose path contains its own; where no joint has a parent,
+    there is no hierarchy.
 
     Parameters
     ----------
-    path, fps, up
+    path, fps, up, max_bytes
         As in :func:`read`, of every animation.
 
     Raises
     ------
     FormatError
         Also where points or blend shapes move a mesh: no skinning holds them.
-    MissingDependencyError
-        Without usd-core.
     """
     check_up(up, optional=True)
-    require("pxr.UsdSkel", "usd", "USD")
     with reading(path):
-        clips, moved = [], []
-        for take in takes_of(path):
-            stage, meshes = _open(path, take)
-            rate, codes = _clock(stage, meshes, fps, take)
-            clips.append(Clip(take.name, 0, len(codes), rate))
-            moved.append(_transforms(path, meshes, codes))
-            if len(clips) == 1:
-                points = [mesh.points(codes[0]) for mesh in meshes]
-                polygons = [mesh.polygons for mesh in meshes]
-                faces, surface = join_surface(path, stage, polygons, codes[0])
-                parents, positions = _hierarchy(meshes)
-        width = max(mesh.indices.shape[1] for mesh in meshes)
-
-        def wide(values: NDArray[Any]) -> NDArray[Any]:
-            return np.pad(values, ((0, 0), (0, width - values.shape[1])))
-
-        starts, names = _bones(meshes)
-        indices = np.concatenate([wide(m.indices + starts[m.bones_key]) for m in meshes])
-        weights = np.concatenate([wide(m.weights) for m in meshes])
-        transforms = np.concatenate(moved)
-        model = Skinning(
-            np.concatenate(points),
-            np.where(weights > 0, indices, 0),
-            weights,
-            transforms,
-            faces=faces,
-            clips=in_order(clips),
-            bone_model=model_of(transforms),
-            surface=surface,
-            bone_names=unique_names(names),
-            name=name_of(stage, path),
-            parents=parents,
-            joint_positions=positions,
+        reader = StageReader(path, max_bytes)
+        sampled = [reader.sample(clip, fps) for clip in reader.clips]
+        meshes = sampled[0][1]
+        bones = {}
+        for k, mesh in enumerate(meshes):
+            if mesh.skeleton not in bones:
+                moved = [same[k].transforms(codes) for _, same, codes in sampled]
+                bones[mesh.skeleton] = mesh.bones(np.concatenate(moved))
+        model = join_skinning(
+            meshes,
+            [clip for clip, _, _ in sampled],
+            [mesh.shape(codes) for _, same, codes in sampled for mesh in same],
+            bones,
+            read_looks(path, meshes),
+            reader.name,
         )
-        return model if up is None else turn_skinning_up(model, _up(stage), up)
-
-
-def _bones(meshes: list[Mesh]) -> tuple[dict[Any, int], list[str]]:
-    """First bone of each skeleton, and the names of all bones."""
-    starts: dict[Any, int] = {}
-    names: list[str] = []
-    for mesh in meshes:
-        if mesh.bones_key not in starts:
-            starts[mesh.bones_key] = len(names)
-            names += mesh.bone_names
-    return starts, names
-
-
-def _hierarchy(meshes: list[Mesh]) -> tuple[Any, Any]:
-    """Parents and joints of all bones, None where nothing hangs on anything."""
-    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
-    return join_trees([first[key].hierarchy() for key in _bones(meshes)[0]])
-
-
-def _transforms(path: Path, meshes: list[Mesh], codes: NDArray[np.float64]) -> NDArray[np.float64]:
-    if any(mesh.deforms for mesh in meshes):
-        raise FormatError(
-            f"{path}: points or blend shapes move a mesh, which no skinning holds; "
-            "ssdr.load bakes them"
-        )
-    starts, names = _bones(meshes)
-    check_size(len(codes), 4 * len(names), MAX_BYTES)
-    first = {mesh.bones_key: mesh for mesh in reversed(meshes)}
-    return np.concatenate([first[key].transforms(codes) for key in starts], axis=1)
-
-
-def _up(stage: Any) -> Up:
-    from pxr import UsdGeom
-
-    return "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
-
-
-def _open(path: Path, take: Take) -> tuple[Any, list[Mesh]]:
-    from pxr import Usd, UsdGeom, UsdSkel
-
-    stage = open_stage(path)
-    every = Usd.TraverseInstanceProxies()
-    if take.animation is not None:
-        with Usd.EditContext(stage, stage.GetSessionLayer()):
-            binding = UsdSkel.BindingAPI.Apply(stage.GetPrimAtPath(take.skeleton))
-            binding.CreateAnimationSourceRel().SetTargets([take.animation])
-    cache = UsdSkel.Cache()
-    bound: dict[str, tuple[Any, Any]] = {}
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), every):
-        if prim.IsA(UsdSkel.Root):
-            root = UsdSkel.Root(prim)
-            cache.Populate(root, every)
-            for binding in cache.ComputeSkelBindings(root, every):
-                skeleton = cache.GetSkelQuery(binding.GetSkeleton())
-                for query in binding.GetSkinningTargets():
-                    bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
-    meshes = []
-    for prim in Usd.PrimRange(stage.GetPseudoRoot(), every):
-        if not prim.IsA(UsdGeom.Mesh):
-            continue
-        shown = UsdGeom.Imageable(prim)
-        if shown.ComputePurpose() not in ("default", "render") or (
-            shown.ComputeVisibility(Usd.TimeCode.EarliestTime()) == UsdGeom.Tokens.invisible
-        ):
-            _log.info("%s: %s is not shown and left out", path, prim.GetPath())
-            continue
-        meshes.append(Mesh(path, prim, *bound.get(str(prim.GetPath()), (None, None))))
-    if not meshes:
-        raise FormatError(f"{path}: no visible mesh")
-    _log.info(
-        "%s: %s up, %g m a unit",
-        path,
-        UsdGeom.GetStageUpAxis(stage),
-        UsdGeom.GetStageMetersPerUnit(stage),
-    )
-    return stage, meshes
-
-
-def _clock(stage: Any, meshes: list[Mesh], fps: float | None, take: Take) -> _Clock:
-    tempo = float(stage.GetTimeCodesPerSecond())
-    if not (math.isfinite(tempo) and tempo > 0):
-        raise FormatError(f"timeCodesPerSecond is {tempo}")
-    stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
-    if take.fps is not None and take.frames is not None and fps in (None, take.fps):
-        check_size(take.frames, 1, MAX_BYTES)
-        ticks = np.arange(take.frames, dtype=np.float64)
-        return take.fps, take.start + ticks * (tempo / take.fps)
-    if take.bound and stage.HasAuthoredTimeCodeRange():
-        first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
-    elif len(stamps):
-        first, last = float(stamps[0]), float(stamps[-1])
-    else:
-        first = last = 0.0
-    if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-        raise FormatError(f"the time codes run from {first} to {last}")
-    rate = fps
-    if rate is None:
-        on_codes = not len(stamps) or np.abs(stamps - first - np.rint(stamps - first)).max() < 0.01
-        rate = tempo if on_codes else frame_rate([stamps / tempo]) or tempo
-    need = (last - first) / tempo * rate
-    check_size(int(min(need, 1e15)), 1, MAX_BYTES)
-    count = np.arange(math.floor(need + 1e-3) + 1, dtype=np.float64)
-    return rate, np.asarray(first + count * (tempo / rate), dtype=np.float64)
+        return model if up is None else turn_skinning_up(model, reader.up, up)

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pxr import Gf, Tf, UsdSkel, Vt
 
-from ...clips import Clip
+from ...clips import Clip, readable, unique_names
 from ...hierarchy.transforms import parents_first
-from ..rig import Rig, unique_names
+from ..rig import Rig
 
 __all__ = ["bind", "identifier", "put_skeleton"]
 
@@ -23,13 +24,26 @@ def put_skeleton(
     tempo: float,
     starts: Mapping[str, float] | None = None,
 ) -> list[str] | None:
-    """Skeleton and animations at a path; clips begin at time code 0 where `starts` says nothing.
+    """Define a skeleton and its animations at a path.
 
-    USD wants parents before their children: where the bones are in another order, the joints in
-    the order of the bones are returned.
+    Parameters
+    ----------
+    stage : Usd.Stage
+    place : Sdf.Path
+    rig : Rig
+    title : str
+        Name of the model; a single clip of that name needs none of its own.
+    tempo : float
+        Time codes per second.
+    starts : mapping, optional
+        Time code of the first frame of each clip, by its name; 0 by default.
+
+    Returns
+    -------
+    list of str or None
+        USD wants parents before their children: the joints in the order of the bones, where the
+        skeleton has them in another.
     """
-    from pxr import Gf, UsdSkel, Vt
-
     plain = unique_names([identifier(bone) for bone in rig.names])
     order = np.arange(rig.n_bones)
     paths = list(plain)
@@ -43,22 +57,22 @@ def put_skeleton(
     skeleton = UsdSkel.Skeleton.Define(stage, place)
     skeleton.CreateJointsAttr(tokens)
     if plain != rig.names:
-        skeleton.CreateJointNamesAttr([_text(rig.names[bone]) for bone in order])
+        skeleton.CreateJointNamesAttr([readable(rig.names[bone]) for bone in order])
 
-    def places_of(points: NDArray[np.float32]) -> Any:
+    def translations(points: NDArray[np.float32]) -> Any:
         moves = [Gf.Vec3d(*map(float, point)) for point in points[order]]
         return Vt.Matrix4dArray([Gf.Matrix4d(1.0).SetTranslate(move) for move in moves])
 
-    skeleton.CreateBindTransformsAttr(places_of(rig.centers))
-    skeleton.CreateRestTransformsAttr(places_of(rig.offsets))
+    skeleton.CreateBindTransformsAttr(translations(rig.centers))
+    skeleton.CreateRestTransformsAttr(translations(rig.offsets))
     alone = len(rig.clips) == 1 and rig.clips[0].name in ("", title)
-    names = ["Animation" if alone else identifier(c.name) for c in rig.clips]
-    places = [skeleton.GetPath().AppendChild(name) for name in unique_names(names)]
+    names = unique_names(["Animation" if alone else identifier(c.name) for c in rig.clips])
+    places = [skeleton.GetPath().AppendChild(name) for name in names]
     for where, clip in zip(places, rig.clips, strict=True):
         animation = UsdSkel.Animation.Define(stage, where)
         animation.CreateJointsAttr(tokens)
         start = (starts or {}).get(clip.name, 0.0)
-        _keys(animation, rig, order, clip, tempo, start)
+        _put_keys(animation, rig, order, clip, tempo, start)
         stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
         if start:
             stated["start"] = start
@@ -70,24 +84,22 @@ def put_skeleton(
     return paths if (order != np.arange(rig.n_bones)).any() else None
 
 
-def _keys(
+def _put_keys(
     animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip, tempo: float, start: float
 ) -> None:
     """The keys of a clip, its first frame at time code `start`."""
-    from pxr import Vt
-
-    moved, turned = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
-    scaled = animation.CreateScalesAttr()
+    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    scales = animation.CreateScalesAttr()
     ones = np.ones((rig.n_bones, 3), dtype=np.float16)
     if rig.scales is None:
-        scaled.Set(Vt.Vec3hArray.FromNumpy(ones))
+        scales.Set(Vt.Vec3hArray.FromNumpy(ones))
     for frame in clip.start + np.flatnonzero(rig.keys[clip.frames, 0]):
         code = start + float(frame - clip.start) * (tempo / clip.fps)
-        moved.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
-        turned.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
+        translations.Set(Vt.Vec3fArray.FromNumpy(rig.translations[frame, order]), code)
+        rotations.Set(Vt.QuatfArray.FromNumpy(rig.rotations[frame, order]), code)
         if rig.scales is not None:
             sizes = rig.scales[frame, order][:, None].astype(np.float16)
-            scaled.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
+            scales.Set(Vt.Vec3hArray.FromNumpy(ones * sizes), code)
 
 
 def bind(
@@ -95,15 +107,13 @@ def bind(
     indices: NDArray[np.int32],
     weights: NDArray[np.float64],
     skeleton: Any,
-    place: Any,
+    bind_transform: Any,
     tokens: Sequence[str] | None,
 ) -> None:
-    """Skin weights of a mesh, its skeleton's path, and where its points stand in the bind pose.
+    """Give a mesh skin weights, its skeleton's path and where its points are in the bind pose.
 
     `tokens` are the skeleton's joints in the order of the bones, where its own is another.
     """
-    from pxr import UsdSkel, Vt
-
     binding = UsdSkel.BindingAPI.Apply(prim)
     width = indices.shape[1]
     binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(indices.reshape(-1)))
@@ -113,15 +123,9 @@ def bind(
     binding.CreateSkeletonRel().SetTargets([skeleton])
     if tokens is not None:
         binding.CreateJointsAttr(tokens)
-    binding.CreateGeomBindTransformAttr(place)
+    binding.CreateGeomBindTransformAttr(bind_transform)
 
 
 def identifier(name: str) -> str:
-    from pxr import Tf
-
-    return str(Tf.MakeValidIdentifier(_text(name)))
-
-
-def _text(name: str) -> str:
-    """A name that UTF-8 can hold: glTF's may have halves of a character."""
-    return name.encode("utf-8", "replace").decode()
+    """A name as USD's prims may have it."""
+    return str(Tf.MakeValidIdentifier(readable(name)))

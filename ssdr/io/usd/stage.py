@@ -1,16 +1,36 @@
-"""A stage, what it is called, and which clips it has."""
+"""Opening a stage: layers are checked before USD opens them."""
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
+import errno
+import itertools
+import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ...clips import unique_names
-from ...errors import FormatError, is_real, is_whole
-from ..references import is_inside
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdUtils
 
-__all__ = ["Take", "name_of", "open_stage", "takes_of"]
+from ...errors import FormatError
+from ..references import is_inside
+from ..registry import refuse_device
+
+__all__ = ["open_stage", "system_errors"]
+
+_DEEPEST = 1000  # levels of nested text; usd-core ends the process at some tens of thousands
+# What is no structure of a text layer: strings, asset paths and comments, closed or not.
+_QUOTED = re.compile(
+    rb'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*"?'
+    rb"|'''(?:\\.|[^\\])*?(?:'''|\Z)|'(?:\\.|[^'\\\n])*'?"
+    rb"|@@@(?:\\@@@|.)*?(?:@@@|\Z)|@[^@\n]*@?"
+    rb"|#[^\n]*|//[^\n]*|/\*.*?(?:\*/|\Z)",
+    re.DOTALL,
+)
+_STEPS = np.zeros(256, dtype=np.int8)
+_STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
@@ -21,112 +41,74 @@ def open_stage(path: Path) -> Any:
     FormatError
         If it is none, or refers to a layer outside its folder.
     """
-    from pxr import Tf, Usd
-
     try:
-        _check_references(path)
+        _check_layers(path)
         stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
-        raise FormatError(f"{path}: not a usable USD file ({_first_line(error)})") from error
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        said = next((line for line in lines if "Error" in line), lines[-1] if lines else "")
+        raise FormatError(f"{path}: not a usable USD file ({said[-300:]})") from error
     if not stage:
         raise FormatError(f"{path}: not a usable USD file")
     stage.Reload()  # layers are kept by name; the file may have been written anew
-    for layer in stage.GetUsedLayers():
-        if layer.realPath and not is_inside(Path(layer.realPath), path.parent):
-            raise FormatError(f"{path}: refers to {layer.realPath}, which lies outside its folder")
     return stage
 
 
-def _check_references(path: Path) -> None:
-    """Refuse layers outside the file's folder before any of them is opened.
+def _check_layers(path: Path) -> None:
+    """Refuse layers that must not be opened, before USD opens them.
 
     Raises
     ------
     FormatError
-        If the file, or one that it refers to, refers to one.
+        If the file, or one that it refers to, is nested too deeply, or refers to a layer outside
+        the file's folder, to a device or to a package.
     """
-    from pxr import Sdf
-
-    folder, seen, waiting = path.parent, set(), [str(path)]
+    seen, waiting = set(), [path]
     while waiting:
-        name = waiting.pop()
-        layer = Sdf.Layer.FindOrOpen(name)
-        if layer is None or layer.identifier in seen:
+        file = waiting.pop()
+        if file.resolve() in seen:
             continue
-        seen.add(layer.identifier)
-        for asset in layer.GetCompositionAssetDependencies():
-            file = Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
-            if not is_inside(Path(file.partition("[")[0]), folder):
+        seen.add(file.resolve())
+        refuse_device(file)
+        _check_nesting(file, path)
+        layer = Sdf.Layer.FindOrOpen(str(file))
+        for asset in itertools.chain(*UsdUtils.ExtractExternalReferences(str(file))):
+            name = Path(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))
+            if not Sdf.FileFormat.FindByExtension(name.suffix[1:] or "none"):
+                continue  # a picture or the like, which USD does not open
+            if not is_inside(name, path.parent):
                 raise FormatError(
                     f"{path}: refers to {asset}, which lies outside its folder; open a copy with "
                     "all that it refers to in one folder (usdcat --flatten makes one)"
                 )
-            waiting.append(file)
+            # value clips may be named by a pattern, as clip.###.usd
+            pattern = "*".join(re.split("#+", name.name))
+            waiting += name.parent.glob(pattern) if "#" in name.name else [name]
 
 
-def _first_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return next((line for line in lines if "Error" in line), lines[-1] if lines else "")[-300:]
+def _check_nesting(file: Path, path: Path) -> None:
+    """Refuse text whose brackets are nested too deeply: usd-core would end the process."""
+    if not file.is_file():
+        return
+    data = file.read_bytes()
+    if data.startswith(b"PK"):
+        raise FormatError(f"{path}: {file.name} is a package, which must be unpacked first")
+    if data.startswith(b"PXR-USDC"):
+        return
+    steps = _STEPS[np.frombuffer(_QUOTED.sub(b"", data), dtype=np.uint8)]
+    depth = np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0)
+    if depth > _DEEPEST:
+        raise FormatError(f"{path}: {file.name} is nested {depth} deep, at most {_DEEPEST} is read")
 
 
-def name_of(stage: Any, path: Path) -> str:
-    """Name of the root prim, else of the file."""
-    root = stage.GetDefaultPrim()
-    return str(root.GetName()) if root else path.stem
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Take:
-    """A clip: the SkelAnimation of the one skeleton, or all that moves."""
-
-    name: str
-    skeleton: Any = None  # paths; None where nothing has to be bound
-    animation: Any = None
-    bound: bool = True
-    fps: float | None = None  # as our own files of several clips state them
-    frames: int | None = None
-    start: float = 0.0  # time code of the first frame, where these two are stated
-
-
-def takes_of(path: Path) -> list[Take]:
-    """The clips of a stage, that of the bound animation first."""
-    from pxr import Usd, UsdSkel
-
-    stage = open_stage(path)
-    title = name_of(stage, path)
-    prims = list(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()))
-    skeletons = [prim for prim in prims if prim.IsA(UsdSkel.Skeleton)]
-    if len(skeletons) != 1 or skeletons[0].IsInstanceProxy():
-        return [Take(name=title)]
-    joints = set(UsdSkel.Skeleton(skeletons[0]).GetJointsAttr().Get() or ())
-    usable = [
-        prim
-        for prim in prims
-        if prim.IsA(UsdSkel.Animation)
-        and joints & set(UsdSkel.Animation(prim).GetJointsAttr().Get() or ())
-    ]
-    bound = UsdSkel.BindingAPI(skeletons[0]).GetInheritedAnimationSource()
-    usable.sort(key=lambda prim: prim != bound)  # a stable order: the others stay in theirs
-    if not usable or (bound and usable[0] != bound):
-        return [Take(name=title)]
-    takes = []
-    for prim in usable:
-        own = prim.GetCustomDataByKey("ssdr")
-        own = own if isinstance(own, dict) else {}
-        fps, frames = own.get("fps"), own.get("frames")
-        # The stage's own range is that of one clip alone.
-        known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
-        default = title if len(usable) == 1 and own else str(prim.GetName())
-        takes.append(
-            Take(
-                name=str(own.get("name") or default),
-                skeleton=skeletons[0].GetPath(),
-                animation=prim.GetPath(),
-                bound=prim == bound,
-                fps=float(own["fps"]) if known else None,
-                frames=int(own["frames"]) if known else None,
-                start=float(own["start"]) if is_real(own.get("start")) else 0.0,
-            )
-        )
-    names = unique_names([take.name for take in takes])
-    return [dataclasses.replace(take, name=n) for take, n in zip(takes, names, strict=True)]
+@contextlib.contextmanager
+def system_errors(path: Path) -> Iterator[None]:
+    """Have the errors that USD raises where it cannot write be the OSError behind them."""
+    try:
+        yield
+    except Tf.ErrorException as error:
+        text = " ".join(str(error).split())
+        known = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)
+        number = next((n for n in known if os.strerror(n) in text), None)
+        reason = text if number is None else os.strerror(number)
+        raise OSError(number or errno.EIO, reason, str(path)) from error

@@ -1,4 +1,4 @@
-"""A skinning put into the USD file that its meshes came from: all else stays as it is there."""
+"""A USD file passed on whole or with a new skin, and what of it a model does not hold."""
 
 from __future__ import annotations
 
@@ -9,129 +9,39 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
 from ...clips import pick
-from ...errors import FormatError, InputError
+from ...errors import FormatError
 from ...skinning import Skinning
 from ..atomic import atomic_path
-from ..carried import carry_normals
-from ..registry import SaveReport, reading, require
+from ..corners import carry_normals
+from ..registry import SaveReport, reading
 from ..rig import Rig
-from .reader import _clock, _open
+from ..scene import check_kept, match_template
+from .parts import MeshPrim
+from .reader import StageReader
 from .skeleton import bind, put_skeleton
-from .stage import Take, open_stage, takes_of
-from .writer import _system_errors
+from .stage import system_errors
 
 __all__ = ["copy", "left_out", "put", "template_problem"]
 
-_MOVED = ("velocities", "accelerations")
-_SHAPES = ("skel:blendShapes", "skel:blendShapeTargets")
+_REMOVED = ("velocities", "accelerations", "skel:blendShapes", "skel:blendShapeTargets")
+_READ = ("diffuseColor", "opacity", "metallic", "roughness")
+_FIRST = Usd.TimeCode.EarliestTime()
 
 
 def template_problem(path: Path) -> str:
     """Why a file that can be read cannot be a template; empty where it can."""
-    require("pxr.UsdSkel", "usd", "USD")
-    if path.suffix.lower() == ".usdz":
-        return "it is a package"
     with reading(path):
-        stage, meshes = _open(path, takes_of(path)[0])  # prims live as long as their stage
-    prims = [mesh.prim for mesh in meshes]
+        reader = StageReader(path)
+        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0])[1]])
+
+
+def _problem(prims: list[Any]) -> str:
     if any(prim.IsInstanceProxy() for prim in prims):
         return "its meshes are instances"
-    if _scope(prims) is None or not stage:
-        return "its meshes have no common parent"
-    return ""
-
-
-def left_out(path: Path) -> tuple[str, ...]:
-    """What the file has and a sequence or skinning that is read from it has not."""
-    require("pxr.UsdSkel", "usd", "USD")
-    from pxr import UsdGeom, UsdShade
-
-    found: dict[str, None] = {}
-    with reading(path):
-        stage, meshes = _open(path, takes_of(path)[0])
-        for mesh in meshes:
-            for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithValues():
-                name = str(primvar.GetPrimvarName())
-                if name not in ("st", "normals") and not name.startswith("skel:"):
-                    found[f"the primvar {name}"] = None
-            if mesh.has_axes:
-                found["orientations of the joints"] = None
-        if len(meshes) > 1:
-            found["names and number of the meshes"] = None
-        for prim in stage.Traverse():
-            if prim.IsA(UsdShade.Shader):
-                shader = UsdShade.Shader(prim)
-                if shader.GetIdAttr().Get() == "UsdPreviewSurface":
-                    kept = ("diffuseColor", "opacity", "metallic", "roughness")
-                    for holder in shader.GetInputs():
-                        name = str(holder.GetBaseName())
-                        picture = holder.HasConnectedSource() and name != "diffuseColor"
-                        if picture or name not in kept:
-                            found[f"{name} of materials"] = None
-            elif prim.IsA(UsdGeom.Camera):
-                found["cameras"] = None
-            elif str(prim.GetTypeName()).endswith("Light"):
-                found["lights"] = None
-    return tuple(found)
-
-
-def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:
-    """Write the root layer of a USD file again, as text or binary, with all that is in it.
-
-    Parameters
-    ----------
-    path, target : Path
-    clips : names or numbers, optional
-        The animations to keep; all by default.
-
-    Raises
-    ------
-    FormatError
-        If the file cannot be read.
-    InputError
-        If it has no such clip.
-    """
-    require("pxr.UsdSkel", "usd", "USD")
-    with reading(path):
-        takes = takes_of(path)
-    kept = range(len(takes))
-    if clips is not None:
-        kept = sorted({pick([take.name for take in takes], clip) for clip in clips})  # type: ignore[assignment]
-    with atomic_path(target) as temporary, _system_errors(target):
-        stage = _transferred(path, temporary, target)
-        for number, take in enumerate(takes):
-            if number not in kept and take.animation is not None:
-                stage.RemovePrim(take.animation)
-        if 0 not in kept and takes[0].animation is not None:
-            from pxr import UsdSkel
-
-            binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(takes[0].skeleton))
-            binding.CreateAnimationSourceRel().SetTargets([takes[kept[0]].animation])
-        stage.GetRootLayer().Save()
-    return SaveReport(path=target, bytes=target.stat().st_size)
-
-
-def _transferred(path: Path, temporary: Path, target: Path) -> Any:
-    """A stage of `temporary` with the content of the file; files that it names are found again."""
-    from pxr import Sdf, Usd, UsdUtils
-
-    opened = open_stage(path)  # its layer lives as long as it does
-    layer = Sdf.Layer.CreateNew(str(temporary))
-    layer.TransferContent(opened.GetRootLayer())
-    old, new = path.parent.resolve(), target.parent.resolve()
-    if old != new:
-
-        def moved(asset: str) -> str:
-            if not asset or "://" in asset or os.path.isabs(asset):
-                return asset
-            if not (old / asset).exists():
-                return asset  # what a resolver finds elsewhere
-            return Path(os.path.relpath(old / asset, new)).as_posix()
-
-        UsdUtils.ModifyAssetPaths(layer, moved)
-    return Usd.Stage.Open(layer)
+    return "" if _scope(prims) else "its meshes have no common parent"
 
 
 def put(
@@ -153,98 +63,63 @@ def put(
         If the model has other points or triangles, or `strict` and something is lost.
     """
     with reading(template):
-        problem = template_problem(template)
+        reader = StageReader(template)
+        sampled = [reader.sample(clip) for clip in reader.clips]
+        starts = {clip_names.get(c.name, c.name): float(codes[0]) for c, _, codes in sampled}
+        meshes = sampled[0][1]
+        problem = _problem([mesh.prim for mesh in meshes])
         if problem:
             raise FormatError(f"{template}: {problem}; it cannot be a template")
-        takes = takes_of(template)
-        source, meshes = _open(template, takes[0])
-        names = [clip_names.get(take.name, take.name) for take in takes]
-        starts = _starts(template, takes, names)
-        spread = _spread(template, meshes, model)
-        first = float(_clock(source, meshes, None, takes[0])[1][0])
+    vertices = match_template(meshes, model, template)
     ours = {clip.name for clip in rig.clips}
     lost = [
-        f"the clip {take.name}, which the model does not have"
-        for take, name in zip(takes, names, strict=True)
-        if take.animation is not None and name not in ours
+        f"the clip {clip.name}, which the model does not have"
+        for clip, name in zip(reader.clips, starts, strict=True)
+        if clip.animation is not None and name not in ours
     ]
-    if lost and strict:
-        raise InputError("template", "a file all of which can be kept", "; ".join(lost))
-    stage = _transferred(template, temporary, target)
+    check_kept(lost, strict)
+    stage = _transfer(reader, temporary, target)
     scope = _scope([stage.GetPrimAtPath(mesh.prim.GetPath()) for mesh in meshes])
     if not scope.IsA("SkelRoot"):
         scope.SetTypeName("SkelRoot")
-    old = {
-        str(mesh._skeleton.GetSkeleton().GetPrim().GetPath()) for mesh in meshes if mesh._skeleton
-    }
-    _remove_skeletons(stage, old, takes)
-    place = _free(stage, scope, "Skeleton")
+    _remove_skeletons(stage, meshes, [clip.animation for clip in reader.clips])
+    place = _free_path(stage, scope, "Skeleton")
     tempo = float(stage.GetTimeCodesPerSecond())
     tokens = put_skeleton(stage, place, rig, "", tempo, starts)
-    from pxr import UsdGeom
-
-    # What the model's bones say is where the mesh stands in the world.
-    skeleton = UsdGeom.Xformable(stage.GetPrimAtPath(place))
-    skeleton.SetResetXformStack(True)
-    begin = 0
-    for mesh in meshes:
-        index = spread[begin : begin + mesh.n_points]
-        begin += mesh.n_points
+    # The model's bones move the mesh in the world, not relative to the skeleton's parents.
+    UsdGeom.Xformable(stage.GetPrimAtPath(place)).SetResetXformStack(True)
+    first = float(sampled[0][2][0])
+    for mesh, index in zip(meshes, vertices, strict=True):
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
-        _put_mesh(prim, mesh, rig, index, place, first, tokens)
-    last = max(
-        starts.get(clip.name, 0.0) + (clip.n_frames - 1) * tempo / clip.fps
-        for clip in rig.clips[:1]
-    )
+        matrix = _put_points(prim, mesh, rig.rest[index], first)
+        bind(prim, rig.indices[index], rig.weights[index], place, matrix, tokens)
+    clip = rig.clips[0]
+    begin = starts.get(clip.name, 0.0)
+    end = begin + (clip.n_frames - 1) * tempo / clip.fps
     if not stage.HasAuthoredTimeCodeRange():
-        stage.SetStartTimeCode(starts.get(rig.clips[0].name, 0.0))
-        stage.SetEndTimeCode(last)
-    elif stage.GetEndTimeCode() < last:
-        stage.SetEndTimeCode(last)
+        stage.SetStartTimeCode(begin)
+        stage.SetEndTimeCode(end)
+    elif stage.GetEndTimeCode() < end:
+        stage.SetEndTimeCode(end)
     stage.GetRootLayer().Save()
     return lost
 
 
-def _starts(path: Path, takes: list[Take], names: list[str]) -> dict[str, float]:
-    """Time code of the first frame of each of the file's clips."""
-    return {
-        name: float(_clock(*_open(path, take), None, take)[1][0])
-        for take, name in zip(takes, names, strict=True)
-    }
-
-
-def _spread(path: Path, meshes: list[Any], model: Skinning) -> NDArray[np.integer]:
-    """The model's vertex of each point of the file."""
-    starts = np.cumsum([0, *(mesh.n_points for mesh in meshes)])
-    count = int(starts[-1])
-    spread: NDArray[np.integer] = np.arange(count)
-    if model.vertex_map is not None and len(model.vertex_map) == count:
-        spread = model.vertex_map
-    elif model.n_vertices != count:
-        raise InputError("template", f"a file of {model.n_vertices} vertices", f"{count} in {path}")
-    faces = np.concatenate([m.polygons.faces + k for m, k in zip(meshes, starts[:-1], strict=True)])
-    if not np.array_equal(spread[faces], model.faces):
-        raise InputError("template", "a file with the model's triangles", str(path))
-    return spread
-
-
 def _scope(prims: list[Any]) -> Any:
-    """The prim under which all of them hang and that is, or can become, a SkelRoot."""
-    paths = [prim.GetPath() for prim in prims]
-    common = paths[0].GetParentPath()
-    for path in paths[1:]:
-        common = common.GetCommonPrefix(path.GetParentPath())
-    stage = prims[0].GetStage()
+    """The nearest prim above all of them that is, or can become, a SkelRoot; None without one."""
+    common = prims[0].GetPath().GetParentPath()
+    for prim in prims[1:]:
+        common = common.GetCommonPrefix(prim.GetPath().GetParentPath())
     above = []
     while common != common.absoluteRootPath and not common.isEmpty:
-        above.append(stage.GetPrimAtPath(common))
+        above.append(prims[0].GetStage().GetPrimAtPath(common))
         common = common.GetParentPath()
     roots = [prim for prim in above if prim.IsA("SkelRoot")]
-    usable = [p for p in above if str(p.GetTypeName()) in ("Xform", "Scope", "")]
+    usable = [prim for prim in above if str(prim.GetTypeName()) in ("Xform", "Scope", "")]
     return (roots or usable or [None])[0]
 
 
-def _free(stage: Any, scope: Any, name: str) -> Any:
+def _free_path(stage: Any, scope: Any, name: str) -> Any:
     """A path below `scope` that no prim has."""
     place, k = scope.GetPath().AppendChild(name), 1
     while stage.GetPrimAtPath(place):
@@ -252,83 +127,138 @@ def _free(stage: Any, scope: Any, name: str) -> Any:
     return place
 
 
-def _remove_skeletons(stage: Any, old: set[str], takes: list[Take]) -> None:
-    """Remove the skeletons that moved these meshes, with their animations."""
-    from pxr import Usd
-
-    for path in sorted(old):
+def _remove_skeletons(stage: Any, meshes: list[MeshPrim], animations: list[Any]) -> None:
+    """Remove the skeletons that moved these meshes, and the animations."""
+    queries = [mesh.joints for mesh in meshes if mesh.joints is not None]
+    for path in {query.GetSkeleton().GetPrim().GetPath() for query in queries}:
         prim = stage.GetPrimAtPath(path)
         kinds = {str(child.GetTypeName()) for child in Usd.PrimRange(prim)}
         if prim and kinds <= {"Skeleton", "SkelAnimation"}:
-            stage.RemovePrim(prim.GetPath())
-    for take in takes:
-        if take.animation is not None and stage.GetPrimAtPath(take.animation):
-            stage.RemovePrim(take.animation)
+            stage.RemovePrim(path)
+    for path in animations:
+        if path is not None and stage.GetPrimAtPath(path):
+            stage.RemovePrim(path)
 
 
-def _put_mesh(
-    prim: Any,
-    mesh: Any,
-    rig: Rig,
-    index: NDArray[np.integer],
-    skeleton: Any,
-    first: float,
-    tokens: list[str] | None,
-) -> None:
-    from pxr import Gf, Usd, UsdGeom, Vt
-
-    shape = UsdGeom.Mesh(prim)
+def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
+    """Replace the points of a mesh by a rest pose in the world; the matrix of the mesh there."""
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
-    local = world if abs(world.GetDeterminant()) > 1e-12 else Gf.Matrix4d(1.0)
-    inverse = np.array(local.GetInverse()).T
-    source = mesh._raw(Usd.TimeCode.EarliestTime())
-    points = rig.rest[index].astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
-    for name in (*_MOVED, *_SHAPES):
+    if abs(world.GetDeterminant()) <= 1e-12:
+        world = Gf.Matrix4d(1.0)
+    inverse = np.array(world.GetInverse()).T
+    points = rest.astype(np.float64) @ inverse[:3, :3].T + inverse[:3, 3]
+    for name in _REMOVED:
         prim.RemoveProperty(name)
+    prim.RemoveProperty("skel:joints")  # the order of the old skeleton
     for child in prim.GetChildren():
         if str(child.GetTypeName()) == "BlendShape":
             prim.GetStage().RemovePrim(child.GetPath())
-    stored = points.astype(np.float32)
-    attribute = shape.GetPointsAttr()
-    attribute.Clear()
-    attribute.Set(Vt.Vec3fArray.FromNumpy(stored))
-    extent = shape.GetExtentAttr()
-    if extent.HasAuthoredValue():
-        extent.Clear()
-        box = np.stack([stored.min(axis=0), stored.max(axis=0)])
-        extent.Set(Vt.Vec3fArray.FromNumpy(box))
-    _put_normals(prim, mesh, source, points)
-    prim.RemoveProperty("skel:joints")  # the order of the old skeleton
-    bind(prim, rig.indices[index], rig.weights[index], skeleton, local, tokens)
-
-
-def _put_normals(
-    prim: Any, mesh: Any, source: NDArray[np.float64], target: NDArray[np.float64]
-) -> None:
-    """Normals of the rest pose, stored as the file has them."""
-    from pxr import Usd, UsdGeom, Vt
-
-    polygons = mesh.polygons
-    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     shape = UsdGeom.Mesh(prim)
-    primary = bool(primvar and primvar.HasValue())
-    attribute = primvar.GetAttr() if primary else shape.GetNormalsAttr()
-    how = str(primvar.GetInterpolation() if primary else shape.GetNormalsInterpolation())
-    code = Usd.TimeCode.EarliestTime()
-    values = primvar.ComputeFlattened(code) if primary else attribute.Get(code)
-    holder = {
-        "faceVarying": polygons.corners,
-        "vertex": polygons.faces,
-        "varying": polygons.faces,
-        "uniform": np.repeat(polygons.polygon[:, None], 3, axis=1),
-    }.get(how)
-    if values is None or holder is None or not len(holder):
+    _set(shape.GetPointsAttr(), points)
+    if shape.GetExtentAttr().HasAuthoredValue():
+        _set(shape.GetExtentAttr(), np.stack([points.min(axis=0), points.max(axis=0)]))
+    _put_normals(prim, mesh, points)
+    return world
+
+
+def _set(attribute: Any, values: NDArray[np.floating]) -> None:
+    """Give an attribute one value in place of its samples."""
+    attribute.Clear()
+    attribute.Set(Vt.Vec3fArray.FromNumpy(values.astype(np.float32)))
+
+
+def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None:
+    """Carry the normals to the rest pose, stored as the file has them."""
+    values, interpolation, attribute = mesh.normal_values()
+    index = mesh.value_index(interpolation)
+    if values is None or index is None or not len(index) or index.max() >= len(values):
         return
     old = np.array(values, dtype=np.float64).reshape(-1, 3)
-    if holder.max() >= len(old):
-        return
-    new = carry_normals(old, holder, polygons.faces, source, target)
-    if primary and primvar.IsIndexed():
+    source = mesh.raw_points(_FIRST)
+    primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
+    if primvar and primvar.IsIndexed():
         primvar.BlockIndices()
-    attribute.Clear()
-    attribute.Set(Vt.Vec3fArray.FromNumpy(new))
+    new = carry_normals(old, index, mesh.faces, source, points)
+    _set(prim.GetAttribute(attribute.GetName()), new)
+
+
+def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:
+    """Write the root layer of a USD file again, as text or binary, with all that is in it.
+
+    Parameters
+    ----------
+    path, target : Path
+    clips : names or numbers, optional
+        The animations to keep; all by default.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read.
+    InputError
+        If it has no such clip.
+    """
+    with reading(path):
+        reader = StageReader(path)
+        found = reader.clips
+    names = [clip.name for clip in found]
+    kept = {pick(names, clip) for clip in clips} if clips is not None else set(range(len(found)))
+    with atomic_path(target) as temporary, system_errors(target):
+        stage = _transfer(reader, temporary, target)
+        for number, clip in enumerate(found):
+            if number not in kept and clip.animation is not None:
+                stage.RemovePrim(clip.animation)
+        if 0 not in kept and found[0].animation is not None:
+            binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(found[0].skeleton))
+            binding.CreateAnimationSourceRel().SetTargets([found[min(kept)].animation])
+        stage.GetRootLayer().Save()
+    return SaveReport(path=target, bytes=target.stat().st_size)
+
+
+def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
+    """A stage of `temporary` with the content of the stage that was read.
+
+    Files that it names are found again from where `target` will be.
+    """
+    layer = Sdf.Layer.CreateNew(str(temporary))
+    layer.TransferContent(reader.stage.GetRootLayer())
+    old, new = reader.path.parent.resolve(), target.parent.resolve()
+
+    def moved(asset: str) -> str:
+        if not asset or "://" in asset or os.path.isabs(asset) or not (old / asset).exists():
+            return asset  # what a resolver finds elsewhere
+        return Path(os.path.relpath(old / asset, new)).as_posix()
+
+    if old != new:
+        UsdUtils.ModifyAssetPaths(layer, moved)
+    return Usd.Stage.Open(layer)
+
+
+def left_out(path: Path) -> tuple[str, ...]:
+    """What the file has and a sequence or skinning that is read from it has not."""
+    found: dict[str, None] = {}
+    with reading(path):
+        reader = StageReader(path)
+        _, meshes, _ = reader.sample(reader.clips[0])
+        for mesh in meshes:
+            for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithValues():
+                name = str(primvar.GetPrimvarName())
+                if name not in ("st", "normals") and not name.startswith("skel:"):
+                    found[f"the primvar {name}"] = None
+            if mesh.has_axes:
+                found["orientations of the joints"] = None
+        if len(meshes) > 1:
+            found["names and number of the meshes"] = None
+        for prim in reader.stage.Traverse():
+            shader = UsdShade.Shader(prim)
+            if prim.IsA(UsdGeom.Camera):
+                found["cameras"] = None
+            elif str(prim.GetTypeName()).endswith("Light"):
+                found["lights"] = None
+            elif shader and shader.GetIdAttr().Get() == "UsdPreviewSurface":
+                for holder in shader.GetInputs():
+                    name = str(holder.GetBaseName())
+                    picture = holder.HasConnectedSource() and name != "diffuseColor"
+                    if picture or name not in _READ:
+                        found[f"{name} of materials"] = None
+    return tuple(found)

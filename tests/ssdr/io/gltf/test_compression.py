@@ -13,6 +13,7 @@ import pytest
 import ssdr
 from helpers.rig_model import tube
 from ssdr import FormatError, MissingDependencyError
+from ssdr.io.gltf.compression import decode_view
 
 KINDS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -149,32 +150,22 @@ def test_meshopt_by_its_other_name_and_filters(plain, tmp_path):
     # mantissa in 24 bits, exponent in 8: 3 · 2^-1 is 1.5
     words = np.full((4, 3), (255 << 24) | 3, dtype=np.uint32)
     blob = library.encode_vertex_buffer(words.view(np.float32), 4, 12)
-    from ssdr.io.gltf.compression import decode_view
-    from ssdr.io.gltf.document import Document
-
-    document = Document(plain)
-    document.buffer = lambda _: memoryview(blob)
-    item = {
-        "buffer": 0,
-        "byteLength": len(blob),
-        "byteStride": 12,
-        "count": 4,
-        "mode": "ATTRIBUTES",
-        "filter": "EXPONENTIAL",
-    }
-    values = np.frombuffer(decode_view(document, item), dtype=np.float32)
-    np.testing.assert_array_equal(values, 1.5)
+    values = decode_view(blob, 4, 12, "ATTRIBUTES", "EXPONENTIAL", plain)
+    np.testing.assert_array_equal(np.frombuffer(values, dtype=np.float32), 1.5)
     with pytest.raises(FormatError, match="the filter 'OCTAHEDRAL' on elements of 12"):
-        decode_view(document, item | {"filter": "OCTAHEDRAL"})
+        decode_view(blob, 4, 12, "ATTRIBUTES", "OCTAHEDRAL", plain)
     with pytest.raises(FormatError, match="mode 'POINTS'"):
-        decode_view(document, item | {"mode": "POINTS"})
-    with pytest.raises(FormatError, match="compressed data state"):
-        decode_view(document, item | {"count": 1 << 40})
+        decode_view(blob, 4, 12, "POINTS", "NONE", plain)
     index = library.encode_index_sequence(np.array([5, 3, 1], np.uint32), 3, 6)
-    document.buffer = lambda _: memoryview(index)
-    item = {"buffer": 0, "byteLength": len(index), "count": 3, "mode": "INDICES"}
-    found = np.frombuffer(decode_view(document, item | {"byteStride": 2}), dtype="<u2")
+    found = np.frombuffer(decode_view(index, 3, 2, "INDICES", "NONE", plain), dtype="<u2")
     assert found.tolist() == [5, 3, 1]
+
+    def claim(document, _):
+        views = [v for v in document["bufferViews"] if "extensions" in v]
+        views[0]["extensions"]["EXT_meshopt_compression"]["count"] = 1 << 40
+
+    with pytest.raises(FormatError, match="decompressed, needs"):
+        ssdr.load(with_meshopt(plain, tmp_path / "b.glb", change=claim))
 
 
 @pytest.mark.parametrize(

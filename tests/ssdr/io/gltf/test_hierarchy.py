@@ -13,7 +13,7 @@ import pytest
 import ssdr
 from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
 from ssdr.errors import FormatError
-from ssdr.io.gltf.limbs import write_limbs
+from ssdr.io.gltf.writer import write_along_bones
 
 DATA = Path(os.environ.get("SSDR_TEST_DATA", "missing")) / "gltf"
 
@@ -214,7 +214,7 @@ def test_a_joint_that_is_not_a_number_is_refused(tmp_path):
 def test_what_is_left_out_are_orientations(tmp_path):
     ssdr.save(creature(), tmp_path / "a.glb")
     assert ssdr.io.left_out(tmp_path / "a.glb") == ()
-    write_limbs(creature(), tmp_path / "b.glb")
+    write_along_bones(creature(), tmp_path / "b.glb")
     assert ssdr.io.left_out(tmp_path / "b.glb") == ("orientations of the joints",)
     back = ssdr.load_skinning(tmp_path / "b.glb")
     assert tree_of(back) == tree_of(creature())

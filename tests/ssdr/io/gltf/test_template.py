@@ -110,7 +110,7 @@ def test_normals_keep_the_artists_choice_and_tangents_follow(tmp_path):
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
     ours = Document(source)
     body = ours.items("meshes")[0]["primitives"][0]["attributes"]
-    points = ours.accessor(body["POSITION"], ("VEC3",), "p")
+    points = ours.accessor(body["POSITION"], "VEC3", "p")
     rest = np.asarray(model.rest).copy()
     rest[: len(points)] = points @ turn.T
     ssdr.save(
@@ -121,8 +121,8 @@ def test_normals_keep_the_artists_choice_and_tangents_follow(tmp_path):
     if "JOINTS_0" not in attributes:
         attributes = new.items("meshes")[0]["primitives"][0]["attributes"]
     for name, kind in (("NORMAL", "VEC3"), ("TANGENT", "VEC4")):
-        before = ours.accessor(body[name], (kind,), name)
-        after = new.accessor(attributes[name], (kind,), name)
+        before = ours.accessor(body[name], kind, name)
+        after = new.accessor(attributes[name], kind, name)
         np.testing.assert_allclose(after[:, :3], before[:, :3] @ turn.T, atol=2e-6)
         np.testing.assert_array_equal(after[:, 3:], before[:, 3:])
 
@@ -181,5 +181,5 @@ def test_an_unknown_extension_keeps_all_that_it_may_refer_to(tmp_path):
     assert "ACME_hair" in report.note
     new = Document(tmp_path / "out.glb")
     assert new.items("nodes")[3]["name"] == "PropNode"
-    before = Document(source).accessor(9, ("VEC3",), "x")
-    np.testing.assert_array_equal(new.accessor(9, ("VEC3",), "x"), before)
+    before = Document(source).accessor(9, "VEC3", "x")
+    np.testing.assert_array_equal(new.accessor(9, "VEC3", "x"), before)

@@ -1,0 +1,94 @@
+"""Numbers by which items of a glTF document refer to each other: checked, listed, renumbered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+__all__ = ["check_numbers", "remove", "unknown_extensions", "used"]
+
+# Every place that holds the number of an item; * stands for each entry of a list or object.
+_PLACES = {
+    "scenes": "scene",
+    "nodes": """scenes/*/nodes/* nodes/*/children/* skins/*/joints/* skins/*/skeleton
+        animations/*/channels/*/target/node""",
+    "meshes": "nodes/*/mesh",
+    "skins": "nodes/*/skin",
+    "materials": "meshes/*/primitives/*/material",
+    "textures": "materials/*/pbrMetallicRoughness/baseColorTexture/index",
+    "images": "textures/*/source",
+    "accessors": """meshes/*/primitives/*/indices meshes/*/primitives/*/attributes/*
+        meshes/*/primitives/*/targets/*/* skins/*/inverseBindMatrices
+        animations/*/samplers/*/input animations/*/samplers/*/output
+        nodes/*/extensions/EXT_mesh_gpu_instancing/attributes/*""",
+    "bufferViews": """accessors/*/bufferView accessors/*/sparse/indices/bufferView
+        accessors/*/sparse/values/bufferView images/*/bufferView
+        meshes/*/primitives/*/extensions/KHR_draco_mesh_compression/bufferView""",
+    "buffers": "bufferViews/*/buffer",
+    "animations": "",
+}
+# Beginnings of extensions that refer to no item, or in a way that stands in the table.
+_KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_compression
+    KHR_lights_punctual KHR_materials_ KHR_mesh KHR_node_visibility KHR_texture_ KHR_xmp"""
+
+
+def check_numbers(json: dict[str, Any]) -> str:
+    """What is wrong with the lists of a document or its numbers; empty where nothing is."""
+    for kind in _PLACES:
+        items = json.get(kind, [])
+        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+            return f"{kind} is not a list of objects"
+    for kind in _PLACES:
+        for holder, key in _references(json, kind):
+            value, limit = holder[key], len(json.get(kind, []))
+            if type(value) is not int or not 0 <= value < limit:
+                return f"{key} {str(value)[:200]} is none of the {limit} {kind}"
+    return ""
+
+
+def unknown_extensions(json: dict[str, Any]) -> list[str]:
+    """Extensions that may refer to items by number, so that none must be renumbered."""
+    known = tuple(_KNOWN.split())
+    return [str(e) for e in json.get("extensionsUsed", []) if not str(e).startswith(known)]
+
+
+def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
+    """The lists or objects at the end of a path, each with the index or key of a number in it."""
+    found: Any = [keys[0]] if keys[0] in item else []
+    if keys[0] == "*":
+        found = range(len(item)) if isinstance(item, list) else list(item)
+    for key in found:
+        if len(keys) > 1:
+            yield from _slots(item[key], keys[1:])
+        else:
+            yield item, key
+
+
+def _references(json: dict[str, Any], kind: str) -> Iterator[tuple[Any, Any]]:
+    for path in _PLACES[kind].split():
+        yield from _slots(json, path.split("/"))
+
+
+def used(json: dict[str, Any], kind: str) -> set[int]:
+    """Numbers of the items that something refers to."""
+    return {holder[key] for holder, key in _references(json, kind)}
+
+
+def remove(json: dict[str, Any], kind: str, dead: set[int]) -> None:
+    """Remove items to which nothing refers (nodes: also from lists); renumber the others."""
+    if not dead:
+        return
+    if kind == "nodes":
+        holders = [(s, "nodes") for s in json.get("scenes", [])]
+        holders += [(n, "children") for n in json.get("nodes", [])]
+        for holder, key in holders:
+            holder[key] = [k for k in holder.get(key, []) if k not in dead]
+            if not holder[key]:
+                del holder[key]
+    left = [k for k in range(len(json[kind])) if k not in dead]
+    number = {old: new for new, old in enumerate(left)}
+    for holder, key in _references(json, kind):
+        holder[key] = number[holder[key]]
+    json[kind] = [json[kind][k] for k in left]
+    if not left:
+        del json[kind]

@@ -1,0 +1,377 @@
+"""glTF's meshes: vertices that move together, their skins, morph targets and materials."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...sequence import Material
+from ..corners import unit
+from ..scene import Bones, Looks, Shape
+from .animation import Nodes
+from .compression import DRACO, decode_mesh
+from .document import Document
+
+__all__ = ["PrimitiveGroup", "check_meshes", "read_looks", "read_parts", "triangles"]
+
+_log = logging.getLogger(__name__)
+
+
+class PrimitiveGroup:
+    """The primitives of a node's mesh that share their vertices: a `ScenePart`.
+
+    Parameters
+    ----------
+    document : Document
+    nodes : Nodes
+    node, mesh : int
+    primitives : dict
+        By their numbers in the mesh.
+
+    Attributes
+    ----------
+    positions : (V, 3) float64
+    targets : (M, V, 3) float64
+        Displacements of the morph targets.
+    label : (N,) int
+        The vertex here for each of the file's.
+    skin : int or None
+    material : (T,) int
+        -1 where a triangle has none.
+    skeleton, indices, weights, faces, uv, normals
+        As in `ScenePart` and `Looks`.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        nodes: Nodes,
+        node: int,
+        mesh: int,
+        primitives: dict[int, dict[str, Any]],
+    ) -> None:
+        self.document, self.node, self.mesh, self.primitives = document, node, mesh, primitives
+        group = list(primitives.values())
+        self._attributes = group[0]["attributes"]
+        positions = self._attribute("POSITION", "VEC3")
+        count = len(positions)
+        targets = [
+            document.accessor(t["POSITION"], "VEC3", "a morph target")
+            if "POSITION" in t
+            else np.zeros_like(positions)
+            for t in group[0].get("targets", [])
+        ]
+        if any(len(target) != count for target in targets):
+            raise document.error(f"a morph target of other vertices than {count}")
+        self.skin = nodes.items[node].get("skin")
+        self.skeleton = ("node", node) if self.skin is None else ("skin", self.skin)
+        indices, weights = self._influences(count)
+        blocks = [triangles(document, primitive, count) for primitive in group]
+        faces = np.concatenate(blocks)
+        material = [primitive.get("material", -1) for primitive in group]
+        self.material = np.repeat(material, [len(block) for block in blocks])
+        uv = self._attribute(_uv_name(document, group), "VEC2")
+        normals = self._attribute("NORMAL", "VEC3")
+        if self.skin is None:
+            linear = nodes.matrices(node)[0, :3, :3]
+            if np.linalg.det(linear) < 0:
+                faces = faces[:, ::-1]  # a mirrored node turns triangles inside out
+            if normals is not None:
+                normals = normals @ np.linalg.pinv(linear)
+        self.uv = self.normals = None
+        if uv is not None:
+            self.uv = (np.array([0, 1]) + uv * [1, -1])[faces].astype(np.float32)
+        if normals is not None:
+            self.normals = unit(normals)[faces].astype(np.float32)
+        vertex, self.label = self._close_seams([positions, *targets, indices, weights])
+        self.positions: NDArray[np.float64] = positions[vertex]
+        self.targets = np.array(targets).reshape(-1, count, 3)[:, vertex]
+        self.indices, self.weights = indices[vertex], weights[vertex]
+        self.faces = self.label[faces]
+
+    def _attribute(self, name: str, kind: str, **options: Any) -> Any:
+        """An attribute of all vertices, None where there is none."""
+        if name not in self._attributes:
+            return None
+        values = self.document.accessor(self._attributes[name], kind, name, **options)
+        count = self.document.items("accessors")[self._attributes["POSITION"]]["count"]
+        if len(values) != count:
+            raise self.document.error(f"{len(values)} {name} for {count} vertices")
+        return values
+
+    def _influences(self, count: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+        """Indices (V, K) and weights (V, K) of the skin; those of one bone without a skin."""
+        document = self.document
+        if self.skin is None:
+            return np.zeros((count, 1), dtype=np.int32), np.ones((count, 1))
+        n_joints = len(_skin(document, self.skin)[0])
+        sets = [k for k in range(64) if f"JOINTS_{k}" in self._attributes]
+        if not sets:
+            raise document.error("a skinned mesh has no JOINTS_0")
+        for k in sets:
+            if f"WEIGHTS_{k}" not in self._attributes:
+                raise document.error(f"JOINTS_{k} without WEIGHTS_{k}")
+        found = [self._attribute(f"JOINTS_{k}", "VEC4", integers=True) for k in sets]
+        joint = np.concatenate(found, axis=1).astype(np.int64)
+        weight = np.concatenate([self._attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
+        if (weight < 0).any():
+            raise document.error("negative skin weights")
+        bad = (joint >= n_joints) & (weight > 0)
+        if bad.any():
+            raise document.error(f"joint {joint[bad].max()} of a skin of {n_joints}")
+        total = weight.sum(axis=1, keepdims=True)
+        if (total <= 0).any():
+            raise document.error(f"{int((total <= 0).sum())} vertices have no skin weight")
+        if np.abs(total - 1).max() > 1e-3:
+            _log.warning("%s: skin weights that do not sum to 1 are scaled", document.path)
+        width = int(np.flatnonzero(weight.max(axis=0) > 0).max()) + 1
+        kept = np.where(weight > 0, joint, 0).astype(np.int32)
+        return kept[:, :width], (weight / total)[:, :width]
+
+    def _close_seams(
+        self, compared: list[NDArray[Any]]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Undo the splitting of vertices by the writer: representative of each, and its label.
+
+        An attribute numbers the model's vertices. Vertices of one number are merged if nobody has
+        edited the file, so that they agree in all arrays `compared`.
+        """
+        same = np.arange(len(compared[0]))
+        mark = self._attribute("_VERTEX", "SCALAR")
+        if mark is None:
+            return same, same
+        label = np.rint(mark).astype(np.int64)
+        found, vertex = np.unique(label, return_index=True)
+        if (label != mark).any() or found[0] != 0 or found[-1] != len(found) - 1:
+            return same, same  # another program's attribute of that name
+        if any((values[vertex[label]] != values).any() for values in compared):
+            _log.warning("%s: edited since it was written, seams stay open", self.document.path)
+            return same, same
+        return vertex, label
+
+    def shape(self, nodes: Nodes) -> Shape:
+        """Vertices before skinning; a function of the frame where morph targets change them."""
+        count = len(self.targets)
+        if not count:
+            return self.positions
+        amounts = nodes.animation.sample(self.node, "weights")
+        if amounts is None:
+            holder = nodes.items[self.node]
+            if "weights" not in holder:
+                holder = self.document.items("meshes")[self.mesh]
+            amounts = self.document.numbers(holder, "weights", [0.0] * count)[None]
+        if amounts.shape[1] != count:
+            raise self.document.error(f"{amounts.shape[1]} morph weights for {count} targets")
+
+        def morphed(frame: int) -> NDArray[np.float64]:
+            return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[frame], self.targets))
+
+        return morphed if (amounts != amounts[:1]).any() else morphed(0)
+
+    def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
+        """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose."""
+        count = len(nodes.animation.times)
+        if self.skin is None:
+            return np.broadcast_to(nodes.matrices(self.node)[:, None, :3], (count, 1, 3, 4))
+        joints, inverse = _skin(nodes.document, self.skin)
+        nodes.document.budget.spend(
+            96 * count * len(joints), f"{len(joints)} joints over {count} frames"
+        )
+        result = np.empty((count, len(joints), 3, 4))
+        for k, joint in enumerate(joints):
+            result[:, k] = (nodes.matrices(joint) @ inverse[k])[:, :3]
+        return result
+
+    def bones(self, worlds: Sequence[Nodes]) -> Bones:
+        """Bones over the frames of all clips; a mesh without a skin is one bone, a root."""
+        nodes, document = worlds[0], worlds[0].document
+        transforms = np.concatenate([self.transforms(one) for one in worlds])
+        if self.skin is None:
+            name = str(nodes.items[self.node].get("name", f"node_{self.node}"))
+            return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
+        joints, inverse = _skin(document, self.skin)
+        number = {joint: k for k, joint in enumerate(joints)}
+        parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
+        # a joint of size 0 in the rest pose is nowhere
+        usable = np.abs(np.linalg.det(inverse[:, :3, :3])) > 1e-30
+        bind = np.linalg.inv(np.where(usable[:, None, None], inverse, np.eye(4)))
+        names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
+        return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
+
+    def has_axes(self, document: Document) -> bool:
+        """Whether joints of the rest pose are turned against the axes of the world."""
+        if self.skin is None:
+            return False
+        linear = _skin(document, self.skin)[1][:, :3, :3]
+        return bool(np.abs(linear - np.eye(3)).max() > 1e-6)
+
+
+def check_meshes(document: Document, meshes: Any) -> list[str] | None:
+    """Names of meshes as a list.
+
+    Raises
+    ------
+    InputError
+        If no mesh of the file has that name.
+    """
+    if meshes is None:
+        return None
+    wanted = [meshes] if isinstance(meshes, str) else list(meshes)
+    nodes = [node for node in document.items("nodes") if "mesh" in node]
+    known = set().union(*(_names_of(document, node) for node in nodes))
+    for name in wanted:
+        if name not in known:
+            raise InputError("meshes", f"one of {sorted(known)}", repr(name))
+    return wanted
+
+
+def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
+    """Names by which the mesh of a node can be chosen: the mesh's and the node's."""
+    mesh = document.items("meshes")[node["mesh"]]
+    return {str(item["name"]) for item in (mesh, node) if item.get("name")}
+
+
+def read_parts(
+    document: Document, nodes: Nodes, meshes: Sequence[str] | None = None
+) -> list[PrimitiveGroup]:
+    """All triangles and points of the scene, or of the named meshes alone.
+
+    Raises
+    ------
+    FormatError
+        If there are none, or an accessor or joint is not usable.
+    """
+    parts: list[PrimitiveGroup] = []
+    for number in nodes.shown:
+        node = nodes.items[number]
+        if "mesh" not in node or (meshes and not _names_of(document, node) & set(meshes)):
+            continue
+        groups: dict[str, dict[int, dict[str, Any]]] = {}
+        for place, primitive in enumerate(document.items("meshes")[node["mesh"]]["primitives"]):
+            if DRACO in primitive.get("extensions", {}):
+                _decode(document, primitive)
+            if primitive.get("mode", 4) in (1, 2, 3):
+                _log.warning("%s: lines in mesh %d are left out", document.path, node["mesh"])
+                continue
+            if "POSITION" not in primitive["attributes"]:
+                raise document.error("a primitive has no POSITION")
+            # Primitives over the same vertices, one a material, are one part.
+            key = repr((sorted(primitive["attributes"].items()), primitive.get("targets", [])))
+            groups.setdefault(key, {})[place] = primitive
+        for group in groups.values():
+            parts.append(PrimitiveGroup(document, nodes, number, node["mesh"], group))
+    if not parts:
+        raise document.error("the scene holds no mesh")
+    return parts
+
+
+def _decode(document: Document, primitive: dict[str, Any]) -> None:
+    """Decode a primitive's Draco data into its accessors, unless these have data as well."""
+    item, names = primitive["extensions"][DRACO], primitive["attributes"]
+    if "bufferView" in document.items("accessors")[names["POSITION"]]:
+        return
+    found, faces = decode_mesh(bytes(document.view(item["bufferView"])[0]), document.path)
+    for name, number in item.get("attributes", {}).items():
+        if name not in names or number not in found:
+            raise document.error(f"its Draco data hold no {name}")
+        document.replace(names[name], found[number], name)
+    if "indices" in primitive:
+        if faces is None:
+            raise document.error("its Draco data hold no triangles")
+        document.replace(primitive["indices"], faces.reshape(-1), "indices")
+        if primitive.get("mode", 4) != 4:
+            raise document.error("Draco data of a strip or fan")
+
+
+def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
+    """Triangles (T, 3) of a primitive over the file's `count` vertices; none of points."""
+    index = np.arange(count)
+    if "indices" in primitive:
+        found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
+        index = found.astype(np.int64)
+        if int(index.max()) >= count:
+            raise document.error(f"index {index.max()} into {count} vertices")
+    mode = primitive.get("mode", 4)
+    if mode == 0:
+        return np.zeros((0, 3), dtype=np.int64)
+    if mode == 4:
+        if len(index) % 3:
+            raise document.error(f"{len(index)} indices are no triangles")
+        return index.reshape(-1, 3)
+    if mode not in (5, 6):
+        raise document.error(f"primitive mode {mode!r}")
+    if len(index) < 3:
+        raise document.error(f"a strip or fan of {len(index)} vertices")
+    strip = np.stack([index[:-2], index[1:-1], index[2:]], axis=1)
+    if mode == 6:
+        strip[:, 0] = index[0]
+    else:
+        strip[1::2] = strip[1::2][:, [1, 0, 2]]
+    return strip
+
+
+def _skin(document: Document, index: int) -> tuple[list[int], NDArray[np.float64]]:
+    """Joints of a skin and their inverse bind matrices (B, 4, 4)."""
+    item = document.items("skins")[index]
+    joints = list(item["joints"])
+    if not joints:
+        raise document.error(f"skin {index} has no joints")
+    if "inverseBindMatrices" not in item:
+        return joints, np.tile(np.eye(4), (len(joints), 1, 1))
+    flat = document.accessor(item["inverseBindMatrices"], "MAT4", "inverseBindMatrices")
+    if len(flat) < len(joints):
+        raise document.error(f"{len(flat)} inverse bind matrices for {len(joints)} joints")
+    return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
+
+
+def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
+    """The UVs that the first textured material of some primitives uses."""
+    for number in [primitive["material"] for primitive in group if "material" in primitive]:
+        look = document.items("materials")[number].get("pbrMetallicRoughness", {})
+        if "texCoord" in look.get("baseColorTexture", {}):
+            return f"TEXCOORD_{look['baseColorTexture']['texCoord']}"
+    return "TEXCOORD_0"
+
+
+def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
+    """UVs and normals of the parts, and all materials of a file in its order."""
+    return Looks(
+        [part.uv for part in parts],
+        [part.normals for part in parts],
+        [part.material for part in parts],
+        [_material(document, item) for item in document.items("materials")],
+    )
+
+
+def _material(document: Document, item: dict[str, Any]) -> Material:
+    look = item.get("pbrMetallicRoughness", {})
+    r, g, b, a = document.numbers(look, "baseColorFactor", [1.0] * 4).tolist()
+    factors = {"factors": [look.get("metallicFactor", 1.0), look.get("roughnessFactor", 1.0)]}
+    metallic, roughness = document.numbers(factors, "factors", [1.0, 1.0]).tolist()
+    texture, kind = None, "image/png"
+    if "baseColorTexture" in look:
+        reference = look["baseColorTexture"]
+        if "KHR_texture_transform" in reference.get("extensions", {}):
+            _log.warning("%s: the transform of a texture is left out", document.path)
+        source = document.items("textures")[reference["index"]].get("source")
+        if source is None:
+            _log.warning("%s: a texture has no PNG or JPEG image", document.path)
+        else:
+            image = document.items("images")[source]
+            texture = document.picture(image)
+            jpeg = texture.startswith(b"\xff\xd8\xff")
+            kind = str(image.get("mimeType", "image/jpeg" if jpeg else "image/png"))
+    return Material(
+        name=str(item.get("name", "material")),
+        base_color=(r, g, b, a),
+        metallic=metallic,
+        roughness=roughness,
+        double_sided=bool(item.get("doubleSided", False)),
+        texture=texture,
+        texture_type=kind,
+    )

@@ -1,0 +1,103 @@
+"""A rig as glTF has it: nodes of the joints, a skin, animations, attributes of skin weights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...clips import Clip
+from ...rigid import quaternion_from_matrix
+from ..registry import seconds
+from ..rig import Rig
+from .builder import ARRAY, Builder
+
+__all__ = ["add_animation", "add_skin", "add_weights", "skeleton_nodes"]
+
+
+def add_weights(
+    builder: Builder, indices: NDArray[np.int32], stored: NDArray[Any], n_bones: int
+) -> dict[str, int]:
+    """Attributes of skin weights (V, K), four influences in each."""
+    narrow = np.uint8 if n_bones <= 256 else np.uint16
+    pad = ((0, 0), (0, -stored.shape[1] % 4))
+    joints, weights = np.pad(indices.astype(narrow), pad), np.pad(stored, pad)
+    attributes = {}
+    for k in range(joints.shape[1] // 4):
+        four = slice(4 * k, 4 * k + 4)
+        attributes[f"JOINTS_{k}"] = builder.accessor(joints[:, four], "VEC4", target=ARRAY)
+        attributes[f"WEIGHTS_{k}"] = builder.accessor(
+            weights[:, four], "VEC4", target=ARRAY, normalized=stored.dtype.kind == "u"
+        )
+    return attributes
+
+
+def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
+    """The node of a skeleton, number `first` of the file, and those of its joints after it."""
+    parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
+    nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
+    for bone, name in enumerate(rig.names):
+        nodes.append({"name": name, "translation": rig.offsets[bone].tolist()})
+        if rig.axes is not None:
+            above = rig.axes[parents[bone]] if parents[bone] >= 0 else np.eye(3)
+            turn = quaternion_from_matrix(above.T @ rig.axes[bone])
+            nodes[-1]["rotation"] = turn.tolist()
+    for place, node in enumerate(nodes):
+        children = first + 1 + np.flatnonzero(parents == place - 1)
+        if len(children):
+            node["children"] = children.tolist()
+    return nodes
+
+
+def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
+    """The skin of the joints whose skeleton is node `first`."""
+    inverse = np.tile(np.eye(4, dtype=np.float32), (rig.n_bones, 1, 1))
+    axes = np.tile(np.eye(3), (rig.n_bones, 1, 1)) if rig.axes is None else rig.axes
+    # Columns come first in glTF: what stands as rows here is the transposed, inverse rotation.
+    inverse[:, :3, :3] = axes
+    inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers.astype(np.float64))
+    return {
+        "name": title,
+        "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4"),
+        "skeleton": first,
+        "joints": list(range(first + 1, first + 1 + rig.n_bones)),
+    }
+
+
+def add_animation(
+    builder: Builder, rig: Rig, clip: Clip, name: str, first: int, start: float = 0.0
+) -> dict[str, Any]:
+    """The keys of a clip whose first frame is at `start` seconds; the skeleton is node `first`."""
+    samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
+    inputs: dict[bytes, int] = {}
+    for bone in range(rig.n_bones):
+        keys = clip.start + np.flatnonzero(rig.keys[clip.frames, bone])
+        if keys.tobytes() not in inputs:
+            times = (start + seconds(keys - clip.start, clip.fps)).astype(np.float32)
+            inputs[keys.tobytes()] = builder.accessor(times, "SCALAR", bounds=True)
+        tracks = [("rotation", rig.rotations[keys, bone], "VEC4")]
+        if rig.translating[bone]:
+            tracks.insert(0, ("translation", rig.translations[keys, bone], "VEC3"))
+        if rig.scales is not None:
+            tracks.append(("scale", np.repeat(rig.scales[keys, bone][:, None], 3, axis=1), "VEC3"))
+        for path, values, kind in tracks:
+            target = {"node": first + 1 + bone, "path": path}
+            channels.append({"sampler": len(samplers), "target": target})
+            samplers.append(
+                {
+                    "input": inputs[keys.tobytes()],
+                    "output": builder.accessor(values, kind),
+                    "interpolation": "LINEAR",
+                }
+            )
+    stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
+    if start:
+        stated["start"] = start
+    return {
+        "name": name,
+        "samplers": samplers,
+        "channels": channels,
+        "extras": {"ssdr": stated},
+    }

@@ -1,0 +1,335 @@
+"""The meshes of a scene as one sequence or skinning: what glTF, USD and FBX have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..clips import Clip, in_order, unique_names
+from ..errors import FormatError, InputError
+from ..lbs import skin
+from ..sequence import Material, MeshSequence, Surface
+from ..skinning import BoneModel, Skinning
+from .budget import MOST_BYTES, afford
+from .corners import corner_normals
+
+__all__ = [
+    "Bones",
+    "Looks",
+    "SceneBudget",
+    "ScenePart",
+    "Shape",
+    "check_kept",
+    "join_faces",
+    "join_sequence",
+    "join_skinning",
+    "make_skinning",
+    "match_template",
+    "part_starts",
+]
+
+Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
+
+_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
+
+
+class SceneBudget:
+    """Memory that a scene file may ask for in all: 1000 times its size, but at least 1 GiB.
+
+    A scene states counts, frames and copies of meshes that need no data of their own, so a small
+    file can ask for any amount of memory.
+
+    Parameters
+    ----------
+    path : Path
+    n_bytes : int
+        Size of the file and of what it refers to.
+    max_bytes : int, optional
+        The caller's limit instead.
+    """
+
+    def __init__(self, path: Path, n_bytes: int, max_bytes: int | None = None) -> None:
+        self.path, self.spent, self._fixed = path, 0.0, max_bytes
+        self.most = 1 << 30 if max_bytes is None else max_bytes
+        self.grow(n_bytes)
+
+    def grow(self, n_bytes: int) -> None:
+        """Allow more, for another file of that size."""
+        if self._fixed is None:
+            self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
+
+    def spend(self, n_bytes: float, what: str) -> None:
+        """Add memory that reading on takes; refuse what goes over the limit.
+
+        Raises
+        ------
+        FormatError
+            If it does; see :func:`~ssdr.io.budget.afford`.
+        """
+        self.spent += n_bytes
+        afford(self.spent, what, self.path, self.most)
+
+
+class ScenePart(Protocol):
+    """Vertices of a scene that one skeleton moves, and the triangles over them.
+
+    Attributes
+    ----------
+    skeleton : hashable
+        Parts with the same one share its bones.
+    indices : (V, K) int array
+        Bones of the skeleton.
+    weights : (V, K) float array
+    faces : (T, 3) int array
+        Over the part's own vertices.
+    """
+
+    skeleton: Any
+    indices: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bones:
+    """The bones of a skeleton: names, parents (B,), joints (B, 3), transforms (F, B, 3, 4)."""
+
+    names: Sequence[str]
+    parents: NDArray[np.integer]
+    joint_positions: NDArray[np.float64]
+    transforms: NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Looks:
+    """The surface of each part of a scene.
+
+    Attributes
+    ----------
+    uv, normals : list
+        For each part an array (T, 3, 2) and (T, 3, 3), or None.
+    material_index : list of (T,) int arrays
+        -1 for a triangle without a material, which gets a default one.
+    materials : list of Material
+    """
+
+    uv: list[NDArray[np.float32] | None]
+    normals: list[NDArray[np.float32] | None]
+    material_index: list[NDArray[np.int64]]
+    materials: list[Material]
+
+
+def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
+    """First vertex of each part where they follow each other, and the number of all vertices."""
+    return np.cumsum([0, *(len(part.indices) for part in parts)])
+
+
+def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
+    """Triangles of all parts, whose vertices follow each other."""
+    starts = part_starts(parts)[:-1]
+    joined = [part.faces + start for part, start in zip(parts, starts, strict=True)]
+    return np.concatenate(joined).astype(np.int32)
+
+
+def _join_surface(
+    parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], looks: Looks
+) -> Surface | None:
+    """UVs, normals and materials of all parts; None where there are none.
+
+    A part without UVs beside others that have some gets zeros, one without normals those of its
+    rest pose.
+    """
+    index, materials = np.concatenate(looks.material_index), looks.materials
+    some_uv = any(uv is not None for uv in looks.uv)
+    some_normals = any(normals is not None for normals in looks.normals)
+    if not len(index) or not (some_uv or some_normals or materials):
+        return None
+    if materials and (index < 0).any():
+        index = np.where(index < 0, len(materials), index)
+        materials = [*materials, Material(name="default")]
+    blank = [np.zeros((len(part.faces), 3, 2), dtype=np.float32) for part in parts]
+    uv = [zeros if uv is None else uv for zeros, uv in zip(blank, looks.uv, strict=True)]
+    normals = [
+        corner_normals(points, part.faces, None) if normals is None else normals
+        for points, part, normals in zip(rest, parts, looks.normals, strict=True)
+    ]
+    return Surface(
+        uv=np.concatenate(uv) if some_uv else None,
+        normals=np.concatenate(normals) if some_normals else None,
+        material_index=index.astype(np.int32) if materials else None,
+        materials=tuple(materials),
+    )
+
+
+def join_sequence(
+    parts: Sequence[ScenePart],
+    clip: Clip,
+    shapes: Sequence[Shape],
+    transforms: Iterable[NDArray[np.float64]],
+    looks: Looks,
+    name: str,
+) -> MeshSequence:
+    """One sequence of all parts, skinned.
+
+    Parameters
+    ----------
+    parts : sequence of ScenePart
+    clip : Clip
+    shapes : sequence
+        For each part its vertices (V, 3) before skinning, or a function that gives those of a
+        frame.
+    transforms : iterable of (F, B, 3, 4) arrays
+        For each part.
+    looks : Looks
+    name : str
+    """
+    starts = part_starts(parts)
+    frames = np.empty((clip.n_frames, starts[-1], 3), dtype=np.float32)
+    for part, start, shape, moved in zip(parts, starts[:-1], shapes, transforms, strict=True):
+        out = frames[:, start : start + len(part.indices)]
+        step = 1 if callable(shape) else max(1, _CHUNK_BYTES // (24 * out.shape[1]))
+        for first in range(0, clip.n_frames, step):
+            block = slice(first, first + step)
+            rest = shape(first) if callable(shape) else shape
+            out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
+    rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
+    surface = _join_surface(parts, rest_poses, looks)
+    return MeshSequence(
+        frames, join_faces(parts), clip.fps, name=name, clip=clip.name, surface=surface
+    )
+
+
+def join_skinning(
+    parts: Sequence[ScenePart],
+    clips: Iterable[Clip],
+    shapes: Sequence[Shape],
+    bones: Mapping[Hashable, Bones],
+    looks: Looks,
+    name: str,
+) -> Skinning:
+    """One skinning of all parts.
+
+    Parameters
+    ----------
+    parts : sequence of ScenePart
+    clips : iterable of Clip
+    shapes : sequence
+        Vertices before skinning of each part in the first clip, then in the others.
+    bones : mapping
+        Bones of each skeleton, the frames of all clips one after the other.
+    looks : Looks
+    name : str
+
+    Raises
+    ------
+    FormatError
+        If the vertices of a part change before they are skinned.
+    """
+    rest = [shape for shape in shapes if not callable(shape)]
+    if len(rest) < len(shapes):
+        raise FormatError(
+            "morph targets, blend shapes or points move a mesh, which no skinning holds; "
+            "ssdr.load bakes them"
+        )
+    rest = rest[: len(parts)]
+    keys = list(dict.fromkeys(part.skeleton for part in parts))
+    found = [bones[key] for key in keys]
+    starts = np.cumsum([0, *(len(one.names) for one in found)])[:-1]
+    first = dict(zip(keys, starts, strict=True))
+    width = max(part.indices.shape[1] for part in parts)
+
+    def widened(part: ScenePart, values: NDArray[Any]) -> NDArray[Any]:
+        return np.pad(values, ((0, 0), (0, width - part.indices.shape[1])))
+
+    shifted = [
+        np.where(one.parents >= 0, one.parents + start, -1)
+        for one, start in zip(found, starts, strict=True)
+    ]
+    joined = Bones(
+        [name for one in found for name in one.names],
+        np.concatenate(shifted),
+        np.concatenate([one.joint_positions for one in found]),
+        np.concatenate([one.transforms for one in found], axis=1),
+    )
+    return make_skinning(
+        np.concatenate(rest),
+        np.concatenate([widened(part, part.indices + first[part.skeleton]) for part in parts]),
+        np.concatenate([widened(part, part.weights) for part in parts]),
+        joined,
+        faces=join_faces(parts),
+        surface=_join_surface(parts, rest, looks),
+        name=name,
+        clips=in_order(clips),
+    )
+
+
+def make_skinning(
+    rest: NDArray[np.floating],
+    indices: NDArray[np.integer],
+    weights: NDArray[np.floating],
+    bones: Bones,
+    **fields: Any,
+) -> Skinning:
+    """A skinning with these bones, of the narrowest bone model; flat where no bone has a parent."""
+    tree = bool((bones.parents >= 0).any())
+    return Skinning(
+        rest,
+        np.where(weights > 0, indices, 0),
+        weights,
+        bones.transforms,
+        bone_model=_bone_model_of(bones.transforms),
+        bone_names=unique_names(bones.names),
+        parents=bones.parents if tree else None,
+        joint_positions=bones.joint_positions if tree else None,
+        **fields,
+    )
+
+
+def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
+    """The narrowest bone model that holds the transforms to float32 accuracy."""
+    linear = transforms[..., :3]
+    gram = np.swapaxes(linear, -1, -2) @ linear
+    size = np.trace(gram, axis1=-2, axis2=-1) / 3
+    off = np.abs(gram - size[..., None, None] * np.eye(3)).max(axis=(-1, -2))
+    if (off > 1e-4 * size).any() or (np.linalg.det(linear) <= 0).any():
+        return "affine"
+    return "rigid" if np.abs(size - 1).max() < 1e-4 else "similarity"
+
+
+def match_template(
+    parts: Sequence[ScenePart], model: Skinning, path: Path
+) -> list[NDArray[np.integer]]:
+    """The model's vertex for each vertex of each part of a template.
+
+    Raises
+    ------
+    InputError
+        If the model has another number of vertices, or other triangles.
+    """
+    starts = part_starts(parts)
+    count = int(starts[-1])
+    vertex: NDArray[np.integer] = np.arange(count)
+    if model.vertex_map is not None and len(model.vertex_map) == count:
+        vertex = model.vertex_map
+    elif model.n_vertices != count:
+        raise InputError("template", f"a file of {model.n_vertices} vertices", f"{count} in {path}")
+    if not np.array_equal(vertex[join_faces(parts)], model.faces):
+        raise InputError("template", "a file with the model's triangles", str(path))
+    return np.split(vertex, starts[1:-1])
+
+
+def check_kept(lost: Sequence[str], strict: bool) -> None:
+    """Refuse to lose something of a template where `strict`.
+
+    Raises
+    ------
+    InputError
+        If something is lost.
+    """
+    if lost and strict:
+        raise InputError("template", "a file all of which can be kept", "; ".join(lost))

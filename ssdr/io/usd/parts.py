@@ -1,0 +1,271 @@
+"""A mesh of a stage: its polygons as triangles, its skin and its blend shapes."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pxr import Sdf, Usd, UsdGeom, UsdSkel
+
+from ...errors import FormatError
+from ..corners import unit
+from ..meshes.polygons import fan
+from ..scene import Bones, Shape
+
+__all__ = ["MeshPrim"]
+
+_log = logging.getLogger(__name__)
+_FIRST = Usd.TimeCode.EarliestTime()
+
+
+class MeshPrim:
+    """A mesh and what moves it, a `ScenePart`; polygons are cut into fans of triangles.
+
+    Parameters
+    ----------
+    path : Path
+        The stage's file, for messages.
+    prim : Usd.Prim
+    skeleton, query : optional
+        UsdSkel's queries of the skeleton and of the skin, where the mesh has them.
+
+    Attributes
+    ----------
+    counts : (P,) int array
+        Corners of each polygon.
+    corners : (T, 3) int array
+        Index of each triangle's corners among the corners of the polygons.
+    polygon : (T,) int array
+        The polygon of each triangle.
+    """
+
+    def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
+        self.path, self.prim = path, prim
+        self.attribute = UsdGeom.Mesh(prim).GetPointsAttr()
+        self.n_points = len(self.raw_points(_FIRST))
+        self._read_polygons()
+        self.joints: Any = skeleton if query is not None and query.HasJointInfluences() else None
+        self._query = query
+        self._shapes = None
+        if query is not None and query.HasBlendShapes() and skeleton.GetAnimQuery():
+            self._shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
+            self._shaper = skeleton.GetAnimQuery()
+        self.skeleton: Any = str(prim.GetPath())
+        self.n_bones = 1
+        self.indices = np.zeros((self.n_points, 1), dtype=np.int32)
+        self.weights = np.ones((self.n_points, 1))
+        if self.joints is not None:
+            self._read_influences()
+
+    def _fail(self, what: str) -> FormatError:
+        return FormatError(f"{self.path}: {self.prim.GetPath()}: {what}")
+
+    def _read_polygons(self) -> None:
+        mesh = UsdGeom.Mesh(self.prim)
+        found = []
+        for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
+            if len(attribute.GetTimeSamples()) > 1:
+                raise self._fail("its topology changes over time")
+            found.append(np.array(attribute.Get(_FIRST) or [], dtype=np.int64))
+        self.counts, indices = found
+        if self.counts.sum() != len(indices):
+            raise self._fail(
+                f"faceVertexCounts add up to {self.counts.sum()}, "
+                f"there are {len(indices)} faceVertexIndices"
+            )
+        if len(indices) and not 0 <= indices.min() <= indices.max() < self.n_points:
+            raise self._fail(
+                f"faceVertexIndices from {indices.min()} to {indices.max()} "
+                f"for {self.n_points} points"
+            )
+        self.corners, self.polygon = fan(self.counts)
+        if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
+            self.corners = self.corners[:, ::-1]
+        self.faces = indices[self.corners]
+
+    def value_index(self, interpolation: str) -> NDArray[np.int64] | None:
+        """Index (T, 3) of a primvar's value at each corner; None for an unknown interpolation."""
+        return {
+            "faceVarying": self.corners,
+            "vertex": self.faces,
+            "varying": self.faces,
+            "uniform": np.repeat(self.polygon[:, None], 3, axis=1),
+            "constant": np.zeros_like(self.faces),
+        }.get(interpolation)
+
+    def _at_corners(self, values: Any, interpolation: str, width: int, what: str) -> Any:
+        array = np.array(values, dtype=np.float32).reshape(-1, width)
+        index = self.value_index(interpolation)
+        if index is None or index.max(initial=-1) >= len(array):
+            _log.warning(
+                "%s: %s does not match the mesh and is left out", self.prim.GetPath(), what
+            )
+            return None
+        return array[index]
+
+    def uv(self) -> NDArray[np.float32] | None:
+        api = UsdGeom.PrimvarsAPI(self.prim)
+        chosen = api.GetPrimvar("st")
+        if not chosen or not chosen.HasValue():
+            types = (Sdf.ValueTypeNames.TexCoord2fArray, Sdf.ValueTypeNames.Float2Array)
+            usable = [p for p in api.GetPrimvarsWithValues() if p.GetTypeName() in types]
+            if not usable:
+                return None
+            chosen = usable[0]
+        values, how = chosen.ComputeFlattened(_FIRST), str(chosen.GetInterpolation())
+        found: NDArray[np.float32] | None = self._at_corners(values, how, 2, "UV")
+        return found
+
+    def normal_values(self) -> tuple[Any, str, Any]:
+        """Values of the normals (None without any), their interpolation and their attribute."""
+        primvar = UsdGeom.PrimvarsAPI(self.prim).GetPrimvar("normals")
+        if primvar and primvar.HasValue():
+            how = str(primvar.GetInterpolation())
+            return primvar.ComputeFlattened(_FIRST), how, primvar.GetAttr()
+        mesh = UsdGeom.Mesh(self.prim)
+        attribute = mesh.GetNormalsAttr()
+        return attribute.Get(_FIRST), str(mesh.GetNormalsInterpolation()), attribute
+
+    def normals(self) -> NDArray[np.float32] | None:
+        values, how, _ = self.normal_values()
+        found = None if values is None else self._at_corners(values, how, 3, "normals")
+        return None if found is None else unit(found).astype(np.float32)
+
+    def _read_influences(self) -> None:
+        query = self._query
+        if str(query.GetSkinningMethod()) == "dualQuaternion":
+            raise self._fail("dual quaternion skinning; linear blend skinning is read")
+        found = query.ComputeVaryingJointInfluences(self.n_points)
+        if not found:
+            raise self._fail("its joint influences do not match its points")
+        indices = np.array(found[0], dtype=np.int64).reshape(self.n_points, -1)
+        weights = np.array(found[1], dtype=np.float64).reshape(self.n_points, -1)
+        joints = [str(token) for token in self.joints.GetJointOrder()]
+        self._order = [str(token) for token in query.GetJointOrder() or ()] or joints
+        if not indices.shape[1] or indices.min() < 0 or indices.max() >= len(self._order):
+            raise self._fail(f"a joint index outside 0 to {len(self._order) - 1}")
+        total = weights.sum(axis=1, keepdims=True)
+        if not np.isfinite(weights).all() or (weights < 0).any() or (total <= 0).any():
+            raise self._fail("skin weights that are negative, not finite or all zero")
+        if np.abs(total - 1).max() > 1e-3:
+            _log.warning("%s: skin weights that do not sum to 1 are scaled", self.prim.GetPath())
+        self.indices = np.where(weights > 0, indices, 0).astype(np.int32)
+        self.weights = weights / total
+        self.n_bones = len(self._order)
+        self._bind = np.array(query.GetGeomBindTransform(), dtype=np.float64).T
+        if not set(joints) >= set(self._order):
+            raise self._fail("it names joints that its skeleton does not have")
+        self._rows = [joints.index(token) for token in self._order]
+        place = str(self.joints.GetSkeleton().GetPrim().GetPath())
+        self.skeleton = place, tuple(self._order), self._bind.tobytes()
+
+    def _frames(self, transforms: Any) -> NDArray[np.float64]:
+        """Matrices (B, 4, 4) of the bones, for column vectors, from those of all joints."""
+        if not transforms or len(transforms) != len(self.joints.GetJointOrder()):
+            raise self._fail("its skeleton has no usable bind or rest transforms")
+        frames = np.array(transforms, dtype=np.float64).reshape(-1, 4, 4)
+        return np.swapaxes(frames, 1, 2)[self._rows]
+
+    def _binds(self) -> NDArray[np.float64]:
+        """Joints' frames (B, 4, 4) of the bind pose, in the space of the points."""
+        frames = self._frames(self.joints.GetJointWorldBindTransforms())
+        try:
+            return np.asarray(np.linalg.solve(self._bind, frames))
+        except np.linalg.LinAlgError:
+            raise self._fail("its geomBindTransform is flat") from None
+
+    def bones(self, transforms: NDArray[np.float64]) -> Bones:
+        """Bones with these transforms; a mesh without a skin is one bone, a root."""
+        if self.joints is None:
+            name = str(self.prim.GetName())
+            return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
+        number = {token: k for k, token in enumerate(self._order)}
+        parents = []
+        for token in self._order:
+            above = token.rpartition("/")[0]
+            while above and above not in number:
+                above = above.rpartition("/")[0]
+            parents.append(number.get(above, -1))
+        # Names that the skeleton gives its joints, else the last part of their paths.
+        names = [token.rsplit("/", 1)[-1] for token in self._order]
+        stated = self.joints.GetSkeleton().GetJointNamesAttr().Get() or ()
+        if len(stated) == len(self.joints.GetJointOrder()):
+            names = [str(stated[k]) for k in self._rows]
+        return Bones(names, np.array(parents), self._binds()[:, :3, 3], transforms)
+
+    @property
+    def has_axes(self) -> bool:
+        """Whether joints of the bind pose are turned against the axes of the points."""
+        if self.joints is None:
+            return False
+        return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
+
+    def stamps(self) -> NDArray[np.float64]:
+        """Time codes at which anything about this mesh is sampled."""
+        found = list(self.attribute.GetTimeSamples())
+        if self.joints is not None and self.joints.GetAnimQuery():
+            found += self.joints.GetAnimQuery().GetJointTransformTimeSamples()
+        if self._shapes is not None:
+            found += self._shaper.GetBlendShapeWeightTimeSamples()
+        prim = self.prim if self.joints is None else self.joints.GetPrim()
+        while prim and not prim.IsPseudoRoot():
+            if prim.IsA(UsdGeom.Xformable):
+                found += UsdGeom.Xformable(prim).GetTimeSamples()
+            prim = prim.GetParent()
+        return np.array(found, dtype=np.float64)
+
+    def raw_points(self, code: Any) -> NDArray[np.float64]:
+        """Points without blend shapes ``(V, 3)``."""
+        values = self.attribute.Get(code)
+        if values is None or not len(values):
+            raise self._fail("no points")
+        return np.array(values, dtype=np.float64)
+
+    def shape(self, codes: NDArray[np.float64]) -> Shape:
+        """Points before skinning; a function of the frame where they change."""
+        moving = len(self.attribute.GetTimeSamples()) > 1
+        if self._shapes is not None:
+            moving |= self._shaper.BlendShapeWeightsMightBeTimeVarying()
+        if moving:
+            return lambda frame: self._points(float(codes[frame]))
+        return self._points(float(codes[0]))
+
+    def _points(self, code: float) -> NDArray[np.float64]:
+        points = self.raw_points(code)
+        if len(points) != self.n_points:
+            raise self._fail(f"{self.n_points} points at first, {len(points)} at {code:g}")
+        if self._shapes is None:
+            return points
+        weights = self._shaper.ComputeBlendShapeWeights(code)
+        mapper = self._query.GetBlendShapeMapper()
+        if mapper:
+            weights = mapper.Remap(weights)
+        found = self._shapes.ComputeSubShapeWeights(weights)
+        rows = self._shapes.ComputeBlendShapePointIndices()
+        offsets = self._shapes.ComputeSubShapePointOffsets()
+        for amount, shape, part in zip(*found, strict=True):
+            moved = np.array(offsets[part], dtype=np.float64).reshape(-1, 3)
+            row = np.array(rows[shape], dtype=np.int64)
+            row = row if len(row) else np.arange(self.n_points)
+            if len(row) != len(moved) or row.min() < 0 or row.max() >= self.n_points:
+                raise self._fail("a blend shape that does not match its points")
+            np.add.at(points, row, amount * moved)
+        return points
+
+    def transforms(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Transforms ``(F, B, 3, 4)`` from points to world space."""
+        if len(np.unique(self.stamps())) < 2:  # nothing moves, however long the clip is
+            still = self._transforms_at(float(codes[0]))
+            return np.broadcast_to(still, (len(codes), *still.shape))
+        return np.stack([self._transforms_at(float(code)) for code in codes])
+
+    def _transforms_at(self, code: float) -> NDArray[np.float64]:
+        world = UsdGeom.XformCache(code)
+        if self.joints is None:
+            return np.array(world.GetLocalToWorldTransform(self.prim)).T[None, :3]
+        place = np.array(world.GetLocalToWorldTransform(self.joints.GetPrim())).T
+        frames = self._frames(self.joints.ComputeSkinningTransforms(code))
+        return np.asarray((place @ frames @ self._bind)[:, :3])
