@@ -42,9 +42,11 @@ class Builder:
             for number, view in enumerate(self.json.get("bufferViews", [])):
                 view["buffer"] = number
                 self.blocks.append(document.view(number)[0])
-                document.budget.spend(len(self.blocks[-1]), "a copy of its buffer views")
                 if view.get("extensions", {}).keys() & set(MESHOPT):
                     del view["extensions"]
+            whole = sum(item["byteLength"] for item in document.items("buffers"))
+            if sum(map(len, self.blocks)) > 16 * whole + (64 << 20):
+                raise document.error("its buffer views overlap so much that a copy would explode")
             for key in ("extensionsUsed", "extensionsRequired"):
                 self.json[key] = [e for e in self.json.get(key, []) if e not in MESHOPT]
         for key in ("accessors", "bufferViews"):

@@ -6,6 +6,7 @@ attributes that skinning needs, and the skins, joints and keys that moved the mo
 
 from __future__ import annotations
 
+import collections
 import copy
 from collections.abc import Mapping
 from pathlib import Path
@@ -107,9 +108,11 @@ class Template:
     def _put_meshes(self, rig: Rig, stored: NDArray[Any]) -> None:
         """Rest pose, normals and skin weights of each part."""
         nodes, meshes = self.json["nodes"], self.json["meshes"]
+        uses = collections.Counter(node.get("mesh") for node in nodes)
         for node in sorted(self.replaced):
             mesh = nodes[node]["mesh"]
-            if any(n.get("mesh") == mesh for k, n in enumerate(nodes) if k != node):
+            if uses[mesh] > 1:
+                uses[mesh] -= 1
                 meshes.append(copy.deepcopy(meshes[mesh]))
                 nodes[node]["mesh"] = len(meshes) - 1
         for part, vertices in zip(self.parts, self.vertices, strict=True):
@@ -257,9 +260,8 @@ class Template:
         kept = [skin for k, skin in enumerate(listed) if k not in skins]
         needed = {joint for skin in kept for joint in skin["joints"]}
         needed |= {skin["skeleton"] for skin in kept if "skeleton" in skin}
-        roots = set(range(len(nodes))).difference(*(n.get("children", []) for n in nodes))
         going: set[int] = set()
-        for node in reversed(descendants(nodes, roots)):
+        for node in reversed(self._order()):
             item = nodes[node]
             children = item.get("children", [])
             serves = node in old or (children and "extras" not in item)
@@ -309,18 +311,18 @@ class Template:
         """Nodes that move nothing but replaced meshes."""
         nodes = self.json["nodes"]
         joints = {joint for skin in self.json["skins"] for joint in skin["joints"]}
+        idle: set[int] = set()
+        for node in reversed(self._order()):
+            item, children = nodes[node], nodes[node].get("children", [])
+            bare = children and not item.keys() & _CONTENT
+            if node in self.replaced:
+                bare = not item.keys() & {"camera", "extensions"}
+            if bare and node not in joints and idle.issuperset(children):
+                idle.add(node)
+        return idle
 
-        def idle(node: int) -> bool:
-            below = set(descendants(nodes, [node]))
-            return (
-                not below & joints
-                and bool(below & self.replaced)
-                and all(
-                    not nodes[k].keys() & {"camera", "extensions"}
-                    if k in self.replaced
-                    else nodes[k].get("children") and not nodes[k].keys() & _CONTENT
-                    for k in below
-                )
-            )
-
-        return {node for node in range(len(nodes)) if idle(node)}
+    def _order(self) -> list[int]:
+        """All nodes, each before its children."""
+        nodes = self.json["nodes"]
+        children = (n.get("children", []) for n in nodes)
+        return descendants(nodes, set(range(len(nodes))).difference(*children))

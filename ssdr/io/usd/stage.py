@@ -51,6 +51,9 @@ def open_stage(path: Path) -> Any:
     if not stage:
         raise FormatError(f"{path}: not a usable USD file")
     stage.Reload()  # layers are kept by name; the file may have been written anew
+    for layer in stage.GetUsedLayers():
+        if layer.realPath and not is_inside(Path(layer.realPath), path.parent):
+            raise FormatError(f"{path}: refers to {layer.realPath}, which lies outside its folder")
     return stage
 
 
@@ -73,7 +76,8 @@ def _check_layers(path: Path) -> None:
         _check_nesting(file, path)
         layer = Sdf.Layer.FindOrOpen(str(file))
         for asset in itertools.chain(*UsdUtils.ExtractExternalReferences(str(file))):
-            name = Path(Sdf.ComputeAssetPathRelativeToLayer(layer, asset))
+            named = Sdf.Layer.SplitIdentifier(asset)[0].partition("[")[0]
+            name = Path(Sdf.ComputeAssetPathRelativeToLayer(layer, named))
             if not Sdf.FileFormat.FindByExtension(name.suffix[1:] or "none"):
                 continue  # a picture or the like, which USD does not open
             if not is_inside(name, path.parent):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
+import os
+import re
 import struct
 
 import numpy as np
@@ -13,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import ssdr
+from helpers.gltf_asset import make_asset
 from helpers.rig_model import tube
 
 
@@ -197,66 +201,101 @@ def _put(section, index, **fields):
     return lambda document, _: document[section][index].update(fields)
 
 
-def _weights_view(document):
-    attributes = document["meshes"][0]["primitives"][0]["attributes"]
-    return document["accessors"][attributes["JOINTS_0"]]["bufferView"]
+def _set(**fields):
+    return lambda document, _: document.update(fields)
 
 
-def _far_joint(document, binary):
-    start = document["bufferViews"][_weights_view(document)]["byteOffset"]
-    binary[start] = 250
+def _bytes(number_of, replacement, offset=0):
+    """Overwrite bytes of the view of an accessor."""
+
+    def change(document, binary):
+        primitive = document["meshes"][0]["primitives"][0]
+        accessor = document["accessors"][number_of(primitive)]
+        start = document["bufferViews"][accessor["bufferView"]]["byteOffset"] + offset
+        binary[start : start + len(replacement)] = replacement
+
+    return change
 
 
-def _far_index(document, binary):
-    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["indices"]]
-    start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
-    binary[start : start + 2] = b"\xfe\xff"
+def _nothing(count):
+    """Positions without data."""
+
+    def change(document, _):
+        positions = document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+        document["accessors"][positions] = {"componentType": 5126, "type": "VEC3", "count": count}
+
+    return change
 
 
-def _nan(document, binary):
-    view = document["bufferViews"][document["accessors"][0]["bufferView"]]
-    binary[view["byteOffset"] : view["byteOffset"] + 4] = np.float32(np.nan).tobytes()
+def _last_key(document, binary):
+    accessor = document["accessors"][document["animations"][0]["samplers"][0]["input"]]
+    stop = document["bufferViews"][accessor["bufferView"]]["byteOffset"] + 4 * accessor["count"]
+    binary[stop - 4 : stop] = np.float32(3e7).tobytes()
+    del document["animations"][0]["extras"]
+
+
+def _nested(document, _):
+    """2,000 nodes that hang on each other, the first of which moves over 9,600 frames."""
+    nodes, animation = document["nodes"], document["animations"][0]
+    first = len(nodes)
+    nodes += [{"children": [first + k + 1]} for k in range(2000)] + [{"mesh": 0}]
+    document["scenes"][0]["nodes"].append(first)
+    animation["channels"].append({"sampler": 0, "target": {"node": first, "path": "translation"}})
+    animation["extras"]["ssdr"]["frames"] = 9600
+
+
+def _frames(count):
+    return _put("animations", 0, extras={"ssdr": {"fps": 24, "frames": count}})
 
 
 HOSTILE = {
-    "a joint beyond the skin": (_far_joint, "joint 250 of a skin of 5"),
-    "an index beyond the vertices": (_far_index, "index 65534 into"),
-    "NaN": (_nan, "NaN or Inf"),
-    "a huge count": (_put("accessors", 0, count=10**12), "do not fit"),
-    "a huge count of nothing": (
-        lambda d, _: d["accessors"].__setitem__(
-            0, {"componentType": 5126, "type": "VEC3", "count": 10**12}
-        ),
-        "holds none",
+    "a joint beyond the skin": (
+        _bytes(lambda p: p["attributes"]["JOINTS_0"], b"\xfa"),
+        "joint 250 of a skin of 5",
     ),
-    "a negative offset": (_put("bufferViews", 0, byteOffset=-4), "byteOffset"),
+    "an index beyond the vertices": (
+        _bytes(lambda p: p["indices"], b"\xfe\xff"),
+        "index 65534 into",
+    ),
+    "NaN": (_bytes(lambda p: 0, np.float32(np.nan).tobytes()), "NaN or Inf"),
+    "a count beyond the data": (_put("accessors", 0, count=10**4), "do not fit"),
+    "a huge count": (_put("accessors", 0, count=10**12), "elements needs 24000000001104 bytes"),
+    "80 million vertices without data": (_nothing(80_000_000), "POSITION of 80000000 elements"),
+    "frames without data": (_frames(200_000_000), "200000000 frames at 24 per second needs"),
+    "frames without end": (_frames(10**12), "max_bytes"),
+    "a last key after a year": (_last_key, "720000001 frames at 24 per second needs"),
+    "nested nodes over many frames": (_nested, "nodes over 9600 frames needs"),
+    "a negative offset": (
+        _put("bufferViews", 0, byteOffset=-4),
+        "byteOffset of bufferView 0 is -4",
+    ),
+    "an offset that is text": (_put("bufferViews", 0, byteOffset="4"), "byteOffset .* is '4'"),
     "a view beyond the buffer": (_put("bufferViews", 0, byteLength=10**9), "ends at byte"),
     "a cycle": (_put("nodes", 2, children=[1]), "its own ancestor"),
     "two parents": (_put("nodes", 0, children=[3]), "two parents"),
-    "a missing joint": (_put("skins", 0, joints=[999]), "a joint is 999"),
+    "a missing joint": (_put("skins", 0, joints=[999]), "none of the 7 nodes"),
     "no joints": (_put("skins", 0, joints=[]), "no joints"),
-    "a missing mesh": (_put("nodes", 0, mesh=7), "a mesh is 7"),
+    "a missing mesh": (_put("nodes", 0, mesh=7), "mesh 7 is none of the 1 meshes"),
+    "a bool for an index": (_put("nodes", 0, mesh=True), "mesh True is none of"),
+    "nodes that are no list": (_set(nodes=3), "nodes is not a list"),
+    "a node that is no object": (
+        lambda d, _: d["nodes"].__setitem__(0, 3),
+        "nodes is not a list of objects",
+    ),
     "an unknown extension": (
-        lambda d, _: d.update(extensionsRequired=["KHR_texture_basisu"]),
+        _set(extensionsRequired=["KHR_texture_basisu"]),
         "requires KHR_texture_basisu",
     ),
-    "version 1": (lambda d, _: d.update(asset={"version": "1.0"}), "version 1.0"),
+    "version 1": (_set(asset={"version": "1.0"}), "version 1.0"),
     "no mesh": (lambda d, _: d["nodes"][0].pop("mesh"), "holds no mesh"),
-    "falling key times": (
+    "keys of another kind": (
         lambda d, _: d["animations"][0]["samplers"][0].update(input=0),
         "key times is 'VEC3'",
     ),
-    "a lazy buffer": (lambda d, _: d["buffers"][0].update(byteLength=10**9), "states 1000000000"),
-    "an escape": (lambda d, _: d["buffers"][0].update(uri="../../etc/passwd"), "outside"),
-    "a web address": (lambda d, _: d["buffers"][0].update(uri="http://x/y"), "outside"),
-    "a bad data URI": (lambda d, _: d["buffers"][0].update(uri="data:;base64,???"), "data URI"),
-    "frames without end": (
-        lambda d, _: d["animations"][0].update(extras={"ssdr": {"fps": 24, "frames": 10**12}}),
-        "max_bytes",
-    ),
-    "nodes that are no list": (lambda d, _: d.update(nodes=3), "nodes is not a list"),
-    "a node that is no object": (lambda d, _: d["nodes"].__setitem__(0, 3), "not an object"),
-    "a bool for an index": (_put("nodes", 0, mesh=True), "a mesh is True"),
+    "a lazy buffer": (_put("buffers", 0, byteLength=10**9), "states 1000000000"),
+    "an escape": (_put("buffers", 0, uri="../../etc/passwd"), "outside"),
+    "a web address": (_put("buffers", 0, uri="http://x/y"), "outside"),
+    "a bad data URI": (_put("buffers", 0, uri="data:;base64,???"), "data URI"),
 }
 
 
@@ -269,6 +308,56 @@ def test_hostile_files(tmp_path, case):
         with pytest.raises(ssdr.FormatError, match=message) as caught:
             function(path)
         assert "b.glb" in str(caught.value)
+    with contextlib.suppress(ssdr.FormatError):  # what is damaged may stay so
+        ssdr.io.copy(path, tmp_path / "c.gltf")
+        ssdr.io.copy(path, tmp_path / "c.glb", clips=[0])
+
+
+@pytest.mark.parametrize("depth", [500, 990, 100_000])
+def test_json_that_is_nested_deeply_is_read_or_refused(tmp_path, depth):
+    source = make_asset(tmp_path / "all.gltf")
+    text = source.read_text()
+    source.write_text(text[:-1] + ', "deep": ' + '{"extras":' * depth + "1" + "}" * depth + "}")
+    for read in (ssdr.load, ssdr.io.left_out, lambda p: ssdr.io.copy(p, tmp_path / "b.gltf")):
+        with contextlib.suppress(ssdr.FormatError):
+            read(source)
+
+
+IMAGES = {
+    "a\0b.png": "is missing",
+    "a" * 100_000: "is missing",
+    "../p.png": "lies outside",
+    "pipe.png": "is missing",
+    "endless.png": "lies outside",
+    "http://x/p.png": "lies outside",
+    7: "is missing",
+}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+@pytest.mark.parametrize("uri", IMAGES, ids=[str(uri)[:12].replace("\0", "0") for uri in IMAGES])
+@pytest.mark.parametrize("what", ["images", "buffers"])
+def test_files_that_a_file_names_are_files_of_its_folder(tmp_path, uri, what):
+    source = make_asset(tmp_path / "all.gltf")
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "endless.png").symlink_to("/dev/zero")
+    document = json.loads(source.read_text())
+    document[what][0]["uri"] = uri
+    source.write_text(json.dumps(document))
+    for target in ("b.glb", "b.gltf"):
+        with pytest.raises(ssdr.FormatError, match=r"all\.gltf: .*" + IMAGES[uri] + "|no text"):
+            ssdr.io.copy(source, tmp_path / target)
+    with pytest.raises(ssdr.FormatError, match=r"all\.gltf"):
+        ssdr.load(source)
+
+
+@pytest.mark.parametrize("number", ["1e999", "-1e999", "NaN", "9" * 5000])
+def test_numbers_that_are_none_are_refused(tmp_path, number):
+    source = make_asset(tmp_path / "all.gltf")
+    source.write_text(source.read_text().replace("0.7", number, 1))
+    for read in (ssdr.load, ssdr.list_clips, lambda p: ssdr.io.copy(p, tmp_path / "b.glb")):
+        with pytest.raises(ssdr.FormatError, match=r"all\.gltf"):
+            read(source)
 
 
 def test_truncated_and_mislabelled(tmp_path):

@@ -1,0 +1,169 @@
+"""Rigs through glTF and USD: skeleton, weights, motion and surface come back as they were."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers.rig_model import largest_distance, tube
+from helpers.rig_tree import NAMES, PARENTS, creature, differences, flat, tree_of
+from ssdr.io.axes import turn_skinning_up
+from ssdr.io.scene import SceneBudget
+
+
+@pytest.fixture(params=["a model.glb", "a.gltf", "a.usda", "a.usdc"])
+def path(request, tmp_path):
+    if "usd" in request.param:
+        pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+    return tmp_path / request.param
+
+
+@pytest.mark.parametrize("options", [{}, {"scaled": True}, {"bones": 9, "influences": 7}])
+def test_a_tube_comes_back(path, options):
+    model = tube(**options)
+    report = ssdr.save(model, path)
+    truth = model.skin()
+    halves = options.get("scaled") and path.suffix.startswith(".usd")
+    bound = 1e-3 if halves else 1e-6  # USD holds scales in half precision
+    assert report.influences == model.n_influences
+    assert ("half precision" in report.note) == bool(halves)
+    sequence, back = ssdr.load(path), ssdr.load_skinning(path)
+    gap = back.skin(dtype=np.float64) - truth
+    rmse = np.sqrt((gap**2).sum(axis=2).mean())
+    assert report.error < 2e-7 or report.error == pytest.approx(rmse, rel=1e-2)
+    assert report.max_error < 1e-6 or report.max_error == pytest.approx(
+        largest_distance(back.skin(dtype=np.float64), truth), rel=1e-2
+    )
+    assert (sequence.fps, sequence.n_frames, sequence.name) == (24.0, 20, "tube")
+    assert largest_distance(sequence.vertices, truth) < bound
+    assert largest_distance(back.skin(), truth) < bound
+    assert back.bone_model == model.bone_model
+    assert back.names() == model.names()
+    surface, order = model.surface, np.arange(len(model.faces))
+    if not path.suffix.startswith(".usd"):
+        order = np.argsort(surface.material_index, kind="stable")  # a primitive for each material
+        assert report.bytes == sum(f.stat().st_size for f in path.parent.iterdir())
+    np.testing.assert_array_equal(back.faces, model.faces[order])
+    np.testing.assert_allclose(back.surface.uv, surface.uv[order], atol=1e-7)
+    np.testing.assert_array_equal(back.surface.material_index, surface.material_index[order])
+    assert largest_distance(back.surface.normals, surface.normals[order]) < 0.02
+    assert back.surface.materials[0].texture == surface.materials[0].texture
+    assert back.surface.materials[1].double_sided
+    np.testing.assert_allclose(back.surface.materials[1].base_color, [0.1, 0.6, 0.2, 1])
+
+
+@pytest.mark.parametrize("kind", [{}, {"loose": True}, {"scaled": True}])
+def test_the_tree_comes_back(path, kind):
+    model = creature(**kind)
+    report = ssdr.save(model, path)
+    back = ssdr.load_skinning(path)
+    assert back.names() == NAMES
+    assert back.parents.tolist() == list(PARENTS)
+    bound = 2e-3 if "scaled" in kind and path.suffix.startswith(".usd") else 1e-6
+    assert max(differences(model, back).values()) < bound
+    assert report.max_error < bound * 3.2
+
+
+def test_a_flat_model_has_no_hierarchy_when_it_comes_back(path):
+    ssdr.save(flat(creature()), path)
+    assert ssdr.load_skinning(path).parents is None
+
+
+@pytest.mark.parametrize("names", [("a",) * 7, ("a b", "a b", "1", "", "ü", "x/y", "a b")])
+def test_names_that_repeat_or_are_odd_are_made_different(path, names):
+    ssdr.save(dataclasses.replace(creature(), bone_names=names), path)
+    back = ssdr.load_skinning(path)
+    assert len(set(back.names())) == len(names)
+    assert back.parents.tolist() == list(PARENTS)
+
+
+def test_bones_without_length(path):
+    model = creature()
+    at = model.joint_positions.copy()
+    at[4] = at[2]  # the leg begins where the hip does
+    model = dataclasses.replace(model, joint_positions=at)
+    ssdr.save(model, path)
+    assert max(differences(model, ssdr.load_skinning(path)).values()) < 1e-6
+
+
+def test_into_a_template_the_tree_goes_too(path):
+    model, other = creature(), path.with_name("b" + path.suffix)
+    ssdr.save(model, path)
+    read = ssdr.load_skinning(path)
+    ssdr.save(read, other, template=path)
+    back = ssdr.load_skinning(other)
+    assert tree_of(back) == tree_of(model)
+    assert max(differences(model, back).values()) < 1e-6
+    ssdr.save(flat(read), other, template=path)
+    assert ssdr.load_skinning(other).parents is None
+
+
+def test_keyframes_alone_are_written(path):
+    model = tube(frames=21)
+    keys = np.zeros((21, 5), dtype=bool)
+    keys[[0, 20]] = True
+    keys[::4, 1] = True
+    report = ssdr.save(dataclasses.replace(model, keyframes=keys), path)
+    back = ssdr.load_skinning(path)
+    assert (back.n_frames, back.fps) == (21, 24)
+    kept = back.transforms[::4, 1], model.transforms[::4, 1]
+    np.testing.assert_allclose(*kept, atol=2e-6)
+    gap = back.skin(dtype=np.float64) - model.skin()
+    assert report.error == pytest.approx(np.sqrt((gap**2).sum(axis=2).mean()), rel=1e-4)
+    assert report.error > 1e-3
+    if path.suffix.startswith(".usd"):  # all joints of a frame at once: a key of one is one of all
+        from pxr import Usd, UsdSkel
+
+        stage = Usd.Stage.Open(str(path))
+        (animation,) = [p for p in stage.Traverse() if p.IsA(UsdSkel.Animation)]
+        stored = UsdSkel.Animation(animation).GetRotationsAttr().GetTimeSamples()
+        assert stored == [0, 4, 8, 12, 16, 20]
+
+
+def test_the_up_axis_is_turned(path):
+    standing = turn_skinning_up(tube(), "y", "z")
+    assert np.ptp(standing.rest, axis=0).argmax() == 2
+    ssdr.save(standing, path, up="z")
+    options = {"up": "y"} if path.suffix.startswith(".usd") else {}
+    assert largest_distance(ssdr.load(path, **options).vertices, tube().skin()) < 1e-6
+    ssdr.save(turn_skinning_up(creature(), "y", "z"), path, up="z")
+    back = ssdr.load_skinning(path, **options)
+    assert max(differences(creature(), back).values()) < 1e-6
+
+
+def test_points_without_faces_and_one_frame(path):
+    model = tube(frames=1)
+    bare = ssdr.Skinning(model.rest, model.indices, model.weights, model.transforms, fps=30)
+    assert ssdr.save(bare, path).between_frames is None
+    back = ssdr.load(path)
+    assert (len(back.faces), back.fps) == (0, 30)
+    assert largest_distance(back.vertices, bare.skin()) < 1e-6
+
+
+def test_shear_and_odd_options_are_refused_before_anything_is_written(path):
+    model = tube(frames=4)
+    sheared = model.transforms.copy()
+    sheared[3, 2, 0, 1] += 0.5
+    affine = dataclasses.replace(model, transforms=sheared, bone_model="affine")
+    with pytest.raises(ssdr.InputError, match=r"bone 2, frame 3"):
+        ssdr.save(affine, path)
+    for options in ({"up": "x"}, {"influences": 0}, {"influences": 1.5}):
+        with pytest.raises(ssdr.InputError, match=next(iter(options))):
+            ssdr.save(model, path, **options)
+    assert not list(path.parent.iterdir())
+
+
+def test_a_budget_grows_with_the_file_and_ends_at_its_limit():
+    budget = SceneBudget("a.glb", 10)
+    assert budget.most == 1 << 30
+    budget.grow(1 << 22)
+    assert budget.most == 1000 << 22
+    budget.spend(1 << 31, "half")
+    with pytest.raises(ssdr.FormatError, match=r"a\.glb: the rest needs 4294967296 bytes"):
+        budget.spend(1 << 31, "the rest")
+    fixed = SceneBudget("a.glb", 1 << 30, 100)
+    fixed.grow(1 << 30)
+    assert fixed.most == 100
