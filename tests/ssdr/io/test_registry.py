@@ -53,7 +53,7 @@ def test_unknown_suffixes_name_those_that_are_known(tmp_path, wave):
 
 def test_the_page_on_formats_names_them_all():
     page = (Path(__file__).parents[3] / "docs" / "io.md").read_text(encoding="utf-8")
-    table = page[page.index("| suffix") : page.index("Options common")]
+    table = page[page.index("| suffix") : page.index("Options of every format")]
     for suffix, row in FORMATS.items():
         line = next(line for line in table.splitlines() if f"`{suffix}`" in line)
         cells = [cell.strip() for cell in line.strip("|").split("|")]
