@@ -179,6 +179,9 @@ class Parsimony:
 class Smallest(Decomposition):
     """The smallest model that was found to hold a tolerance, or the closest one.
 
+    A smaller model may have a larger error, so that in `history` `rmse` may rise up to the
+    tolerance.
+
     Attributes
     ----------
     parsimony : Parsimony
