@@ -33,7 +33,8 @@ class Start(Stage):
     Attributes
     ----------
     factor : float
-        Bones to start with, relative to those asked for; a merge removes the excess.
+        Bones to start with, relative to those asked for; a merge removes the excess.  Above 1 all
+        of them are from motion, unless the caller locked some.
     influences : int or None
         Influences of the start; None: those asked for.
     """
@@ -53,6 +54,8 @@ class Start(Stage):
         influences = self.influences or run.influences
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
         bones = given.transforms
+        if self.factor > 1 and run.fixed.bones is None:
+            bones = None  # those that are not locked were a start already
         if given.indices is not None and given.weights is not None:
             if bones is None:
                 bones = _patches_of_weights(run, rest, given.indices)

@@ -9,11 +9,11 @@ from ssdr.search.given import Given
 from ssdr.search.run import Schedule
 from ssdr.search.stages import AddAndMerge, Merge, Search
 from ssdr.search.starts import Start
-from ssdr.solver.model import FREE
 
 
 def best_schedule(bones: int, size: float) -> Schedule:
-    return schedule_for("best", fixed=FREE, bones=bones, given=Given(), smoothed=False, size=size)
+    call = {"bone_model": "rigid", "given": Given(), "placed": False, "smoothed": False}
+    return schedule_for("best", bones=bones, size=size, **call)
 
 
 def trials(schedule: Schedule) -> int:
