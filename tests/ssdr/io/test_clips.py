@@ -347,7 +347,7 @@ def test_the_clips_of_the_llama(tmp_path, data_dir, suffix):
     clips = ssdr.list_clips(source)
     assert [c.name for c in clips] == ["Jump", "Idle", "Walk", "Death", "WalkSlow"]
     shots = [ssdr.load(source, clip=c.name, weld=True) for c in clips]
-    model = ssdr.decompose(shots, bones=8, effort="fast").skinning
+    model = ssdr.initialize(shots, bones=8)
     assert model.clips == clips
     path = tmp_path / f"llama{suffix}"
     ssdr.save(model, path)
