@@ -46,7 +46,7 @@ format: $(READY)
 	$(BIN)/ruff format .
 
 docs: $(VENV)/.docs
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/ssdr/test_docs.py
+	SSDR_EXACT_DOCS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/ssdr/test_docs.py
 	rm -rf $(OUT)/docs
 	$(BIN)/python -m sphinx -q -E -W --keep-going -b html -c docs -d $(OUT)/docs-cache . $(OUT)/docs
 	@echo 'The site: $(OUT)/docs/index.html'

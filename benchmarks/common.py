@@ -1,19 +1,24 @@
-"""What the benchmarks share: data, the machine's rates, errors by plain NumPy, tables, charts.
+"""What the benchmarks share: data, errors, fresh processes, results that are kept, tables, charts.
 
-Errors are computed here from the arrays of a model, by code of this file alone.
+A script is its cases and how one of them is measured; ``run`` is its command line.  Each case is
+measured in a process of its own, beside the machine's rates, and its row is written at once to a
+JSON file, ``{"rows": {case: row}}``: what has a row there is not measured again, so that a run can
+be stopped and go on.  Errors are computed here from the arrays of a model, by code of this file.
 """
 
 from __future__ import annotations
 
-import csv
+import argparse
 import functools
+import importlib.util
 import json
 import os
 import platform
 import re
 import subprocess
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -24,10 +29,16 @@ import threadpoolctl
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
+EFFORTS = ("fast", "balanced", "best")
+COLOURS = {"fast": "#e69f00", "balanced": "#0072b2", "best": "#009e73"}
+
+Row = dict[str, Any]
+
+# --- data and errors -----------------------------------------------------------------------------
 
 
 def data_folder() -> Path:
-    """SSDR_TEST_DATA, else the folder shared/data beside the repository."""
+    """Folder that SSDR_TEST_DATA names, else shared/data beside the repository."""
     folder = Path(os.environ.get("SSDR_TEST_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
         raise SystemExit(f"no data: {folder} is not a folder; set SSDR_TEST_DATA")
@@ -35,92 +46,16 @@ def data_folder() -> Path:
 
 
 def load(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frames (F, V, 3) and faces (T, 3) of one of the sequences."""
-    with np.load(data_folder() / f"{name}.npz", allow_pickle=False) as archive:
+    """Frames (F, V, 3) and faces (T, 3) of a sequence in the data folder, or of a sample."""
+    path = ROOT / "ssdr" / "samples" / f"{name}.npz"
+    with np.load(path if path.is_file() else data_folder() / f"{name}.npz") as archive:
         return archive["vertices"], archive["faces"]
-
-
-def _best(function: Callable[[], object], repeats: int) -> float:
-    function()
-    seconds = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - began)
-    return min(seconds)
-
-
-def gemm_rates(n: int = 1024, repeats: int = 4) -> dict[str, float]:
-    """float64 matrix products, GFLOP/s: one thread, and one in each of two threads at once."""
-    rng = np.random.default_rng(0)
-    a, b = rng.standard_normal((2, n, n))
-    with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
-        one = _best(lambda: a @ b, repeats)
-        with ThreadPoolExecutor(2) as pool:
-            both = _best(lambda: list(pool.map(lambda m: m @ b, (a, a))), repeats)
-    return {"gemm_1": 2e-9 * n**3 / one, "gemm_2": 4e-9 * n**3 / both}
-
-
-def memory_bandwidth(megabytes: int = 256, repeats: int = 4) -> float:
-    """GB/s of a copy in one thread, bytes read and bytes written."""
-    source = np.ones(megabytes << 17)
-    target = np.zeros_like(source)
-    return 2e-9 * source.nbytes / _best(lambda: np.copyto(target, source), repeats)
-
-
-def machine() -> dict[str, Any]:
-    """What the run's times depend on, measured now."""
-    return {
-        "cpu": _cpu(),
-        "cores": len(os.sched_getaffinity(0)),
-        "load": round(os.getloadavg()[0], 2),
-        **{key: round(value, 1) for key, value in gemm_rates().items()},
-        "memory": round(memory_bandwidth(), 1),
-        "revision": revision(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-    }
-
-
-@functools.cache
-def revision() -> str | None:
-    """The commit that is measured, with a plus where the solver has changed since."""
-    try:
-        head, changed = (
-            subprocess.run(
-                ["git", *command], cwd=ROOT, capture_output=True, text=True, check=True
-            ).stdout.strip()
-            for command in (("rev-parse", "--short", "HEAD"), ("status", "-s", "-uno", "ssdr"))
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return head + ("+" if changed else "")
-
-
-revision()  # now: what is imported is what is measured, whatever is committed meanwhile
-
-
-def _cpu() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
-
-
-def tell(rates: dict[str, Any]) -> str:
-    return (
-        f"{rates['cpu']}, {rates['cores']} cores, load {rates['load']}; GEMM float64 "
-        f"{rates['gemm_1']} GFLOP/s in one thread, {rates['gemm_2']} in two; "
-        f"copy {rates['memory']} GB/s"
-    )
 
 
 def reskin(
     rest: np.ndarray, indices: np.ndarray, weights: np.ndarray, transforms: np.ndarray
 ) -> np.ndarray:
-    """Positions (F, V, 3) in float64, one slot of the influences after the other."""
+    """Positions (F, V, 3) in float64 by linear blend skinning, one influence after the other."""
     p = np.asarray(rest, dtype=np.float64)
     m = np.asarray(transforms, dtype=np.float64)
     out = np.zeros((len(m), len(p), 3))
@@ -132,6 +67,10 @@ def reskin(
     return out
 
 
+def skinned(model: Any) -> np.ndarray:
+    return reskin(model.rest, model.indices, model.weights, model.transforms)
+
+
 def error_e(reference: np.ndarray, other: np.ndarray) -> float:
     """E = 1000 ‖A − Ã‖_F / sqrt(3 F V), in the files' own units."""
     difference = np.asarray(reference, dtype=np.float64) - other
@@ -139,12 +78,17 @@ def error_e(reference: np.ndarray, other: np.ndarray) -> float:
 
 
 def e_of(frames: np.ndarray, model: Any) -> float:
-    """E of a skinned model against the frames, re-skinned here."""
-    return error_e(frames, reskin(model.rest, model.indices, model.weights, model.transforms))
+    """E of a model against the frames."""
+    return error_e(frames, skinned(model))
+
+
+def rmse_of(frames: np.ndarray, model: Any) -> float:
+    """Root mean square distance of a vertex."""
+    return float(np.sqrt(3)) * e_of(frames, model) / 1000
 
 
 def defects(model: Any, bones: int, influences: int) -> list[str]:
-    """What is wrong with a model; empty if nothing is."""
+    """Defects of a model in words."""
     found = []
     if model.transforms.shape[1] != bones:
         found.append(f"{model.transforms.shape[1]} bones, not {bones}")
@@ -165,24 +109,185 @@ def defects(model: Any, bones: int, influences: int) -> list[str]:
     return found
 
 
+def compile_kernels() -> None:
+    """Compile or load the solver's kernels, which timings leave out."""
+    import ssdr
+
+    ssdr.decompose(np.random.default_rng(0).standard_normal((4, 30, 3)), bones=2, effort="fast")
+
+
+# --- the machine ---------------------------------------------------------------------------------
+
+
+def quickest(function: Callable[[], object], repeats: int) -> float:
+    """Least seconds of several calls, after one that is not counted."""
+    function()
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        function()
+        seconds.append(time.perf_counter() - began)
+    return min(seconds)
+
+
+def machine() -> Row:
+    """Rates of this machine, measured now.
+
+    GFLOP/s of float64 matrix products in one thread and in two at once, GB/s read and written by a
+    copy in one thread, and the load.
+    """
+    n, repeats = 1024, 4
+    a, b = np.random.default_rng(0).standard_normal((2, n, n))
+    source = np.ones(1 << 25)
+    target = np.zeros_like(source)
+    with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
+        one = quickest(lambda: a @ b, repeats)
+        with ThreadPoolExecutor(2) as pool:
+            both = quickest(lambda: list(pool.map(lambda m: m @ b, (a, a))), repeats)
+    copy = quickest(lambda: np.copyto(target, source), repeats)
+    return {
+        "cpu": _cpu(),
+        "cores": len(os.sched_getaffinity(0)),
+        "load": round(os.getloadavg()[0], 2),
+        "gemm_1": round(2e-9 * n**3 / one, 1),
+        "gemm_2": round(4e-9 * n**3 / both, 1),
+        "memory": round(2e-9 * source.nbytes / copy, 1),
+        "revision": revision(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+@functools.cache
+def revision() -> str | None:
+    """Commit that is measured, with a plus if the package has been changed since."""
+    try:
+        head, changed = (
+            subprocess.run(
+                ["git", *command], cwd=ROOT, capture_output=True, text=True, check=True
+            ).stdout.strip()
+            for command in (("rev-parse", "--short", "HEAD"), ("status", "-s", "-uno", "ssdr"))
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head + ("+" if changed else "")
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def tell(rates: Row) -> str:
+    return (
+        f"{rates['cpu']}, {rates['cores']} cores, load {rates['load']}; GEMM float64 "
+        f"{rates['gemm_1']} GFLOP/s in one thread, {rates['gemm_2']} in two; "
+        f"copy {rates['memory']} GB/s"
+    )
+
+
+def peak_memory(what: str = "VmHWM") -> float:
+    """Most MiB that this process held, or the MiB of another line of /proc/self/status."""
+    text = Path("/proc/self/status").read_text()
+    line = next(line for line in text.splitlines() if line.startswith(what))
+    return int(line.split()[1]) / 1024
+
+
+# --- a script's command line ---------------------------------------------------------------------
+
+
+def fresh(words: Sequence[str], *, threads: int = 1, **environment: str) -> Row:
+    """Run Python in a new process; returns its last line of output, which is JSON."""
+    settings = {
+        "PYTHONPATH": str(ROOT),
+        "SSDR_NUM_THREADS": str(threads),
+        "OMP_NUM_THREADS": str(threads),
+        "OPENBLAS_NUM_THREADS": str(threads),
+    }
+    done = subprocess.run(
+        [sys.executable, *words],
+        env=os.environ | settings | environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def read_rows(path: Path) -> dict[str, Row]:
+    """Rows of a results file by case; none where there is no file."""
+    return dict(json.loads(path.read_text("utf-8"))["rows"]) if path.is_file() else {}
+
+
+def write_rows(path: Path, rows: Mapping[str, Row]) -> None:
+    write_json(path, {"rows": rows})
+
+
 def write_json(path: Path, content: Any) -> None:
+    """Write a file whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(content, indent=1, ensure_ascii=False)
     # lists of numbers, and of pairs of them, on one line each
     flat = r"\[(?:[^\[\]{}]|\[[^\[\]{}]*\])*\]"
     text = re.sub(flat, lambda match: re.sub(r"\s+", " ", match.group()), text)
-    path.write_text(text + "\n", encoding="utf-8")
+    part = path.with_suffix(".part")
+    part.write_text(text + "\n", encoding="utf-8")
+    part.replace(path)
 
 
-def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+def run(
+    script: str,
+    doc: str,
+    cases: Mapping[str, Row],
+    measure: Callable[..., Row],
+    columns: Sequence[str],
+    chart: Callable[[dict[str, Row], Path], None] | None = None,
+) -> None:
+    """Measure the cases that the command line names, keep their rows, and report.
+
+    A case is the arguments of ``measure``, which runs in a process of its own.
+    """
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="cases whose name contains one")
+    parser.add_argument("--again", action="store_true", help="also cases that have a result")
+    parser.add_argument("--report", action="store_true", help="table and chart, no measurement")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--set", nargs="+", default=[], metavar="NAME=VALUE", help="effort=fast: of every case"
+    )
+    default = RESULTS / f"{Path(script).stem}.json"
+    parser.add_argument("--out", type=Path, default=default, help="results")
+    parser.add_argument("--images", type=Path, default=IMAGES, help="folder of the charts")
+    parser.add_argument("--case", help=argparse.SUPPRESS)  # measure one case in this process
+    args = parser.parse_args()
+    changes = dict(pair.split("=", 1) for pair in args.set)
+    changes = {k: int(v) if v.isdecimal() else v for k, v in changes.items()}
+    if args.case:
+        print(json.dumps(measure(**cases[args.case] | changes)))
+        return
+    only = args.only or [""]
+    names = {" ".join([c, *args.set]): c for c in cases if any(text in c for text in only)}
+    rows = read_rows(args.out)
+    for name, case in names.items():
+        if args.report or (name in rows and not args.again):
+            continue
+        rates = machine()
+        words = ["--set", *args.set] if changes else []
+        row = fresh([script, "--case", case, *words], threads=args.threads)
+        rows[name] = {"threads": args.threads, "machine": rates, **cases[case], **changes, **row}
+        write_rows(args.out, rows)
+        shown = {k: v for k, v in row.items() if not isinstance(v, list | dict)}
+        print(name, json.dumps(shown), flush=True)
+    if chart is not None and importlib.util.find_spec("matplotlib"):
+        chart({case: rows[case] for case in cases if case in rows}, args.images)
+    print(table([{"case": n} | rows[n] for n in names if n in rows], ["case", *columns]))
 
 
-def table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
+def table(rows: Sequence[Row], columns: Sequence[str]) -> str:
     """Rows as a Markdown table."""
     lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     for row in rows:
@@ -192,9 +297,12 @@ def table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
 
 
 def _cell(value: Any) -> str:
-    if value is None:
+    if value is None or isinstance(value, list | dict):
         return ""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+# --- charts --------------------------------------------------------------------------------------
 
 
 def pyplot() -> Any:
@@ -217,20 +325,30 @@ def pyplot() -> Any:
 
 
 def plain_log_ticks(axis: Any) -> None:
-    """Ticks of a logarithmic y axis as plain numbers, also where it spans less than a decade."""
+    """Label a logarithmic y axis with plain numbers, also where it spans less than a decade."""
     from matplotlib.ticker import LogLocator
 
     axis.yaxis.set_major_formatter("{x:g}")
     low, high = axis.get_ylim()
-    if low > 0 and high > 1e4 * low:  # the decades alone fill the axis
+    if low > 0 and high > 1e4 * low:  # labels of the decades are enough
         return
     axis.yaxis.set_minor_locator(LogLocator(subs=(2, 3, 5)))
     axis.yaxis.set_minor_formatter("{x:g}")
 
 
-def save_figure(figure: Any, path: Path) -> None:
+def number_ticks(axis: Any, values: Iterable[float]) -> None:
+    """Label a logarithmic x axis with these numbers alone."""
+    ticks = sorted(set(values))
+    axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_xticks([], minor=True)
+
+
+def save_figure(figure: Any, path: Path, *, tight: bool = True) -> None:
+    """Write a picture without date and version, so that the same figures give the same file."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.tight_layout()
-    # no date and no version of the library: the same figures give the same file
-    tight = "tight" if figure.legends else None  # one that stands beside the panels
-    figure.savefig(path, metadata={"Software": None}, bbox_inches=tight)
+    if tight:
+        figure.tight_layout()
+    # a legend of the figure stands outside the panels
+    beside = "tight" if tight and figure.legends else None
+    figure.savefig(path, metadata={"Software": None}, bbox_inches=beside)
+    pyplot().close(figure)

@@ -16,15 +16,16 @@ _HOME = {
     "Decomposition": "result",
     "FormatError": "errors",
     "InputError": "errors",
-    "Material": "sequence",
+    "Material": "surface",
     "MeshSequence": "sequence",
     "Mirror": "joints.mirror",
     "MissingDependencyError": "errors",
     "Skinning": "skinning",
-    "SolverState": "search.state",
+    "Skeleton": "start",
     "SsdrError": "errors",
     "SsdrWarning": "errors",
-    "Surface": "sequence",
+    "Start": "start",
+    "Surface": "surface",
     "WeldReport": "sequence",
     "decompose": "decomposition",
     "find_mirror": "joints.mirror",
@@ -39,7 +40,8 @@ _HOME = {
     "load_skinning": "io",
     "save": "io",
     "set_threads": "parallel",
-    "skin": "skinning",
+    "skin": "lbs",
+    "smallest": "parsimony.smallest",
 }
 _MODULES = (
     "errors",
@@ -64,10 +66,11 @@ __all__ = [
     "MeshSequence",
     "Mirror",
     "MissingDependencyError",
+    "Skeleton",
     "Skinning",
-    "SolverState",
     "SsdrError",
     "SsdrWarning",
+    "Start",
     "Surface",
     "WeldReport",
     "__version__",
@@ -95,6 +98,7 @@ __all__ = [
     "set_threads",
     "skin",
     "skinning",
+    "smallest",
 ]
 
 if TYPE_CHECKING:
@@ -115,12 +119,15 @@ if TYPE_CHECKING:
     from .fit.weights import fit_weights
     from .io import list_clips, load, load_skinning, save
     from .joints.mirror import Mirror, find_mirror
+    from .lbs import skin
     from .parallel import get_threads, set_threads
+    from .parsimony.smallest import smallest
     from .result import Decomposition
     from .rigid import kabsch
-    from .search.state import SolverState
-    from .sequence import Material, MeshSequence, Surface, WeldReport
-    from .skinning import Skinning, skin
+    from .sequence import MeshSequence, WeldReport
+    from .skinning import Skinning
+    from .start import Skeleton, Start
+    from .surface import Material, Surface
 
 
 def __getattr__(name: str) -> Any:

@@ -1,105 +1,58 @@
-"""Arguments that several public functions share, checked once at the door."""
+"""Arguments, checked once where they come in: each error names what was expected and what came."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError, check_choice, is_real, is_whole
-from .sequence import MeshSequence
-from .skinning import BoneModel
 
 __all__ = [
     "LARGEST",
-    "as_sequences",
+    "BoneModel",
+    "as_array",
     "check_bone_model",
-    "check_bones",
-    "check_count",
+    "check_faces",
+    "check_floats",
+    "check_frames",
     "check_importance",
-    "check_index",
     "check_influences",
     "check_mask",
     "check_nonnegative",
-    "check_rest",
     "check_rng",
+    "check_skin",
+    "check_smoothness",
     "check_squarable",
     "check_transforms",
-    "check_weights",
+    "check_whole",
     "parse_tolerance",
 ]
 
-_LARGEST_INDEX = int(np.iinfo(np.int32).max)
-
+BoneModel = Literal["rigid", "similarity", "affine"]
 Array = NDArray[np.float64]
 
-
-_EXPECTED = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
+LARGEST = 1e100  # bound on numbers whose squares are summed
+_MOST_INFLUENCES = 64
+_LEAST_DETERMINANT = 1e-12  # of an affine bone: below, it is flat
+_OFF = 1e-4  # by which weights may miss the sum 1, and rotations orthogonality
+_ROUNDING = 1e-13  # by which rotations miss it in double precision: they stay as they are
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
-LARGEST = 1e100  # of what is summed in squares
+
+# --- numbers -----------------------------------------------------------------------------------
 
 
-def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
-    """A sequence, several shots of one mesh, or plain (F, V, 3) frames and faces."""
-    if isinstance(sequence, MeshSequence):
-        shots = [sequence]
-    elif (
-        isinstance(sequence, Sequence)
-        and len(sequence) > 0
-        and any(isinstance(s, MeshSequence) for s in sequence)
-    ):
-        shots = list(sequence)
-    elif (
-        isinstance(sequence, Sequence)
-        and len(sequence) > 0
-        and all(getattr(s, "ndim", 0) == 3 for s in sequence)
-    ):
-        raise InputError(
-            "sequence",
-            "several shots as a list of MeshSequence",
-            f"a list of {len(sequence)} arrays (F, V, 3)",
-        )
-    else:
-        return [MeshSequence(sequence, faces)]
-    if faces is not None:
-        raise InputError("faces", "None beside a MeshSequence, which has its own", type(faces))
-    for k, shot in enumerate(shots):
-        if not isinstance(shot, MeshSequence):
-            raise InputError(f"sequence[{k}]", "a MeshSequence", type(shot).__name__)
-        if shot.n_vertices != shots[0].n_vertices:
-            raise InputError(
-                f"sequence[{k}]",
-                f"{shots[0].n_vertices} vertices, as in the first shot",
-                shot.n_vertices,
-            )
-        if not np.array_equal(shot.faces, shots[0].faces):
-            raise InputError(f"sequence[{k}].faces", "the faces of the first shot", "others")
-    return shots
-
-
-def _integer(value: Any, argument: str, expected: str) -> int:
-    if not is_whole(value):
-        raise InputError(argument, expected, repr(value))
+def check_whole(
+    value: Any, argument: str, least: int, most: int | None = None, note: str = ""
+) -> int:
+    """An integer from `least` to `most`; `note` ends the description of what was expected."""
+    expected = f"an integer >= {least}" if most is None else f"an integer from {least} to {most}"
+    if not is_whole(value) or value < least or (most is not None and value > most):
+        raise InputError(argument, f"{expected}{note}", repr(value))
     return int(value)
-
-
-def check_count(value: Any, argument: str, expected: str = "an integer >= 1") -> int:
-    count = _integer(value, argument, expected)
-    if count < 1:
-        raise InputError(argument, expected, count)
-    return count
-
-
-def check_index(value: Any, argument: str, count: int) -> int:
-    expected = f"an integer from 0 to {count - 1}"
-    index = _integer(value, argument, expected)
-    if not 0 <= index < count:
-        raise InputError(argument, expected, index)
-    return index
 
 
 def check_nonnegative(value: Any, argument: str, expected: str) -> float:
@@ -109,12 +62,15 @@ def check_nonnegative(value: Any, argument: str, expected: str) -> float:
     return float(value)
 
 
-def check_bones(bones: Any, n_vertices: int) -> int:
-    expected = f"an integer from 1 to {n_vertices} (the number of vertices)"
-    count = _integer(bones, "bones", expected)
-    if not 1 <= count <= n_vertices:
-        raise InputError("bones", expected, count)
-    return count
+def check_smoothness(smoothness: Any, faces: NDArray[np.int32]) -> float:
+    value = check_nonnegative(smoothness, "smoothness", "a length >= 0 in the mesh's units")
+    if value > 0 and len(faces) == 0:
+        raise InputError("smoothness", "0 for a mesh without faces", smoothness)
+    return value
+
+
+def check_influences(influences: Any) -> int:
+    return check_whole(influences, "influences", 1, _MOST_INFLUENCES)
 
 
 def check_bone_model(bone_model: Any) -> BoneModel:
@@ -123,61 +79,194 @@ def check_bone_model(bone_model: Any) -> BoneModel:
     return model
 
 
-def check_influences(influences: Any) -> int:
-    expected = "an integer from 1 to 64"
-    count = _integer(influences, "influences", expected)
-    if not 1 <= count <= 64:
-        raise InputError("influences", expected, count)
-    return count
-
-
 def check_rng(rng: Any) -> np.random.Generator:
     if isinstance(rng, np.random.Generator):
-        # one kind inside, whatever the caller's: its state is saved and restored as plain numbers
-        return np.random.default_rng(int(rng.integers(2**63)))
-    seed = _integer(rng, "rng", "a non-negative integer or a numpy.random.Generator")
-    if seed < 0:
-        raise InputError("rng", "a non-negative integer or a numpy.random.Generator", seed)
+        return rng
+    seed = check_whole(rng, "rng", 0, note=" or a numpy.random.Generator")
     return np.random.default_rng(seed)
 
 
-def _finite(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
+def parse_tolerance(tolerance: Any, diagonal: float) -> float:
+    """A tolerance in the mesh's units, from a length or a share such as ``"0.5%"``.
+
+    Raises
+    ------
+    InputError
+        If it is neither a positive length nor a positive share of the diagonal.
+    """
+    number, unit = math.nan, 1.0
+    if isinstance(tolerance, str):
+        match = _SHARE.fullmatch(tolerance)
+        unit = diagonal / 100
+        try:
+            number = float(match[1]) if match else math.nan
+        except ValueError:  # such as 1.2.3
+            number = math.nan
+    elif is_real(tolerance):
+        number = float(tolerance)
+    if not (math.isfinite(number) and number > 0):
+        expected = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
+        raise InputError("tolerance", expected, repr(tolerance))
+    return number * unit
+
+
+# --- arrays ------------------------------------------------------------------------------------
+
+
+def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
+    """The value as an array.
+
+    Raises
+    ------
+    InputError
+        If it is ragged or no sequence of numbers.
+    """
     try:
-        array = np.asarray(value)
-        real = array.dtype.kind != "c"
-        array = array.astype(np.float64, copy=False) if real else array
+        return np.asarray(value)
     except (TypeError, ValueError) as error:
-        raise InputError(argument, f"numbers of shape {shape}", str(error)) from error
-    if not real:
-        raise InputError(argument, "real numbers", f"dtype {array.dtype}")
+        raise InputError(argument, expected, str(error)) from error
+
+
+def check_floats(
+    value: Any, argument: str, shape: tuple[int | str, ...], *, copy: bool = False
+) -> NDArray[np.floating]:
+    """Real, finite numbers as a contiguous array of float32 or float64.
+
+    Parameters
+    ----------
+    value : array_like
+    argument : str
+    shape : tuple of int and str
+        A letter stands for any size but 0.
+    copy : bool
+        Return float64 that the caller does not hold: a callback may write to what it handed over.
+    """
+    wanted = f"shape ({', '.join(str(s) for s in shape)})"
+    array = as_array(value, argument, f"numbers of {wanted}")
     if array.ndim != len(shape) or any(
         isinstance(s, int) and s != n for s, n in zip(shape, array.shape, strict=True)
     ):
-        raise InputError(argument, f"shape {shape}", f"shape {array.shape}")
+        raise InputError(argument, wanted, f"shape {array.shape}")
+    if array.size == 0:
+        raise InputError(argument, f"{wanted}, none of them 0", f"shape {array.shape}")
+    if array.dtype.kind not in "fiu":
+        raise InputError(argument, "real numbers", f"dtype {array.dtype}")
+    if copy:
+        array = np.array(array, dtype=np.float64, order="C")
+    elif array.dtype not in (np.dtype(np.float32), np.dtype(np.float64)):
+        array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise InputError(argument, "finite numbers", "NaN or Inf")
-    return np.array(array, order="C")  # a copy: a callback may write to the caller's
+    return np.ascontiguousarray(array)
 
 
-def _squarable(value: Any, argument: str, shape: tuple[Any, ...]) -> Array:
-    array = _finite(value, argument, shape)
-    check_squarable(array, argument, f"numbers of less than {LARGEST:g}")
-    return array
+def check_squarable(array: NDArray[np.floating], argument: str, expected: str = "") -> None:
+    """Refuse numbers whose squares cannot be summed."""
+    if array.size and not np.abs(array).max() < LARGEST:
+        raise InputError(argument, expected or f"numbers of less than {LARGEST:g}", "larger ones")
 
 
-def check_rest(rest: Any, n_vertices: int) -> Array:
-    return _squarable(rest, "rest", (n_vertices, 3))
+def check_frames(frames: Any, n_frames: int) -> Any:
+    """A slice, mask or list of indices that picks frames from an array."""
+    if isinstance(frames, slice):
+        return frames
+    index = np.atleast_1d(np.asarray(frames))
+    if index.dtype == bool and index.shape == (n_frames,):
+        return index
+    usable = index.ndim == 1 and (index.dtype.kind in "iu" or index.size == 0)
+    if not usable or (index.size and not -n_frames <= index.min() <= index.max() < n_frames):
+        raise InputError("frames", f"indices below {n_frames}, a slice or a mask", frames)
+    return index.astype(np.intp)
 
 
-def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "rigid") -> Array:
+def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | None:
+    """A mask of `count` entries, from a mask or from indices; None stays None."""
+    if value is None:
+        return None
+    array = as_array(value, argument, "a mask or a list of indices")
+    if array.dtype == bool:
+        if array.shape != (count,):
+            raise InputError(argument, f"a mask of shape ({count},)", f"shape {array.shape}")
+        return array.copy()
+    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
+        raise InputError(argument, "a mask or a list of indices", f"{array.dtype} {array.shape}")
+    mask = np.zeros(count, dtype=bool)
+    if array.size:
+        _check_range(array, argument, count)
+        mask[array] = True
+    return mask
+
+
+def check_importance(value: Any, argument: str, count: int) -> Array | None:
+    """Non-negative importance, not all zero, scaled to a maximum of 1; only ratios count."""
+    if value is None:
+        return None
+    if isinstance(value, np.ndarray) and value.dtype == bool:  # a mask of what counts
+        value = value.astype(np.float64)
+    array = check_floats(value, argument, (count,), copy=True)
+    if (array < 0).any() or not array.max() > 0:
+        raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
+    return np.asarray(array / array.max())
+
+
+# --- parts of a mesh and of a model ------------------------------------------------------------
+
+
+def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray[np.int32]:
+    """Triangles (T, 3), from None none; the first index out of range is named."""
+    wanted = "an array of shape (T, 3)"
+    array = as_array(() if faces is None else faces, argument, wanted)
+    if array.size == 0:
+        return np.zeros((0, 3), dtype=np.int32)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(argument, wanted, f"shape {array.shape}")
+    if array.dtype.kind not in "iu":
+        raise InputError(argument, "integers", f"dtype {array.dtype}")
+    bad = (array < 0) | (array >= n_vertices)
+    if bad.any():
+        row, corner = (int(k) for k in np.argwhere(bad)[0])
+        raise InputError(
+            argument,
+            f"indices from 0 to {n_vertices - 1}",
+            f"{array[row, corner]} in face {row} ({int(bad.sum())} such indices)",
+        )
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def check_skin(
+    indices: Any, weights: Any, n_vertices: int, n_bones: int | None = None, prefix: str = ""
+) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
+    """Bones and weights (V, K) of every vertex: weights >= 0 whose rows sum to 1 within 1e-4.
+
+    `prefix` leads to the arguments in messages, such as ``"start."``.
+    """
+    w = check_floats(weights, f"{prefix}weights", (n_vertices, "K"))
+    j = as_array(indices, f"{prefix}indices", f"integers of shape {w.shape}")
+    if j.shape != w.shape or j.dtype.kind not in "iu":
+        came = f"{j.dtype} {j.shape}"
+        raise InputError(f"{prefix}indices", f"integers of shape {w.shape}", came)
+    _check_range(j, f"{prefix}indices", np.iinfo(np.int32).max if n_bones is None else n_bones)
+    if w.min() < 0:
+        raise InputError(f"{prefix}weights", "numbers >= 0", f"{w.min()}")
+    off = np.abs(w.sum(axis=1, dtype=np.float64) - 1)
+    if off.max() > _OFF:
+        worst = int(off.argmax())
+        came = f"{w[worst].sum()} at vertex {worst}"
+        raise InputError(f"{prefix}weights", "rows that sum to 1", came)
+    return np.ascontiguousarray(j, dtype=np.int32), w
+
+
+def check_transforms(
+    transforms: Any, n_frames: int, bone_model: BoneModel = "rigid", prefix: str = ""
+) -> Array:
     """Transforms (F, B, 3, 4) that the bone model allows.
 
-    Rotations, scaled or not, orthogonal to 1e-4 and then cleaned; affine maps
-    that keep orientation.
+    Rotations, scaled or not, may be off orthogonal by 1e-4 and come back orthogonal; affine maps
+    keep orientation.  `prefix` leads to the argument in messages, such as ``"start."``.
     """
-    m = _squarable(transforms, "transforms", (n_frames, "B", 3, 4))
-    if m.shape[1] < 1:
-        raise InputError("transforms", "at least one bone", f"shape {m.shape}")
+    argument = f"{prefix}transforms"
+    m = check_floats(transforms, argument, (n_frames, "B", 3, 4), copy=True)
+    check_squarable(m, argument)
     r = m[..., :3]
     expected = {
         "rigid": "rigid transforms (rotations, det +1)",
@@ -189,104 +278,27 @@ def check_transforms(transforms: Any, n_frames: int, bone_model: BoneModel = "ri
     if bone_model != "rigid":
         size = np.sqrt(np.trace(gram, axis1=2, axis2=3) / 3)
     if not (size > 0).all():
-        raise InputError("transforms", expected, "a 3×3 block of zeros")
+        raise InputError(argument, expected, "a 3×3 block of zeros")
+    det, off = np.linalg.det(r / size[..., None, None]), 0.0
     if bone_model != "affine":
-        off = np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max()
-        if off > 1e-4:
-            raise InputError("transforms", expected, f"off by {off:.2g}")
-    det = np.linalg.det(r / size[..., None, None])
+        off = float(np.abs(gram / size[..., None, None] ** 2 - np.eye(3)).max())
+        if off > _OFF:
+            raise InputError(argument, expected, f"off by {off:.2g}")
     if (det < 0).any():
-        raise InputError("transforms", expected, "a reflection")
+        raise InputError(argument, expected, "a reflection")
     if bone_model == "affine":
-        if not (det > 1e-12).all():
-            raise InputError("transforms", expected, "a singular 3×3 block")
-        return m
+        if not (det > _LEAST_DETERMINANT).all():
+            raise InputError(argument, expected, "a singular 3×3 block")
+        return np.asarray(m, dtype=np.float64)
+    if off <= _ROUNDING:
+        return np.asarray(m, dtype=np.float64)
     u, _, vt = np.linalg.svd(r)
-    clean = m.copy()
-    clean[..., :3] = (u @ vt) * size[..., None, None]
-    return clean
+    m[..., :3] = (u @ vt) * size[..., None, None]
+    return np.asarray(m, dtype=np.float64)
 
 
-def check_weights(indices: Any, weights: Any, n_vertices: int) -> tuple[NDArray[np.int32], Array]:
-    """Joints and weights (V, K): non-negative rows that sum to 1 within 1e-4."""
-    w = _finite(weights, "weights", (n_vertices, "K"))
-    try:
-        j = np.asarray(indices)
-    except (TypeError, ValueError) as error:
-        raise InputError("indices", f"integers of shape {w.shape}", str(error)) from error
-    if j.shape != w.shape or j.dtype.kind not in "iu":
-        raise InputError("indices", f"integers of shape {w.shape}", f"{j.dtype} {j.shape}")
-    if j.size and j.min() < 0:
-        raise InputError("indices", "indices >= 0", int(j.min()))
-    if j.size and j.max() > _LARGEST_INDEX:
-        raise InputError("indices", f"indices up to {_LARGEST_INDEX}", int(j.max()))
-    if (w < 0).any():
-        raise InputError("weights", "numbers >= 0", float(w.min()))
-    total = w.sum(axis=1)
-    if w.shape[1] < 1 or np.abs(total - 1).max() > 1e-4:
-        worst = int(np.abs(total - 1).argmax()) if w.shape[1] else 0
-        raise InputError("weights", "rows that sum to 1", f"{total[worst]} at vertex {worst}")
-    return np.array(j, dtype=np.int32, order="C"), w / total[:, None]
-
-
-def check_importance(value: Any, argument: str, count: int) -> Array | None:
-    """Non-negative importance, not all zero, with a maximum of 1 (only ratios count)."""
-    if value is None:
-        return None
-    array = _finite(value, argument, (count,))
-    if (array < 0).any() or not array.max() > 0:
-        raise InputError(argument, "numbers >= 0, not all 0", f"minimum {array.min()}")
-    shares: Array = array / array.max()
-    return shares
-
-
-def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | None:
-    """A mask of `count` entries, given as such or as indices."""
-    if value is None:
-        return None
-    try:
-        array = np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise InputError(argument, "a mask or a list of indices", str(error)) from error
-    if array.dtype == bool:
-        if array.shape != (count,):
-            raise InputError(argument, f"a mask of shape ({count},)", f"shape {array.shape}")
-        return array.copy()
-    if array.ndim != 1 or (array.size and array.dtype.kind not in "iu"):
-        raise InputError(argument, "a mask or a list of indices", f"{array.dtype} {array.shape}")
-    mask = np.zeros(count, dtype=bool)
-    if array.size:
-        if array.min() < 0 or array.max() >= count:
-            raise InputError(
-                argument, f"indices from 0 to {count - 1}", f"{array.min()} to {array.max()}"
-            )
-        mask[array] = True
-    return mask
-
-
-def parse_tolerance(tolerance: Any, diagonal: float) -> float:
-    """A tolerance in the mesh's units.
-
-    Raises
-    ------
-    InputError
-        If it is neither a positive length nor a positive share of the diagonal.
-    """
-    if isinstance(tolerance, str):
-        match = _SHARE.fullmatch(tolerance)
-        try:
-            share = float(match[1]) / 100 if match else math.nan
-        except ValueError:
-            share = math.nan
-        if not (math.isfinite(share) and share > 0):
-            raise InputError("tolerance", _EXPECTED, repr(tolerance))
-        return share * diagonal
-    if not (is_real(tolerance) and float(tolerance) > 0):
-        raise InputError("tolerance", _EXPECTED, repr(tolerance))
-    return float(tolerance)
-
-
-def check_squarable(array: NDArray[np.floating], argument: str, expected: str) -> None:
-    """Whether its numbers can be squared and summed."""
-    if array.size and not np.abs(array).max() < LARGEST:
-        raise InputError(argument, expected, "larger ones")
+def _check_range(array: NDArray[Any], argument: str, count: int) -> None:
+    if array.size and (array.min() < 0 or array.max() >= count):
+        raise InputError(
+            argument, f"indices from 0 to {count - 1}", f"{array.min()} to {array.max()}"
+        )

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from .checks import check_whole
 from .errors import InputError, is_real, is_whole
 
 if TYPE_CHECKING:
@@ -68,10 +69,10 @@ class Clip:
 
 
 class OneClip(tuple[Clip, ...]):
-    """The clips of a model that has one, which spans all frames at the model's rate.
+    """The only clip of a model, which has all its frames and its rate.
 
-    ``dataclasses.replace(model, fps=30)`` hands the old clip on beside the new rate; this type
-    tells it from a clip that a caller has stated, which must agree with the rate.
+    ``dataclasses.replace(model, fps=30)`` passes the old clip together with the new rate.  This
+    type marks a clip that then takes the new rate; a clip given by the caller must agree with it.
     """
 
     __slots__ = ()
@@ -85,8 +86,8 @@ def check_clips(
     Raises
     ------
     InputError
-        If the clips are not ranges one behind the other that cover all frames, two have one
-        name, or `fps` is not the rate of the first.
+        If the clips are not consecutive ranges that cover all frames, two have the same name, or
+        `fps` is not the rate of the first.
     """
     if fps is not None and not (is_real(fps) and fps > 0):
         raise InputError("fps", "a positive number", repr(fps))
@@ -116,7 +117,7 @@ def check_clips(
 
 
 def in_order(clips: Iterable[Clip]) -> tuple[Clip, ...]:
-    """The clips one behind the other, from frame 0 on."""
+    """The clips, moved to consecutive ranges from frame 0 on."""
     result: list[Clip] = []
     for clip in clips:
         first = result[-1].stop if result else 0
@@ -130,10 +131,10 @@ def one_rate(clips: Sequence[Clip]) -> bool:
 
 
 def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
-    """Name, frame rate and clips of the model of several sequences of one mesh.
+    """Name, frame rate and clips of a model of several sequences of one mesh.
 
-    A clip is named after its sequence's clip, else after the sequence; the model after the
-    sequences where these have one name, and not at all where they differ.
+    A clip has the name of its sequence's clip, else that of the sequence.  The model has the name
+    of the sequences if they share one, else none.
     """
     several = len(sequences) > 1
     names = [s.clip or s.name or (f"clip_{k}" if several else "") for k, s in enumerate(sequences)]
@@ -146,7 +147,7 @@ def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
 
 
 def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
-    """Number of the clip of that name or number; the first where `clip` is None.
+    """Index of a clip that is given by name or index; 0 for None.
 
     Raises
     ------
@@ -155,24 +156,20 @@ def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
     """
     if clip is None:
         return 0
-    if isinstance(clip, str):
-        if clip in names:
-            return list(names).index(clip)
-        raise InputError(argument, f"one of {list(names)}", repr(clip))
+    if isinstance(clip, str) and clip in names:
+        return list(names).index(clip)
     if not is_whole(clip):
         raise InputError(argument, f"one of {list(names)}", repr(clip))
-    if not 0 <= clip < len(names):
-        raise InputError(argument, f"a number from 0 to {len(names) - 1}", clip)
-    return int(clip)
+    return check_whole(clip, argument, 0, len(names) - 1)
 
 
 def readable(name: object) -> str:
-    """A name as text without what files cannot hold: zeros, halves of surrogate pairs."""
+    """A name as text without what files cannot hold: NUL and lone surrogates."""
     return str(name).replace("\0", "").encode("utf-8", "replace").decode()
 
 
 def unique_names(names: Sequence[str], default: str = "bone") -> tuple[str, ...]:
-    """Names that differ, a number behind those that would not."""
+    """Distinct names: a name that occurred before gets a number at its end."""
     seen: set[str] = set()
     result = []
     for name in names:

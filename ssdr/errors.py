@@ -1,4 +1,4 @@
-"""Every error and warning that this package raises of its own.
+"""Errors and warnings of this package, and the smallest checks of arguments.
 
 All errors derive from :class:`SsdrError`, so that one ``except`` catches them;
 those about an argument or a file are ``ValueError`` as well.
@@ -83,7 +83,7 @@ class MissingDependencyError(SsdrError, ImportError):
 
 
 class Cancelled(SsdrError):
-    """A callback asked to stop and there is no result to hand back yet.
+    """A callback asked to stop before there was a result.
 
     Examples
     --------
@@ -97,7 +97,7 @@ class Cancelled(SsdrError):
 
 
 class SsdrWarning(UserWarning):
-    """Something was solved, but not in the way that the caller may expect.
+    """A result is not what the caller may expect.
 
     Examples
     --------
@@ -111,12 +111,12 @@ class SsdrWarning(UserWarning):
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Whether it is an integer, which True and False are not."""
+    """Whether a value is an integer; True and False are none."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
-    """Whether it is a real number, which True, False and complex numbers are not."""
+    """Whether a value is a real number; True, False and complex numbers are none."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False
     try:
@@ -126,20 +126,20 @@ def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
 
 
 def check_flag(value: object, argument: str) -> bool:
-    """True or False, and nothing that only counts as one of them."""
+    """The value, which must be True or False."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(argument, "True or False", repr(value))
     return bool(value)
 
 
 def check_choice(value: object, argument: str, choices: Any) -> None:
-    """Whether it is one of the strings of a ``Literal``."""
+    """Refuse a value that is none of the strings of a ``Literal``."""
     if not isinstance(value, str) or value not in get_args(choices):
         raise InputError(argument, f"one of {get_args(choices)}", repr(value))
 
 
 def error_text(error: BaseException) -> str:
-    """What an error says; the file's name and the reason where the system refused."""
+    """Message of an error; of an error of the system the file and the reason."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or type(error).__name__

@@ -65,13 +65,11 @@ def skin(
         raise InputError("indices", f"integers of shape ({len(p)}, K)", f"{j.dtype} {j.shape}")
     if w.shape != j.shape:
         raise InputError("weights", f"shape {j.shape}", f"shape {w.shape}")
-    single = m.ndim == 3
     if m.ndim not in (3, 4) or m.shape[-2:] != (3, 4):
         raise InputError("transforms", "shape (F, B, 3, 4) or (B, 3, 4)", f"shape {m.shape}")
-    if j.size and (j.min() < 0 or j.max() >= m.shape[-3]):
-        raise InputError(
-            "indices", f"indices from 0 to {m.shape[-3] - 1}", f"{j.min()} to {j.max()}"
-        )
+    if j.size and not 0 <= j.min() <= j.max() < m.shape[-3]:
+        expected = f"indices from 0 to {m.shape[-3] - 1}"
+        raise InputError("indices", expected, f"{j.min()} to {j.max()}")
     for name, array in (("rest", p), ("weights", w), ("transforms", m)):
         if array.dtype.kind not in "fiu":
             raise InputError(name, "real numbers", f"dtype {array.dtype}")
@@ -83,11 +81,11 @@ def skin(
         kind = np.dtype(np.float64)
     p, w, m = (np.ascontiguousarray(a, dtype=kind) for a in (p, w, m))
     j = np.ascontiguousarray(j, dtype=np.int32)
-    frames = m[None] if single else m
+    frames = m if m.ndim == 4 else m[None]
     out = np.empty((len(frames), len(p), 3), dtype=kind)
 
     def work(_: int, first: int, last: int) -> None:
         skin_range(p, j, w, frames, out, first, last)
 
     run_chunks(work, chunk_bounds(len(p), _VERTEX_CHUNK))
-    return out[0] if single else out
+    return out if m.ndim == 4 else out[0]

@@ -1,9 +1,8 @@
-"""Threads: fixed chunks of work, so that results do not depend on their number.
+"""Threads that work on fixed chunks, so that results do not depend on the number of threads.
 
-Kernels are compiled without the GIL and without parallel loops of their own;
-what is run beside each other is always the same chunk of vertices or frames,
-and what chunks add up is added in their order.  BLAS gets one thread while a
-kernel runs: spinning BLAS threads cost more than they bring, and the order of
+Kernels run without the GIL and have no parallel loops of their own.  Work is always split into the
+same chunks of vertices or frames, and sums are taken in the order of the chunks.  BLAS gets one
+thread while a kernel runs: spinning BLAS threads cost more than they bring, and the order of
 summation inside BLAS depends on how many there are.
 """
 
@@ -27,13 +26,14 @@ _pool: ThreadPoolExecutor | None = None
 _threads: int | None = None
 _controller: threadpoolctl.ThreadpoolController | None = None
 _limiter: Any = None
-_limited = 0  # blocks of serial_blas entered and not left: the last lifts the limit
+_limited = 0  # open blocks of serial_blas: the last to end lifts the limit
 
 
 def get_threads() -> int:
     """Number of threads that kernels use.
 
-    What ``set_threads`` said, else ``SSDR_NUM_THREADS``, else the cores.
+    The number given to :func:`set_threads`, else the environment variable ``SSDR_NUM_THREADS``,
+    else the number of cores that the process may use.
 
     Examples
     --------
@@ -52,7 +52,7 @@ def get_threads() -> int:
 
 
 def set_threads(count: int | None) -> None:
-    """Set the number of threads for this process; None goes back to the default.
+    """Set the number of threads for this process; None restores the default.
 
     Results are the same, bit for bit, whatever the number.
 
@@ -69,12 +69,13 @@ def set_threads(count: int | None) -> None:
         raise InputError("count", "a positive integer or None", repr(count))
     with _lock:
         _threads = None if count is None else int(count)
-        # Not shut down: another thread may be about to use it; idle workers end with the object.
+        # The old pool is not shut down, since another thread may be about to use it; its idle
+        # workers end with the object.
         _pool = None
 
 
 def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
-    """Bounds of the pieces of at most `size` that cover ``range(n)``.
+    """Bounds of consecutive chunks of at most `size` that cover ``range(n)``.
 
     Examples
     --------
@@ -87,8 +88,8 @@ def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
 def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> list[Any]:
     """Call ``function(chunk number, start, stop)`` for every chunk, in threads.
 
-    Results come in the order of the chunks.  The first exception ends the work
-    and is raised here.  A function may itself call ``run_chunks``.
+    Results are in the order of the chunks.  The first exception ends the work and is raised.  The
+    function may itself call ``run_chunks``.
 
     Examples
     --------
@@ -100,7 +101,8 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
     if threads <= 1:
         return [function(k, start, stop) for k, (start, stop) in enumerate(bounds)]
     pool = _shared_pool()
-    # One long task a thread, fed from one counter: waking a thread costs more than a small chunk.
+    # Each thread runs one task that takes chunks from a shared counter: waking a thread costs more
+    # than a small chunk.
     results: list[Any] = [None] * len(bounds)
     order = iter(range(len(bounds)))
     feed = threading.Lock()
@@ -122,7 +124,7 @@ def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> l
     try:
         work()
     finally:
-        # What has not started is not needed any more, and in a nested call would never start.
+        # Tasks that have not started are not needed any more; in a nested call they never would.
         errors = [future.exception() for future in futures if not future.cancel()]
     for error in errors:
         if error is not None:
@@ -149,10 +151,10 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
 
 @contextlib.contextmanager
 def serial_blas() -> Iterator[None]:
-    """Give BLAS one thread inside the block; nests at no cost.
+    """Limit BLAS to one thread inside the block; nested blocks cost nothing.
 
-    The limit belongs to the process: it ends when the last of the threads that
-    are inside leaves, and then the number of before is back.
+    The limit holds for the process.  The number of threads is restored when the last thread
+    leaves its block.
 
     Examples
     --------
@@ -182,7 +184,7 @@ def serial_blas() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _any_thread_may_limit() -> Iterator[None]:
-    # Newer threadpoolctl ignores a limit that another thread than the first one sets.
+    # Newer versions of threadpoolctl ignore limits from any thread but the first that set one.
     openblas = getattr(threadpoolctl, "OpenBLASController", None)
     release = getattr(openblas, "clear_controlling_thread", lambda force: None)
     release(force=True)

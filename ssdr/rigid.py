@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import as_array
 from .errors import InputError, is_whole
 
 __all__ = [
@@ -20,6 +21,13 @@ __all__ = [
     "slerp",
     "unflip_quaternions",
 ]
+
+# ratio of singular values below which a moment leaves the rotation about its axis open
+_COLLINEAR = 1e-13
+_LARGEST_ENTRY = 1e100  # of what may be a rotation: products of larger numbers overflow
+# Sine of an angle below which sin(u·angle)/sin(angle) is u to rounding: equal quaternions would
+# divide zero by zero.
+_SMALL_SINE = 1e-8
 
 
 def kabsch(
@@ -63,22 +71,15 @@ def kabsch(
     >>> np.allclose(transform[:, :3], np.eye(3)), np.allclose(transform[:, 3], [1, 2, 3])
     (True, True)
     """
-    s, t = _numbers(source, "source"), _numbers(target, "target")
-    if s.ndim < 2 or s.shape[-1] != 3 or s.shape[-2] < 1:
+    s = _numbers(source, "source", 3)
+    if s.ndim < 2 or s.shape[-2] < 1:
         raise InputError("source", "an array of shape (..., N, 3)", f"shape {s.shape}")
-    if t.ndim < 2 or t.shape[-2:] != s.shape[-2:]:
-        raise InputError("target", f"an array of shape (..., {s.shape[-2]}, 3)", f"shape {t.shape}")
-    w = np.ones(s.shape[-2]) if weights is None else _numbers(weights, "weights")
-    if w.shape[-1:] != s.shape[-2:-1]:
-        raise InputError("weights", f"shape (..., {s.shape[-2]})", f"shape {w.shape}")
+    t = _numbers(target, "target", *s.shape[-2:])
+    w = np.ones(s.shape[-2]) if weights is None else _numbers(weights, "weights", s.shape[-2])
     if (w < 0).any():
         raise InputError("weights", "numbers >= 0", f"{w.min()}")
-    try:
-        np.broadcast_shapes(s.shape[:-2], t.shape[:-2], w.shape[:-1])
-    except ValueError as error:
-        shapes = f"{s.shape}, {t.shape}, {w.shape}"
-        raise InputError("target", "leading axes that broadcast", shapes) from error
-    # Powers of two, so that products neither overflow nor vanish and nothing is rounded.
+    _check_broadcast("target", s.shape[:-2], t.shape[:-2], w.shape[:-1])
+    # Scaling by powers of two rounds nothing; products then neither overflow nor vanish.
     s, s_power = _scaled(s, (-2, -1))
     t, t_power = _scaled(t, (-2, -1))
     w, _ = _scaled(w, (-1,))
@@ -99,38 +100,40 @@ def kabsch(
     return np.concatenate([rotation, translation[..., None]], axis=-1)
 
 
-def _numbers(value: ArrayLike, argument: str) -> NDArray[np.float64]:
-    """Finite real numbers as float64."""
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind == "c":
-            raise InputError(argument, "real numbers", f"dtype {array.dtype}")
-        array = array.astype(np.float64, copy=False)
-    except (TypeError, ValueError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(argument, "an array of numbers", str(error)) from error
+def _numbers(value: ArrayLike, argument: str, *last: int) -> NDArray[np.float64]:
+    """Finite real numbers as float64, with these last axes."""
+    array = as_array(value, argument, "an array of numbers")
+    if array.dtype.kind not in "fiub":
+        raise InputError(argument, "real numbers", f"dtype {array.dtype}")
+    if last and array.shape[-len(last) :] != last:
+        expected = f"an array of shape (..., {', '.join(map(str, last))})"
+        raise InputError(argument, expected, f"shape {array.shape}")
+    array = array.astype(np.float64, copy=False)
     if not np.isfinite(array).all():
         raise InputError(argument, "finite numbers", "NaN or Inf")
     return array
 
 
+def _check_broadcast(argument: str, *shapes: tuple[int, ...]) -> None:
+    try:
+        np.broadcast_shapes(*shapes)
+    except ValueError as error:
+        got = ", ".join(map(str, shapes))
+        raise InputError(argument, "leading axes that broadcast", got) from error
+
+
 def _scaled(
     array: NDArray[np.float64], axes: tuple[int, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.intc]]:
-    """An array of size 1/2 to 1 along axes, and the power of two that leads back."""
+    """Array scaled by a power of two to a magnitude of 1/2 to 1 along axes, and the exponent."""
     _, power = np.frexp(np.abs(array).max(axis=axes, keepdims=True, initial=0.0))
     return np.ldexp(array, -power), power
 
 
-# Below this ratio of singular values, a moment says nothing about the turn around its axis.
-_COLLINEAR = 1e-13
-
-
 def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
-    """Rotation R, det R = +1, of largest tr(Rᵀ M): the nearest to M in the Frobenius norm.
+    """Rotation R (det R = +1) nearest to M in the Frobenius norm; it maximises tr(Rᵀ M).
 
-    :func:`kabsch` takes M = Σ_i w_i t_i s_iᵀ, of points about their centroids.
+    In :func:`kabsch` M is Σ_i w_i t_i s_iᵀ, of points relative to their centroids.
 
     Parameters
     ----------
@@ -146,7 +149,7 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another one, or a number is complex or not finite.
+        If the shape is wrong, or a number is complex or not finite.
 
     References
     ----------
@@ -158,7 +161,7 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(ssdr.rigid.nearest_rotation(np.diag([3.0, 2.0, 1.0])), np.eye(3))
     True
     """
-    m = _matrices(moment, "moment")
+    m = _numbers(moment, "moment", 3, 3)
     u, s, vt = np.linalg.svd(m)
     u = u.copy()
     u[..., :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[..., None]
@@ -171,22 +174,11 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     return rotation
 
 
-# Of what passes for a rotation matrix: of others nothing is said, but no number overflows.
-_LARGEST_ENTRY = 1e100
-
-
-def _matrices(value: ArrayLike, argument: str) -> NDArray[np.float64]:
-    matrices = _numbers(value, argument)
-    if matrices.shape[-2:] != (3, 3):
-        raise InputError(argument, "an array of shape (..., 3, 3)", f"shape {matrices.shape}")
-    return matrices
-
-
 def _turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smallest rotations that carry unit vectors `a` to `b`, as two reflections."""
+    """Smallest rotations that carry unit vectors `a` to `b`, each a product of two half turns."""
     half = a + b
     size = np.linalg.norm(half, axis=-1, keepdims=True)
-    # Opposite vectors: any axis across them will do.
+    # Between opposite vectors any half turn about an axis across them will do.
     across = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=-1)])
     opposite = size < 1e-8
     first = np.where(opposite, across, half)
@@ -205,7 +197,7 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another one, or an entry is complex, not finite or far above 1.
+        If the shape is wrong, or an entry is complex, not finite or far above 1.
 
     Examples
     --------
@@ -213,49 +205,19 @@ def quaternion_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(np.abs(ssdr.rigid.quaternion_from_matrix(half_turn)), [0, 0, 1, 0])
     True
     """
-    r = _matrices(rotation, "rotation")
+    r = _numbers(rotation, "rotation", 3, 3)
     if (np.abs(r) > _LARGEST_ENTRY).any():
         raise InputError("rotation", "rotation matrices", f"an entry of {np.abs(r).max():g}")
-    diagonal = np.stack([r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]], axis=-1)
+    diagonal = np.diagonal(r, axis1=-2, axis2=-1)
     trace = diagonal.sum(axis=-1)
+    # 4 q qᵀ: every row is a multiple of the quaternion.
+    table = np.empty((*r.shape[:-2], 4, 4))
+    table[..., :3, :3] = r + np.swapaxes(r, -1, -2)
+    table[..., range(3), range(3)] = 1 + 2 * diagonal - trace[..., None]
+    for k, i, j in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
+        table[..., 3, k] = table[..., k, 3] = r[..., i, j] - r[..., j, i]
+    table[..., 3, 3] = 1 + trace
     choice = np.argmax(np.concatenate([diagonal, trace[..., None]], axis=-1), axis=-1)
-    x = np.stack(
-        [
-            1 + 2 * diagonal[..., 0] - trace,
-            r[..., 0, 1] + r[..., 1, 0],
-            r[..., 0, 2] + r[..., 2, 0],
-            r[..., 2, 1] - r[..., 1, 2],
-        ],
-        axis=-1,
-    )
-    y = np.stack(
-        [
-            r[..., 0, 1] + r[..., 1, 0],
-            1 + 2 * diagonal[..., 1] - trace,
-            r[..., 1, 2] + r[..., 2, 1],
-            r[..., 0, 2] - r[..., 2, 0],
-        ],
-        axis=-1,
-    )
-    z = np.stack(
-        [
-            r[..., 0, 2] + r[..., 2, 0],
-            r[..., 1, 2] + r[..., 2, 1],
-            1 + 2 * diagonal[..., 2] - trace,
-            r[..., 1, 0] - r[..., 0, 1],
-        ],
-        axis=-1,
-    )
-    w = np.stack(
-        [
-            r[..., 2, 1] - r[..., 1, 2],
-            r[..., 0, 2] - r[..., 2, 0],
-            r[..., 1, 0] - r[..., 0, 1],
-            1 + trace,
-        ],
-        axis=-1,
-    )
-    table = np.stack([x, y, z, w], axis=-2)
     q = np.take_along_axis(table, choice[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.asarray(np.where(q[..., 3:] < 0, -q, q))
@@ -267,7 +229,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     Raises
     ------
     InputError
-        If the shape is another one, or a quaternion is zero, complex or not finite.
+        If the shape is wrong, or a quaternion is zero, complex or not finite.
 
     Examples
     --------
@@ -275,10 +237,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(half_turn, np.diag([-1, -1, 1]))
     True
     """
-    q = _numbers(quaternion, "quaternion")
-    if q.shape[-1:] != (4,):
-        raise InputError("quaternion", "an array of shape (..., 4)", f"shape {q.shape}")
-    q, _ = _scaled(q, (-1,))
+    q, _ = _scaled(_numbers(quaternion, "quaternion", 4), (-1,))
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not (norm > 0).all():
         raise InputError("quaternion", "quaternions that are not zero", "zero")
@@ -292,7 +251,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> NDArray[np.float64]:
 
 
 def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.float64]:
-    """Choose signs along `axis` (time) such that neighbours never flip.
+    """Choose signs along `axis` (time) such that no two neighbours have a negative dot product.
 
     q and −q are the same rotation, but an engine that interpolates between keys
     of opposite sign takes the long way round.
@@ -308,21 +267,16 @@ def unflip_quaternions(quaternion: ArrayLike, *, axis: int = 0) -> NDArray[np.fl
     >>> np.allclose(ssdr.rigid.unflip_quaternions(keys), [0, 0, 0, 1])
     True
     """
-    q = _numbers(quaternion, "quaternion")
+    q = _numbers(quaternion, "quaternion", 4)
     if not is_whole(axis):
         raise InputError("axis", "an integer", repr(axis))
-    if q.ndim < 2 or q.shape[-1] != 4 or not -q.ndim <= axis < q.ndim or axis in (-1, q.ndim - 1):
+    if q.ndim < 2 or not -q.ndim <= axis < q.ndim or axis in (-1, q.ndim - 1):
         raise InputError("quaternion", "shape (..., 4) with a time axis", f"shape {q.shape}")
     q = np.moveaxis(q, axis, 0)
     flip = np.ones(q.shape[:-1])
     small, _ = _scaled(q, (-1,))
     flip[1:] = np.where((small[1:] * small[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     return np.moveaxis(q * np.cumprod(flip, axis=0)[..., None], 0, axis)
-
-
-# Sine of the angle below which sin(u·angle)/sin(angle) is replaced by u: both differ by less than
-# rounding there, and equal quaternions would divide zero by zero.
-_SMALL_SINE = 1e-8
 
 
 def slerp(a: ArrayLike, b: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
@@ -356,18 +310,10 @@ def slerp(a: ArrayLike, b: ArrayLike, u: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(2 * np.degrees(np.arccos(eighth[3])), 45)
     True
     """
-    a, b, u = _numbers(a, "a"), _numbers(b, "b"), _numbers(u, "u")
-    for name, q in (("a", a), ("b", b)):
-        if q.shape[-1:] != (4,):
-            raise InputError(name, "an array of shape (..., 4)", f"shape {q.shape}")
+    a, b, u = _numbers(a, "a", 4), _numbers(b, "b", 4), _numbers(u, "u")
     if max(np.abs(x).max(initial=0.0) for x in (a, b, u)) > _LARGEST_ENTRY:
         raise InputError("a, b and u", f"numbers up to {_LARGEST_ENTRY:g}", "larger ones")
-    try:
-        np.broadcast_shapes(a.shape[:-1], b.shape[:-1], u.shape)
-    except ValueError as error:
-        raise InputError(
-            "u", "shapes that broadcast", f"{a.shape}, {b.shape}, {u.shape}"
-        ) from error
+    _check_broadcast("u", a.shape[:-1], b.shape[:-1], u.shape)
     u = u[..., None]
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
     # Half the angle by arctan2: arccos loses half the digits near 1.
@@ -390,7 +336,7 @@ def sixd_from_matrix(rotation: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(ssdr.rigid.sixd_from_matrix(np.eye(3)), [1, 0, 0, 0, 1, 0])
     True
     """
-    r = _matrices(rotation, "rotation")
+    r = _numbers(rotation, "rotation", 3, 3)
     return np.concatenate([r[..., :, 0], r[..., :, 1]], axis=-1)
 
 
@@ -407,9 +353,7 @@ def matrix_from_sixd(sixd: ArrayLike) -> NDArray[np.float64]:
     >>> np.allclose(ssdr.rigid.matrix_from_sixd([2, 0, 0, 1, 1, 0]), np.eye(3))
     True
     """
-    d = _numbers(sixd, "sixd")
-    if d.shape[-1:] != (6,):
-        raise InputError("sixd", "an array of shape (..., 6)", f"shape {d.shape}")
+    d = _numbers(sixd, "sixd", 6)
     first, second = _scaled(d[..., :3], (-1,))[0], _scaled(d[..., 3:], (-1,))[0]
     with np.errstate(invalid="ignore", divide="ignore"):
         a = first / np.linalg.norm(first, axis=-1, keepdims=True)

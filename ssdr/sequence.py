@@ -1,14 +1,13 @@
-"""An animated mesh of fixed topology: the one input of everything else.
+"""An animated mesh of fixed topology, the input of everything else.
 
-``MeshSequence`` checks its arrays once, at the door; after it every function
-trusts them.  Vertices may live in memory, in a memory map or in a chunked
-array (zarr, dask): they are read by chunks of frames.
+``MeshSequence`` checks its arrays once; every function after it trusts them.  Vertices may be held
+in memory, in a memory map or in a chunked array (zarr, dask), and are read by chunks of frames.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,80 +16,18 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from .checks import as_array, check_faces
 from .errors import InputError, is_real
+from .surface import Material, Surface, check_surface
 
 __all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
 
-_CHUNK_BYTES = 64 << 20  # bytes of frames in memory at a time: more takes more memory
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Material:
-    """What a surface looks like, in the terms of glTF's metallic-roughness model.
-
-    Attributes
-    ----------
-    name : str
-    base_color : tuple of 4 float
-        Linear RGBA in [0, 1].
-    metallic, roughness : float
-    double_sided : bool
-    texture : bytes or None
-        The encoded base colour image, carried untouched.
-    texture_type : str
-        Its MIME type, ``image/png`` or ``image/jpeg``.
-
-    Examples
-    --------
-    >>> red = ssdr.Material(name="red", base_color=(1, 0, 0, 1))
-    >>> red.name, red.texture is None
-    ('red', True)
-    """
-
-    name: str = "material"
-    base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
-    metallic: float = 0.0
-    roughness: float = 0.9
-    double_sided: bool = False
-    texture: bytes | None = None
-    texture_type: str = "image/png"
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Surface:
-    """What a mesh carries besides its shape, per corner of a triangle.
-
-    Kept per corner, it survives welding: a seam is where two corners at one
-    vertex differ.
-
-    Attributes
-    ----------
-    uv : (T, 3, 2) float32 or None
-        Texture coordinates, v upward (as in OBJ and USD; glTF flips it).
-    normals : (T, 3, 3) float32 or None
-        Unit normals in the file's reference frame; where corners of one vertex
-        differ there is a hard edge.
-    material_index : (T,) int32 or None
-        Index into `materials`; None means that all triangles use the first.
-    materials : tuple of Material
-
-    Examples
-    --------
-    >>> uv = np.array([[[0, 0], [1, 0], [0, 1]]], np.float32)
-    >>> surface = ssdr.Surface(uv=uv)
-    >>> ssdr.MeshSequence(np.zeros((2, 3, 3)), [[0, 1, 2]], surface=surface).surface.uv.shape
-    (1, 3, 2)
-    """
-
-    uv: NDArray[np.float32] | None = None
-    normals: NDArray[np.float32] | None = None
-    material_index: NDArray[np.int32] | None = None
-    materials: tuple[Material, ...] = ()
+_CHUNK_BYTES = 64 << 20  # bytes of frames that are read at a time
 
 
 @dataclasses.dataclass(frozen=True)
 class WeldReport:
-    """What :meth:`MeshSequence.weld` merged.
+    """Number of vertices that :meth:`MeshSequence.weld` merged.
 
     Attributes
     ----------
@@ -129,15 +66,14 @@ class MeshSequence:
     name : str
         Of the mesh.
     clip : str
-        Of the animation, where that has a name of its own.
+        Name of the animation, where it has one of its own.
     surface : Surface, optional
         Texture coordinates, normals and materials of the triangles.
     vertex_map : (V0,) int array, optional
-        For a welded sequence, the vertex that each vertex of the original mesh
-        became.
+        For a welded sequence: the welded vertex of each vertex of the original mesh.
     validate : bool
-        ``False`` skips the check for NaN and Inf, which reads all frames; for
-        data that this package wrote and checked before.
+        ``False`` skips the check for NaN and Inf, which reads all frames; for data that is
+        known to be finite.
 
     Raises
     ------
@@ -166,14 +102,14 @@ class MeshSequence:
     def __post_init__(self, validate: bool) -> None:
         put = object.__setattr__
         put(self, "vertices", _check_vertices(self.vertices, "vertices", validate))
-        put(self, "faces", _check_faces(self.faces, self.vertices.shape[1], "faces"))
+        put(self, "faces", check_faces(self.faces, self.vertices.shape[1]))
         if not (is_real(self.fps) and self.fps > 0):
             raise InputError("fps", "a positive number", repr(self.fps))
         put(self, "fps", float(self.fps))
         if self.vertex_map is not None:
-            put(self, "vertex_map", _check_vertex_map(self.vertex_map, self.n_vertices))
+            put(self, "vertex_map", check_vertex_map(self.vertex_map, self.n_vertices))
         if self.surface is not None:
-            put(self, "surface", _check_surface(self.surface, len(self.faces)))
+            put(self, "surface", check_surface(self.surface, len(self.faces)))
 
     @property
     def n_frames(self) -> int:
@@ -210,11 +146,11 @@ class MeshSequence:
         return np.stack([native(self.vertices[int(t)]) for t in order])
 
     def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """Walk over the frames in order, as ``(first frame, (n, V, 3) array)``."""
+        """Read the frames in order, as ``(first frame, (n, V, 3) array)``."""
         yield from _chunks(self.vertices, max_bytes)
 
     def diagonal(self) -> float:
-        """Diagonal of the bounding box in the frame where it is largest."""
+        """Diagonal of the largest bounding box of any frame."""
         largest = 0.0
         for _, block in self.chunks():
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
@@ -226,7 +162,7 @@ class MeshSequence:
         return largest
 
     def weld(self, tolerance: float = 1e-6) -> tuple[MeshSequence, WeldReport]:
-        """Merge vertices that coincide in every frame, as seams of UVs or normals do.
+        """Merge vertices that coincide in every frame, such as seams of UVs or normals.
 
         Parameters
         ----------
@@ -286,7 +222,7 @@ class MeshSequence:
         return welded, WeldReport(before=n, after=len(keep), tolerance=distance)
 
     def unweld(self, values: ArrayLike, *, axis: int = 0) -> NDArray[Any]:
-        """Spread values per vertex back over the vertices of the original mesh.
+        """Copy values per welded vertex to the vertices of the original mesh.
 
         Parameters
         ----------
@@ -311,13 +247,13 @@ def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.flo
 
 
 def native(block: Any) -> NDArray[np.floating]:
-    """A block read into memory; a map may have the byte order of its file, kernels take none."""
+    """A block read into memory in native byte order, which a memory map need not have."""
     array = np.asarray(block)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
-    """Labels from 0 on: the same where positions are equal in every frame."""
+    """Label (V,) of each vertex; equal labels where positions are equal in every frame."""
     label = np.zeros(sequence.n_vertices, dtype=np.intp)
     for _, block in sequence.chunks():
         paths = np.ascontiguousarray(block.transpose(1, 0, 2)).reshape(len(label), -1)
@@ -330,10 +266,7 @@ def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
 
 def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
     if not all(hasattr(vertices, a) for a in ("shape", "dtype", "__getitem__")):
-        try:
-            given = np.asarray(vertices)
-        except (TypeError, ValueError) as error:
-            raise InputError(argument, "an array of shape (F, V, 3)", str(error)) from error
+        given = as_array(vertices, argument, "an array of shape (F, V, 3)")
         if given.dtype.kind not in "fiu" and given.ndim == 0:
             raise InputError(
                 argument,
@@ -379,36 +312,13 @@ def _check_vertices(vertices: Any, argument: str, validate: bool) -> Any:
 
 
 def _finite_by_dask(vertices: Any) -> bool:
-    """True where Dask says that all is well: it looks where the chunks are."""
+    """True if Dask finds all numbers finite, on the workers that hold the chunks."""
     if not hasattr(vertices, "__dask_graph__"):
         return False
     return bool(np.isfinite(vertices).all().compute())
 
 
-def _check_faces(faces: Any, n_vertices: int, argument: str) -> NDArray[np.int32]:
-    try:
-        array = np.zeros((0, 3), dtype=np.int32) if faces is None else np.asarray(faces)
-    except (TypeError, ValueError) as error:
-        raise InputError(argument, "an array of shape (T, 3)", str(error)) from error
-    if array.size == 0:
-        array = np.zeros((0, 3), dtype=np.int32)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise InputError(argument, "an array of shape (T, 3)", f"shape {array.shape}")
-    if array.dtype.kind not in "iu":
-        raise InputError(argument, "integers", f"dtype {array.dtype}")
-    if len(array):
-        bad = (array < 0) | (array >= n_vertices)
-        if bad.any():
-            row, corner = (int(k) for k in np.argwhere(bad)[0])
-            raise InputError(
-                argument,
-                f"indices from 0 to {n_vertices - 1}",
-                f"{array[row, corner]} in face {row} ({int(bad.sum())} such indices)",
-            )
-    return np.ascontiguousarray(array, dtype=np.int32)
-
-
-def _check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
+def check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
     array = np.asarray(vertex_map)
     if array.ndim != 1 or array.dtype.kind not in "iu":
         raise InputError("vertex_map", "a vector of integers", f"{array.dtype} {array.shape}")
@@ -419,22 +329,39 @@ def _check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
-def _check_surface(surface: Surface, n_faces: int) -> Surface:
-    if not isinstance(surface, Surface):
-        raise InputError("surface", "a Surface or None", type(surface).__name__)
-    for field, tail in (("uv", (3, 2)), ("normals", (3, 3)), ("material_index", ())):
-        array = getattr(surface, field)
-        if array is not None and np.shape(array) != (n_faces, *tail):
+def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
+    """The shots of one mesh, from a sequence, a list of them, or plain frames and faces."""
+    if isinstance(sequence, MeshSequence):
+        shots = [sequence]
+    elif (
+        isinstance(sequence, Sequence)
+        and len(sequence) > 0
+        and any(isinstance(s, MeshSequence) for s in sequence)
+    ):
+        shots = list(sequence)
+    elif (
+        isinstance(sequence, Sequence)
+        and len(sequence) > 0
+        and all(getattr(s, "ndim", 0) == 3 for s in sequence)
+    ):
+        raise InputError(
+            "sequence",
+            "several shots as a list of MeshSequence",
+            f"a list of {len(sequence)} arrays (F, V, 3)",
+        )
+    else:
+        return [MeshSequence(sequence, faces)]
+    if faces is not None:
+        raise InputError("faces", "None beside a MeshSequence, which has its own", type(faces))
+    for k, shot in enumerate(shots):
+        if not isinstance(shot, MeshSequence):
+            raise InputError(f"sequence[{k}]", "a MeshSequence", type(shot).__name__)
+        if shot.n_vertices != shots[0].n_vertices:
             raise InputError(
-                f"surface.{field}", f"shape {(n_faces, *tail)}", f"shape {np.shape(array)}"
+                f"sequence[{k}]",
+                f"{shots[0].n_vertices} vertices, as in the first shot",
+                shot.n_vertices,
             )
-    index = surface.material_index
-    if index is not None and len(index):
-        count = max(1, len(surface.materials))
-        if index.min() < 0 or index.max() >= count:
-            raise InputError(
-                "surface.material_index",
-                f"indices from 0 to {count - 1}",
-                f"{index.min()} to {index.max()}",
-            )
-    return surface
+        if not np.array_equal(shot.faces, shots[0].faces):
+            raise InputError(f"sequence[{k}].faces", "the faces of the first shot", "others")
+    return shots

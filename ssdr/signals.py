@@ -1,33 +1,68 @@
-"""What the commands of both packages share: signals."""
+"""What happens on Ctrl-C (SIGINT), on SIGTERM and when a terminal is closed (SIGHUP).
+
+1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`).
+2. While files are read, written or measured, the signal is raised as ``KeyboardInterrupt``, so
+   that temporary files are removed (:func:`interrupt_on_signals`).
+3. While a model is solved and saved, the first signal asks the solver to stop after its current
+   step, and the best model so far is written to the outputs.  A second signal ends the process
+   at once (:func:`stop_on_signals`; :mod:`ssdr.cli.saving` writes the model).
+
+The exit code is 130 each time.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
-__all__ = ["handling", "quitting_at_once", "terminate_as_interrupt"]
+__all__ = ["interrupt_on_signals", "stop_on_signals"]
 
+_SHOW_CURSOR = b"\x1b[?25h\n"  # the progress bar hides it
 _HANGUP = getattr(signal, "SIGHUP", None)  # none on Windows
 
 
+def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
+    """Raise ``KeyboardInterrupt`` at a signal."""
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    return _handling(interrupt)
+
+
 @contextlib.contextmanager
-def handling(handler: Callable[[int], None], *names: str) -> Iterator[None]:
-    """Have signals call `handler` inside the block, in the main thread.
+def stop_on_signals() -> Iterator[threading.Event]:
+    """An event that the first signal sets; the second signal ends the process."""
+    stop = threading.Event()
 
-    Signals that whoever started the process had it ignore (``nohup``, a job in the
-    background) stay ignored.  A terminal hangs up on a job once or several times:
-    only the first SIGHUP counts.
+    def ask() -> None:
+        if stop.is_set():
+            _write(_SHOW_CURSOR if sys.stderr.isatty() else b"")
+            os._exit(130)
+        stop.set()
+        _write(b"\nssdr: stopping after this step and saving; again to end at once\n")
 
-    Parameters
-    ----------
-    handler : callable
-        Called with the number of the signal.
-    names : str
-        ``"SIGINT"`` and so on; those that the system has not are left out.
+    with _handling(ask):
+        yield stop
+
+
+def _write(text: bytes) -> None:
+    """Write to stderr at once, whatever the main thread is writing."""
+    with contextlib.suppress(OSError):  # a terminal that has been closed
+        os.write(2, text)
+
+
+@contextlib.contextmanager
+def _handling(handler: Callable[[], None]) -> Iterator[None]:
+    """Call `handler` at a signal inside the block, in the main thread.
+
+    Signals that are ignored from the start, as under ``nohup``, stay ignored.  A terminal that
+    is closed may send SIGHUP several times, of which the first counts.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -36,40 +71,15 @@ def handling(handler: Callable[[int], None], *names: str) -> Iterator[None]:
     def called(number: int, _: Any) -> None:
         if number == _HANGUP:
             signal.signal(number, signal.SIG_IGN)
-        handler(number)
+        handler()
 
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    old = {n: signal.getsignal(n) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
-    for number in old:
+    numbers = [n for n in (signal.SIGINT, signal.SIGTERM, _HANGUP) if n is not None]
+    before = {n: signal.getsignal(n) for n in numbers if signal.getsignal(n) != signal.SIG_IGN}
+    for number in before:
         signal.signal(number, called)
     try:
         yield
     finally:
-        for number, before in old.items():
-            hung_up = number == _HANGUP and signal.getsignal(number) == signal.SIG_IGN
-            if not hung_up:
-                signal.signal(number, before)
-
-
-def _interrupt(_: int) -> None:
-    raise KeyboardInterrupt
-
-
-def terminate_as_interrupt() -> contextlib.AbstractContextManager[None]:
-    """Let SIGTERM and SIGHUP unwind like Ctrl-C, so that no half-written file stays behind."""
-    return handling(_interrupt, "SIGTERM", "SIGHUP")
-
-
-def quitting_at_once(line: str) -> contextlib.AbstractContextManager[None]:
-    """End the process at a signal, with a line on stderr: while nothing has been begun.
-
-    An interrupt raised inside an import would be a traceback, or be taken for an error of the
-    package that is being imported.
-    """
-
-    def quit_(_: int) -> None:
-        with contextlib.suppress(OSError):
-            os.write(2, line.encode() + b"\n")
-        os._exit(130)
-
-    return handling(quit_, "SIGINT", "SIGTERM", "SIGHUP")
+        for number, old in before.items():
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, old)

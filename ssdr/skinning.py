@@ -1,14 +1,15 @@
-"""The model that a decomposition returns."""
+"""A skinned model: rest pose, skin weights and bone transforms."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from .checks import BoneModel, check_faces, check_floats, check_frames, check_skin
 from .clips import Clip, check_clips, in_order, pick
 from .errors import InputError, check_choice, is_real, is_whole
 from .hierarchy.transforms import (
@@ -21,12 +22,10 @@ from .hierarchy.transforms import (
     to_local,
 )
 from .lbs import skin
-from .sequence import Surface
-from .shapes import floats_of, frame_index
+from .sequence import check_vertex_map
+from .surface import Surface, check_surface
 
 __all__ = ["BoneModel", "Skinning", "skin"]
-
-BoneModel = Literal["rigid", "similarity", "affine"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class Skinning:
     rest : (V, 3) float array
         Rest pose.
     indices : (V, K) int array
-        Bones that move each vertex; padded with bone 0, weight 0.
+        Bones that move each vertex; unused ones have weight 0.
     weights : (V, K) float array
         Non-negative, summing to 1 over K.
     transforms : (F, B, 3, 4) float array
@@ -61,13 +60,12 @@ class Skinning:
     name : str
         Of the mesh.
     clips : tuple of Clip, optional
-        Ranges of frames that play apart, each at its own rate; one behind the
-        other they cover all frames.  One clip over all frames by default.
+        Ranges of frames that play separately, each at its own rate; in order they
+        cover all frames.  One clip over all frames by default.
     parents : (B,) int array, optional
-        The bone that each hangs on, -1 at a root.  None: bones without a
-        hierarchy.
+        Parent of each bone, -1 at a root.  None: bones without a hierarchy.
     joint_positions : (B, 3) array, optional
-        With `parents`: in the rest pose the point by which a bone hangs on its
+        With `parents`: the point of the rest pose at which a bone is attached to its
         parent, and about which a root turns.
 
     Raises
@@ -75,8 +73,8 @@ class Skinning:
     InputError
         If shapes do not match, an index is out of range, a number is not
         finite, a weight is negative, a row of weights does not sum to 1
-        within 1e-4, clips do not cover the frames, parents go round in a
-        circle, or one of `parents` and `joint_positions` is missing.
+        within 1e-4, clips do not cover the frames, parents form a
+        cycle, or one of `parents` and `joint_positions` is missing.
 
     Examples
     --------
@@ -105,34 +103,15 @@ class Skinning:
     joint_positions: Any = None
 
     def __post_init__(self) -> None:
-        from .sequence import _check_faces, _check_surface, _check_vertex_map
-
         put = object.__setattr__
-        rest = floats_of(self.rest, "rest", ("V", 3))
+        rest = check_floats(self.rest, "rest", ("V", 3))
         n_vertices = len(rest)
-        indices = np.asarray(self.indices)
-        if indices.ndim != 2 or len(indices) != n_vertices or indices.shape[1] < 1:
-            raise InputError("indices", f"shape ({n_vertices}, K)", f"shape {indices.shape}")
-        if indices.dtype.kind not in "iu":
-            raise InputError("indices", "integers", f"dtype {indices.dtype}")
-        weights = floats_of(self.weights, "weights", indices.shape)
-        transforms = floats_of(self.transforms, "transforms", ("F", "B", 3, 4))
+        transforms = check_floats(self.transforms, "transforms", ("F", "B", 3, 4))
         n_bones = transforms.shape[1]
-        if indices.min() < 0 or indices.max() >= n_bones:
-            raise InputError(
-                "indices", f"indices from 0 to {n_bones - 1}", f"{indices.min()} to {indices.max()}"
-            )
-        if weights.min() < 0:
-            raise InputError("weights", "numbers >= 0", f"{weights.min()}")
-        off = np.abs(weights.sum(axis=1, dtype=np.float64) - 1)
-        if off.max() > 1e-4:
-            worst = int(off.argmax())
-            raise InputError(
-                "weights", "rows that sum to 1", f"{weights[worst].sum()} at vertex {worst}"
-            )
+        indices, weights = check_skin(self.indices, self.weights, n_vertices, n_bones)
         check_choice(self.bone_model, "bone_model", BoneModel)
         clips, fps = check_clips(self.clips, fps=self.fps, name=self.name, n_frames=len(transforms))
-        faces = _check_faces(self.faces, n_vertices, "faces")
+        faces = check_faces(self.faces, n_vertices)
         if self.keyframes is not None:
             keyframes = np.asarray(self.keyframes)
             if keyframes.shape != transforms.shape[:2] or keyframes.dtype != bool:
@@ -143,9 +122,9 @@ class Skinning:
                 )
             put(self, "keyframes", keyframes)
         if self.surface is not None:
-            _check_surface(self.surface, len(faces))
+            check_surface(self.surface, len(faces))
         if self.vertex_map is not None:
-            put(self, "vertex_map", _check_vertex_map(self.vertex_map, n_vertices))
+            put(self, "vertex_map", check_vertex_map(self.vertex_map, n_vertices))
         if self.bone_names is not None:
             named = self.bone_names
             if not isinstance(named, (list, tuple, np.ndarray)) or np.ndim(named) != 1:
@@ -158,10 +137,10 @@ class Skinning:
             raise InputError(missing, "parents and joint_positions together", "one of them")
         if self.parents is not None:
             put(self, "parents", check_parents(self.parents, n_bones))
-            positions = floats_of(self.joint_positions, "joint_positions", (n_bones, 3))
+            positions = check_floats(self.joint_positions, "joint_positions", (n_bones, 3))
             put(self, "joint_positions", positions)
         put(self, "rest", rest)
-        put(self, "indices", np.ascontiguousarray(indices, dtype=np.int32))
+        put(self, "indices", indices)
         put(self, "weights", weights)
         put(self, "transforms", transforms)
         put(self, "faces", faces)
@@ -196,7 +175,7 @@ class Skinning:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints, which are those of the bones that hang on them."""
+        """Names of the joints: those of the bones that are attached there."""
         return self.names()
 
     def local_transforms(self) -> NDArray[np.float64]:
@@ -229,9 +208,9 @@ class Skinning:
         return to_local(self.transforms, parents, positions)
 
     def joint_gaps(self) -> NDArray[np.float64]:
-        """``(F, B)`` distances between where a bone and its parent put their joint.
+        """``(F, B)`` distances between a joint's images under its bone and the parent.
 
-        0 at roots, and everywhere but for rounding where the joints are rigid.
+        0 at roots, and 0 up to rounding where the joints are rigid.
 
         Raises
         ------
@@ -251,16 +230,16 @@ class Skinning:
         return joint_gaps(self.transforms, parents, positions)
 
     def joint_freedom(self, least_turn: float = 1.0) -> tuple[Freedom, ...]:
-        """What the motion says of each joint's place: "point", "line", "nothing" or "root".
+        """How far the motion determines each joint: "point", "line", "nothing" or "root".
 
-        Where a bone turns about one axis of its parent alone, its joint may be anywhere on a
-        line; where it does not turn, anywhere.  What motion leaves open lies where the skin of
-        the two bones meets.
+        If a bone turns about a single axis of its parent, its joint may be anywhere on a line; if
+        it does not turn, anywhere.  What motion leaves open is placed where the skin of the two
+        bones meets.
 
         Parameters
         ----------
         least_turn : float
-            Degrees, root mean square over the frames, below which a turn says nothing.
+            Degrees, root mean square over the frames; smaller turns do not count.
 
         Raises
         ------
@@ -329,7 +308,7 @@ class Skinning:
         if self.parents is None:
             raise InputError(
                 "parents",
-                f"a hierarchy for {what}: decompose(..., hierarchy=...) finds one",
+                f"a hierarchy for {what}: decompose(..., rig='rigid') finds one",
                 "bones without one",
             )
         return self.parents, self.joint_positions
@@ -338,7 +317,7 @@ class Skinning:
         """Positions ``(f, V, 3)`` of the named frames; all of them by default."""
         chosen = self.transforms
         if frames is not None:
-            chosen = chosen[frame_index(frames, self.n_frames)]
+            chosen = chosen[check_frames(frames, self.n_frames)]
         return skin(self.rest, self.indices, self.weights, chosen, dtype=dtype)
 
     def select(self, *clips: str | int) -> Skinning:
@@ -405,10 +384,10 @@ class Skinning:
         return np.asarray(np.where(total[:, None] > 0, sums / safe, mean))
 
     def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
-        """Keep the `influences` largest weights of a vertex, at least `minimum` each; renormalise.
+        """Keep the largest weights of each vertex and renormalise.
 
-        The largest weight of a vertex is always kept.  What it costs is the
-        caller's to measure: ``metrics.compare(model.skin(), pruned.skin())``.
+        At most `influences` weights are kept, each at least `minimum`, and the largest in any
+        case.  ``metrics.compare(model.skin(), pruned.skin())`` measures the cost.
 
         Raises
         ------

@@ -11,7 +11,7 @@ import pytest
 
 import ssdr
 
-pytest.register_assert_rewrite("helpers.promises", "helpers.stretches", "helpers.surfaces")
+pytest.register_assert_rewrite("helpers.measures", "helpers.stretches", "helpers.surfaces")
 
 
 @pytest.fixture(scope="session")

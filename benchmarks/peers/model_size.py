@@ -45,7 +45,7 @@ def dense(indices: np.ndarray, weights: np.ndarray, bones: int) -> np.ndarray:
 
 
 def sparse(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joints and weights (V, K), largest first, of dense weights (V, B); K as large as needed."""
+    """Indices and weights (V, K), largest first, of weights (V, B); K as large as needed."""
     k = max(1, int((weights > 0).sum(axis=1).max()))
     indices = np.argsort(-weights, axis=1, kind="stable")[:, :k]
     return indices, np.take_along_axis(weights, indices, axis=1)
@@ -54,7 +54,7 @@ def sparse(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def skinned_e(
     frames: np.ndarray, rest: np.ndarray, weights: np.ndarray, transforms: np.ndarray
 ) -> float:
-    """E of dense weights (V, B): one matrix product a block of frames, in float64."""
+    """E of weights (V, B): one matrix product a block of frames, in float64."""
     homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
     a = (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(rest), -1)
     squared = 0.0
@@ -87,29 +87,21 @@ def stored(
 
 
 def pca_curve(frames: np.ndarray, points: int = 24) -> list[tuple[int, int, float]]:
-    """Rank, bytes and E of the best linear models of the trajectories (Eckart–Young).
+    """Rank, bytes and E of the best linear models of the trajectories (Eckart and Young).
 
     The mean trajectory and r basis trajectories in float32, r coefficients a vertex in 16 bits.
     """
     n_frames, n = frames.shape[:2]
     x = np.asarray(frames, dtype=np.float64).transpose(1, 0, 2).reshape(n, 3 * n_frames)
     x = x - x.mean(axis=0)
-    rank = min(x.shape)
-    small = x.T @ x if n >= 3 * n_frames else x @ x.T
-    values, vectors = np.linalg.eigh(small)
-    vectors = vectors[:, ::-1]
-    values = np.maximum(values[::-1], 0.0)
-    if n < 3 * n_frames:  # right vectors from left ones
-        keep = values > 1e-14 * values[0]
-        vectors = (x.T @ vectors[:, keep]) / np.sqrt(values[keep])
-    rank = min(rank, vectors.shape[1])
-    ranks = np.unique(np.geomspace(1, rank, points).round().astype(int))
-    coefficients = x @ vectors[:, :rank]
+    _, values, basis = np.linalg.svd(x, full_matrices=False)
+    basis = basis[values > 1e-7 * values[0]]
+    coefficients = x @ basis.T
     step = np.maximum(np.abs(coefficients).max(axis=0), 1e-300) / (2**15 - 1)
     coefficients = np.rint(coefficients / step) * step
     curve = []
-    for r in ranks:
-        rest = x - coefficients[:, :r] @ vectors[:, :r].T
-        e = 1000.0 * float(np.linalg.norm(rest)) / float(np.sqrt(x.size))
+    for r in np.unique(np.geomspace(1, len(basis), points).round().astype(int)):
+        left = x - coefficients[:, :r] @ basis[:r]
+        e = 1000.0 * float(np.linalg.norm(left)) / float(np.sqrt(x.size))
         curve.append((int(r), int(12 * n_frames + r * (2 * n + 12 * n_frames)), e))
     return curve

@@ -1,28 +1,24 @@
 """Where does an iteration's time go, beside the matrix products that it cannot do without?
 
     python benchmarks/speed/steps.py
+    python benchmarks/speed/steps.py --only "horse_gallop-20, polish step, 1"
 
 An outer iteration is a bone step and a vertex step; a polish step has its own parts.  Parts are
 timed from outside, by functions put in the place of the solver's own, in one thread, where their
 times add up; whole steps also in two.  "floor" is the time that the step's dense and sparse
 products would take at the rate of a large float64 matrix product, measured in the same run.
 A part's own "bound" is the longer of its operations at that rate and of the bytes that it must
-read or write once at the rate of a copy.
-Times are the lowest of several iterations: the machine may be busy with other work.
-Peak memory is that of a process of its own (--memory runs that process).
+read or write once at the rate of a copy.  Times are the lowest of several iterations: the machine
+may be busy with other work.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import json
-import resource
-import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -32,39 +28,51 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import ssdr
-from benchmarks.common import (
-    IMAGES,
-    RESULTS,
-    load,
-    machine,
-    pyplot,
-    save_figure,
-    table,
-    tell,
-    write_json,
-)
-from benchmarks.speed import paper_size
+from benchmarks import common
+from benchmarks.common import Row
+from benchmarks.speed.long_sequences import paper
 from ssdr.parallel import serial_blas
-from ssdr.solver import alternation, moments, vertex_newton
-from ssdr.solver import polish as polishing
+from ssdr.solver import alternation, gauss_newton, moments, vertex_elimination, vertex_newton
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Model
+from ssdr.solver.tangents import RigidTangent
 from ssdr.solver.trajectories import Trajectories, gather
+from ssdr.solver.vertex_elimination import ReducedSystem
 
-CASES = [("horse_gallop", 20), ("samba", 60)]
-PAPER = ("paper_size", 80)  # 2,000 of its frames, of full rank
-PAPER_FRAMES = 2000
-INFLUENCES, SWEEPS = 4, 3
+DATA = {"horse_gallop": 20, "samba": 60, "paper_size": 80}  # bones
+PAPER_FRAMES, SWEEPS = 2000, 3  # of the paper's size, of full rank
+PARTS = [
+    ("bones: sums U, AᵀZ", moments, "bone_moments"),
+    ("bones: expansion to C", Trajectories, "expand"),
+    ("bones: sweeps", alternation, "sweep_bones"),
+    ("vertices: G and QᵀM", alternation, "transform_sums"),
+    ("chunks", alternation, "run_chunks"),
+    ("vertices: kernel", alternation, "solve_vertices"),
+]
+POLISH_PARTS = [
+    ("sums U, C", vertex_elimination, "bone_sums"),
+    ("preconditioner", RigidTangent, "precondition"),
+    ("elimination of vertices", ReducedSystem, "_eliminate"),
+    ("tangents", RigidTangent, "image"),
+    ("tangents", RigidTangent, "pullback"),
+    ("vertex step", gauss_newton, "optimise_vertices"),
+    ("vertices: kernel", vertex_newton, "polish_vertices"),
+]
 
 
 class Watch:
-    """Seconds by name, of functions that it stands in for."""
+    """Seconds and calls, by name, of functions that are replaced during one step."""
 
-    def __init__(self) -> None:
+    def __init__(self, step: Callable[[], object], targets: list[tuple[str, Any, str]]) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
         self.calls: dict[str, int] = defaultdict(int)
+        with contextlib.ExitStack() as stack:
+            for name, home, attribute in targets:
+                stand_in = self._over(name, getattr(home, attribute))
+                stack.enter_context(mock.patch.object(home, attribute, stand_in))
+            self._over("all", step)()
 
-    def over(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def _over(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*args: Any, **kwargs: Any) -> Any:
             began = time.perf_counter()
             try:
@@ -75,110 +83,27 @@ class Watch:
 
         return timed
 
-    @contextlib.contextmanager
-    def watching(self, targets: list[tuple[str, Any, str]]) -> Iterator[None]:
-        with contextlib.ExitStack() as stack:
-            for name, home, attribute in targets:
-                stand_in = self.over(name, getattr(home, attribute))
-                if isinstance(home.__dict__[attribute], staticmethod):
-                    stand_in = staticmethod(stand_in)  # type: ignore[assignment]
-                stack.enter_context(mock.patch.object(home, attribute, stand_in))
-            yield
 
-
-BONE = [
-    ("sums", moments, "bone_moments"),
-    ("expansion", Trajectories, "expand"),
-    ("sweeps", alternation, "sweep_bones"),
-]
-VERTEX = [
-    ("sums", alternation, "transform_sums"),
-    ("chunks", alternation, "run_chunks"),
-    ("kernel", alternation, "solve_vertices"),
-]
-POLISH = [
-    ("bone sums", polishing, "bone_sums"),
-    ("preconditioner", polishing.Polish, "_preconditioner"),
-    ("solve", polishing.Polish, "_solve"),
-    ("elimination", polishing.Polish, "_eliminate"),
-    ("tangents", polishing.Polish, "_image"),
-    ("tangents", polishing.Polish, "_pullback"),
-    ("vertex step", polishing.Polish, "_vertex_step"),
-    ("vertex kernel", vertex_newton, "polish_vertices"),
-]
-
-
-def fastest(run: Callable[[Watch], None], targets: list[tuple[str, Any, str]], repeats: int) -> Any:
-    """Seconds by part of the quickest of several calls, and "all" of it."""
-    found = []
-    for _ in range(repeats):
-        watch = Watch()
-        with watch.watching(targets):
-            began = time.perf_counter()
-            run(watch)
-            watch.seconds["all"] = time.perf_counter() - began
-        found.append(watch)
-    return min(found, key=lambda w: w.seconds["all"])
-
-
-def prepare(name: str, bones: int) -> tuple[Trajectories, Model]:
-    """A model some alternations after its start, as most iterations find it."""
-    if name == PAPER[0]:
-        return prepare_paper()
-    frames, faces = load(name)
-    data = gather([ssdr.MeshSequence(frames, faces)], bones=bones)
-    rng = np.random.default_rng(0)
-    model = start_model(data, data.frame(0), bones, INFLUENCES, rng)
-    for _ in range(6):
-        alternation.vertex_step(data, model)
-        alternation.bone_step(data, model, sweeps=SWEEPS)
-    alternation.vertex_step(data, model)
-    return data, model
-
-
-def prepare_paper() -> tuple[Trajectories, Model]:
-    """The paper's size: each vertex starts with its largest weight; some alternations follow."""
-    source = paper_size.Source()
-    frames = np.concatenate([source.block(k, 250)[0] for k in range(0, PAPER_FRAMES, 250)])
-    # noise has full rank: a basis would be looked for in vain
-    data = gather([ssdr.MeshSequence(frames, source.faces)], bones=source.bones, compress=False)
-    del frames
-    rest, bones = data.from_world(source.rest, source.transforms(np.arange(PAPER_FRAMES)))
-    assert bones is not None
-    largest = source.indices[np.arange(len(rest)), source.weights.argmax(axis=1)]
-    model = Model.start(bones, rest, largest.astype(np.intp), paper_size.INFLUENCES)
-    for _ in range(2):
-        alternation.vertex_step(data, model)
-        alternation.bone_step(data, model, sweeps=SWEEPS)
-    alternation.vertex_step(data, model)
-    return data, model
-
-
-def bounds(
-    data: Trajectories, model: Model, flop: dict[str, float], rates: dict[str, Any]
-) -> dict[str, float]:
-    """Seconds by part of an outer iteration that its operations or its bytes need."""
-    f, b, v, r = data.n_frames, model.n_bones, data.n_vertices, data.z.shape[1]
-    shared = np.zeros((b, b), dtype=bool)
-    for q in range(model.n_influences):
-        for s in range(model.n_influences):
-            both = (model.weights[:, q] > 0) & (model.weights[:, s] > 0)
-            shared[model.indices[both, q], model.indices[both, s]] = True
-    np.fill_diagonal(shared, False)
-    z, y, per_frame = 8.0 * v * r, 8.0 * v * 4 * b, 8.0 * 12 * f * b
-    support = float(model.count.sum())
-    need = {
-        "bones: sums U, AᵀZ": (flop["C"], z),
-        "bones: expansion to C": (flop["Q(AᵀZ)ᵀ"], 8.0 * 4 * b * r + per_frame),
-        "bones: sweeps": (SWEEPS * f * 96.0 * shared.sum(), 3 * per_frame),
-        "vertices: G and QᵀM": (flop["G"] + flop["QᵀM"], 2 * per_frame),
-        "vertices: Y": (flop["Y"], z + y),
-        "vertices: kernel": (20.0 * support * b, y),
-    }
-    return {
-        part: max(1e-9 * ops / rates["gemm_1"], 1e-9 * size / rates["memory"])
-        for part, (ops, size) in need.items()
-    }
+def prepared(data: str) -> tuple[Trajectories, Model]:
+    """Data and a model some alternations after its start."""
+    if data == "paper_size":
+        skirt = paper()
+        frames = np.concatenate([skirt.block(k, 250)[0] for k in range(0, PAPER_FRAMES, 250)])
+        # noise has full rank, which no basis reduces
+        found = gather([ssdr.MeshSequence(frames)], bones=skirt.bones, compress=False)
+        rest, bones = found.from_world(skirt.rest, skirt.transforms(np.arange(PAPER_FRAMES)))
+        largest = skirt.indices[np.arange(len(rest)), skirt.weights.argmax(axis=1)]
+        model = Model.start(bones, rest, largest.astype(np.intp), 8)
+        count = 2
+    else:
+        found = gather([ssdr.MeshSequence(*common.load(data))], bones=DATA[data])
+        rng = np.random.default_rng(0)
+        model, count = start_model(found, found.frame(0), DATA[data], 4, rng), 6
+    for _ in range(count):
+        alternation.vertex_step(found, model)
+        alternation.bone_step(found, model, sweeps=SWEEPS)
+    alternation.vertex_step(found, model)
+    return found, model
 
 
 def products(data: Trajectories, model: Model) -> dict[str, float]:
@@ -188,206 +113,114 @@ def products(data: Trajectories, model: Model) -> dict[str, float]:
     reduced basis and only where A is not zero.
     """
     f, b, v, r = data.n_frames, model.n_bones, data.n_vertices, data.z.shape[1]
-    nonzero = float((model.weights > 0).sum())
     through = 0.0 if data.q is None else 2.0 * 3 * f * r * 4 * b
-    table_g = 2.0 * 3 * f * (4 * b) ** 2
     return {
-        "G": table_g,
+        "G": 2.0 * 3 * f * (4 * b) ** 2,
         "QᵀM": through,
         "Y": 2.0 * v * r * 4 * b,
-        "C": 2.0 * 4 * nonzero * r,
+        "C": 2.0 * 4 * float((model.weights > 0).sum()) * r,
         "Q(AᵀZ)ᵀ": through,
-        "Schur product": 3 * table_g,
-        "Y over all frames": 2.0 * v * 3 * f * 4 * b,
     }
 
 
-def outer_iterations(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
-    rows = []
-    data, model = prepare(name, bones)
-    flop = products(data, model)
-    case = {
-        "case": f"{name}-{bones}",
-        "V": data.n_vertices,
-        "F": data.n_frames,
-        "r": data.z.shape[1],
+def bounds(data: Trajectories, model: Model, flop: dict[str, float], rates: Row) -> Row:
+    """Least milliseconds of each part of an outer iteration by its operations and bytes."""
+    f, b, v, r = data.n_frames, model.n_bones, data.n_vertices, data.z.shape[1]
+    uses = np.zeros((v, b), dtype=bool)
+    np.put_along_axis(uses, model.indices, model.weights > 0, axis=1)
+    pairs = int((uses.T.astype(int) @ uses > 0).sum()) - b
+    z, y, per_frame = 8.0 * v * r, 8.0 * v * 4 * b, 8.0 * 12 * f * b
+    need = {
+        "bones: sums U, AᵀZ": (flop["C"], z),
+        "bones: expansion to C": (flop["Q(AᵀZ)ᵀ"], 8.0 * 4 * b * r + per_frame),
+        "bones: sweeps": (SWEEPS * f * 96.0 * pairs, 3 * per_frame),
+        "vertices: G and QᵀM": (flop["G"] + flop["QᵀM"], 2 * per_frame),
+        "vertices: Y": (flop["Y"], z + y),
+        "vertices: kernel": (20.0 * float(model.count.sum()) * b, y),
     }
-    for threads in (1, 2):
-        ssdr.set_threads(threads)
-        rates = machine()
-        rate = rates["gemm_1"] if threads == 1 else rates["gemm_2"]
-        bone, vertex = model.copy(), model.copy()
-        b = fastest(lambda _, m=bone: alternation.bone_step(data, m, sweeps=SWEEPS), BONE, repeats)
-        v = fastest(lambda _, m=vertex: alternation.vertex_step(data, m), VERTEX, repeats)
-        whole = b.seconds["all"] + v.seconds["all"]
-        parts: dict[str, float] = {}
-        if threads == 1:
-            parts = {
-                "bones: sums U, AᵀZ": b.seconds["sums"],
-                "bones: expansion to C": b.seconds["expansion"],
-                "bones: sweeps": b.seconds["sweeps"],
-                "vertices: G and QᵀM": v.seconds["sums"],
-                "vertices: Y": v.seconds["chunks"] - v.seconds["kernel"],
-                "vertices: kernel": v.seconds["kernel"],
-            }
-            parts["rest"] = whole - sum(parts.values())
-        needed = sum(flop[k] for k in ("G", "QᵀM", "Y", "C", "Q(AᵀZ)ᵀ"))
-        rows.append({
-            **case, "step": "outer iteration", "threads": threads,
-            "ms": 1e3 * whole, "bone step ms": 1e3 * b.seconds["all"],
-            "vertex step ms": 1e3 * v.seconds["all"],
-            "parts ms": {k: 1e3 * s for k, s in parts.items()},
-            "bounds ms": {k: 1e3 * s for k, s in bounds(data, model, flop, rates).items()},
-            "GFLOP": 1e-9 * needed, "floor ms": 1e-6 * needed / rate,
-            "times floor": whole / (1e-9 * needed / rate), **rates,
-        })  # fmt: skip
-    ssdr.set_threads(None)
-    return rows
-
-
-def polish_steps(name: str, bones: int, repeats: int) -> list[dict[str, Any]]:
-    rows = []
-    data, model = prepare(name, bones)
-    flop = products(data, model)
-    case = {
-        "case": f"{name}-{bones}",
-        "V": data.n_vertices,
-        "F": data.n_frames,
-        "r": data.z.shape[1],
-    }
-    for threads in (1, 2):
-        ssdr.set_threads(threads)
-        rates = machine()
-        rate = rates["gemm_1"] if threads == 1 else rates["gemm_2"]
-        state = polishing.Polish(data, model.copy())
-        state.step()
-        w = fastest(lambda _, s=state: s.step(), POLISH, repeats)
-        s = w.seconds
-        # once for the gradient, once to go back to the vertices, else once a product
-        conjugate = w.calls["elimination"] - 2
-        parts: dict[str, float] = {}
-        if threads == 1:
-            parts = {
-                "sums U, C": s["bone sums"],
-                "preconditioner": s["preconditioner"],
-                "elimination of vertices": s["elimination"],
-                "tangents": s["tangents"],
-                "vertices: kernel": s["vertex kernel"],
-                "vertices: G, QᵀM, Y": s["vertex step"] - s["vertex kernel"],
-            }
-            parts["CG: matrix products"] = s["all"] - sum(parts.values())
-        needed = sum(flop[k] for k in ("G", "QᵀM", "Y", "C", "Q(AᵀZ)ᵀ"))
-        needed += (conjugate + 1) * flop["Schur product"]
-        needed += (conjugate + 1) * 2.0 * data.n_frames * (6 * model.n_bones) ** 2
-        rows.append(
-            {
-                **case,
-                "step": "polish step",
-                "threads": threads,
-                "ms": 1e3 * s["all"],
-                "CG products": conjugate,
-                "parts ms": {k: 1e3 * value for k, value in parts.items()},
-                "GFLOP": 1e-9 * needed,
-                "floor ms": 1e-6 * needed / rate,
-                "times floor": s["all"] / (1e-9 * needed / rate),
-                **rates,
-            }
-        )
-    ssdr.set_threads(None)
-    return rows
-
-
-def peak() -> float:
-    """Most memory that this process ever held, MiB."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        # what getrusage reports starts, on Linux, from the memory of the parent process
-        for line in status.read_text().splitlines():
-            if line.startswith("VmHWM"):
-                return int(line.split()[1]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def memory(name: str, bones: int) -> dict[str, Any]:
-    """Peak before and after the run; the kernels are loaded before."""
-    frames, faces = load(name)
-    ssdr.decompose(frames[:4, :64], bones=2, effort="fast", max_iterations=1)
-    before = peak()
-    ssdr.decompose(frames, faces, bones=bones, influences=INFLUENCES)
     return {
-        "case": f"{name}-{bones}",
-        "input MiB": frames.nbytes / 2**20,
-        "float64 MiB": frames.size / 2**17,
-        "before MiB": before,
-        "peak MiB": peak(),
+        part: 1e3 * max(1e-9 * ops / rates["gemm_1"], 1e-9 * size / rates["memory"])
+        for part, (ops, size) in need.items()
     }
 
 
-def memory_apart(name: str, bones: int) -> dict[str, Any]:
-    command = [sys.executable, __file__, "--memory", name, str(bones)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+def measure(data: str, step: str, threads: int = 1) -> Row:
+    ssdr.set_threads(threads)
+    rates = common.machine()
+    with serial_blas():
+        found, model = prepared(data)
+        flop = products(found, model)
+        needed = sum(flop.values())
+        if step == "outer iteration":
+            watch = quickest(outer(found, model), PARTS)
+            seconds = watch.seconds
+            seconds["vertices: Y"] = seconds.pop("chunks") - seconds["vertices: kernel"]
+            seconds["vertices: Y"] -= seconds["bones: sweeps"]
+            rest = "rest"
+            limits = bounds(found, model, flop, rates)
+            order = [*limits]
+        else:
+            newton = gauss_newton.GaussNewton(found, model)
+            newton.step()
+            watch = quickest(newton.step, POLISH_PARTS)
+            seconds = watch.seconds
+            seconds["vertices: G, QᵀM, Y"] = (
+                seconds.pop("vertex step") - seconds["vertices: kernel"]
+            )
+            rest, limits = "CG: matrix products", {}
+            order = [name for name in dict.fromkeys(n for n, *_ in POLISH_PARTS) if name in seconds]
+            order.append("vertices: G, QᵀM, Y")
+            # the vertices are eliminated once for the gradient and once for their own step
+            count = watch.calls["elimination of vertices"] - 2 + 1
+            needed += count * (3 * flop["G"] + 2.0 * found.n_frames * (6 * model.n_bones) ** 2)
+    whole = seconds.pop("all")
+    parts = {name: 1e3 * seconds[name] for name in order} if threads == 1 else {}
+    if parts:
+        parts[rest] = 1e3 * whole - sum(parts.values())
+    rate = rates["gemm_1" if threads == 1 else "gemm_2"]
+    return {
+        "bones": model.n_bones, "V": found.n_vertices, "F": found.n_frames,
+        "r": found.z.shape[1], "ms": 1e3 * whole, "parts": parts, "bounds": limits if parts else {},
+        "GFLOP": 1e-9 * needed, "floor ms": 1e-6 * needed / rate,
+        "ratio": whole / (1e-9 * needed / rate), "rate": rate, "machine": rates,
+    }  # fmt: skip
 
 
-def chart(rows: list[dict[str, Any]], path: Path) -> None:
-    plt = pyplot()
-    shown = [row for row in rows if row["threads"] == 1]
-    figure, axes = plt.subplots(-(-len(shown) // 2), 2, figsize=(11, 8))
+def outer(data: Trajectories, model: Model) -> Callable[[], None]:
+    def run() -> None:
+        alternation.bone_step(data, model, sweeps=SWEEPS)
+        alternation.vertex_step(data, model)
+
+    return run
+
+
+def quickest(step: Callable[[], object], targets: list[tuple[str, Any, str]]) -> Watch:
+    watches: list[Watch] = []
+    while len(watches) < 3 or (len(watches) < 8 and sum(w.seconds["all"] for w in watches) < 2):
+        watches.append(Watch(step, targets))
+    return min(watches, key=lambda w: w.seconds["all"])
+
+
+def chart(rows: dict[str, Row], images: Path) -> None:
+    shown = [row for row in rows.values() if row.get("parts")]
+    figure, axes = common.pyplot().subplots(-(-len(shown) // 2), 2, figsize=(11, 8))
     for axis in axes.flat[len(shown) :]:
         axis.axis("off")
     for axis, row in zip(axes.flat, shown, strict=False):
-        names = list(row["parts ms"])
-        axis.barh(names, [row["parts ms"][n] for n in names], color="#0072b2")
+        axis.barh(list(row["parts"]), list(row["parts"].values()), color="#0072b2")
         axis.barh(["all products, at the GEMM rate"], [row["floor ms"]], color="#e69f00")
         axis.invert_yaxis()
-        axis.set(title=f"{row['step']}, {row['case']}: {row['ms']:.0f} ms", xlabel="ms, one thread")
-    save_figure(figure, path)
-    plt.close(figure)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=8)
-    parser.add_argument("--short", action="store_true", help="without the paper's size")
-    parser.add_argument("--memory", nargs=2, metavar=("DATA", "BONES"), help="of this one alone")
-    parser.add_argument("--out", type=Path, default=RESULTS / "steps.json")
-    parser.add_argument("--chart", type=Path, default=IMAGES / "steps.png")
-    args = parser.parse_args()
-    if args.memory:
-        print(json.dumps(memory(args.memory[0], int(args.memory[1]))))
-        return
-    frames, _ = load("fox")
-    ssdr.decompose(frames[:4], bones=2, effort="fast", max_iterations=1)  # kernels ready
-    rows: list[dict[str, Any]] = []
-    with serial_blas():
-        for name, bones in CASES:
-            rows += outer_iterations(name, bones, args.repeats)
-        if not args.short:
-            rows += outer_iterations(*PAPER, max(2, args.repeats // 4))
-        for name, bones in CASES:
-            rows += polish_steps(name, bones, max(3, args.repeats // 2))
-        if not args.short:
-            rows += polish_steps(*PAPER, 3)
-    peaks = [memory_apart(name, bones) for name, bones in CASES]
-    write_json(args.out, {"question": __doc__.splitlines()[0], "steps": rows, "memory": peaks})
-    chart(rows, args.chart)
-    columns = (
-        "case", "V", "F", "r", "step", "threads", "ms", "bone step ms", "vertex step ms",
-        "CG products", "GFLOP", "floor ms", "times floor", "gemm_1", "gemm_2", "load",
-    )  # fmt: skip
-    print(table(rows, columns))
-    for row in rows:
-        if row["parts ms"]:
-            print(f"\n{row['case']}, {row['step']}, one thread:")
-            for part, ms in row["parts ms"].items():
-                bound = row.get("bounds ms", {}).get(part)
-                beside = ""
-                if bound is not None:
-                    beside = f"  bound {bound:8.2f} ms, {ms / bound:5.1f} times"
-                print(f"  {part:28} {ms:8.2f} ms  {100 * ms / row['ms']:5.1f} %{beside}")
-    print("\n" + table(peaks, list(peaks[0])))
-    print(tell(rows[-1]))
+        title = f"{row['step']}, {row['data']}-{row['bones']}: {row['ms']:.0f} ms"
+        axis.set(title=title, xlabel="ms, one thread")
+    common.save_figure(figure, images / "steps.png")
 
 
 if __name__ == "__main__":
-    main()
+    cases: dict[str, Row] = {
+        f"{data}-{bones}, {step}, {threads}": {"data": data, "step": step, "threads": threads}
+        for step in ("outer iteration", "polish step")
+        for data, bones in DATA.items()
+        for threads in (1, 2)
+    }
+    columns = ("V", "F", "r", "ms", "GFLOP", "floor ms", "ratio", "rate")
+    common.run(__file__, __doc__, cases, measure, columns, chart)

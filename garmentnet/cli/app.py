@@ -15,7 +15,7 @@ import typer
 
 from ssdr.cli.streams import safe_streams
 from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError, error_text
-from ssdr.signals import terminate_as_interrupt
+from ssdr.signals import interrupt_on_signals
 
 from .learning import demo, evaluate, predict, train
 from .simulating import dataset, simulate
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Those of the process by default.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    with safe_streams(), terminate_as_interrupt():
+    with safe_streams(), interrupt_on_signals():
         try:
             code = app(words, prog_name="garmentnet", standalone_mode=False)
             # The parser turns an interrupt into this code, without a message.

@@ -171,18 +171,8 @@ class VirtualBones:
 
         Sweeps end when one lowers the error by less than the fraction `tolerance`.
         """
-        s = self.skinning
-        found = ssdr.fit_bones(
-            low,
-            self.store.faces,
-            rest=s.rest,
-            indices=s.indices,
-            weights=s.weights,
-            bones=s.n_bones,
-            tolerance=tolerance,
-            max_sweeps=_SWEEPS,
-        )
-        return np.asarray(found.transforms, np.float32), found.rmse
+        found = ssdr.fit_bones(low, self.skinning, tolerance=tolerance, max_sweeps=_SWEEPS)
+        return np.asarray(found.skinning.transforms, np.float32), found.rmse
 
     def _fitted(self, clip: Clip) -> tuple[NDArray[np.float32], float]:
         base = self.folder / "clips"

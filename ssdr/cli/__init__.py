@@ -1,5 +1,25 @@
-"""The command ``ssdr``: decompose, info, compare, convert, render."""
+"""The command ``ssdr``; :func:`main` is where it begins."""
 
-from .entry import main
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
 
 __all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process by default.
+    """
+    try:
+        from .app import run
+
+        return run(arguments)
+    except KeyboardInterrupt:  # while modules are imported
+        sys.stderr.write("ssdr: interrupted\n")
+        return 130

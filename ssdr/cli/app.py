@@ -1,56 +1,48 @@
-"""The command ``ssdr``: decompose, info, compare, convert, render.
-
-Exit codes: 0 done, 1 something unexpected, 2 wrong usage or input, 3 a file that cannot be
-read as what it claims to be, 4 a missing optional package, 130 interrupted.
-"""
+"""The command ``ssdr``: its commands, its errors and its exit codes."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import logging
 import sys
-import time
 import warnings
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
 
-from ..errors import (
-    Cancelled,
-    FormatError,
-    InputError,
-    MissingDependencyError,
-    SsdrError,
-    error_text,
-)
-from ..signals import terminate_as_interrupt
-from .comparing import compare
-from .converting import convert
-from .decomposing import decompose
-from .inspecting import info
-from .output import Interrupted, Output
-from .rendering import render
+from .. import errors
+from ..signals import interrupt_on_signals
+from .compare import compare
+from .convert import convert
+from .decompose import decompose
+from .info import info
+from .options import Options
+from .output import Output
+from .render import render
+from .smallest import smallest
 from .streams import safe_streams
-from .timing import seconds_running
-
-__all__ = ["app", "run"]
 
 _BAD_NAMES = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
+_CODES: tuple[tuple[Any, int], ...] = (
+    ((KeyboardInterrupt, errors.Cancelled), 130),
+    (errors.MissingDependencyError, 4),
+    (errors.FormatError, 3),
+    ((errors.InputError, FileNotFoundError, PermissionError, IsADirectoryError), 2),
+)
 
 app = typer.Typer(
     name="ssdr",
-    help="Animated meshes to skinned models: rest pose, skin weights and rigid bones.",
+    help="Animated meshes to skinned models: rest pose, skin weights and bones.",
     epilog="Exit codes: 0 done, 1 unexpected, 2 wrong usage or input, 3 bad file, "
     "4 missing optional package, 130 interrupted.",
-    no_args_is_help=True,
-    add_completion=True,
-    rich_markup_mode=None,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (decompose, info, compare, convert, render):
+for _command in (decompose, smallest, info, compare, convert, render):
     app.command()(_command)
 
 
@@ -77,72 +69,69 @@ def run(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Those of the process by default.
+        Those of the process by default; without any, the help is shown.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # To whoever typed the command, Python's start and the imports are part of it.
-    began = time.perf_counter() - (seconds_running() if arguments is None else 0.0)
-    with safe_streams(), terminate_as_interrupt():
-        try:
-            return _called(given, began)
-        except KeyboardInterrupt:  # a second one, while the first was being dealt with
-            return 130
-
-
-def _called(given: list[str], began: float) -> int:
-    as_json = "--json" in given
-    output = Output.current = Output(arguments=given, began=began)
-    with warnings.catch_warnings():
+    with safe_streams(), interrupt_on_signals(), warnings.catch_warnings():
+        output = Output.current = Output(Options(json="--json" in given))
         warnings.showwarning = output.warn
         try:
-            code = app(given, prog_name="ssdr", standalone_mode=False)
-            if code == 130:  # what the parser makes of an interrupt
-                raise KeyboardInterrupt
+            given = [_sample(word) for word in given]
+            code = app(given or ["--help"], prog_name="ssdr", standalone_mode=False)
+            if code == 130:  # what the parser makes of a KeyboardInterrupt
+                return _report(KeyboardInterrupt(), output)
             return code if isinstance(code, int) else 0
-        except (KeyboardInterrupt, Interrupted, Cancelled) as error:
-            return _fail(130, error, str(error) or "interrupted", as_json)
-        except MissingDependencyError as error:
-            return _fail(4, error, str(error), as_json)
-        except FormatError as error:
-            return _fail(3, error, str(error), as_json)
-        except (InputError, FileNotFoundError, PermissionError, IsADirectoryError) as error:
-            return _fail(2, error, error_text(error), as_json)
-        except BrokenPipeError:  # the reader of stdout has gone
-            return 1
-        except (SsdrError, OSError, MemoryError) as error:
-            code = 2 if getattr(error, "errno", None) in _BAD_NAMES else 1
-            return _fail(code, error, error_text(error), as_json)
         except Exception as error:
-            if hasattr(error, "format_message"):  # what the parser of the command line raises
-                return _fail(2, error, error.format_message(), as_json, usage=error)
-            logging.getLogger("ssdr").debug("traceback", exc_info=True)
-            text = f"unexpected {type(error).__name__}: {error} (-vv shows where)"
-            return _fail(1, error, text, as_json)
+            return _report(error, output)
 
 
-def _fail(
-    code: int, error: BaseException, text: str, as_json: bool, usage: Any | None = None
-) -> int:
-    output = Output.current
-    if usage is not None and getattr(usage, "ctx", None) is not None and not as_json:
-        if text == usage.ctx.get_help():  # nothing was asked for
-            sys.stderr.write(text + "\n")
-            return code
-        sys.stderr.write(usage.ctx.get_usage() + "\n")
-    line = " ".join(text.split())
+def _sample(word: str) -> str:
+    """The path of a sample that is given as ``sample:NAME``; other words as they are."""
+    if not word.startswith("sample:"):
+        return word
+    from ..samples import path
+
+    return str(path(word.removeprefix("sample:")))
+
+
+def _report(error: BaseException, output: Output) -> int:
+    """Say in one line what went wrong; the exit code."""
+    code = _exit_code(error)
+    if isinstance(error, BrokenPipeError):  # the reader of stdout has gone
+        return code
+    as_json = output.options.json and not output.printed
+    context = getattr(error, "ctx", None)
+    if context is not None and not as_json:
+        sys.stderr.write(context.get_usage() + "\n")
+    line = " ".join(_message(error).split())
     if as_json:
-        document: dict[str, Any] = {
-            "error": line,
-            "kind": type(error).__name__,
-            "exit_code": code,
-            "warnings": output.warnings,
-            **getattr(error, "details", {}),
-        }
-        try:
-            sys.stdout.write(json.dumps(document) + "\n")
-            sys.stdout.flush()
+        document = {"error": line, "kind": type(error).__name__, "exit_code": code}
+        with contextlib.suppress(OSError):  # stderr is what is left
+            output.write(json.dumps({**document, "warnings": output.warnings}) + "\n")
             return code
-        except OSError:
-            pass  # stderr is what is left
     sys.stderr.write(f"ssdr: {line}\n" if code == 130 else f"ssdr: error: {line}\n")
     return code
+
+
+def _exit_code(error: BaseException) -> int:
+    """2 to 4 and 130 for what may be expected, 1 for everything else."""
+    if _is_usage(error) or getattr(error, "errno", None) in _BAD_NAMES:
+        return 2
+    return next((code for kinds, code in _CODES if isinstance(error, kinds)), 1)
+
+
+def _message(error: BaseException) -> str:
+    """The text of an error."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if _is_usage(error):
+        return str(error.format_message())  # type: ignore[attr-defined]
+    if isinstance(error, (errors.SsdrError, OSError, MemoryError)):
+        return errors.error_text(error)
+    logging.getLogger("ssdr").debug("traceback", exc_info=error)
+    return f"unexpected {type(error).__name__}: {error} (-vv shows where)"
+
+
+def _is_usage(error: BaseException) -> bool:
+    """Whether it comes from the parser of the command line."""
+    return hasattr(error, "format_message")

@@ -1,160 +1,86 @@
-"""What commands read: options for each of several files, and the clips in them."""
+"""Read files by clips."""
 
 from __future__ import annotations
 
 import dataclasses
-import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 
 from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError
-from ..io.registry import Format, format_of, format_to_read
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from .output import Output, _keywords, _pair, read_any, read_options
-
-ClipNames = Annotated[
-    list[str] | None,
-    typer.Option("--clip", metavar="NAME", help="Clip to read; repeat it, or say all."),
-]
-_PREFIX = re.compile(r"\.?(\w+):(?=\w+=)")
+from .format_options import keywords, readable_format
+from .output import Output
 
 
-def options_for(
-    paths: Sequence[Path],
-    pairs: list[str] | None,
-    *,
-    fps: float | None = None,
-    weld: bool = False,
-    scale: float | None = None,
-    roles: Sequence[str] = (),
-) -> list[dict[str, Any]]:
-    """Keyword arguments of :func:`ssdr.load` for each file.
+def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
+    """A skinning if the file holds one, else a sequence."""
+    from .. import io
 
-    ``key=value`` goes to the files whose format knows the key, ``suffix:key=value`` to those of
-    that suffix, ``A:key=value`` to the one that has this role.
-
-    Raises
-    ------
-    InputError
-        If no file knows a key, or none is meant by what stands before the colon.
-    """
-    known = [_known(path) for path in paths]
-    result = [read_options(None, fps=fps, weld=weld, scale=scale) for _ in paths]
-    for pair in pairs or ():
-        match = _PREFIX.match(pair)
-        key, value = _pair("--read", pair[match.end() :] if match else pair)
-        meant = list(range(len(paths)))
-        if match:
-            suffix = f".{match[1].lower()}"
-            meant = [
-                k
-                for k, path in enumerate(paths)
-                if match[1] in roles[k : k + 1] or path.suffix.lower() == suffix
-            ]
-            if not meant:
-                before = ", ".join([*roles, "the suffix of an input"])
-                raise InputError("--read", f"{before} before the colon", pair)
-        takers = [k for k in meant if known[k] is None or key in (known[k] or ())]
-        if not takers:
-            wanted = sorted(set().union(*(known[k] or () for k in meant)))
-            files = ", ".join(str(paths[k]) for k in meant)
-            raise InputError("--read", f"one of {', '.join(wanted)} for {files}", key)
-        for k in takers:
-            result[k][key] = value
-    return result
-
-
-def _format(path: Path) -> Format | None:
+    known = keywords(readable_format(path), "read_skinning")
+    no_skinning = None
+    if known:
+        try:
+            fitting = {k: v for k, v in options.items() if k in known | {"scale"}}
+            return io.load_skinning(path, **fitting)
+        except FormatError as error:
+            no_skinning = error
     try:
-        return format_to_read(path)
-    except FormatError:
-        return None
+        return io.load(path, **options)
+    except FormatError as error:
+        raise error from no_skinning
 
 
-def _known(path: Path) -> set[str] | None:
-    """Options of a file's format; None where it takes any, or there is no such format."""
-    format_ = _format(path)
-    if format_ is None or format_.read is None:
-        return None
-    names = {"fps", "weld"}
-    for function in (format_.read, format_.read_skinning):
-        found = _keywords(format_, function) if function else {"no options"}
-        if not found:
-            return None
-        names |= found - {"no options", "clip"}
-    return names
-
-
-def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...] | None:
-    """The clips of a file; None where its format has none, so that it is one."""
+def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...]:
+    """The clips of a file; none if its format holds only one."""
     from ..io import list_clips
 
-    format_ = _format(path)
-    if format_ is None or format_.list_clips is None or not path.exists():
-        return None
-    target = _keywords(format_, format_.list_clips)
-    return list_clips(path, **{k: v for k, v in options.items() if k in target})
-
-
-def wanted_of(names: list[str] | None) -> list[str] | None:
-    """Names of ``--clip``, each once; none of them: all clips.  None: nothing was said."""
-    if names is None or "all" in names:
-        return None if names is None else []
-    return list(dict.fromkeys(names))
+    known = keywords(readable_format(path), "list_clips")
+    if not known or not path.exists():
+        return ()
+    return list_clips(path, **{k: v for k, v in options.items() if k in known})
 
 
 def read_clips(
     paths: Sequence[Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[MeshSequence]:
-    """A sequence a clip, files and clips in their order, under names that differ.
+    """One sequence for each clip, in the order of the files, under names that differ.
 
     Parameters
     ----------
     paths : paths
     names : list of str or None
-        Clips to read, ``all`` for every one.  None: of each file the first, with a warning where
-        there are others.
+        Clips to read; ``all`` reads every clip.  None: the first clip of each file, with a
+        warning if the file has others.
     options : dicts
-        Of :func:`ssdr.load`, one for each file.
+        Arguments of :func:`ssdr.load`, one dict for each file.
 
     Raises
     ------
     InputError
-        If no file has a clip of that name, none is chosen of a file that has several, or the
-        files do not hold one mesh.
+        If no file has a clip of that name, a file with several clips has none of those named,
+        or the files hold different meshes.
     """
     from ..io import load
 
-    names = wanted_of(names)
     found: list[tuple[Path, MeshSequence]] = []
-    held: set[str] = set()
+    held: list[str] = []
     for path, given in zip(paths, options, strict=True):
         given = {k: v for k, v in given.items() if k != "weld"}
-        clips = None if "animation" in given else clips_in(path, given)
-        if clips is None or len(clips) == 1:
-            one = load(path, **given)
-            held.add(one.clip or one.name)
-            found.append((path, one))
-            continue
-        known = [clip.name for clip in clips]
-        held |= set(known)
-        if names is None:
-            _warn_of_others(path, known)
-            chosen = known[:1]
+        known = [] if "animation" in given else [clip.name for clip in clips_in(path, given)]
+        if len(known) < 2:
+            shots = [load(path, **given)]
+            held.append(shots[0].clip or shots[0].name)
         else:
-            chosen = [name for name in names if name in known] if names else known
-        if not chosen:
-            raise InputError("--clip", f"a clip of {path}: {', '.join(known)}, or all", names)
-        found += [(path, load(path, clip=name, **given)) for name in chosen]
-    missing = [name for name in names or () if name not in held]
-    if missing:
-        raise InputError("--clip", f"one of {', '.join(sorted(held))}, or all", missing[0])
+            held += known
+            chosen = _chosen(names, known, path)
+            shots = [load(path, clip=name, **given) for name in chosen]
+        found += [(path, shot) for shot in shots]
+    _check_names(names, held)
     _check_one_mesh(found)
     shots = _named(found)
     return _welded(shots) if any(given.get("weld") for given in options) else shots
@@ -163,21 +89,18 @@ def read_clips(
 def read_model(
     path: Path, names: list[str] | None, options: dict[str, Any]
 ) -> MeshSequence | Skinning:
-    """A skinning with the named clips (all by default), else a sequence of one clip."""
+    """A skinning with the named clips (all by default), else the vertices of one clip."""
     thing = read_any(path, **options)
     if isinstance(thing, Skinning):
-        known, wanted = [clip.name for clip in thing.clips], wanted_of(names)
-        for name in wanted or ():
-            if name not in known:
-                raise InputError("--clip", f"one of {', '.join(known)}, or all", name)
-        return thing.select(*wanted) if wanted else thing
-    several = clips_in(path, options) or ()
-    if names is None and len(several) < 2:
+        _check_names(names, [clip.name for clip in thing.clips])
+        every = names is None or "all" in names
+        return thing if every else thing.select(*dict.fromkeys(names or ()))
+    if names is None and len(clips_in(path, options)) < 2:
         return thing
-    return one_clip(path, names, options)
+    return read_vertices(path, names, options)
 
 
-def one_clip(path: Path, names: list[str] | None, options: dict[str, Any]) -> MeshSequence:
+def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) -> MeshSequence:
     """The vertices of one clip."""
     shots = read_clips([path], names, [options])
     if len(shots) > 1:
@@ -189,56 +112,33 @@ def one_clip(path: Path, names: list[str] | None, options: dict[str, Any]) -> Me
 def read_pairs(
     paths: tuple[Path, Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[tuple[str, MeshSequence, MeshSequence]]:
-    """The clips of two files side by side; a file of one clip has no choice.
+    """The clips of two files A and B side by side, with their names.
 
     Raises
     ------
     InputError
         If a clip is missing in one of them, or their numbers differ.
     """
-    listed = [clips_in(p, o) or () for p, o in zip(paths, options, strict=True)]
-    several = [len(clips) > 1 for clips in listed]
+    several = [
+        "animation" not in given and len(clips_in(path, given)) > 1
+        for path, given in zip(paths, options, strict=True)
+    ]
     sides = []
     for path, given, many in zip(paths, options, several, strict=True):
-        chosen = (names or ["all"]) if many and "animation" not in given else None
-        sides.append(read_clips([path], chosen, [given]))
-    if not any(several):
-        held = {shot.clip for side in sides for shot in side}
-        for name in wanted_of(names) or ():
-            if name not in held:
-                raise InputError("--clip", f"one of {', '.join(sorted(held))}", name)
+        # A file with one clip has no choice where the other has several.
+        wanted = (names or ["all"]) if many else None if any(several) else names
+        sides.append(read_clips([path], wanted, [given]))
     a, b = sides
-    if len(a) != len(b) and 1 in (len(a), len(b)):
-        whole = join(a), join(b)  # a file without clips may hold the frames of all of them
-        if len(whole[0]) == len(whole[1]):
-            return [("", *whole)]
     if len(a) != len(b):
-        raise InputError(
-            "--clip",
-            "as many clips of A as of B",
-            f"{', '.join(s.clip for s in a)}, and {', '.join(s.clip for s in b)}",
-        )
+        clips = [", ".join(shot.clip for shot in side) for side in (a, b)]
+        raise InputError("--clip", "as many clips of A as of B", ", and ".join(clips))
     if len(a) > 1:
-        order = {shot.clip: shot for shot in b}
+        by_name = {shot.clip: shot for shot in b}
         for shot in a:
-            if shot.clip not in order:
-                raise InputError("B", f"the clips of A, {shot.clip} too", ", ".join(order))
-        b = [order[shot.clip] for shot in a]
+            if shot.clip not in by_name:
+                raise InputError("B", f"the clips of A, {shot.clip} too", ", ".join(by_name))
+        b = [by_name[shot.clip] for shot in a]
     return [(s.clip, s, t) for s, t in zip(a, b, strict=True)]
-
-
-def check_rates(outputs: Sequence[Path], shots: Sequence[MeshSequence]) -> None:
-    """Refuse before the work what a format without room for several rates would refuse after it."""
-    rates = {shot.fps for shot in shots}
-    for path in outputs:
-        format_ = format_of(path)[1]
-        vertices = format_.write_skinning is None
-        if len(rates) > 1 and (vertices or path.suffix.lower() == ".fbx"):
-            raise InputError(
-                "--output",
-                "a format that holds clips of several frame rates, such as .glb, or one --fps",
-                f"{path}, and {', '.join(f'{s.clip} at {s.fps:g}' for s in shots)}",
-            )
 
 
 def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:
@@ -255,18 +155,32 @@ def clips_text(clips: Sequence[Clip]) -> str:
 
 
 def join(shots: Sequence[MeshSequence]) -> MeshSequence:
-    """The frames of all clips one behind the other."""
+    """One sequence with the frames of all clips."""
     if len(shots) == 1:
         return shots[0]
     vertices = np.concatenate([np.concatenate([b for _, b in s.chunks()]) for s in shots])
     return dataclasses.replace(shots[0], vertices=vertices, clip="", validate=False)
 
 
-def _warn_of_others(path: Path, names: list[str]) -> None:
-    Output.current.warn(
-        f"{path} has {len(names)} clips ({', '.join(names)}): {names[0]} is taken; --clip NAME "
-        "takes another, --clip all all of them"
-    )
+def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:
+    """The requested clips of a file that has several."""
+    listed = ", ".join(known)
+    if names is None:
+        Output.current.warn(
+            f"{path} has {len(known)} clips ({listed}): {known[0]} is taken; "
+            "--clip NAME takes another, --clip all takes all"
+        )
+        return known[:1]
+    chosen = known if "all" in names else [n for n in dict.fromkeys(names) if n in known]
+    if not chosen:
+        raise InputError("--clip", f"a clip of {path}: {listed}, or all", names)
+    return chosen
+
+
+def _check_names(names: list[str] | None, held: Collection[str]) -> None:
+    for name in names or ():
+        if name != "all" and name not in held:
+            raise InputError("--clip", f"one of {', '.join(held)}, or all", name)
 
 
 def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
@@ -280,15 +194,14 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Each under a name that no other clip has: its own, else with that of its file."""
+    """Give clips that share a name the name of their file, or both names."""
     own = [shot.clip or shot.name for _, shot in found]
-    names = []
-    for (path, _), name in zip(found, own, strict=True):
-        alone = sum(other == path for other, _ in found) == 1
-        twice = own.count(name) > 1
-        names.append((path.stem if alone else f"{path.stem}_{name}") if twice else name)
-    if len(names) > 1:
-        names = list(unique_names(names, "clip"))
+    files = [path for path, _ in found]
+    names = [
+        name if own.count(name) == 1 else path.stem + f"_{name}" * (files.count(path) > 1)
+        for path, name in zip(files, own, strict=True)
+    ]
+    names = list(unique_names(names, "clip")) if len(names) > 1 else names
     return [
         dataclasses.replace(shot, clip=name, validate=False)
         for (_, shot), name in zip(found, names, strict=True)
@@ -296,17 +209,11 @@ def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
 
 
 def _welded(shots: list[MeshSequence]) -> list[MeshSequence]:
-    """Vertices merged that coincide in every frame of every clip."""
+    """Merge the vertices that coincide in every frame of every clip."""
     whole, _ = join(shots).weld()
-    ends = np.cumsum([len(shot) for shot in shots])
+    parts = np.split(whole.vertices, np.cumsum([len(shot) for shot in shots[:-1]]))
+    own = [{name: getattr(shot, name) for name in ("fps", "name", "clip")} for shot in shots]
     return [
-        dataclasses.replace(
-            whole,
-            vertices=whole.vertices[end - len(shot) : end],
-            fps=shot.fps,
-            name=shot.name,
-            clip=shot.clip,
-            validate=False,
-        )
-        for shot, end in zip(shots, ends, strict=True)
+        dataclasses.replace(whole, vertices=part, validate=False, **names)
+        for part, names in zip(parts, own, strict=True)
     ]

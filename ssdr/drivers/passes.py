@@ -1,8 +1,8 @@
-"""Passes over all frames: each an alternation on all of them of a model that was found on some.
+"""Alternations over all frames, read by spans, of a model that was found on some of them.
 
-Bones of every frame, then weights and rest pose from sums that the pass gathers.  A pass needs a
-block of frames, the transforms and two (V, 4B) matrices; what it states is the error over all
-frames, not an estimate from a part of them.
+A pass solves the bones of every frame, then weights and rest pose from the sums Y and G that it has
+gathered.  It holds a block of frames, the transforms and two (V, 4B) matrices; its error is that
+of all frames, not an estimate.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.digest import BYTES, Digests, check_same, of_block
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..search.given import Given
 from ..sequence import MeshSequence
-from ..solver.bone_models import fit_motion
+from ..solver.gauss_newton import fit_motion
 from ..solver.model import CHUNK, Fixed, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
@@ -28,34 +28,36 @@ from .scan import OnProgress, Scan
 __all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
 
 _SWEEPS = 6  # Gauss–Seidel sweeps after a leap of the bones
-# Leaps of a pass; of the first, where the bones of a frame start from those of another frame.
+# Leaps in a pass, and in the first one, where bones start from those of another frame.
 _LEAPS, _FIRST_LEAPS = 2, 4
-_ROUNDS = 3  # of Gauss–Newton on a vertex
+_ROUNDS = 3  # Gauss–Newton rounds on a vertex
 ENTERING = 3  # bones that may enter a vertex's support in a pass
-GAIN = 2e-3  # of the objective, below which another pass is not made
+GAIN = 2e-3  # relative decrease of the objective below which no other pass is made
 
 
 def carried(
-    model: Model, nearest: NDArray[np.int64], ratio: float, prescribed: Array | None, fixed: Fixed
+    model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, fixed: Fixed
 ) -> Model:
-    """A copy with the bones that each frame starts with: those of the frame it is most like.
+    """A copy with bones for each frame: at first those of the frame that it is most like.
 
     Parameters
     ----------
     model : Model
     nearest : (F,) int
-        That frame's place among the model's.
+        Position of that frame among the model's.
     ratio : float
-        Of the scale of the model's space to the scale of the new one.
-    prescribed : (F, B0, 3, 4) array or None
-        Transforms that the caller handed over, in the new space: locked bones have these.
+        Scale of the model's space over that of the new one.
+    given : Given
+        In the new space: bones that stay, or all bones of a model to continue from.
     fixed : Fixed
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
-    if prescribed is not None:
-        locked = np.flatnonzero(fixed.locked(prescribed.shape[1]))
-        transforms[:, locked] = prescribed[:, locked]
+    if given.transforms is not None:
+        own = np.full(given.transforms.shape[1], given.free) | fixed.locked(
+            given.transforms.shape[1]
+        )
+        transforms[:, np.flatnonzero(own)] = given.transforms[:, own]
     moved = dataclasses.replace(model.copy(), transforms=transforms)
     moved.rest *= ratio
     if moved.tree is not None:
@@ -64,25 +66,23 @@ def carried(
 
 
 class AllFrames:
-    """Alternations over all frames of a model that was found on some of them.
+    """A model of all frames that was found on some of them; each pass is an alternation.
 
     Parameters
     ----------
     sequences : list of MeshSequence
     scan : Scan
     data : Trajectories
-        Of the chosen frames.
+        The chosen frames.
     model : Model
-        Of these frames; copied.
+        Their model; it is copied.
     fixed : Fixed
-    prescribed : (F, B0, 3, 4) array or None
-        Transforms that the caller handed over, in the solver's space of all frames.
+    given : Given
+        In the solver's space of all frames.
     importance : (F,) array or None
-        Of the frames.
+        Importance of the frames.
     executor : Executor, optional
-        Who walks over the frames; this process by default.
-    resumed : bool
-        Whether the scan is of the run that is resumed.
+        Reads the spans of frames; this process by default.
     """
 
     def __init__(
@@ -93,34 +93,23 @@ class AllFrames:
         model: Model,
         *,
         fixed: Fixed,
-        prescribed: Array | None,
+        given: Given,
         importance: Array | None,
         executor: Executor | None = None,
-        resumed: bool = False,
     ) -> None:
-        self.resumed = resumed
         self.sequences, self.fixed = sequences, fixed
         self.executor = executor or Local()
-        self.alignment, self.digests = scan.alignment, scan.digests
+        self.alignment = scan.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, scan.nearest, ratio, prescribed, fixed)
+        self.model = carried(model, scan.nearest, ratio, given, fixed)
         self.vertex_importance = data.importance
         self.frame_scale = frame_scale_of(importance, len(scan.nearest))
-
-    def restore(self, model: Model, passes: int) -> None:
-        """Go on with a model of all frames after so many passes."""
-        self.model, self.passes = model, passes
 
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
         """One exact alternation; returns the objective in the solver's space.
 
         `on_progress` is called with the fraction of the frames that is done.
-
-        Raises
-        ------
-        InputError
-            If a frame is not the one that was scanned.
         """
         model, n_frames = self.model, len(self.frame_scale)
         n, n_bones = len(model.rest), model.n_bones
@@ -141,14 +130,13 @@ class AllFrames:
             span = slice(*spans[k])
             return (
                 self.alignment.centre[span],
-                self.alignment.turn[span],
+                self.alignment.rotation[span],
                 self.frame_scale[span],
                 model.transforms[span],
             )
 
-        walk = self.executor.map(Walk(_pass_span, self.sequences, spans, of_span, (shared,)))
+        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, (shared,)))
         for (start, stop), part in zip(spans, walk, strict=True):
-            check_same(part[4], self.digests[start:stop], range(start, stop), resumed=self.resumed)
             model.transforms[start:stop] = part[0]
             y += part[1]
             g += part[2]
@@ -171,7 +159,7 @@ class AllFrames:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Shared:
-    """What the bones of every frame are fitted under."""
+    """What the bones of every frame are fitted to."""
 
     rest: Array
     indices: NDArray[np.int32]
@@ -191,16 +179,14 @@ def _pass_span(
     frame_scale: Array,
     transforms: Array,
     shared: _Shared,
-) -> tuple[Array, Array, Array, Array, Digests]:
-    """Bones of a span, its part of Y, G and Σ|x|², and which frames they were."""
+) -> tuple[Array, Array, Array, Array]:
+    """Bones of a span, and its part of Y, G and Σ|x|²."""
     n, n_bones = len(shared.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
-    digests = np.empty((len(frames), BYTES), dtype=np.uint8)
-    alignment = Alignment(centre=centre, turn=turn, scale=shared.scale)
+    alignment = Alignment(centre=centre, rotation=turn, scale=shared.scale)
     for start, block in frames.blocks():
         stop = start + len(block)
-        digests[start:stop] = of_block(block)
         x = alignment.inward(block, start)
         x *= frame_scale[start:stop, None]
         flat = x.reshape(n, -1)
@@ -212,9 +198,8 @@ def _pass_span(
             importance=shared.importance,
             frame_scale=frame_scale[start:stop],
             centre=centre[start:stop],
-            turn=turn[start:stop],
+            rotation=turn[start:stop],
             scale=shared.scale,
-            lost=0.0,
         )
         piece = Model(
             transforms=transforms[start:stop],
@@ -229,11 +214,11 @@ def _pass_span(
         )
         fit_motion(part, piece, fixed=shared.fixed, sweeps=_SWEEPS, leaps=shared.leaps)
         transforms[start:stop] = piece.transforms
-        hat = part.hat(piece.transforms)
+        hat = part.stack(piece.transforms)
         g += hat.T @ hat
 
         def add(_: int, i: int, k: int, flat: Array = flat, hat: Array = hat) -> None:
             y[i:k] += flat[i:k] @ hat
 
         run_chunks(add, chunk_bounds(n, 2 * CHUNK))
-    return transforms, y, g, x2, digests
+    return transforms, y, g, x2

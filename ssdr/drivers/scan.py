@@ -1,7 +1,7 @@
-"""The first walk over frames that do not fit into memory: how they lie, and which represent them.
+"""The first pass over frames that do not fit into memory: alignment and representative frames.
 
-Frames are compared by a few vertices after alignment, and chosen by farthest-point sampling,
-so that rare poses are among the representative ones.
+Frames are compared by a few vertices after alignment and chosen by farthest-point sampling, so that
+rare poses are among the representative ones.
 """
 
 from __future__ import annotations
@@ -13,20 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames.digest import BYTES, Digests, of_frame
-from ..frames.executor import Executor, Frames, Local, Walk, spans_of
+from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..sequence import MeshSequence
 from ..solver.initialization import farthest_points
-from ..solver.trajectories import Alignment, Array, centred, scale_of, turn_onto
+from ..solver.trajectories import Alignment, Array, centred, rotations_onto, scale_of
 
 __all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 
 _IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
 _SUBSET = 128 << 20  # bytes of those of the representative frames
 _FEWEST, _MOST = 120, 1000  # representative frames
-# Bytes of the trajectories of the frames on which their model settles, and frames at most: half
-# of what is held at once, for the polish needs as much again.
+# Bytes of trajectories, and number of frames, on which the model is settled: half of what is held
+# at once, since the polish needs as much again.
 _SETTLED, _MOST_SETTLED = 512 << 20, 4000
 _PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
@@ -34,88 +33,40 @@ OnProgress = Callable[[float], Any]  # called with the fraction that is done
 
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
-    """Whether the trajectories are too large to be held at once."""
+    """True if the trajectories are too large to be held at once."""
     frames = sum(len(s) for s in sequences)
     return sequences[0].n_vertices * frames * 24 > _IN_MEMORY and frames > _FEWEST
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """What the first walk over the frames found.
+    """Alignment of all frames, and the frames that represent them.
 
     Attributes
     ----------
     alignment : Alignment
-        Of all frames.
+        That of all frames.
     chosen : (S,) int64
         Representative frames, ascending; the first frame is one of them.  After
         :meth:`extended` others as well.
     nearest : (F,) int64
-        For each frame, the position in `chosen` of the one that it is most like.
-    digests : (F, 16) uint8
-        Of the frames that were seen.
+        For each frame, the position in `chosen` of the most similar one.
     """
 
     alignment: Alignment
     chosen: NDArray[np.int64]
     nearest: NDArray[np.int64]
-    digests: Digests
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """What :meth:`of_arrays` needs, by name."""
-        a = self.alignment
-        return {
-            "centre": a.centre,
-            "turn": a.turn,
-            "scale": np.array(a.scale),
-            "chosen": self.chosen,
-            "nearest": self.nearest,
-            "digests": self.digests,
-        }
-
-    @staticmethod
-    def of_arrays(arrays: dict[str, NDArray[Any]]) -> Scan:
-        """The scan whose arrays these are.
-
-        Raises
-        ------
-        KeyError, ValueError
-            If one is missing or damaged.
-        """
-        centre = np.ascontiguousarray(arrays["centre"], dtype=np.float64)
-        turn = np.ascontiguousarray(arrays["turn"], dtype=np.float64)
-        scale = float(np.asarray(arrays["scale"]).item())
-        chosen = np.ascontiguousarray(arrays["chosen"], dtype=np.int64)
-        nearest = np.ascontiguousarray(arrays["nearest"], dtype=np.int64)
-        digests = np.ascontiguousarray(arrays["digests"])
-        n = len(centre)
-        if digests.shape != (n, BYTES) or digests.dtype != np.uint8:
-            raise ValueError(f"digests have shape {digests.shape}, dtype {digests.dtype}")
-        if centre.shape != (n, 3) or turn.shape != (n, 3, 3) or nearest.shape != (n,):
-            raise ValueError(f"centre has shape {centre.shape}")
-        if not (np.isfinite(centre).all() and np.isfinite(turn).all() and 0 < scale < np.inf):
-            raise ValueError("the alignment holds NaN or Inf")
-        if chosen.ndim != 1 or len(chosen) == 0 or (np.diff(chosen) <= 0).any():
-            raise ValueError("chosen is not ascending")
-        if chosen[0] < 0 or chosen[-1] >= n or nearest.min() < 0 or nearest.max() >= len(chosen):
-            raise ValueError("a frame is named that is not there")
-        return Scan(
-            alignment=Alignment(centre=centre, turn=turn, scale=scale),
-            chosen=chosen,
-            nearest=nearest,
-            digests=digests,
-        )
 
     def importance(self, frames: Array | None) -> Array:
-        """(S,) importance of the representative frames: that of the frames they stand for."""
+        """(S,) summed importance of the frames that each representative one stands for."""
         each = np.ones(len(self.nearest)) if frames is None else frames
         counts = np.bincount(self.nearest, weights=each, minlength=len(self.chosen))
         return counts.astype(np.float64)
 
     def extended(self, n_vertices: int) -> Scan | None:
-        """As many frames, evenly spread, as may be held, and the representative ones.
+        """The representative frames and as many evenly spread ones as can be held.
 
-        None where that would not be many more.
+        None if that would not be many more.
         """
         n_frames = len(self.nearest)
         count = min(_SETTLED // (24 * n_vertices), _MOST_SETTLED, n_frames)
@@ -137,11 +88,10 @@ def scan(
     executor: Executor | None = None,
     on_progress: OnProgress | None = None,
 ) -> Scan:
-    """Walk over all frames once: alignment, size, and which frames represent the others.
+    """Read all frames once: their alignment, their size, and the representative ones.
 
-    Frames are compared by a few vertices after alignment and chosen by
-    farthest-point sampling, so that rare poses are among them; `keep` are chosen
-    in any case.  `on_progress` is called with the fraction of the frames that is done.
+    The frames `keep` are chosen in any case.  `on_progress` is called with the fraction of the
+    frames that is done.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     weight = None if importance is None else importance / importance.sum()
@@ -150,25 +100,24 @@ def scan(
     spans = spans_of(n_frames)
     parts = []
     walk = (executor or Local()).map(
-        Walk(_scan_span, sequences, spans, shared=(first, weight, probes))
+        SpanTask(_scan_span, sequences, spans, shared=(first, weight, probes))
     )
     for (_, stop), part in zip(spans, walk, strict=True):
         parts.append(part)
         if on_progress is not None:
             on_progress(stop / n_frames)
-    centre, turn, features, digests = (np.concatenate([p[k] for p in parts]) for k in range(4))
+    centre, turn, features = (np.concatenate([p[k] for p in parts]) for k in range(3))
     turn[0] = np.eye(3)
-    size, spread = sum(p[4] for p in parts), max(p[5] for p in parts)
+    size, spread = sum(p[3] for p in parts), max(p[4] for p in parts)
     seeds, nearest = farthest_points(features, min(_representatives(n), n_frames), 0)
     chosen = np.union1d(seeds, np.asarray(keep, dtype=np.int64)).astype(np.int64)
     where = np.searchsorted(chosen, seeds)[nearest]
     where[chosen] = np.arange(len(chosen))
     scale = scale_of(float(np.sqrt(size / (n * n_frames))), spread)
     return Scan(
-        alignment=Alignment(centre=centre, turn=turn, scale=scale),
+        alignment=Alignment(centre=centre, rotation=turn, scale=scale),
         chosen=chosen,
         nearest=where.astype(np.int64),
-        digests=digests,
     )
 
 
@@ -179,18 +128,15 @@ def _representatives(n_vertices: int) -> int:
 @serial_blas()
 def _scan_span(
     frames: Frames, first: Array, weight: Array | None, probes: NDArray[np.int64]
-) -> tuple[Array, Array, Array, Digests, float, float]:
+) -> tuple[Array, Array, Array, float, float]:
     centre, turn = np.empty((len(frames), 3)), np.empty((len(frames), 3, 3))
     features = np.empty((len(frames), 3 * len(probes)))
     sizes, spreads = np.empty(len(frames)), np.empty(len(frames))
-    digests = np.empty((len(frames), BYTES), dtype=np.uint8)
     for start, block in frames.blocks():
 
         def work(_: int, i: int, k: int, start: int = start, block: Any = block) -> None:
-            for t in range(i, k):
-                digests[start + t] = of_frame(block[t])
             here, centre[start + i : start + k] = centred(block[i:k], weight)
-            turned = turn_onto(here, first, weight)
+            turned = rotations_onto(here, first, weight)
             turn[start + i : start + k] = turned
             seen = np.matmul(here[:, probes], turned)
             features[start + i : start + k] = seen.reshape(k - i, -1)
@@ -198,7 +144,7 @@ def _scan_span(
             spreads[start + i : start + k] = np.abs(here).max(axis=(1, 2))
 
         run_chunks(work, chunk_bounds(len(block), 8))
-    return centre, turn, features, digests, float(sizes.sum()), float(spreads.max())
+    return centre, turn, features, float(sizes.sum()), float(spreads.max())
 
 
 def subset(
@@ -214,7 +160,7 @@ def subset(
     used = [(span, frames[i:k] - span[0]) for span, (i, k) in zip(spans, bounds, strict=True)]
     used = [u for u in used if len(u[1])]
     walk = (executor or Local()).map(
-        Walk(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
+        SpanTask(_pick_span, sequences, [span for span, _ in used], lambda k: (used[k][1],))
     )
     vertices = np.concatenate(list(walk)).astype(first.vertices.dtype.newbyteorder("="), copy=False)
     return dataclasses.replace(first, vertices=vertices, validate=False)

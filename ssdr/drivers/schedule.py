@@ -1,66 +1,162 @@
-"""Which stages in which order, for every effort.
+"""Which stages in which order: one builder, and one table of numbers for the three efforts.
 
-    fast       a first model, soon; bones too many, merged and re-seeded on a sample; polish
+    fast       a first model, soon; excess bones, merged and moved about on a sample; polish
     balanced   the same; then relax and polish
-    best       a start relaxed and searched; then the best model rebuilt time and again
+    best       several starts, each relaxed and searched; then the best model rebuilt repeatedly
 
-Every schedule reads from top to bottom.  Bones that stretch, a smoothness penalty and parts
-that the caller prescribed have schedules of their own.
+A schedule reads from the first line to the last.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-from typing import Literal, get_args
+from typing import Literal
 
-from ..joints.stages import Contend, Hang, SearchTrees, SearchWeights, Sprout, StartOnSkeleton
-from ..search.prescribed import Prescribed
-from ..search.run import Stage
-from ..search.sampling import Everywhere, Recall, Sample
+from ..checks import BoneModel
+from ..joints.stages import (
+    AddBones,
+    AttachToJoints,
+    AttachUnattached,
+    FreeBones,
+    SearchTrees,
+    SearchWeights,
+    StartOnSkeleton,
+)
+from ..search.given import Given
+from ..search.run import Lowest, Schedule
+from ..search.sampling import AllVertices, ReturnToBest, SampleVertices
 from ..search.stages import (
+    AddAndMerge,
     Alternate,
     Compress,
     Merge,
+    MoveBones,
     Polish,
-    QuickStart,
-    Regrow,
     Relax,
-    Reseed,
     Search,
-    Spread,
-    Start,
 )
-from ..solver.model import Fixed
+from ..search.starts import QuickStart, Spread, Start, StartFromModel
 
-__all__ = [
-    "Effort",
-    "HierarchyKind",
-    "Schedule",
-    "fingerprint",
-    "schedule_for",
-    "settling_schedule",
-]
+__all__ = ["Effort", "RigKind", "merged_start", "schedule_for", "settling_schedule"]
 
 Effort = Literal["fast", "balanced", "best"]
-HierarchyKind = Literal["none", "loose", "rigid"]
-Schedule = tuple[Stage, ...]
+RigKind = Literal["none", "loose", "rigid"]
 
-# On the frames as they are and without a bone too many: a usable model early, which now and then
-# stays the best.
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Numbers:
+    """What an effort spends.
+
+    Attributes
+    ----------
+    polish : int
+        Last polish steps where bones or weights were handed over.
+    settle : int
+        Polish steps of a streamed model that is carried over to more frames.
+    smooth : int
+        Most alternations under a smoothness penalty.
+    trees : int
+        Starts of a tree of which the lowest is continued.
+    limbs : int
+        Starts on a skeleton without weights.
+    weight_trials : int
+        Trials of a search that leaves the tree of a skeleton as it is.
+    rounds : int
+        Times that the weights on a skeleton are relaxed and searched.
+    """
+
+    polish: int
+    settle: int
+    smooth: int
+    trees: int
+    limbs: int
+    weight_trials: int
+    rounds: int
+
+
+NUMBERS: dict[Effort, Numbers] = {
+    "fast": Numbers(polish=10, settle=6, smooth=20, trees=1, limbs=1, weight_trials=0, rounds=0),
+    "balanced": Numbers(
+        polish=40, settle=20, smooth=100, trees=3, limbs=1, weight_trials=4, rounds=1
+    ),
+    "best": Numbers(
+        polish=120, settle=60, smooth=400, trees=6, limbs=4, weight_trials=16, rounds=3
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Rebuilds:
+    """How much "best" searches, by the size of the problem in vertices × frames × bones.
+
+    Attributes
+    ----------
+    trials : int
+        Of the search of a start, and of the last one.
+    before, after : int
+        How often the best model is rebuilt before and after the merged start.
+    trees : int
+        Starts of a tree from which free bones begin, too.
+    tree_searches : int
+        Searches of the lowest of several trees.
+    """
+
+    trials: int
+    before: int
+    after: int
+    trees: int
+    tree_searches: int
+
+
+# Chosen on a dozen sequences.  Where a rebuild takes seconds the first model is rebuilt six times
+# before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
+# problems have four rebuilds in place of six, for the time that they take.
+_SMALL, _LARGE = 2e6, 1e7
+_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
+_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
+_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
+_TRIALS_OF_A_REBUILD = 6
+# From so many bones on, alternations alone put many of them in better places, and some starts end
+# where no rebuild helps: so there are several, with few trials each.
+_MANY_BONES, _STARTS, _TRIALS_OF_A_START = 24, 3, 4
+# The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
+# to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
+_TREE_ROUNDS, _TRIALS_OF_A_TREE = 6, 12
+
+
+# Seconds of a start: of any, and for each vertex × frame × bone.
+_START_SECONDS, _SECONDS_OF_A_NUMBER = 0.02, 1e-6
+
+
+def _starts_within_a_tenth(size: float) -> int:
+    """How many starts of a small problem take about a tenth of a second."""
+    each = _START_SECONDS + _SECONDS_OF_A_NUMBER * size
+    return int(0.1 / each)
+
+
+def _rebuilds(size: float) -> Rebuilds:
+    if size >= _LARGE:
+        return _REBUILDS_LARGE
+    return _REBUILDS if size >= _SMALL else _REBUILDS_SMALL
+
+
+# --- pieces --------------------------------------------------------------------------------------
+
+# On the frames as they are and without excess bones: a usable model early.
 FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress())
-
-# The longest part of "balanced": four polish steps a number of influences, where "best" takes
-# eight, and an end where eight steps gain less than 1 % of the error.
+# Four polish steps at each number of influences, where "best" takes eight, and an end where eight
+# steps gain less than 1 % of the error.
 RELAXED: Schedule = (Relax(polish_steps=4, cost=30), Polish(steps=40, gain=0.01))
+RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
+ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
+LAST_OF_TREES = Polish(steps=40, gain=0.002)
 
 
 def merged_start(
-    factor: float,
     before: int,
     after: int,
     *,
-    branch: bool = False,
+    factor: float = 1.6,
     rigid: bool = False,
     influences: int | None = None,
 ) -> Schedule:
@@ -69,353 +165,259 @@ def merged_start(
     `before` and `after` are the most alternations on either side of the merge.
     """
     return (
-        Start(factor=factor, branch=branch, rigid=rigid, influences=influences),
-        Alternate(steps=before, branch=branch, rigid=rigid),
-        Merge(branch=branch, rigid=rigid),
-        Alternate(steps=after, branch=branch, rigid=rigid),
+        Start(factor=factor, rigid=rigid, influences=influences),
+        Alternate(steps=before, rigid=rigid),
+        Merge(rigid=rigid),
+        Alternate(steps=after, rigid=rigid),
     )
 
-
-# --- rigid bones, nothing prescribed -----------------------------------------------------------
 
 # What a sample of the vertices tells of where bones belong costs a fifth of what all of them do,
 # and all of them judge it in the end.
 PLACED: Schedule = (
     *FIRST_MODEL,
-    Sample(),
-    *merged_start(1.6, 12, 6),
-    Recall(),
-    Reseed(steps=24, patience=6),
-    Everywhere(alternations=8),
-    Recall(),
+    SampleVertices(),
+    *merged_start(12, 6),
+    ReturnToBest(),
+    MoveBones(steps=24, patience=6),
+    AllVertices(alternations=8),
+    ReturnToBest(),
     Polish(steps=6),
 )
 
-FAST: Schedule = PLACED
 
-BALANCED: Schedule = (*PLACED, *RELAXED)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Tries:
-    """How much "best" searches, by the size of the problem.
-
-    Attributes
-    ----------
-    first : int
-        Tries of the search of a start.
-    before, after : int
-        How often the best model is rebuilt before the merged start is set beside it, and after.
-    last : int
-        Tries of the search in the end.
-    """
-
-    first: int
-    before: int
-    after: int
-    last: int
-
-
-# Chosen by hand on a dozen sequences.  Small problems, below 2e6 vertices × frames ×
-# bones: where a rebuild takes seconds the first model is rebuilt six times before the merged
-# start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without).  Large ones, above 1e7:
-# four rebuilds in place of six, for the time that they take.
-_SMALL = _Tries(first=10, before=6, after=6, last=10)
-_MIDDLE = _Tries(first=10, before=0, after=6, last=10)
-_LARGE = _Tries(first=6, before=0, after=4, last=6)
-_MIDDLE_SIZE, _LARGE_SIZE = 2e6, 1e7
-_MOST_TRIES_OF_A_REBUILD = 6
-# A search gives up that is behind the best one by 8 % before its first try, or by 2 % later.
-_RACE = (1.08, 1.02)
-# From so many bones on alternations alone put many of them in better places; and now and then a
-# start ends where no rebuilding helps: so there are several, with few tries of each.
-_MANY_BONES, _STARTS, _TRIES_OF_A_START = 24, 3, 4
-
-
-def judged(tries: int, *, branch: bool = False) -> Schedule:
+def searched(trials: int) -> Schedule:
     """Relax, polish, search: bones in new places can be judged only after the weights adapt."""
-    return (
-        Relax(branch=branch),
-        Polish(steps=8, branch=branch),
-        Search(steps=tries, patience=tries, race=_RACE, branch=branch),
-    )
+    return (Relax(), Polish(steps=8), Search(steps=trials, patience=trials))
 
 
-def best(bones: int, size: float, *, stretching: bool) -> Schedule:
-    """A start relaxed and searched; then the best model so far rebuilt time and again.
+def lowest(count: int, start: Schedule) -> Schedule:
+    """Several starts of which the lowest is polished."""
+    return (Lowest(starts=count * (start,)), Polish(steps=20, gain=0.01))
 
-    Which start leads further shows only once it has been rebuilt, too: where that takes
-    seconds, the first model is, before another is set beside it.
+
+# --- free bones ----------------------------------------------------------------------------------
+
+
+def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
+    """Bones that hang on nothing; `stretching`: also started from rigid ones.
+
+    A bone may not turn inside out on its way, and where a part is thin that bars many a way from
+    its own start.  Which start leads further shows only in the end.
     """
-    tries = _LARGE if size >= _LARGE_SIZE else _MIDDLE if size >= _MIDDLE_SIZE else _SMALL
-    regrown_start = (
-        Start(),
-        Alternate(steps=12),
-        Regrow(steps=10, patience=8),
-        *judged(_TRIES_OF_A_START),
-    )
+    rigid_start = merged_start(12, 6, rigid=True)
+    if effort == "fast" and stretching:
+        return (
+            *FIRST_MODEL, *merged_start(6, 4), *rigid_start, ReturnToBest(), Polish(steps=6)
+        )  # fmt: skip
+    more = _starts_within_a_tenth(size) * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
+    placed: Schedule = (*PLACED, *more, ReturnToBest(), Polish(steps=6)) if more else PLACED
+    if effort == "fast":
+        return placed
+    from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
+    if effort == "balanced":
+        return (*placed, *RELAXED, *from_rigid)
+    n = _rebuilds(size)
     many = bones >= _MANY_BONES
-    rebuild = (Recall(), Regrow(), *judged(min(tries.first, _MOST_TRIES_OF_A_REBUILD)))
-    rigid_first = rigid_start("best") if stretching else ()
+    first: Schedule = searched(n.trials)
+    if many:
+        moved = (Start(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
+        first = _STARTS * (*moved, *searched(_TRIALS_OF_A_START))
+    rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, _TRIALS_OF_A_REBUILD)))
+    # where the animation comes from a skeleton, a tree leads to a model that free bones miss
+    tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
+    from_tree: Schedule = (
+        Lowest(starts=n.trees * (tree,)),
+        FreeBones(attached=RELAXED_TREE, freed=searched(_TRIALS_OF_A_START)),
+    )
     return (
         *FIRST_MODEL,
-        *(_STARTS * regrown_start if many else judged(tries.first)),
-        *(rigid_first if tries.before else ()),
-        *tries.before * rebuild,
+        *first,
+        *(() if stretching else from_tree),
+        *(from_rigid if n.before else ()),
+        *n.before * rebuild,
         # on small smooth motions, such as a beam's, the other starts end far above this one
-        *merged_start(1.6, 12, 6, branch=True),
-        Reseed(branch=True),
-        *judged(_TRIES_OF_A_START if many else tries.first, branch=True),
-        *(() if tries.before else rigid_first),
-        *tries.after * rebuild,
-        Recall(),
-        Search(steps=tries.last, patience=tries.last),
-        Recall(),
-        Polish(steps=60, gain=0.002),
+        *merged_start(12, 6),
+        MoveBones(),
+        *searched(_TRIALS_OF_A_START if many else n.trials),
+        *(() if n.before else from_rigid),
+        *n.after * rebuild,
+        *last_search(n.trials),
     )
 
 
-# --- bones that stretch ------------------------------------------------------------------------
-
-
-def rigid_start(effort: Effort) -> Schedule:
-    """A start from rigid bones, beside the one from bones that stretch.
-
-    A bone may not turn inside out on its way, and where a part is thin that bars many a way
-    from its own start.  Which start leads further shows only in the end.
-    """
-    start = merged_start(1.6, 12, 6, branch=True, rigid=True)
-    if effort == "fast":
-        return start
-    settle = (Polish(steps=8), *RELAXED)
-    return (*start, *(dataclasses.replace(stage, branch=True) for stage in settle))
-
-
-FAST_STRETCHING: Schedule = (
-    *FIRST_MODEL,
-    *merged_start(1.6, 6, 4),
-    *rigid_start("fast"),
-    Recall(),
-    Polish(steps=6),
-)
-
-BALANCED_STRETCHING: Schedule = (*BALANCED, *rigid_start("balanced"))
-
-
-# --- weights or all bones prescribed -----------------------------------------------------------
+def last_search(trials: int) -> Schedule:
+    """Search around the best model, then polish it to its minimum."""
+    return (
+        ReturnToBest(),
+        Search(steps=trials, patience=trials),
+        ReturnToBest(),
+        Polish(steps=60, gain=0.002),
+    )
 
 
 def nothing_to_place(effort: Effort) -> Schedule:
-    """One start, then down to the nearest minimum."""
-    steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
-    return (
-        Compress(),
-        Start(),
-        Alternate(steps=10),
-        Polish(steps=steps, gain=1e-3),
-    )
-
-
-# --- a penalty on weights that are not smooth --------------------------------------------------
+    """Weights or all bones are locked: one start, then down to the nearest minimum."""
+    last = Polish(steps=NUMBERS[effort].polish, gain=1e-3)
+    return (Compress(), Start(), Alternate(steps=10), last)
 
 
 def smooth(effort: Effort, *, placed: bool) -> Schedule:
-    """The polish does not know the penalty: alternate until that settles.
+    """The polish does not know the penalty on the weights: alternate until that settles.
 
-    Then once more from where the polish leads without it, which now and then is further.
-    `placed`: weights or all bones are prescribed.
+    Then once more from where the polish leads without it, which is sometimes further.  `placed`:
+    weights or all bones are locked.
     """
-    settle = Alternate(steps={"fast": 20, "balanced": 100, "best": 400}[effort])
+    settle = Alternate(steps=NUMBERS[effort].smooth)
     if placed:
         return (Compress(), Start(), Alternate(steps=10), settle)
     if effort == "fast":
-        return (
-            *FIRST_MODEL,
-            *merged_start(1.6, 6, 4),
-            Recall(),
-            settle,
-            Polish(steps=6),
-            settle,
-        )
+        start = (*FIRST_MODEL, *merged_start(6, 4), ReturnToBest(), settle)
+        return (*start, Polish(steps=6), settle)
     if effort == "balanced":
-        return (
-            *FIRST_MODEL,
-            *merged_start(1.6, 12, 6),
-            Recall(),
-            Reseed(),
-            settle,
-            *RELAXED,
-            settle,
-        )
-    return (
-        *FIRST_MODEL,
-        *merged_start(1.6, 12, 6),
-        *merged_start(2.2, 12, 6),
-        Recall(),
-        settle,
-        Relax(),
-        Polish(steps=60, gain=0.002),
-        settle,
-    )
+        start = (*FIRST_MODEL, *merged_start(12, 6), ReturnToBest(), MoveBones(), settle)
+        return (*start, *RELAXED, settle)
+    start = (*FIRST_MODEL, *merged_start(12, 6), *merged_start(12, 6, factor=2.2))
+    last = Polish(steps=60, gain=0.002)
+    return (*start, ReturnToBest(), settle, Relax(), last, settle)
 
 
-# --- bones that hang on joints ------------------------------------------------------------------
-
-# Bones of one influence are compact: a tree over them is close to the one that is looked for,
-# and what they cannot move alone the other influences take up once they hang.
-_FIRST_TREE: Schedule = (
-    QuickStart(influences=1),
-    Alternate(steps=20, gain=0.01),
-    Compress(),
-    Hang(),
-    Polish(steps=8),
-)
+# --- bones that hang on joints -------------------------------------------------------------------
 
 
-def tree_start(factor: float = 1.6, *, branch: bool = False) -> Schedule:
-    """Compact bones, merged and moved about, then hung and relaxed."""
-    return (
-        *merged_start(factor, 12, 6, branch=branch, influences=1),
-        Reseed(branch=branch),
-        Hang(branch=branch),
-        Polish(steps=8, branch=branch),
-    )
+def tree_of_bones(effort: Effort, size: float) -> Schedule:
+    """A tree early, then better ones, searched as long as the effort allows.
 
-
-# Which tree a search ends on is decided where it starts: of a dozen starts on the fox of glTF's
-# samples two lead to the right tree, the others to five times its error or more, however long they
-# are searched.  After eight polish steps the lowest are the same as in the end: so many begin, and
-# the lowest goes on.
-_FEW_TREES, _TREES = 3, 6
-# Searches of the lowest of so many, with "best", by the size of the problem: on exact data one in
-# four ends on the skeleton itself.
-_SEARCHES_SMALL, _SEARCHES_MIDDLE, _SEARCHES_LARGE = 6, 4, 3
-# Then the lowest is relaxed and searched time and again, two tries of each change a time.  Against
-# 24 to 48 tries at one go, E of cow_elastic with 24 bones is 7.14 for 7.36, of horse_gallop with 20
-# 1.91 for 1.94, and the body of garmentnet is found whole, for 14 of its 17 joints.
-_TIMES, _TRIES_A_TIME = 6, 14
-# Of the weights on a skeleton that was handed over: horse_gallop 1.74 for 1.81 with one time.
-_TIMES_OF_WEIGHTS = 3
-# Starts from free bones where the skeleton brings no weights: the lowest goes on, and once more.
-# On the fox each takes two seconds.
-_STARTS_BY_MOTION = 4
-# A search of trees gives up that is this many times behind before its first try, and later.
-_RACE_OF_TREES = (4.0, 1.5)
-_RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
-_LAST_OF_TREES = Polish(steps=40, gain=0.002)
-
-
-def best_of(starts: int, start: Schedule) -> Schedule:
-    """The lowest of so many starts, and of one where one is set aside already."""
-    each = (*start, Contend())
-    return (*(starts - 1) * each, *start, Contend(last=True), Polish(steps=20, gain=0.01))
-
-
-def rigid_joints(effort: Effort, size: float) -> Schedule:
-    """A tree early, then better ones; searched, as long as the effort allows."""
-    if effort == "fast":
-        return (*_FIRST_TREE, Contend(), *best_of(1, tree_start()))
-    first = (*_FIRST_TREE, Contend())
-    if effort == "balanced":
-        search = SearchTrees(steps=10, patience=10)
-        return (*first, *best_of(_FEW_TREES, tree_start()), *_RELAXED_TREE, search, _LAST_OF_TREES)
-    search = SearchTrees(steps=10, patience=10, race=_RACE_OF_TREES)
-    searched = (*best_of(_TREES, tree_start()), *_RELAXED_TREE, search)
-    below = _SEARCHES_MIDDLE if size >= _MIDDLE_SIZE else _SEARCHES_SMALL
-    count = _SEARCHES_LARGE if size >= _LARGE_SIZE else below
-    longer = SearchTrees(steps=_TRIES_A_TIME, patience=_TRIES_A_TIME)
-    again = (Recall(), *_RELAXED_TREE, longer)
-    return (*first, *count * searched, *_TIMES * again, Recall(), _LAST_OF_TREES)
-
-
-def on_skeleton(effort: Effort, *, placed: bool, rigid: bool, skinned: bool) -> Schedule:
-    """Weights and motion of bones whose tree is known; `placed`: the weights are, too.
-
-    `skinned`: the skeleton brings weights to start from.  Without them the vertices near each limb
-    are one start, those that move together another, and the lower goes on.
+    Bones of one influence are compact: a tree over them is close to the one that is looked for, and
+    what they cannot move alone the other influences take up once they are attached.  Which tree a
+    search ends on is decided where it starts: of a dozen starts on the fox of glTF's samples two
+    lead to the right tree.
     """
-    steps = {"fast": 10, "balanced": 40, "best": 120}[effort]
+    early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
+    start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
+    trees = NUMBERS[effort].trees
+    first = (Lowest(starts=(early, *trees * (start,))), Polish(steps=20, gain=0.01))
+    if effort == "fast":
+        return first
+    search = SearchTrees(steps=10, patience=10)
+    if effort == "balanced":
+        return (*first, *RELAXED_TREE, search, LAST_OF_TREES)
+    more = (*lowest(trees, start), *RELAXED_TREE, search)
+    longer = SearchTrees(steps=_TRIALS_OF_A_TREE, patience=_TRIALS_OF_A_TREE)
+    again = (ReturnToBest(), *RELAXED_TREE, longer)
+    searches = _rebuilds(size).tree_searches - 1
+    return (
+        *first, *RELAXED_TREE, search, *searches * more, *_TREE_ROUNDS * again, ReturnToBest(),
+        LAST_OF_TREES,
+    )  # fmt: skip
+
+
+def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
+    """Weights and motion of bones whose tree is known.
+
+    Where the skeleton brings no weights, the vertices near each limb are one start, those that move
+    together another, and the lower one is continued.
+    """
+    n, placed = NUMBERS[effort], given.weights is not None
     start: Schedule = (Compress(), StartOnSkeleton())
-    settle = Polish(steps=steps, gain=1e-3)
+    settle = Polish(steps=n.polish, gain=1e-3)
     if not rigid:  # bones that are free, from where the skeleton puts them
         relaxed = () if placed or effort == "fast" else (Polish(steps=8), *RELAXED)
         return (*start, Alternate(steps=20, gain=1e-3), *relaxed, settle)
-    hung = (*start, Hang(), Polish(steps=20, gain=0.01))
+    attached = (*start, AttachToJoints(), Polish(steps=20, gain=0.01))
     if placed:
-        return (*hung, settle)
+        return (*attached, settle)
     if effort == "fast":
-        return (*hung, Sprout(), Polish(steps=6))
-    longest = effort == "best"
-    tries = 16 if longest else 4
-    relaxed = (Sprout(), *_RELAXED_TREE, SearchWeights(steps=tries, patience=tries))
-    if not skinned:
-        hang = (Hang(), Polish(steps=8))
-        place = (*merged_start(1.6, 12, 6, influences=1), Reseed())
-        by_motion = (*place, StartOnSkeleton(matched=True), *hang)
-        lowest = best_of(_STARTS_BY_MOTION if longest else 1, by_motion)
-        hung = (*start, *hang, Contend(), *lowest)
-        if longest:
-            hung = (*hung, *relaxed, *lowest)
-    again = _TIMES_OF_WEIGHTS - 1 if longest else 0
-    return (*hung, *relaxed, *again * (Recall(), *relaxed), Recall(), _LAST_OF_TREES)
+        return (*attached, AddBones(), Polish(steps=6))
+    trials = n.weight_trials
+    search = SearchWeights(steps=trials, patience=trials)
+    relaxed = (AddBones(), *RELAXED_TREE, search)
+    if given.skeleton_skin is None:
+        free = (*merged_start(12, 6, influences=1), MoveBones())
+        by_motion = (*free, StartOnSkeleton(by_motion=True), *ATTACHED)
+        starts = ((*start, *ATTACHED), *n.limbs * (by_motion,))
+        attached = (Lowest(starts=starts), Polish(steps=20, gain=0.01))
+        if effort == "best":
+            attached = (*attached, *relaxed, *lowest(n.limbs, by_motion))
+    again = (n.rounds - 1) * (ReturnToBest(), *relaxed)
+    return (*attached, *relaxed, *again, ReturnToBest(), LAST_OF_TREES)
 
 
-# --- which of them -----------------------------------------------------------------------------
+# --- from a model --------------------------------------------------------------------------------
+
+
+def from_model(
+    effort: Effort, size: float, *, rigid: bool, keeps_tree: bool, smoothed: bool
+) -> Schedule:
+    """Continue from a whole model, such as a checkpoint."""
+    n = _rebuilds(size)
+    if smoothed:
+        return (StartFromModel(), Compress(), Alternate(steps=NUMBERS[effort].smooth))
+    if rigid:
+        start: Schedule = (StartFromModel(), Compress(), AttachUnattached())
+        searcher = SearchWeights if keeps_tree else SearchTrees
+        search = searcher(steps=_TRIALS_OF_A_TREE, patience=_TRIALS_OF_A_TREE)
+        again = (ReturnToBest(), *RELAXED_TREE, search)
+        count = {"fast": 0, "balanced": 1, "best": _TREE_ROUNDS}[effort]
+        return (*start, *count * again, ReturnToBest(), LAST_OF_TREES)
+    start = (StartFromModel(), Compress())
+    if effort == "fast":
+        return (*start, Polish(steps=6))
+    if effort == "balanced":
+        return (*start, Polish(steps=8), *RELAXED, ReturnToBest(), Polish(steps=20, gain=0.01))
+    rebuild = (ReturnToBest(), AddAndMerge(), *searched(_TRIALS_OF_A_REBUILD))
+    return (*start, *searched(n.trials), *n.after * rebuild, *last_search(n.trials))
+
+
+# --- which of them -------------------------------------------------------------------------------
 
 
 def schedule_for(
     effort: Effort,
     *,
-    fixed: Fixed,
+    bone_model: BoneModel,
     bones: int,
-    prescribed: Prescribed,
+    given: Given,
+    placed: bool,
     smoothed: bool,
     size: float,
-    hierarchy: HierarchyKind = "none",
+    rig: RigKind = "none",
 ) -> Schedule:
     """The schedule of a call.
 
     Parameters
     ----------
     effort : {"fast", "balanced", "best"}
-    fixed : Fixed
+    bone_model : {"rigid", "similarity", "affine"}
     bones : int
-    prescribed : Prescribed
+    given : Given
+    placed : bool
+        Weights or all bones are locked.
     smoothed : bool
-        Whether there is a penalty on weights.
+        There is a penalty on the weights.
     size : float
         Vertices × frames × bones.
-    hierarchy : {"none", "loose", "rigid"}
+    rig : {"none", "loose", "rigid"}
     """
-    if prescribed.skeleton is not None:
-        placed = prescribed.weights is not None
-        skinned = prescribed.skin is not None
-        return on_skeleton(effort, placed=placed, rigid=hierarchy == "rigid", skinned=skinned)
-    if hierarchy == "rigid":
-        return rigid_joints(effort, size)
-    all_bones = fixed.bones is not None and bool(fixed.locked(bones).all())
-    placed = prescribed.weights is not None or all_bones
+    if given.free:
+        return from_model(
+            effort, size, rigid=rig == "rigid", keeps_tree=given.keeps_tree, smoothed=smoothed
+        )
+    if given.tree is not None:
+        return on_skeleton(effort, given, rigid=rig == "rigid")
+    if rig == "rigid":
+        return tree_of_bones(effort, size)
     if smoothed:
         return smooth(effort, placed=placed)
     if placed:
         return nothing_to_place(effort)
-    stretching = fixed.bone_model != "rigid" and prescribed.transforms is None
-    if effort == "best":
-        return best(bones, size, stretching=stretching)
-    if stretching:
-        return FAST_STRETCHING if effort == "fast" else BALANCED_STRETCHING
-    return FAST if effort == "fast" else BALANCED
+    stretching = bone_model != "rigid" and given.transforms is None
+    return free_bones(effort, bones, size, stretching=stretching)
 
 
 def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:
     """What a model of some frames goes through when it is carried over to more of them."""
-    steps = {"fast": 6, "balanced": 20, "best": 60}[effort]
+    steps = NUMBERS[effort].settle
     if smoothed:
         return (Spread(), Alternate(steps=steps, gain=0.002, cost=6))
     return (Spread(), Polish(steps=steps, gain=0.002))
-
-
-def fingerprint(schedule: Schedule) -> str:
-    """Tells the stages of one version of this package from those of another."""
-    settling = [settling_schedule(e, smoothed=False) for e in get_args(Effort)]
-    return hashlib.sha256(repr((schedule, settling)).encode()).hexdigest()

@@ -12,24 +12,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from ..errors import Cancelled
-from ..frames.digest import check_same, digests_of, of_block
+from ..errors import Cancelled, InputError
 from ..frames.executor import Executor, executor_for
-from ..search.prescribed import Prescribed
-from ..search.progress import Clock, Reporter
+from ..search.given import Given
+from ..search.progress import Clock, ProgressReport
 from ..search.run import Run
-from ..search.state import SolverState
+from ..sequence import MeshSequence
+from ..skinning import Skinning
 from ..solver.trajectories import Array, Trajectories
-from .in_memory import Outcome, begin, idle_bones, outcome_of, restore, state_of, walk
+from .hand_back import Outcome, Step, outcome_of, skinning_of
+from .in_memory import begin
 from .passes import ENTERING, GAIN, AllFrames, carried
 from .problem import Problem
 from .scan import Scan, scan, subset
 from .schedule import settling_schedule
-from .streamed_state import StreamedState
 
 __all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
 
@@ -44,71 +43,42 @@ def solve(problem: Problem) -> Outcome:
 
     Raises
     ------
-    InputError, FormatError
-        If the state to resume from is of another run, or damaged.
+    InputError
+        If joints are locked, which is for frames in memory.
     Cancelled
         If the callback stopped the run before there was any model.
     """
+    if problem.given.rotations is not None:
+        raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     clock = Clock()
     executor = executor_for(problem.sequences)
-    streamed = None if problem.resume is None else StreamedState.of(problem.resume)
-    resumed = streamed is not None and streamed.scan.alignment.n_frames == problem.n_frames
-    if streamed is None or not resumed:
-        streamed = StreamedState(scan_of(problem, clock, executor))
-    few = streamed.scan
+    few = scan_of(problem, clock, executor)
     more = few.extended(problem.n_vertices)
-    if more is None:
-        streamed.settling = False
-
-    data, prescribed = _frames(
-        problem, few, few.importance(problem.frame_importance), executor, resumed=resumed
-    )
-    run, settings = begin(problem, data, prescribed, clock, few.digests)
-    del data  # what a compressed or released run needs no longer is freed
-    if more is not None and streamed.settling:
-        run = _settling(problem, few, more, run, executor, resumed=resumed)
-    if problem.resume is not None:
-        restore(run, problem.resume)
-    # passes go on where they were only under a model that is not going to change
-    if not (run.finished and (streamed.settling or more is None)):
-        streamed.passes, streamed.model, streamed.done = [], None, False
-
-    def state() -> SolverState:
-        return state_of(run, settings, streamed.progress(), streamed.arrays())
-
-    checkpoint = problem.checkpoint
-    offer = None if checkpoint is None else lambda: checkpoint.offer(state)
-    before = SCANNED if not streamed.settling else _REPRESENTED
-    after = _REPRESENTED if more is not None and not streamed.settling else _SETTLED
-    reason = walk(run, problem, save=offer, part=(before, after))
-    if more is not None and not streamed.settling and run.finished and reason != "cancelled":
-        run = _settling(problem, few, more, run, executor, resumed=resumed)
-        streamed.settling = True
-        reason = walk(run, problem, save=offer, part=(_REPRESENTED, _SETTLED))
-    idle = idle_bones(run)
-
-    if resumed and streamed.done:  # no pass will read the frames
-        check_same(
-            digests_of(problem.sequences, executor),
-            few.digests,
-            range(problem.n_frames),
-            resumed=resumed,
-        )
-    chosen = more if streamed.settling and more is not None else few
-    frames = _all_frames(problem, chosen, run, executor, resumed=resumed)
+    importance = problem.frame_importance
+    sequence, data, given = _read(problem, few, few.importance(importance), executor)
+    run = begin(problem, data, given, clock)
+    del data  # what a compressed run needs no longer is freed
+    reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
+    # transforms of a model to go on from may turn out to be of other frames
+    later = problem if run.given.transforms is not None else problem.without_transforms()
+    chosen = few
+    if more is not None and reason not in ("cancelled", "time limit"):
+        chosen = more
+        run.release()
+        weights = None if importance is None else importance[more.chosen]
+        sequence, data, given = _read(later, more, weights, executor)
+        run = _settling(later, few, more, run, data, given)
+        reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
+    idle = run.idle_bones
+    frames = _all_frames(later, chosen, run, executor)
     run.release()
-    hurried = reason in ("cancelled", "iterations")
-    save = None if checkpoint is None else lambda: checkpoint.save(state())
-    reason = _passes(problem, run, frames, streamed, save, hurried=hurried) or reason
-    assert streamed.model is not None
+    passes, why = _passes(problem, run, frames, hurried=reason == "cancelled")
     return outcome_of(
         problem,
         few.alignment,
-        streamed.model,
-        [(*record, "all frames") for record in streamed.passes],
-        importance=run.whole.importance,
-        reason=reason,
-        state=state(),
+        frames.model,
+        passes,
+        reason=why or reason,
         idle=idle,
         executor=executor,
     )
@@ -116,7 +86,7 @@ def solve(problem: Problem) -> Outcome:
 
 def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
     """The first walk over the frames, reported."""
-    report = Reporter(problem.callback, clock, problem.time_limit)
+    report = ProgressReport(problem.callback, clock, problem.time_limit)
 
     def on_progress(done: float) -> None:
         if report("scan", iteration=0, rmse=math.inf, fraction=SCANNED * done):
@@ -125,67 +95,48 @@ def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
     return scan(
         problem.sequences,
         problem.vertex_importance,
-        [problem.prescribed.rest_frame],
+        [problem.given.rest_frame],
         executor=executor,
         on_progress=on_progress,
     )
 
 
-def _frames(
-    problem: Problem,
-    chosen: Scan,
-    importance: Array | None,
-    executor: Executor,
-    *,
-    resumed: bool,
-) -> tuple[Trajectories, Prescribed]:
-    """The chosen frames in memory, and what was prescribed of them.
-
-    Raises
-    ------
-    InputError
-        If one of them is not the one that was scanned.
-    """
+def _read(
+    problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
+) -> tuple[MeshSequence, Trajectories, Given]:
+    """The chosen frames in memory, as the solver sees them, and what was given for them."""
     sequence = subset(problem.sequences, chosen.chosen, executor=executor)
-    seen, expected = of_block(sequence.vertices), chosen.digests[chosen.chosen]
-    check_same(seen, expected, chosen.chosen, resumed=resumed)
     data = problem.gather([sequence], importance)
-    return data, problem.prescribed.of_frames(chosen.chosen).inside(data)
+    return sequence, data, problem.given.of_frames(chosen.chosen).inside(data)
+
+
+def _make_steps(
+    problem: Problem, run: Run, sequence: MeshSequence, part: tuple[float, float]
+) -> str:
+    def model() -> Skinning:
+        return skinning_of(problem, run.whole, run.best_model, [sequence])
+
+    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
+    return run.make_steps(report, save=lambda: problem.save(model), part=part)
 
 
 def _settling(
-    problem: Problem, few: Scan, more: Scan, first: Run, executor: Executor, *, resumed: bool
+    problem: Problem, few: Scan, more: Scan, first: Run, data: Trajectories, given: Given
 ) -> Run:
-    """What settles the model of representative frames on more of them.
+    """A run that settles the model of the representative frames on more of them.
 
     Representative frames alone, few and extreme, lead weights to follow what only they do.
     """
-    first.release()
-    importance = problem.frame_importance
-    data, prescribed = _frames(
-        problem,
-        more,
-        None if importance is None else importance[more.chosen],
-        executor,
-        resumed=resumed,
-    )
-    smoothness = problem.smoothness_of(data)
-    schedule = settling_schedule(problem.effort, smoothed=smoothness is not None)
-    run = first.followed_by(data, schedule, prescribed, smoothness)
-    if first.best is not None:  # else it is restored
-        run.model = carried(
-            first.best,
-            few.nearest[more.chosen],
-            first.data.scale / data.scale,
-            prescribed.transforms,
-            problem.fixed,
-        )
+    smoothed = problem.smoothness > 0
+    schedule = settling_schedule(problem.effort, smoothed=smoothed)
+    run = begin(problem, data, given, first.clock, schedule)
+    run.iteration = first.iteration
+    ratio = first.data.scale / data.scale
+    run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.fixed)
     return run
 
 
-def _all_frames(
-    problem: Problem, chosen: Scan, run: Run, executor: Executor, *, resumed: bool
-) -> AllFrames:
+def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
     """The model of a run on some frames, ready for passes over all of them."""
     fixed = problem.fixed
     if run.smoothness is not None:
@@ -197,64 +148,48 @@ def _all_frames(
         run.whole,
         run.best_model,
         fixed=fixed,
-        prescribed=problem.prescribed.inside(chosen.alignment).transforms,
+        given=problem.given.inside(chosen.alignment),
         importance=problem.frame_importance,
         executor=executor,
-        resumed=resumed,
     )
 
 
 def _passes(
-    problem: Problem,
-    run: Run,
-    frames: AllFrames,
-    streamed: StreamedState,
-    save: Callable[[], None] | None,
-    *,
-    hurried: bool,
-) -> str | None:
-    """Passes until they do not pay, one if `hurried`; why they ended before that, if they did."""
-    if streamed.model is None:
-        streamed.model = frames.model
-    else:
-        frames.restore(streamed.model.copy(), len(streamed.passes))
-    report = Reporter(problem.callback, run.clock, problem.time_limit)
+    problem: Problem, run: Run, frames: AllFrames, *, hurried: bool
+) -> tuple[list[Step], str | None]:
+    """Passes until they do not pay, one if `hurried`; and why they ended before that, if so."""
+    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
     most = PASSES[problem.effort]
     unit = frames.alignment.scale / math.sqrt(problem.n_frames * problem.n_vertices)
-    stopped = False
+    passes: list[Step] = []
+    last, stopped = math.inf, False
 
     def on_progress(done: float) -> None:
         nonlocal stopped
-        count = len(streamed.passes)
-        value = streamed.passes[-1][2] if streamed.passes else math.inf
         stopped |= report(
             "all frames",
-            iteration=run.iteration + count,
-            rmse=unit * math.sqrt(value),
-            fraction=_SETTLED + (1 - _SETTLED) * (count + done) / most,
+            iteration=run.iteration + len(passes),
+            rmse=unit * math.sqrt(last),
+            fraction=_SETTLED + (1 - _SETTLED) * (len(passes) + done) / most,
         )
 
-    while not (streamed.done or stopped):
-        count = len(streamed.passes)
-        last = streamed.passes[-1][2] if streamed.passes else math.inf
+    def model() -> Skinning:
+        return skinning_of(problem, frames.alignment, frames.model)
+
+    while len(passes) < most:
+        before = frames.model.copy() if passes else None
         value = frames.pass_over(
             entering=0 if run.smoothness else ENTERING, on_progress=on_progress
         )
-        if value >= last:
-            streamed.done = True
-            frames.restore(streamed.model, count)
+        if before is not None and value >= last:
+            frames.model = before
             break
-        streamed.passes.append((run.iteration + count + 1, run.clock.elapsed, value))
-        streamed.done = value > (1 - GAIN) * last or count + 1 >= most
-        streamed.model = frames.model if streamed.done else frames.model.copy()
-        if save is not None and not streamed.done:
-            save()
-        if streamed.done or hurried:
+        step = run.iteration + len(passes) + 1
+        passes.append((step, run.clock.elapsed, value, "all frames"))
+        small, last = value > (1 - GAIN) * last, value
+        problem.save(model)
+        if small or hurried or stopped:
             break
-        if problem.max_iterations is not None and run.iteration + count + 1 >= (
-            problem.max_iterations
-        ):
-            return "iterations"
-        if report.out_of_time and not stopped:
-            return "time limit"
-    return "cancelled" if stopped else None
+        if report.out_of_time:
+            return passes, "time limit"
+    return passes, "cancelled" if stopped else None

@@ -6,85 +6,73 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..checks import (
-    as_sequences,
+    BoneModel,
     check_bone_model,
-    check_count,
     check_importance,
     check_mask,
     check_nonnegative,
-    check_rest,
     check_transforms,
-    check_weights,
+    check_whole,
 )
-from ..errors import InputError
+from ..clips import names_of
+from ..errors import check_flag
 from ..frames.error import squared_error
 from ..sequence import MeshSequence
-from ..skinning import BoneModel
-from ..solver.affine import flat_blocks
+from ..skinning import Skinning
 from ..solver.alternation import bone_step
-from ..solver.bone_models import polish_of
-from ..solver.initialization import bones_of_weights
+from ..solver.gauss_newton import GaussNewton
+from ..solver.initialization import fit_patches
 from ..solver.model import Fixed, Model
-from ..solver.moments import bone_sums
+from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
+from .fit import NAMES, Fit, checked, rmse_of
 
 __all__ = ["BoneFit", "fit_bones"]
 
 _SWEEPS = 5  # between two steps of all bones together
-_STUCK = 0.9  # of a frame's squared error, to which another start takes it
-_ROUNDS = 16  # frames in a row that are stuck get free from both ends, two a round
+_STUCK = 0.9  # ratio of a frame's squared errors below which another start is taken
+_ROUNDS = 16  # a run of stuck frames is freed from both ends, two frames a round
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class BoneFit:
-    """Transforms and what they reach.
+class BoneFit(Fit):
+    """A model whose transforms were solved for.
 
     Attributes
     ----------
-    transforms : (F, B, 3, 4) float64
-    rmse : float
-        sqrt(Σ|d|² / (F V)).
+    skinning, squared_error, rmse
+        As in :class:`Fit`.
     sweeps : int
-        Gauss–Seidel sweeps that were made.
+        Gauss–Seidel sweeps over the bones.
     converged : bool
-        Whether the last sweep moved no bone by more than `tolerance`.
+        True if the last ones moved no entry by more than the tolerance.
 
     Examples
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
-    >>> start = ssdr.initialize(dancer, bones=4)
-    >>> fit = ssdr.fit_bones(
-    ...     dancer, rest=start.rest, indices=start.indices, weights=start.weights, max_sweeps=2
-    ... )
-    >>> fit.sweeps >= 1, fit.rmse < 0.1 * dancer.diagonal()
-    (True, True)
+    >>> fit = ssdr.fit_bones(dancer, ssdr.initialize(dancer, bones=4), max_sweeps=2)
+    >>> fit.sweeps
+    2
     """
 
-    transforms: NDArray[np.float64]
-    rmse: float
     sweeps: int
     converged: bool
 
 
 def fit_bones(
     sequence: MeshSequence | Any,
-    faces: Any = None,
+    skinning: Skinning,
     *,
-    rest: Any,
-    indices: Any,
-    weights: Any,
-    bones: int | None = None,
-    bone_model: BoneModel = "rigid",
-    transforms: Any = None,
+    bone_model: BoneModel | None = None,
+    from_transforms: bool = False,
     locked_bones: Any = None,
     vertex_importance: Any = None,
     tolerance: float = 1e-6,
     max_sweeps: int = 200,
 ) -> BoneFit:
-    """Transforms that reproduce a sequence under given rest pose and weights.
+    """Transforms that reproduce a sequence under the rest pose and weights of a model.
 
     Each sweep solves one weighted Kabsch a bone and frame with the others held
     (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
@@ -96,16 +84,15 @@ def fit_bones(
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-    faces : (T, 3) int array, optional
-    rest : (V, 3) array
-    indices, weights : (V, K) arrays
-    bones : int, optional
-        Number of bones; by default as many as `indices` or `transforms` name.
-    bone_model : {"rigid", "similarity", "affine"}
-    transforms : (F, B, 3, 4) array, optional
-        Where to start; by default each bone's own fit.
+    skinning : Skinning
+        Its rest pose, weights and number of bones are used; its frames may be others.
+    bone_model : {"rigid", "similarity", "affine"}, optional
+        That of the model by default.
+    from_transforms : bool
+        Start from the model's transforms, which then are of these frames; by default from
+        each bone's own fit.
     locked_bones : mask or indices, optional
-        Bones that keep the given transforms.
+        Bones that keep the model's transforms.
     vertex_importance : (V,) array, optional
     tolerance : float
         Largest change of a transform's entry (translations relative to the
@@ -130,53 +117,40 @@ def fit_bones(
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
-    >>> fit = ssdr.fit_bones(
-    ...     dancer, rest=start.rest, indices=start.indices, weights=start.weights, max_sweeps=2
-    ... )
-    >>> fit.transforms.shape
+    >>> fit = ssdr.fit_bones(dancer, start, max_sweeps=2)
+    >>> fit.skinning.transforms.shape
     (24, 4, 3, 4)
     """
-    sequences = as_sequences(sequence, faces)
-    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
-    rest = check_rest(rest, n)
-    indices, weights = check_weights(indices, weights, n)
-    bone_model = check_bone_model(bone_model)
-    world = None if transforms is None else check_transforms(transforms, n_frames, bone_model)
-    count = int(indices.max()) + 1 if world is None else world.shape[1]
-    if bones is not None:
-        expected = f"an integer >= {count}, as joints and transforms name"
-        asked = check_count(bones, "bones", expected)
-        if not count <= asked <= np.iinfo(np.int32).max:
-            raise InputError("bones", expected, asked)
-        count = asked
-    if indices.max() >= count:
-        raise InputError("indices", f"indices from 0 to {count - 1}", int(indices.max()))
-    if world is not None and world.shape[1] != count:
-        raise InputError("transforms", f"{count} bones", f"{world.shape[1]}")
-    locked = check_mask(locked_bones, "locked_bones", count)
-    if locked is not None and world is None:
-        raise InputError("transforms", "the transforms of the locked bones", "None")
-    max_sweeps = check_count(max_sweeps, "max_sweeps")
+    sequences, rest, weights = checked(sequence, skinning)
+    n, n_frames = len(rest), sum(len(s) for s in sequences)
+    kind = check_bone_model(skinning.bone_model if bone_model is None else bone_model)
+    locked = check_mask(locked_bones, "locked_bones", skinning.n_bones)
+    world = None
+    if check_flag(from_transforms, "from_transforms") or (locked is not None and locked.any()):
+        world = check_transforms(skinning.transforms, n_frames, kind, "skinning.")
+    max_sweeps = check_whole(max_sweeps, "max_sweeps", 1)
     tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
     data = gather(
         sequences,
-        bones=count,
+        bones=skinning.n_bones,
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
-    inner, start = data.from_world(rest, world)
-    fixed = Fixed(rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=bone_model)
+    inner, start = data.from_world(rest, world, NAMES)
+    fixed = Fixed(rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=kind)
     # a bone may not turn inside out on its way, which bars affine ones some ways from their
     # own fit that are open from rigid ones
-    kinds: list[BoneModel] = [bone_model]
+    kinds: list[BoneModel] = [kind]
+    indices = skinning.indices
     if start is None:
-        if bone_model == "affine":
+        if kind == "affine":
             kinds = ["rigid", "affine"]
-        start = bones_of_weights(data, inner, indices, count, kinds[0])
+        largest = indices[np.arange(n), weights.argmax(axis=1)].astype(np.intp)
+        start = fit_patches(data, inner, largest, skinning.n_bones, kinds[0])
     model = Model.start(start, inner, indices[:, 0], indices.shape[1])
-    model.indices, model.weights = indices.copy(), weights.copy()
+    model.indices, model.weights = indices.copy(), weights
     sweeps = 0
-    for kind in kinds:
-        of_kind = dataclasses.replace(fixed, bone_model=kind)
+    for one in kinds:
+        of_kind = dataclasses.replace(fixed, bone_model=one)
         more, moved = _settle(data, model, of_kind, tolerance, max_sweeps)
         sweeps += more
     if world is None and _from_neighbours(data, model, fixed, max_sweeps):
@@ -185,8 +159,11 @@ def fit_bones(
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, indices, weights, out)
     return BoneFit(
-        transforms=out,
-        rmse=float(np.sqrt(squared.sum() / (n_frames * n))),
+        skinning=dataclasses.replace(
+            skinning, transforms=out, keyframes=None, bone_model=kind, **names_of(sequences)
+        ),
+        squared_error=squared,
+        rmse=rmse_of(squared, n_frames),
         sweeps=sweeps,
         converged=moved <= tolerance,
     )
@@ -195,7 +172,10 @@ def fit_bones(
 def _settle(
     data: Trajectories, model: Model, fixed: Fixed, tolerance: float, most: int
 ) -> tuple[int, float]:
-    """Sweeps (in place) until no entry moves by more; how many, and the last move."""
+    """Sweep until no entry moves more than `tolerance` (in place).
+
+    Returns the number of sweeps and the last move.
+    """
     sweeps, moved = 0, np.inf
     damping: float | None = None
     while sweeps < most and moved > tolerance:
@@ -215,7 +195,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
     Where bones overlap widely, a frame's own start now and then leads nowhere.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
-    flat = flat_blocks(u)
+    flat = stack_blocks(u)
     energy = np.array(
         [
             float((data.importance * (data.frame(t) ** 2).sum(axis=1)).sum())
@@ -225,7 +205,7 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
 
     def error(transforms: Array) -> Array:
         """(F,) squared error."""
-        hat = data.hat(transforms).reshape(data.n_frames, 3, -1)
+        hat = data.stack(transforms).reshape(data.n_frames, 3, -1)
         told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + told
 
@@ -253,6 +233,6 @@ def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: floa
 
     Sweeps alone take hundreds of rounds where bones overlap widely.
     """
-    polish = polish_of(data, model, fixed=fixed, damping=damping)
+    polish = GaussNewton(data, model, fixed=fixed, damping=damping)
     polish.step()
     return polish.damping

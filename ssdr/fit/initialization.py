@@ -7,16 +7,17 @@ from typing import Any
 import numpy as np
 
 from ..checks import (
-    as_sequences,
+    BoneModel,
     check_bone_model,
-    check_bones,
+    check_floats,
     check_influences,
-    check_rest,
     check_rng,
+    check_squarable,
+    check_whole,
 )
 from ..clips import names_of
-from ..sequence import MeshSequence
-from ..skinning import BoneModel, Skinning
+from ..sequence import MeshSequence, as_sequences
+from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import start_model
 from ..solver.model import Fixed
@@ -80,11 +81,14 @@ def initialize(
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices
-    bones = check_bones(bones, n)
+    bones = check_whole(bones, "bones", 1, n, " (the number of vertices)")
     k = check_influences(influences)
     bone_model = check_bone_model(bone_model)
     generator = check_rng(rng)
-    inner_rest = None if rest is None else check_rest(rest, n)
+    inner_rest = None
+    if rest is not None:
+        inner_rest = check_floats(rest, "rest", (n, 3), copy=True).astype(np.float64)
+        check_squarable(inner_rest, "rest")
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
     model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)

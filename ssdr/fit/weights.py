@@ -6,69 +6,30 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..checks import (
-    as_sequences,
-    check_bone_model,
-    check_count,
-    check_influences,
-    check_rest,
-    check_transforms,
-)
+from ..checks import check_influences, check_smoothness, check_whole
 from ..sequence import MeshSequence
-from ..skinning import BoneModel
+from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
-from ..solver.model import Fixed, Model, pad_influences
-from ..solver.polish import Polish
+from ..solver.model import Fixed, Model
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import gather
+from ..solver.vertex_newton import optimise_vertices
+from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
 
-__all__ = ["WeightFit", "fit_weights"]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class WeightFit:
-    """Weights and what they reach.
-
-    Attributes
-    ----------
-    indices : (V, K) int32
-    weights : (V, K) float64
-        Descending, summing to 1, padded with joint 0, weight 0.
-    squared_error : (V,) float64
-        Σ_t |d|² of each vertex, in squared units of the mesh.
-    rmse : float
-        sqrt(Σ|d|² / (F V)).
-
-    Examples
-    --------
-    >>> dancer = ssdr.samples.load("dancer_small")
-    >>> start = ssdr.initialize(dancer, bones=4)
-    >>> fit = ssdr.fit_weights(dancer, rest=start.rest, transforms=start.transforms)
-    >>> fit.indices.shape, np.allclose(fit.weights.sum(axis=1), 1)
-    ((799, 4), True)
-    """
-
-    indices: NDArray[np.int32]
-    weights: NDArray[np.float64]
-    squared_error: NDArray[np.float64]
-    rmse: float
+__all__ = ["fit_weights"]
 
 
 def fit_weights(
     sequence: MeshSequence | Any,
-    faces: Any = None,
+    skinning: Skinning,
     *,
-    rest: Any,
-    transforms: Any,
     influences: int = 4,
-    bone_model: BoneModel = "rigid",
     smoothness: float = 0.0,
     iterations: int = 20,
-) -> WeightFit:
-    """Best convex weights of at most K of the given bones, for every vertex.
+) -> Fit:
+    """Best convex weights of at most K bones for every vertex of a model.
 
     Minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0, Σ w = 1: an active-set
     solve over all bones, then over the K largest, then exchanges that lower the error.
@@ -76,13 +37,10 @@ def fit_weights(
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-    faces : (T, 3) int array, optional
-        With plain arrays; only `smoothness` reads it.
-    rest : (V, 3) array
-    transforms : (F, B, 3, 4) array
-        From the rest pose to each frame, such as `bone_model` allows.
+    skinning : Skinning
+        Its rest pose and transforms, of as many frames, are used; its weights are not.
     influences : int
-    bone_model : {"rigid", "similarity", "affine"}
+        Most bones a vertex (K).
     smoothness : float
         Length in the mesh's units: a jump of 1 in a weight across an edge costs
         as much as this distance in every frame at one vertex.  0: off.
@@ -91,7 +49,7 @@ def fit_weights(
 
     Returns
     -------
-    WeightFit
+    Fit
 
     Raises
     ------
@@ -107,40 +65,35 @@ def fit_weights(
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> start = ssdr.initialize(dancer, bones=4)
-    >>> fit = ssdr.fit_weights(
-    ...     dancer, rest=start.rest, transforms=start.transforms, influences=2
-    ... )
-    >>> fit.weights.shape
+    >>> fit = ssdr.fit_weights(dancer, start, influences=2)
+    >>> fit.skinning.weights.shape
     (799, 2)
     """
-    sequences = as_sequences(sequence, faces)
-    n = sequences[0].n_vertices
-    k = check_influences(influences)
-    rest = check_rest(rest, n)
-    world = check_transforms(
-        transforms, sum(len(s) for s in sequences), check_bone_model(bone_model)
-    )
-    iterations = check_count(iterations, "iterations")
+    sequences, rest, _ = checked(sequence, skinning)
+    k, n = check_influences(influences), len(rest)
+    world = checked_transforms(sequences, skinning)
+    iterations = check_whole(iterations, "iterations", 1)
     data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(rest, world)
+    inner, bones = data.from_world(rest, world, NAMES)
     assert bones is not None
     cost, _ = single_bone_errors(data, inner, bones, np.arange(n))
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, world.shape[1]))
     fixed = Fixed(rest=True)
-    smooth = WeightSmoothness.build(data, sequences[0].faces, smoothness)
+    faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
+    check_smoothness(smoothness, faces)
+    smooth = WeightSmoothness.build(data, faces, smoothness)
     if smooth is None:
         vertex_step(data, model, fixed=fixed)
         # the K largest are not always the K best: exchange bones wherever that pays
-        Polish(data, model, fixed=fixed)
+        optimise_vertices(data, model, fixed=fixed)
     else:
         for _ in range(iterations):
             pull, stiff = smooth.terms(model)
             vertex_step(data, model, fixed=fixed, pull=pull, stiff=stiff)
     squared = model.error * data.scale**2
-    indices, weights = pad_influences(model, k)
-    return WeightFit(
-        indices=indices,
-        weights=weights,
+    padded = model.with_influences(k)
+    return Fit(
+        skinning=dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights),
         squared_error=squared,
-        rmse=float(np.sqrt(squared.sum() / (data.n_frames * n))),
+        rmse=rmse_of(squared, data.n_frames),
     )

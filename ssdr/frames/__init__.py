@@ -1,1 +1,1 @@
-"""Walks over frames that stay where they are: on disk, in a store, on the workers of a cluster."""
+"""Passes over frames that are not in memory: on disk, in a store, on the workers of a cluster."""

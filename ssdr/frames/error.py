@@ -1,4 +1,4 @@
-"""Errors against the frames themselves, in one walk over all of them."""
+"""Error of a skinning against all frames, in one pass over them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ..kernels.lbs import squared_error_range
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
 from ..skinning import skin
-from .executor import Executor, Frames, Local, Walk, spans_of
+from .executor import Executor, Frames, Local, SpanTask, spans_of
 
 __all__ = ["largest_error", "squared_error"]
 
 Array = NDArray[np.float64]
 
-_CHUNK = 512  # vertices a chunk of work, as in the solver
+_CHUNK = 512  # vertices in a chunk of work, as in the solver
 
 
 def squared_error(
@@ -30,10 +30,10 @@ def squared_error(
     *,
     executor: Executor | None = None,
 ) -> Array:
-    """(V,) Σ_t |d|² of a skinning against the frames."""
-    walk = _walk(_squared_error_of_span, sequences, rest, indices, weights, transforms)
+    """Squared error of each vertex, summed over the frames: (V,) Σ_t |d|²."""
+    task = _task(_squared_error_of_span, sequences, rest, indices, weights, transforms)
     total = np.zeros(len(rest))
-    for part in (executor or Local()).map(walk):
+    for part in (executor or Local()).map(task):
         total += part
     return total
 
@@ -47,22 +47,22 @@ def largest_error(
     *,
     executor: Executor | None = None,
 ) -> float:
-    """The largest |d| of any vertex in any frame."""
-    walk = _walk(_largest_square_of_span, sequences, rest, indices, weights, transforms)
-    # np.max and not max: NaN must be seen
-    return math.sqrt(np.max(list((executor or Local()).map(walk))))
+    """Largest distance |d| of any vertex in any frame."""
+    task = _task(_largest_square_of_span, sequences, rest, indices, weights, transforms)
+    # max would pass over NaN.
+    return math.sqrt(np.max(list((executor or Local()).map(task))))
 
 
-def _walk(
+def _task(
     function: Callable[..., object],
     sequences: Sequence[MeshSequence],
     rest: Array,
     indices: NDArray[np.int32],
     weights: Array,
     transforms: Array,
-) -> Walk:
+) -> SpanTask:
     spans = spans_of(len(transforms))
-    return Walk(
+    return SpanTask(
         function,
         sequences,
         spans,

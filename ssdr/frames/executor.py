@@ -1,10 +1,10 @@
-"""Frames that stay where they are, and functions brought to them span by span.
+"""Passes over frames that are too many for the memory, span by span.
 
-A walk over all frames is one function of a span of them, called for every span,
-and a reduction of what comes back in the order of the spans.  Who calls it is an
-executor: this process, or the workers of a Dask cluster where a client is active
-and every shot is something that workers can open by themselves.  Spans do not
-depend on who works on them, so the result does not either.
+A pass over all frames calls one function for every span of them and adds up the
+results in the order of the spans.  An executor makes the calls: this process, or
+the workers of a Dask cluster if a client is active and workers can open every
+shot by themselves.  The spans are the same for every executor, and so is the
+result.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import collections
 import dataclasses
 import logging
+import mmap
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -23,24 +24,24 @@ from numpy.typing import NDArray
 from ..parallel import chunk_bounds
 from ..sequence import MeshSequence, native
 
-__all__ = ["Executor", "Frames", "Local", "Walk", "executor_for", "spans_of"]
+__all__ = ["Executor", "Frames", "Local", "SpanTask", "executor_for", "spans_of"]
 
-# Bytes of a block in float64: large enough for matrix products at full speed, and a few of them
-# are held at once.
+# Bytes of a block in float64: enough for fast matrix products, few enough to hold several.
 _BLOCK = 32 << 20
-_FEWEST = 8  # frames a block, whatever their size
-# Spans of all frames: enough for the workers of a cluster, and each sends home (V, 4B) sums.
+_FEWEST = 8  # frames in a block, whatever their size
+# Spans of all frames: enough for the workers of a cluster, few since each returns (V, 4B) sums.
 _SPANS = 32
 _logger = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
 class Frames:
-    """Some frames of some shots, in order: ``(array, first, last)`` each; picklable if those are.
+    """Frames of a span, which may belong to several shots.
 
     Parameters
     ----------
     pieces : tuple of (array-like, int, int)
+        Array of a shot, its first frame and the one after its last, in order.
     n_vertices : int
     """
 
@@ -51,21 +52,21 @@ class Frames:
         return sum(last - first for _, first, last in self.pieces)
 
     def blocks(self) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """A few dozen MiB at a time, as (position, (n, V, 3)); short shots are put together."""
+        """Blocks of a few dozen MiB as (position, (n, V, 3)); short shots are joined."""
         for start, stop in chunk_bounds(len(self), max(_FEWEST, _BLOCK // (24 * self.n_vertices))):
             read = [native(array[i:k]) for array, i, k in _cut(self.pieces, start, stop)]
             yield start, read[0] if len(read) == 1 else np.concatenate(read)
 
 
 def spans_of(n_frames: int) -> list[tuple[int, int]]:
-    """Bounds of the spans: at most a few dozen, the same whoever works on them."""
+    """Bounds of the spans, at most a few dozen, the same for every executor."""
     return chunk_bounds(n_frames, max(_FEWEST, -(-n_frames // _SPANS)))
 
 
 def _cut(
     pieces: Iterable[tuple[Any, int, int]], start: int, stop: int
 ) -> Iterator[tuple[Any, int, int]]:
-    """What lies between two positions in a row of pieces."""
+    """Pieces between two positions in a row of pieces."""
     offset = 0
     for array, first, last in pieces:
         i, k = max(start - offset, 0), min(stop - offset, last - first)
@@ -75,7 +76,7 @@ def _cut(
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Walk:
+class SpanTask:
     """Calls of ``function(frames, *arguments(k), *shared)`` for every span k of some shots."""
 
     function: Callable[..., Any]
@@ -93,55 +94,45 @@ class Walk:
 
 
 class Executor(Protocol):
-    """Makes the calls of a walk."""
+    """Maker of the calls of a :class:`SpanTask`."""
 
-    def map(self, walk: Walk) -> Iterator[Any]:
-        """Results in the order of the spans, each made when it is asked for or before."""
+    def map(self, task: SpanTask) -> Iterator[Any]:
+        """Results in the order of the spans, each computed when it is taken or before."""
         ...
 
 
 class Local:
-    """One span after the other in this process; threads work inside of each."""
+    """Executor in this process: one span after the other, each with all threads."""
 
-    def map(self, walk: Walk) -> Iterator[Any]:
-        for k in range(len(walk.spans)):
-            frames = Frames(tuple(walk.pieces(k)), walk.n_vertices)
-            yield walk.function(frames, *walk.arguments(k), *walk.shared)
+    def map(self, task: SpanTask) -> Iterator[Any]:
+        for k in range(len(task.spans)):
+            frames = Frames(tuple(task.pieces(k)), task.n_vertices)
+            yield task.function(frames, *task.arguments(k), *task.shared)
 
 
 class Cluster:
-    """Spans on the workers of a Dask client.
+    """Executor on the workers of a Dask client.
 
-    All that a call needs travels with it or is read by it, so that the scheduler
-    can give it to another worker when one is lost.
+    A call carries all that it needs or reads it, so that the scheduler can give it
+    to another worker when one is lost.
     """
 
     def __init__(self, client: Any) -> None:
         self.client = client
 
-    def map(self, walk: Walk) -> Iterator[Any]:
+    def map(self, task: SpanTask) -> Iterator[Any]:
         import dask
 
         waiting: collections.deque[Any] = collections.deque()
-        # as many results as are being made, and no more, wait to be added up
+        # No more results wait to be added up than are being computed: each is large.
         most_waiting = 1 + sum(self.client.nthreads().values())
         quiet = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GiB"})
         with quiet:
-            common = self.client.submit(_same, walk.shared, pure=False)
-            for k in range(len(walk.spans)):
-                pieces = [self._portable(*p) for p in walk.pieces(k)]
-                waiting.append(
-                    self.client.submit(
-                        _remote,
-                        walk.function,
-                        pieces,
-                        walk.n_vertices,
-                        walk.arguments(k),
-                        common,
-                        pure=False,
-                        retries=2,
-                    )
-                )
+            common = self.client.submit(_same, task.shared, pure=False)
+            for k in range(len(task.spans)):
+                pieces = [self._portable(*p) for p in task.pieces(k)]
+                call = (_remote, task.function, pieces, task.n_vertices, task.arguments(k), common)
+                waiting.append(self.client.submit(*call, pure=False, retries=2))
                 if len(waiting) >= most_waiting:
                     yield waiting.popleft().result()
             while waiting:
@@ -174,7 +165,7 @@ def _remote(
 
 @dataclasses.dataclass(frozen=True)
 class _MappedFile:
-    """Where a memory map lies in its file."""
+    """Place of a memory map in its file, which a worker can open again."""
 
     path: str
     dtype: str
@@ -183,8 +174,8 @@ class _MappedFile:
 
     @staticmethod
     def of(array: np.memmap[Any, Any]) -> _MappedFile:
-        # a slice keeps the offset of the whole: its place is known by its address alone
-        begin = int(array.offset) - int(array.offset) % _granularity()
+        # A slice keeps the offset of the whole map; only its address tells where it lies.
+        begin = int(array.offset) - int(array.offset) % mmap.ALLOCATIONGRANULARITY
         mapped = np.frombuffer(array._mmap, dtype=np.uint8)  # type: ignore[attr-defined]
         return _MappedFile(
             path=str(array.filename),
@@ -199,14 +190,8 @@ class _MappedFile:
         )
 
 
-def _granularity() -> int:
-    import mmap
-
-    return mmap.ALLOCATIONGRANULARITY
-
-
 def _opens_elsewhere(array: Any) -> bool:
-    """Whether a worker can read this by itself."""
+    """Whether a worker can read the array by itself."""
     if isinstance(array, np.memmap):
         return (
             array.flags.c_contiguous
@@ -217,8 +202,8 @@ def _opens_elsewhere(array: Any) -> bool:
 
 
 def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
-    """The workers of the active Dask client, where there is one, else this process."""
-    distributed = sys.modules.get("distributed")  # never imported from here
+    """Workers of the active Dask client where there is one, else this process."""
+    distributed = sys.modules.get("distributed")  # without it there is no client
     if distributed is None:
         return Local()
     try:
@@ -226,6 +211,6 @@ def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
     except ValueError:
         return Local()
     if not all(_opens_elsewhere(s.vertices) for s in sequences):
-        _logger.info("frames that are in memory stay in this process, not on the Dask workers")
+        _logger.info("frames in memory are worked on in this process, not by the Dask workers")
         return Local()
     return Cluster(client)

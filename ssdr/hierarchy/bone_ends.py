@@ -1,4 +1,4 @@
-"""Bones as programs draw them: from a joint along to those that hang on it."""
+"""Where bones begin, end and point to when a program draws them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from .transforms import parents_first, rest_diagonal
 __all__ = ["limb_axes", "limb_ends"]
 
 Array = NDArray[np.float64]
-_SHORTEST = 0.01  # of the diagonal: programs drop bones without length
-_ASIDE = 2e-3  # of a bone's length: more than Blender's tolerance, less than one sees
-_FORKED = 0.3  # of the mean distance: children that lie apart have their mean at the joint
+_SHORTEST = 0.01  # length relative to the diagonal: programs drop bones without length
+_ASIDE = 2e-3  # shift relative to the length: above Blender's tolerance, too small to see
+_FORKED = 0.3  # of the mean distance: below, children lie around the joint on all sides
 
 
 def limb_ends(
@@ -24,11 +24,11 @@ def limb_ends(
     *,
     sliding: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Where each bone ends in the rest pose, (B, 3).
+    """End of each bone in the rest pose, (B, 3).
 
-    A bone ends at the joint that hangs on it, at the mean of several; where these lie around it on
-    all sides, at that of the longest chain.  One on which none hangs reaches as far as what it
-    moves most.
+    A bone ends at its child's joint, or at the mean of several; if they lie around it on all sides,
+    at the joint of the longest chain.  A bone without children reaches as far as the vertices that
+    it moves most.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def limb_ends(
     rest : (V, 3) array
     indices, weights : (V, K) arrays
     sliding : (B,) bool array, optional
-        Joints that translate: no bone ends there, as Blender takes what begins where another bone
-        ends for fixed to it, and leaves its translation out.
+        Joints that translate.  No bone ends exactly there: Blender takes a bone that begins where
+        another ends for fixed to it and drops its translation.
     """
     at = np.asarray(positions, dtype=np.float64)
     shortest = _SHORTEST * (rest_diagonal(rest) or 1.0)
@@ -76,7 +76,7 @@ def limb_ends(
 
 
 def _reach(points: Array) -> Array:
-    """From the origin towards the middle of the points, as far as nearly all of them lie."""
+    """Vector from the origin towards the points' mean, as long as nearly all of them reach."""
     if not len(points):
         return np.zeros(3)
     middle = points.mean(axis=0)
@@ -86,7 +86,7 @@ def _reach(points: Array) -> Array:
 
 
 def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], ends: Array) -> Array:
-    """Orientation (B, 3, 3) of each bone: its y axis along it, twisted least against its parent."""
+    """Orientation (B, 3, 3) of each bone: y along it, with least twist against the parent."""
     axes = np.tile(np.eye(3), (len(ends), 1, 1))
     for b in parents_first(parents):
         above = axes[parents[b]] if parents[b] >= 0 else np.eye(3)
@@ -96,7 +96,7 @@ def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], end
 
 
 def _least_turn(a: Array, b: Array) -> Array:
-    """The least rotation that carries unit vector a to b."""
+    """The smallest rotation that takes unit vector a to b."""
     cosine = float(a @ b)
     if cosine < -1 + 1e-9:  # half a turn about any axis across
         across = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])

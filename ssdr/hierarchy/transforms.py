@@ -1,9 +1,9 @@
-"""Trees over bones: who hangs on whom, by which point, and transforms relative to the parent.
+"""Parents and joints of bones, and transforms relative to the parent.
 
-Bone b hangs on its parent a by the rest point c_b, its joint.  The joint's frame has its origin
-there and, in the rest pose, the axes of the world; in frame t it is G_b = M_b (I | c_b).  Relative
-to the parent's it is L_b = G_a⁻¹ G_b: where the joint is one point under both bones in every
-frame, M_b c_b = M_a c_b, its translation is that of the rest pose and only its rotation moves.
+Bone b is attached to its parent a at the rest point c_b, its joint.  The joint's frame has its
+origin there and, in the rest pose, the axes of the world; in frame t it is G_b = M_b (I | c_b).
+Relative to the parent's frame it is L_b = G_a⁻¹ G_b.  If the joint is one point under both bones in
+every frame, M_b c_b = M_a c_b, then L_b keeps the translation of the rest pose and only rotates.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = [
     "translating",
 ]
 
-RIGID = 1e-6  # of the diagonal: a joint whose gaps are all smaller does not translate
+RIGID = 1e-6  # relative to the diagonal: a joint with smaller gaps does not translate
 
 Array = NDArray[np.float64]
 Freedom = Literal["root", "point", "line", "nothing"]
@@ -68,7 +68,7 @@ def parents_first(parents: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def depths(parents: NDArray[Any]) -> NDArray[np.int64]:
-    """How many bones are above each (B,): 0 at roots.
+    """Number of ancestors of each bone (B,): 0 at roots.
 
     Raises
     ------
@@ -108,13 +108,13 @@ def from_local(local: ArrayLike, parents: NDArray[Any], positions: ArrayLike) ->
 
 
 def from_frames(frame: Array, positions: ArrayLike) -> Array:
-    """Transforms (..., B, 3, 4) from the rest pose, from the frames of the joints in the world."""
+    """Transforms (..., B, 3, 4) from the rest pose, given the joints' frames in the world."""
     shift = np.einsum("...bij,bj->...bi", frame[..., :3], np.asarray(positions, dtype=np.float64))
     return np.concatenate([frame[..., :3], (frame[..., 3] - shift)[..., None]], axis=-1)
 
 
 def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
-    """Frames of the joints (..., B, 3, 4) in the world, from those relative to their parents."""
+    """The joints' frames (..., B, 3, 4) in the world, given those relative to their parents."""
     frame = np.array(local, dtype=np.float64)
     for b in parents_first(parents):
         a = int(parents[b])
@@ -127,7 +127,7 @@ def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
 
 
 def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Joints (B, 3) of the rest pose relative to their parents'; a root's relative to the world."""
+    """Joints (B, 3) of the rest pose relative to their parents' joints; roots in the world."""
     c = np.asarray(positions, dtype=np.float64)
     return np.asarray(c - np.where((np.asarray(parents) >= 0)[:, None], c[parents], 0.0))
 
@@ -135,14 +135,14 @@ def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
 def translating(
     transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike, diagonal: float
 ) -> NDArray[np.bool_]:
-    """Joints (B,) that leave their parents, and roots that leave the rest pose, in some frame.
+    """Joints (B,) that come apart from their parents, and roots that move, in any frame.
 
     Parameters
     ----------
     transforms : (F, B, 3, 4) array
     parents, positions
     diagonal : float
-        Of the mesh: a millionth of it counts as no translation.
+        Of the mesh: less than a millionth of it counts as no translation.
     """
     m, c = np.asarray(transforms, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     off = joint_gaps(m, parents, c)
@@ -152,12 +152,12 @@ def translating(
 
 
 def rest_diagonal(rest: ArrayLike) -> float:
-    """Diagonal of the box around the rest pose."""
+    """Diagonal of the rest pose's bounding box."""
     return float(np.linalg.norm(np.ptp(np.asarray(rest, dtype=np.float64), axis=0)))
 
 
 def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Distances (..., B) between where a bone and its parent put the joint; 0 at roots."""
+    """Distances (..., B) between the joint's images under a bone and its parent; 0 at roots."""
     m = np.asarray(transforms, dtype=np.float64)
     above = np.where(np.asarray(parents) >= 0, parents, np.arange(len(parents)))
     apart = m - m[..., above, :, :]
@@ -168,7 +168,7 @@ def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLik
 def joint_freedom(
     transforms: ArrayLike, parents: NDArray[Any], least_turn: float
 ) -> tuple[Freedom, ...]:
-    """What the motion says of each joint's place.
+    """How far the motion determines the place of each joint.
 
     A joint at c_b in its bone and c_a in its parent satisfies R_b c_b + T_b = R_a c_a + T_a in
     all frames; with S = R_aᵀ R_b and c_a eliminated, the matrix of c_b is the mean of
@@ -188,7 +188,7 @@ def joint_freedom(
 def local_of_pose(
     parents: NDArray[Any], positions: NDArray[Any], rotations: ArrayLike, root: ArrayLike | None
 ) -> Array:
-    """Local transforms (f, B, 3, 4) of a pose: its rotations on the rest pose's offsets."""
+    """Local transforms (f, B, 3, 4) of a pose given by rotations; offsets are the rest pose's."""
     n_bones = len(parents)
     wanted = f"shape (f, {n_bones}, 3, 3) or (f, {n_bones}, 4)"
     turn = np.asarray(rotations)

@@ -1,4 +1,4 @@
-"""A tree over the bones of a model: who hangs on whom, and by which rest point."""
+"""A tree, or forest, over the bones of a model, and operations on it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,25 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ..solver.trajectories import Array
 from .transforms import parents_first
 
-__all__ = ["Tree", "rooted"]
+__all__ = ["Tree", "root_at_centroids"]
+
+Array = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tree:
-    """Parents and joints of a model's bones.
+    """Parents and joints of bones.
 
     Attributes
     ----------
     parents : (B,) int64
         −1 at roots.
     points : (B, 3) float64
-        Joints in the rest pose; those of roots play no part.
+        Joint of each bone and its parent, in the rest pose; not used at roots.
     rigid : bool
-        Whether every bone hangs on its joint in every frame, but for rounding.
+        Whether each joint is one point under both of its bones in every frame, up to rounding.
     """
 
     parents: NDArray[np.int64]
@@ -33,11 +34,12 @@ class Tree:
 
     @property
     def roots(self) -> NDArray[np.intp]:
+        """Bones without a parent."""
         return np.flatnonzero(self.parents < 0)
 
     @property
-    def hung(self) -> NDArray[np.intp]:
-        """Bones that have a parent."""
+    def non_roots(self) -> NDArray[np.intp]:
+        """Bones with a parent."""
         return np.flatnonzero(self.parents >= 0)
 
     @property
@@ -46,114 +48,113 @@ class Tree:
         return parents_first(self.parents)
 
     def neighbours(self, bone: int) -> list[int]:
-        """Children, then the parent."""
+        """Children of a bone, then its parent."""
         near = np.flatnonzero(self.parents == bone).tolist()
         return near + ([int(self.parents[bone])] if self.parents[bone] >= 0 else [])
 
     def joint(self, a: int, b: int) -> Array:
-        """Point that joins two neighbours."""
+        """Joint of two neighbours."""
         return np.asarray(self.points[a if self.parents[a] == b else b])
 
-    def beyond(self, mass: Array) -> Array:
-        """(B,) mass of each bone and of all that hangs on it."""
-        total = mass.copy()
+    def subtree_sums(self, values: Array) -> Array:
+        """Sums (B,) of values over the subtree of each bone."""
+        total = values.copy()
         for bone in self.order[::-1]:
             if self.parents[bone] >= 0:
                 total[self.parents[bone]] += total[bone]
         return total
 
-    def part(self, bone: int) -> list[int]:
-        """The bone and all that hangs on it."""
-        inside = np.zeros(len(self.parents), dtype=bool)
-        inside[bone] = True
-        for k in self.order:
-            if self.parents[k] >= 0 and inside[self.parents[k]]:
-                inside[k] = True
-        return np.flatnonzero(inside).tolist()
+    def subtree(self, bone: int) -> list[int]:
+        """The bone and its descendants."""
+        inside = {bone}
+        for k in self.order.tolist():
+            if self.parents[k] in inside:
+                inside.add(k)
+        return sorted(inside)
 
-    def way(self, a: int, b: int) -> tuple[list[int], list[int]]:
-        """The edges between two bones, as children: those above a and those above b."""
-        up, down = self._above(a), self._above(b)
+    def path(self, a: int, b: int) -> tuple[list[int], list[int]]:
+        """Edges of the path between two bones, each named by its child: a's side, then b's."""
+        up, down = self._to_root(a), self._to_root(b)
         both = set(up) & set(down)
         return [k for k in up if k not in both], [k for k in down if k not in both]
 
-    def rehung(self, edge: int, a: int, b: int, point: Array) -> Tree:
-        """Without the joint of bone `edge`; of what hung there, bone a hangs on b instead."""
+    def replace_edge(self, edge: int, a: int, b: int, point: Array) -> Tree:
+        """The tree without the edge above bone `edge`, and with one from a to b.
+
+        `a` must be in the subtree of `edge`, which becomes the subtree of `a`, and `b` outside.
+        `point` is the new joint.
+        """
         parents, points = self.parents.copy(), self.points.copy()
-        way = self._above(a)
-        way = way[: way.index(edge) + 1]
-        for child, above in zip(way[:0:-1], way[-2::-1], strict=True):
-            parents[child], points[child] = above, points[above]
+        path = self._to_root(a)
+        path = path[: path.index(edge) + 1]
+        for child, parent in zip(path[:0:-1], path[-2::-1], strict=True):
+            parents[child], points[child] = parent, points[parent]
         parents[a], points[a] = b, point
         return Tree(parents, points, rigid=False)
 
-    def without(self, bone: int, heir: int, points: dict[int, Array]) -> Tree:
-        """Without a bone whose other neighbours hang on `heir`, one of them, by new points."""
+    def contract(self, bone: int, into: int, points: dict[int, Array]) -> Tree:
+        """The tree without a bone, its other neighbours connected to `into`, one of them.
+
+        Bones after it are renumbered.  `points` are the joints of these neighbours with `into`.
+        """
         parents, joints = self.parents.copy(), self.points.copy()
         above = int(parents[bone])
         for k in self.neighbours(bone):
-            if k == heir:
+            if k == into:
                 continue
             if k == above:
-                joints[heir] = points[k]
+                joints[into] = points[k]
             else:
-                parents[k], joints[k] = heir, points[k]
-        if heir != above:
-            parents[heir] = above
+                parents[k], joints[k] = into, points[k]
+        if into != above:
+            parents[into] = above
         keep = np.delete(np.arange(len(parents)), bone)
-        rank = np.full(len(parents) + 1, -1)  # the last for roots, whose parent is −1
-        rank[keep] = np.arange(len(keep))
-        return Tree(rank[parents[keep]], joints[keep], rigid=False)
+        number = np.full(len(parents) + 1, -1)  # the last entry is that of a root's parent, −1
+        number[keep] = np.arange(len(keep))
+        return Tree(number[parents[keep]], joints[keep], rigid=False)
 
-    def _above(self, bone: int) -> list[int]:
-        way = [bone]
-        while self.parents[way[-1]] >= 0:
-            way.append(int(self.parents[way[-1]]))
-        return way
+    def _to_root(self, bone: int) -> list[int]:
+        """The bone and its ancestors, up to the root."""
+        path = [bone]
+        while self.parents[path[-1]] >= 0:
+            path.append(int(self.parents[path[-1]]))
+        return path
 
 
-def rooted(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
-    """Parents of a forest's bones, each tree hung by the bone that balances it best.
+def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
+    """Parents (B,) of a forest whose trees are rooted at their centroids.
+
+    A tree's centroid is the bone without which the heaviest remaining part is lightest.
 
     Parameters
     ----------
     edges : (B, B) bool array
         Symmetric, without cycles.
     mass : (B,) array
-        The root is the bone without which the heaviest part that is left is lightest.
+        Weight of each bone.
     """
     n = len(mass)
     parents = np.full(n, -2, dtype=np.int64)
     for first in range(n):
         if parents[first] != -2:
             continue
-        tree = np.flatnonzero(_reached(edges, first))
-        _hang(edges, parents, first)
-        above = np.where(
-            parents[tree] >= 0, np.searchsorted(tree, np.maximum(parents[tree], 0)), -1
-        )
-        beyond = Tree(above, np.zeros((len(tree), 3)), rigid=False).beyond(mass[tree])
-        heaviest = beyond.max() - beyond  # what would be left above each bone, then below it
-        np.maximum.at(heaviest, above[above >= 0], beyond[above >= 0])
-        parents[tree] = -2
-        _hang(edges, parents, int(tree[heaviest.argmin()]))
+        bones = _orient(edges, parents, first)
+        local = np.where(parents[bones] >= 0, np.searchsorted(bones, parents[bones]), -1)
+        below = Tree(local, np.zeros((len(bones), 3)), rigid=False).subtree_sums(mass[bones])
+        heaviest = below.max() - below  # part above each bone; then the heaviest below, too
+        np.maximum.at(heaviest, local[local >= 0], below[local >= 0])
+        parents[bones] = -2
+        _orient(edges, parents, int(bones[heaviest.argmin()]))
     return parents
 
 
-def _reached(edges: NDArray[np.bool_], first: int) -> NDArray[np.bool_]:
-    seen = np.zeros(len(edges), dtype=bool)
-    seen[first] = True
-    while (grown := seen | edges[seen].any(axis=0)).sum() > seen.sum():
-        seen = grown
-    return seen
-
-
-def _hang(edges: NDArray[np.bool_], parents: NDArray[np.int64], root: int) -> None:
+def _orient(edges: NDArray[np.bool_], parents: NDArray[np.int64], root: int) -> NDArray[np.intp]:
+    """Set the parents of a root's tree, −2 before (in place); its bones, ascending."""
     parents[root] = -1
-    ahead = [root]
-    while ahead:
-        bone = ahead.pop()
+    bones = [root]
+    for bone in bones:
         for k in np.flatnonzero(edges[bone]).tolist():
             if parents[k] == -2:
                 parents[k] = bone
-                ahead.append(k)
+                bones.append(k)
+    return np.sort(np.array(bones, dtype=np.intp))

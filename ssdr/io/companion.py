@@ -2,109 +2,96 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..checks import check_faces
 from ..errors import FormatError, InputError
-from ..sequence import MeshSequence, Surface, _check_faces
+from ..sequence import MeshSequence
 from .arrays.archive import read_array
 from .registry import reading
 
-__all__ = ["Companion", "find"]
+__all__ = ["over_mesh"]
 
-_SIBLINGS = (".obj", ".ply", ".off", ".npz")
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Companion:
-    """What a mesh adds to a file of vertices."""
-
-    faces: NDArray[np.int32] | None = None
-    surface: Surface | None = None
-    vertex_map: NDArray[np.int32] | None = None
-    fps: float | None = None
-
-    def moved(self, vertices: Any, path: Path, fps: float | None) -> MeshSequence:
-        """The mesh under the vertices (F, V, 3) that `path` holds."""
-        with reading(path):
-            return MeshSequence(
-                vertices,
-                self.faces,
-                fps or self.fps or 24.0,
-                name=path.stem,
-                surface=self.surface,
-                vertex_map=self.vertex_map,
-            )
+_SUFFIXES = (".obj", ".ply", ".off", ".npz")
 
 
-def find(path: Path, given: Any, argument: str, n_vertices: int) -> Companion:
-    """Find and check the mesh of `path`.
+def over_mesh(
+    vertices: Any, path: Path, given: Any, argument: str, fps: float | None
+) -> MeshSequence:
+    """Vertices of a file over the mesh that goes with it.
 
     Parameters
     ----------
+    vertices : (F, V, 3) array-like
     path : Path
-        The file of vertices.
+        The file that holds them.
     given : None, "none", path, (T, 3) int array or MeshSequence
-        None looks for ``<stem>.faces.npy`` and for a mesh of the same stem
-        beside `path`; "none" is a point cloud.
+        The mesh, or its faces.  None looks for ``<stem>.faces.npy`` and for a mesh of the same
+        stem beside `path`; "none" is a point cloud.
     argument : str
         What the caller calls `given`, for messages.
-    n_vertices : int
+    fps : float, optional
+        That of the mesh by default.
 
     Raises
     ------
     InputError
-        If nothing is found, or what was given does not fit.
+        If no mesh is found, or what was given does not fit.
     FormatError
-        If the file found does not fit.
+        If a file does not fit, or the vertices are no sequence.
     """
-    if isinstance(given, str) and given == "none":
-        return Companion()
+    n_vertices = vertices.shape[1]
     if given is None:
-        return _from_file(_sibling(path, argument), path, n_vertices)
-    if isinstance(given, (str, os.PathLike)):
-        return _from_file(Path(given), path, n_vertices)
+        given = _beside(path, argument)
     if isinstance(given, MeshSequence):
-        if given.n_vertices != n_vertices:
-            raise InputError(argument, f"a mesh of {n_vertices} vertices", given.n_vertices)
-        return _of(given)
-    return Companion(faces=_check_faces(given, n_vertices, argument))
+        mesh = given
+    elif isinstance(given, (str, os.PathLike)) and given != "none":
+        mesh = _read(Path(given), path, n_vertices)
+    else:
+        mesh = _still(None if isinstance(given, str) else given, n_vertices, argument)
+    if mesh.n_vertices != n_vertices:
+        raise InputError(argument, f"a mesh of {n_vertices} vertices", mesh.n_vertices)
+    with reading(path):
+        return MeshSequence(
+            vertices,
+            mesh.faces,
+            fps or mesh.fps,
+            name=path.stem,
+            surface=mesh.surface,
+            vertex_map=mesh.vertex_map,
+        )
 
 
-def _sibling(path: Path, argument: str) -> Path:
-    for candidate in (path.with_suffix(".faces.npy"), *(path.with_suffix(s) for s in _SIBLINGS)):
-        if candidate.is_file():
-            return candidate
+def _beside(path: Path, argument: str) -> Path:
+    for suffix in (".faces.npy", *_SUFFIXES):
+        if path.with_suffix(suffix).is_file():
+            return path.with_suffix(suffix)
     raise InputError(
         argument,
         'a mesh, its path, an array of faces or "none" for a point cloud',
-        f"nothing, and there is no mesh {path.stem}{_SIBLINGS[0]} beside {path}",
+        f"nothing, and there is no mesh {path.stem}{_SUFFIXES[0]} beside {path}",
     )
 
 
-def _from_file(mesh: Path, path: Path, n_vertices: int) -> Companion:
+def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
     from . import load
 
-    if mesh.suffix.lower() == ".npy":
+    if file.suffix.lower() == ".npy":
         try:
-            return Companion(faces=_check_faces(read_array(mesh), n_vertices, "faces"))
+            return _still(read_array(file), n_vertices, "faces")
         except InputError as error:
-            raise FormatError(f"{mesh}: {error} (for {path})") from error
-    sequence = load(mesh)
-    if sequence.n_vertices != n_vertices:
-        raise FormatError(f"{path}: {n_vertices} vertices, but {mesh} has {sequence.n_vertices}")
-    return _of(sequence)
+            raise FormatError(f"{file}: {error} (for {path})") from error
+    mesh = load(file)
+    if mesh.n_vertices != n_vertices:
+        raise FormatError(f"{path}: {n_vertices} vertices, but {file} has {mesh.n_vertices}")
+    return mesh
 
 
-def _of(sequence: MeshSequence) -> Companion:
-    return Companion(
-        faces=sequence.faces,
-        surface=sequence.surface,
-        vertex_map=sequence.vertex_map,
-        fps=sequence.fps,
-    )
+def _still(faces: Any, n_vertices: int, argument: str) -> MeshSequence:
+    """Faces as a mesh of one frame."""
+    checked = check_faces(faces, n_vertices, argument)
+    return MeshSequence(np.zeros((1, n_vertices, 3)), checked, validate=False)

@@ -92,10 +92,7 @@ def load(
     >>> dancer.vertices.shape, dancer.fps
     ((24, 799, 3), 8.0)
     """
-    _check_fps(fps)
-    check_scale(scale)
-    source = _as_path(path)
-    format_ = _readable(source)
+    source, format_ = _readable(path, fps, scale)
     assert format_.read is not None
     if format_.list_clips is not None and clip is not None:
         options["clip"] = clip
@@ -103,25 +100,21 @@ def load(
     if format_.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
     if scale != 1:
-        sequence = _scaled(sequence, scale)
+        blocks = [block * block.dtype.type(scale) for _, block in sequence.chunks()]
+        sequence = dataclasses.replace(sequence, vertices=np.concatenate(blocks))
     if weld:
         sequence, report = sequence.weld()
-        _log.info(
-            "%s: welded %d vertices to %d (tolerance %.3g)",
-            source,
-            report.before,
-            report.after,
-            report.tolerance,
-        )
+        numbers = dataclasses.astuple(report)
+        _log.info("%s: welded %d vertices to %d (tolerance %.3g)", source, *numbers)
     return sequence
 
 
 def list_clips(
     path: str | os.PathLike[str], *, fps: float | None = None, **options: Any
 ) -> tuple[Clip, ...]:
-    """The clips of a file: those that :func:`load` takes, with frames as in :func:`load_skinning`.
+    """Clips of a file, with frames numbered as in :func:`load_skinning`.
 
-    A file whose format has no clips is one, called as its animation, mesh or file.
+    A file of a format without clips is one clip, named after its animation, mesh or file.
 
     Parameters
     ----------
@@ -138,26 +131,11 @@ def list_clips(
     >>> ssdr.list_clips(ssdr.samples.path("dancer_small"))
     (Clip(name='dancer_small', start=0, stop=24, fps=8.0),)
     """
-    _check_fps(fps)
-    source = _as_path(path)
-    format_ = _readable(source)
+    source, format_ = _readable(path, fps)
     if format_.list_clips is None:
         return (_only_clip(load(source, fps=fps, **options), source),)
     clips: tuple[Clip, ...] = call(format_, format_.list_clips, source, fps=fps, **options)
     return clips
-
-
-def _readable(source: Path) -> Format:
-    """The format of what can be loaded and is there."""
-    format_ = format_to_read(source)
-    if not is_many(source) and not source.exists():
-        raise FileNotFoundError(f"{source}: no such file")
-    refuse_device(source)
-    if format_.read is None:
-        raise FormatError(
-            f"{source}: {source.suffix} holds skin weights alone, see ssdr.io.read_weights"
-        )
-    return format_
 
 
 def _only_clip(sequence: MeshSequence, source: Path) -> Clip:
@@ -203,25 +181,15 @@ def load_skinning(
     >>> again.n_bones
     4
     """
-    check_scale(scale)
-    _check_fps(fps)
-    source = _as_path(path)
-    suffix, format_ = format_of(source)
-    if format_.read_skinning is None:
-        able = ", ".join(sorted(s for s, f in FORMATS.items() if f.read_skinning))
-        raise FormatError(f"{source}: no skinning can be read from {suffix}; from {able} it can")
-    if not source.exists():
-        raise FileNotFoundError(f"{source}: no such file")
-    refuse_device(source)
+    source, format_ = _readable(path, fps, scale, "read_skinning")
+    assert format_.read_skinning is not None
     skinning: Skinning = call(format_, format_.read_skinning, source, fps=fps, **options)
     if scale != 1:
-        transforms = skinning.transforms.copy()
+        transforms, at = skinning.transforms.copy(), skinning.joint_positions
         transforms[..., 3] *= scale
-        rest = skinning.rest * skinning.rest.dtype.type(scale)
-        at = skinning.joint_positions
         skinning = dataclasses.replace(
             skinning,
-            rest=rest,
+            rest=skinning.rest * skinning.rest.dtype.type(scale),
             transforms=transforms,
             joint_positions=None if at is None else at * at.dtype.type(scale),
         )
@@ -230,26 +198,26 @@ def load_skinning(
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
 
 
-def _check_fps(fps: float | None) -> None:
-    if fps is not None and not (is_real(fps) and fps > 0):
-        raise InputError("fps", "a positive number", repr(fps))
-
-
-def check_scale(scale: float) -> None:
-    """Refuse what is no factor of lengths.
-
-    Raises
-    ------
-    InputError
-        If `scale` is not positive and finite.
-    """
-    if not (is_real(scale) and scale > 0):
-        raise InputError("scale", "a positive number", repr(scale))
-
-
-def _scaled(sequence: MeshSequence, scale: float) -> MeshSequence:
-    blocks = [block * block.dtype.type(scale) for _, block in sequence.chunks()]
-    return dataclasses.replace(sequence, vertices=np.concatenate(blocks))
+def _readable(
+    path: Any, fps: float | None, scale: float = 1.0, function: str = "read"
+) -> tuple[Path, Format]:
+    """Path and format of a file that is there, after a check of the options of all formats."""
+    for argument, value in (("fps", fps), ("scale", scale)):
+        if value is not None and not (is_real(value) and value > 0):
+            raise InputError(argument, "a positive number", repr(value))
+    source = _as_path(path)
+    format_ = format_to_read(source) if function == "read" else format_of(source)[1]
+    if getattr(format_, function) is None:
+        able = ", ".join(sorted(s for s, f in FORMATS.items() if getattr(f, function)))
+        what = "mesh" if function == "read" else "skinning"
+        hint = "; ssdr.io.read_weights reads skin weights" if format_.module == "tables" else ""
+        raise FormatError(
+            f"{source}: no {what} can be read from {source.suffix}, only from {able}{hint}"
+        )
+    if not (function == "read" and is_many(source)) and not source.exists():
+        raise FileNotFoundError(f"{source}: no such file")
+    refuse_device(source)
+    return source, format_
 
 
 def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
@@ -315,7 +283,8 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
         )
     report: SaveReport = call(format_, writer, thing, target, **options)
     if report.lost:
-        warnings.warn(_not_kept(target, report.lost), SsdrWarning, stacklevel=2)
+        lost = f"{target}: not kept: {', '.join(report.lost)}"
+        warnings.warn(lost, SsdrWarning, stacklevel=2)
     notes = [note for note in (report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
 
@@ -362,15 +331,15 @@ def copy(
 
 
 def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
-    """What a file has and :func:`load` or :func:`load_skinning` leave out, in words.
+    """Contents of a file that :func:`load` and :func:`load_skinning` leave out, in words.
 
-    Known of glTF, USD and FBX; of other formats nothing is said.
+    Known for glTF, USD and FBX, empty for other formats.
 
     Parameters
     ----------
     path : path
     **options
-        Of :func:`load`; those that choose meshes count.
+        Options of :func:`load`, of which `meshes` matters.
 
     Examples
     --------
@@ -390,10 +359,6 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     return found
 
 
-def _not_kept(target: Path, lost: Sequence[str]) -> str:
-    return f"{target}: not kept: {', '.join(lost)}"
-
-
 def _writable(kind: type | None = None) -> list[str]:
     return sorted(
         suffix
@@ -403,7 +368,6 @@ def _writable(kind: type | None = None) -> list[str]:
 
 
 def _as_path(path: Any) -> Path:
-    try:
-        return Path(os.fspath(path))
-    except TypeError as error:
-        raise InputError("path", "a path", type(path).__name__) from error
+    if not isinstance(path, (str, os.PathLike)) or "\0" in (name := str(os.fspath(path))):
+        raise InputError("path", "a path", repr(path))
+    return Path(name)

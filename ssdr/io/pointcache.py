@@ -18,10 +18,10 @@ import numpy as np
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .atomic import atomic_path
-from .companion import find
-from .registry import SaveReport, describe, reading, seconds
+from .companion import over_mesh
+from .registry import SaveReport, describe, reading, seconds, written_vertices
 
-__all__ = ["read_mdd", "read_pc2", "write_mdd", "write_pc2"]
+__all__ = ["read", "write_sequence"]
 
 _log = logging.getLogger(__name__)
 
@@ -29,16 +29,17 @@ _PC2 = struct.Struct("<12siiffi")
 _MDD = struct.Struct(">ii")
 
 
-def read_pc2(
+def read(
     path: Path, *, fps: float | None = None, mesh: Any = None, mmap: bool = False
 ) -> MeshSequence:
-    """Read a PC2 cache.
+    """Read a cache.
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        The mesh's, else 24, by default: the file says nothing.
+        By default the rate of the times of an MDD cache.  A PC2 cache states none and takes the
+        rate of the mesh, else 24.
     mesh : path, MeshSequence, (T, 3) int array or "none", optional
         What the cache deforms; the mesh of the same stem beside it by default,
         "none" for a point cloud.
@@ -51,37 +52,38 @@ def read_pc2(
         If the size of the file is not what its header states, or its number of
         points is not the mesh's.
     """
+    layout = _PC2 if path.suffix.lower() == ".pc2" else _MDD
     with reading(path), path.open("rb") as stream:
-        head = stream.read(_PC2.size)
-        if len(head) < _PC2.size or not head.startswith(b"POINTCACHE2\0"):
-            raise FormatError(f"{path}: not a PC2 cache: {describe(head)}")
-        _, version, points, _, _, samples = _PC2.unpack(head)
-        if version != 1:
-            raise FormatError(f"{path}: PC2 of version {version}; 1 is known")
-    vertices = _samples(path, _PC2.size, samples, points, "<f4", mmap)
-    return _sequence(path, vertices, fps, mesh)
+        head = stream.read(layout.size)
+        if len(head) < layout.size or (layout is _PC2 and not head.startswith(b"POINTCACHE2\0")):
+            raise FormatError(f"{path}: not such a cache: {describe(head)}")
+        if layout is _PC2:
+            _, version, points, _, _, samples = layout.unpack(head)
+            start, kind = layout.size, "<f4"
+            if version != 1:
+                raise FormatError(f"{path}: PC2 of version {version}; 1 is known")
+        else:
+            samples, points = layout.unpack(head)
+            start, kind = layout.size + 4 * samples, ">f4"
+        stated, held = start + 12 * samples * points, path.stat().st_size
+        if samples < 1 or points < 1 or held != stated:
+            raise FormatError(
+                f"{path}: states {samples} samples of {points} points, {stated} bytes, "
+                f"but holds {held}"
+            )
+        if layout is _MDD:
+            fps = fps or _rate(path, np.fromfile(stream, dtype=kind, count=samples))
+        shape = (samples, points, 3)
+        if mmap:
+            vertices: Any = np.memmap(path, np.dtype(kind), "r", start, shape)
+        else:
+            flat = np.fromfile(path, dtype=kind, offset=start)
+            vertices = flat.reshape(shape).astype(np.float32, copy=False)
+    return over_mesh(vertices, path, mesh, "mesh", fps)
 
 
-def read_mdd(
-    path: Path, *, fps: float | None = None, mesh: Any = None, mmap: bool = False
-) -> MeshSequence:
-    """Read an MDD cache; frames per second from its times unless given.
-
-    Parameters and errors as for :func:`read_pc2`.
-    """
-    with reading(path), path.open("rb") as stream:
-        head = stream.read(_MDD.size)
-        if len(head) < _MDD.size:
-            raise FormatError(f"{path}: not an MDD cache: {describe(head)}")
-        samples, points = _MDD.unpack(head)
-        _check_size(path, _MDD.size, samples, points, per_sample=4)
-        times = np.frombuffer(stream.read(4 * samples), dtype=">f4").astype(np.float64)
-    vertices = _samples(path, _MDD.size + 4 * samples, samples, points, ">f4", mmap)
-    return _sequence(path, vertices, fps or _rate(path, times), mesh)
-
-
-def write_pc2(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
-    """Write a PC2 cache.
+def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
+    """Write a cache; the times of MDD carry the frames per second.
 
     Parameters
     ----------
@@ -96,87 +98,14 @@ def write_pc2(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> Sa
     InputError
         If a coordinate is beyond the range of float32.
     """
-    points = _n_points(sequence, unweld)
-    head = _PC2.pack(b"POINTCACHE2\0", 1, points, 0.0, 1.0, sequence.n_frames)
-    return _write(sequence, path, head, "<f4", unweld)
-
-
-def write_mdd(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
-    """Write an MDD cache; its times carry the frames per second.
-
-    Parameters and errors as for :func:`write_pc2`.
-    """
-    head = _MDD.pack(sequence.n_frames, _n_points(sequence, unweld))
-    times = seconds(np.arange(sequence.n_frames), sequence.fps).astype(">f4")
-    return _write(sequence, path, head + times.tobytes(), ">f4", unweld)
-
-
-def _check_size(path: Path, header: int, samples: int, points: int, per_sample: int) -> None:
-    if samples < 1 or points < 1:
-        raise FormatError(f"{path}: states {samples} samples of {points} points")
-    stated = header + samples * (12 * points + per_sample)
-    held = path.stat().st_size
-    if held != stated:
-        raise FormatError(
-            f"{path}: states {samples} samples of {points} points, {stated} bytes, but holds {held}"
-        )
-
-
-def _samples(path: Path, header: int, samples: int, points: int, kind: str, mmap: bool) -> Any:
-    with reading(path):
-        if kind == "<f4":
-            _check_size(path, header, samples, points, per_sample=0)
-        shape = (samples, points, 3)
-        if mmap:
-            return np.memmap(path, np.dtype(kind), "r", header, shape)
-        flat = np.fromfile(path, dtype=kind, offset=header, count=samples * points * 3)
-        return flat.reshape(shape).astype(np.float32, copy=False)
-
-
-def _sequence(path: Path, vertices: Any, fps: float | None, mesh: Any) -> MeshSequence:
-    over = find(path, mesh, "mesh", vertices.shape[1])
-    with reading(path):
-        return MeshSequence(
-            vertices,
-            over.faces,
-            fps or over.fps or 24.0,
-            name=path.stem,
-            surface=over.surface,
-            vertex_map=over.vertex_map,
-        )
-
-
-def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
-    if len(times) < 2:
-        return None
-    span = float(times[-1] - times[0])
-    steps = np.diff(times)
-    if not np.isfinite(times).all() or not (steps > 0).all():
-        raise FormatError(f"{path}: its times are not increasing numbers")
-    mean = span / len(steps)
-    if np.abs(steps - mean).max() > 0.01 * mean:
-        _log.warning(
-            "%s: the times of its samples are not even, %g to %g s apart; taken as even",
-            path,
-            steps.min(),
-            steps.max(),
-        )
-    return round(1 / mean, 3) or 1 / mean  # the times are float32: 1/24 s comes back as 23.9999996
-
-
-def _n_points(sequence: MeshSequence, unweld: bool) -> int:
-    if not unweld:
-        return sequence.n_vertices
-    if sequence.vertex_map is None:
-        raise InputError("unweld", "a sequence that was welded", "one without vertex_map")
-    return len(sequence.vertex_map)
-
-
-def _write(
-    sequence: MeshSequence, path: Path, header: bytes, kind: str, unweld: bool
-) -> SaveReport:
+    index, note = written_vertices(sequence, unweld)
+    count = sequence.n_frames
+    if path.suffix.lower() == ".pc2":
+        header, kind = _PC2.pack(b"POINTCACHE2\0", 1, len(index), 0.0, 1.0, count), "<f4"
+    else:
+        header, kind = _MDD.pack(count, len(index)), ">f4"
+        header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
     total, worst = 0.0, 0.0
-    exact = sequence.vertices.dtype == np.float32
     with atomic_path(path) as temporary:
         with temporary.open("wb") as stream:
             stream.write(header)
@@ -184,32 +113,30 @@ def _write(
                 with np.errstate(over="ignore"):
                     single = block.astype(np.float32)
                 if not np.isfinite(single).all():
-                    raise InputError(
-                        "vertices",
-                        "numbers within float32",
-                        f"larger ones in frames {start} to {start + len(block) - 1}",
-                    )
-                if not exact:
-                    squared = ((single.astype(np.float64) - block) ** 2).sum(axis=2)
-                    total += float(squared.sum())
-                    worst = max(worst, float(squared.max()))
-                if unweld:
-                    single = np.asarray(sequence.unweld(single, axis=1))
-                stream.write(single.astype(kind, copy=False).tobytes())
+                    frames = f"larger ones in frames {start} to {start + len(block) - 1}"
+                    raise InputError("vertices", "numbers within float32", frames)
+                squared = ((single.astype(np.float64) - block) ** 2).sum(axis=2)
+                total, worst = total + float(squared.sum()), max(worst, float(squared.max()))
+                stream.write(single[:, index].astype(kind, copy=False).tobytes())
         size = temporary.stat().st_size
-    count = sequence.n_frames * sequence.n_vertices
-    note = (
-        ""
-        if unweld or sequence.vertex_map is None
-        else (
-            f"holds the {sequence.n_vertices} welded vertices; unweld=True writes the "
-            f"{len(sequence.vertex_map)} of the mesh before"
-        )
-    )
+    exact = sequence.vertices.dtype == np.float32
     return SaveReport(
         path=path,
         bytes=size,
-        error=None if exact else float(np.sqrt(total / count)),
+        error=None if exact else float(np.sqrt(total / (count * sequence.n_vertices))),
         max_error=None if exact else float(np.sqrt(worst)),
         note=note,
     )
+
+
+def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
+    """Frames per second of the times of an MDD cache."""
+    if len(times) < 2:
+        return None
+    steps = np.diff(times.astype(np.float64))
+    if not np.isfinite(times).all() or not (steps > 0).all():
+        raise FormatError(f"{path}: its times are not increasing numbers")
+    mean, least, most = float(steps.mean()), float(steps.min()), float(steps.max())
+    if max(mean - least, most - mean) > 0.01 * mean:
+        _log.warning("%s: uneven times, %g to %g s apart, are taken as even", path, least, most)
+    return round(1 / mean, 3) or 1 / mean  # the times are float32: 1/24 s comes back as 23.9999996

@@ -1,7 +1,7 @@
-"""Files that a file names: only those of its own folder are read.
+"""Lookup of files that another file names, limited to the folder of that file.
 
-A model from elsewhere may name any path of the machine that reads it, and what is read may go
-on into an output.
+A model from elsewhere may name any file of the machine that reads it, whose contents would
+then go into an output.
 """
 
 from __future__ import annotations
@@ -21,17 +21,18 @@ def is_inside(file: Path, folder: Path) -> bool:
 
 
 def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
-    """The first of some names that is a file in the folder of `path`, or below it.
+    """First of several names that is a file in the folder of `path` or below it.
 
-    Warns where there is none, or only one that lies outside.
+    Logs a warning if there is none, or only one outside.
 
     Parameters
     ----------
     path : Path
-        The file that names it.
+        File that names the other.
     what : str
-        What it is, for the warning.
+        Kind of the other file, for the warning.
     spellings : iterable of str
+        Names to try, in this order.
     """
     names = list(spellings)
     outside = False

@@ -1,4 +1,4 @@
-"""Which module reads and writes which suffix, and what all of them share."""
+"""Table of the file formats, and helpers that they share."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import importlib
 import inspect
-import stat
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from ..errors import (
     is_whole,
 )
 from ..sequence import MeshSequence
+from .budget import afford
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -38,16 +39,19 @@ __all__ = [
     "format_of",
     "format_to_read",
     "is_many",
+    "natural_key",
+    "read_file",
     "reading",
     "refuse_device",
     "require",
     "seconds",
+    "written_vertices",
 ]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SaveReport:
-    """What :func:`ssdr.save` wrote and what the format's own storage cost.
+    """Size of a file that :func:`ssdr.save` wrote, and the error of its format's storage.
 
     Attributes
     ----------
@@ -64,13 +68,13 @@ class SaveReport:
     max_error : float or None
         Largest distance of a vertex, likewise.
     between_frames : float or None
-        As `error`, midway between frames: the engine's interpolation of the
+        As `error`, midway between frames: an engine's interpolation of the
         bones against the mean of the two frames.  None where no engine
         interpolates.
     note : str
-        What else the user should know, in a sentence.
+        A sentence on what else the user should know.
     lost : tuple of str
-        What the file that was a template holds and the new one does not.
+        Contents of the template file that the new file does not have.
 
     Examples
     --------
@@ -93,11 +97,11 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """The functions of one suffix: names in ``ssdr.io.<module>``, None where it has none.
+    """Module of a suffix and its functions by their names, None where it has none.
 
-    Where there is a `list_clips`, a file may have several, and `read` takes the option `clip`.
-    Where there is a `copy`, `write_skinning` takes the option `template`: a file of the format
-    passes through, and `template_problem` says of one why it cannot.
+    With `list_clips` a file may have several clips, and `read` takes the option `clip`.
+    With `copy` a file of the format passes through: `write_skinning` takes the option
+    `template`, and `template_problem` returns why a file cannot be one.
     """
 
     module: str
@@ -113,66 +117,35 @@ class Format:
     extra: str | None = None
 
 
-_GLTF = Format(
-    "gltf",
-    "glTF 2.0",
-    read_skinning="read_skinning",
-    write_skinning="write_skinning",
-    list_clips="list_clips",
-    copy="copy",
-    left_out="left_out",
-    template_problem="template_problem",
-)
-_NUMBERED = Format("meshes", "numbered meshes")
-_USD = Format(
-    "usd",
-    "Universal Scene Description",
-    write_sequence="write_sequence",
-    read_skinning="read_skinning",
-    write_skinning="write_skinning",
-    list_clips="list_clips",
-    copy="copy",
-    left_out="left_out",
-    template_problem="template_problem",
-    extra="usd",
-)
+def _format(module: str, title: str, *functions: str, extra: str | None = None) -> Format:
+    return Format(module, title, extra=extra, **{name: name for name in functions})
+
+
+_SKINNING = ("read_skinning", "write_skinning", "list_clips")
+_PASSES = (*_SKINNING, "copy", "left_out", "template_problem")
+_WRITES = "write_sequence"
+_NUMBERED = _format("meshes", "numbered meshes")
+_GLTF = _format("gltf", "glTF 2.0", *_PASSES)
+_USD = _format("usd", "Universal Scene Description", _WRITES, *_PASSES, extra="usd")
 
 FORMATS: dict[str, Format] = {
-    ".npz": Format(
-        "arrays.npz",
-        "NumPy archive",
-        write_sequence="write_sequence",
-        read_skinning="read_skinning",
-        write_skinning="write_skinning",
-        list_clips="list_clips",
-    ),
-    ".npy": Format("arrays.npy", "NumPy array", write_sequence="write_sequence"),
-    ".zarr": Format(
-        "arrays.zarr_store", "zarr store", write_sequence="write_sequence", extra="zarr"
-    ),
-    ".obj": Format("meshes", "numbered Wavefront OBJ", write_sequence="write_sequence"),
-    ".ply": Format("meshes", "numbered PLY", write_sequence="write_sequence"),
-    ".off": Format("meshes", "numbered OFF"),
-    ".stl": Format("meshes", "numbered STL"),
-    ".pc2": Format("pointcache", "PC2 point cache", "read_pc2", "write_pc2"),
-    ".mdd": Format("pointcache", "MDD point cache", "read_mdd", "write_mdd"),
-    ".csv": Format("tables", "skin weights, CSV", None, write_skinning="write_csv"),
-    ".json": Format("tables", "skin weights, JSON", None, write_skinning="write_json"),
+    ".npz": _format("arrays.npz", "NumPy archive", _WRITES, *_SKINNING),
+    ".npy": _format("arrays.npy", "NumPy array", _WRITES),
+    ".zarr": _format("arrays.zarr_store", "zarr store", _WRITES, extra="zarr"),
+    ".obj": _format("meshes", "numbered Wavefront OBJ", _WRITES),
+    ".ply": _format("meshes", "numbered PLY", _WRITES),
+    ".off": _format("meshes", "numbered OFF"),
+    ".stl": _format("meshes", "numbered STL"),
+    ".pc2": _format("pointcache", "PC2 point cache", _WRITES),
+    ".mdd": _format("pointcache", "MDD point cache", _WRITES),
+    ".csv": Format("tables", "skin weights, CSV", read=None, write_skinning="write_skinning"),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": Format("blender", "Alembic", extra="blender"),
-    ".fbx": Format(
-        "blender",
-        "FBX",
-        read_skinning="read_skinning",
-        write_skinning="write_skinning",
-        list_clips="list_clips",
-        left_out="left_out",
-        extra="blender",
-    ),
+    ".abc": _format("blender", "Alembic", extra="blender"),
+    ".fbx": _format("blender", "FBX", *_SKINNING, "left_out", extra="blender"),
 }
 
 
@@ -199,7 +172,7 @@ def is_many(path: Path) -> bool:
 
 
 def format_to_read(path: Path) -> Format:
-    """Format of what is to be read, which may be a folder or a pattern of numbered files.
+    """Format of a file, or of a folder or pattern of numbered files, that is to be read.
 
     Raises
     ------
@@ -213,7 +186,13 @@ def format_to_read(path: Path) -> Format:
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
-    """Call a format's function; options that it does not know are an InputError."""
+    """Call a format's function after checking the options, which a command line may have given.
+
+    Raises
+    ------
+    InputError
+        If the function has no such option or its value is of another kind.
+    """
     target: Callable[..., Any] = getattr(
         importlib.import_module(f".{format_.module}", __package__), function
     )
@@ -231,13 +210,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
 
 
 def _check_option(name: str, value: Any, annotation: str) -> None:
-    """Whether an option, which may come from a command line, is of the kind that is stated.
-
-    Raises
-    ------
-    InputError
-        If it is not: any text would count as true, and as a number be NumPy's error.
-    """
+    """Refuse a value of another kind than the annotation, where any text would count as true."""
     kind, _, rest = annotation.partition(" | ")
     if rest not in ("", "None") or (value is None and rest):
         return
@@ -246,10 +219,12 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
     words = {"bool": "true or false", "int": "an integer", "float": "a number"}
     if not fits.get(kind, True):
         raise InputError(name, words[kind], repr(value))
+    if name == "max_bytes" and value <= 0:
+        raise InputError(name, "a positive number", value)
 
 
 def bake(skinning: Skinning) -> MeshSequence:
-    """The vertices of a skinning over its frames.
+    """Vertices of a skinning over its frames.
 
     Raises
     ------
@@ -275,6 +250,27 @@ def bake(skinning: Skinning) -> MeshSequence:
     )
 
 
+def written_vertices(
+    thing: MeshSequence | Skinning, unweld: bool
+) -> tuple[NDArray[np.integer], str]:
+    """Vertices that a file gets, as indices, and what to tell the user of them.
+
+    They are all of `thing` or, with `unweld`, those of the mesh before it was welded.
+
+    Raises
+    ------
+    InputError
+        If `unweld` is asked of what was not welded.
+    """
+    n, before = thing.n_vertices, thing.vertex_map
+    if not unweld:
+        note = f"holds the {n} welded vertices; unweld=True writes the {{}} of the mesh before"
+        return np.arange(n), "" if before is None else note.format(len(before))
+    if before is None:
+        raise InputError("unweld", "a mesh that was welded", "one without vertex_map")
+    return before, ""
+
+
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn whatever a parser raises inside the block into a FormatError that names the file.
@@ -285,42 +281,36 @@ def reading(path: Path) -> Iterator[None]:
     try:
         refuse_device(path)
         yield
-    except PermissionError:
-        raise
-    except FileNotFoundError as error:
-        if not path.exists():
-            raise
-        raise FormatError(f"{path}: {error}") from error
-    except InputError as error:
-        raise FormatError(f"{path}: {error}") from error
-    except FormatError as error:
-        if str(path) in str(error):
-            raise
-        raise FormatError(f"{path}: {error}") from error
-    except SsdrError:
-        raise
-    except MemoryError as error:
-        raise FormatError(f"{path}: needs more memory than there is") from error
     except Exception as error:
-        # Parsers of hostile bytes raise anything; every one of these means the same.
+        missing = isinstance(error, FileNotFoundError) and not path.exists()
+        named = isinstance(error, FormatError) and str(path) in str(error)
+        of_no_file = isinstance(error, SsdrError) and not isinstance(error, ValueError)
+        if missing or named or of_no_file or isinstance(error, PermissionError):
+            raise
         what = str(error) or type(error).__name__
-        raise FormatError(f"{path}: truncated or damaged ({what})") from error
+        if isinstance(error, MemoryError):
+            what = "needs more memory than there is"
+        elif not isinstance(error, (FormatError, InputError, FileNotFoundError)):
+            what = f"truncated or damaged ({what})"  # parsers of hostile bytes raise anything
+        raise FormatError(f"{path}: {what}") from error
 
 
 def refuse_device(path: Path) -> None:
-    """Refuse what may never end, before it is opened.
+    """Refuse a device, a pipe or a socket, which may never end, before it is opened.
 
     Raises
     ------
     FormatError
-        If a device, a pipe or a socket has that name.
+        If `path` is neither a file nor a folder, nor missing.
     """
-    try:
-        mode = path.stat().st_mode
-    except (OSError, ValueError):  # a pattern, or a name that is found missing later
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+    if path.exists() and not (path.is_file() or path.is_dir()):
         raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
+
+
+def read_file(path: Path) -> bytes:
+    """All bytes of a file that is parsed in memory; to be called inside :func:`reading`."""
+    afford(path.stat().st_size, "the whole file", path)
+    return path.read_bytes()
 
 
 def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
@@ -336,6 +326,12 @@ def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
     if times.size and not times.max() <= np.finfo(np.float32).max:
         raise InputError("fps", "a rate whose times float32 can hold", f"{fps:g}")
     return times
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Sorting key in which numbers inside names count: ``bone_2`` before ``bone_10``."""
+    parts = re.split(r"([0-9]+)", name)
+    return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts]
 
 
 def require(module: str, extra: str, what: str) -> Any:
@@ -367,29 +363,27 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
         ) from error
 
 
-_MAGIC = (
-    (b"PK\x03\x04", "a zip archive such as .npz"),
-    (b"PK\x05\x06", "an empty zip archive"),
-    (b"\x93NUMPY", "a NumPy .npy array"),
-    (b"glTF", "a binary glTF"),
-    (b"PXR-USDC", "a binary USD"),
-    (b"#usda", "a text USD"),
-    (b"POINTCACHE2", "a PC2 point cache"),
-    (b"Kaydara FBX", "an FBX file"),
-    (b"Ogawa", "an Alembic file"),
-    (b"ply", "a PLY file"),
-    (b"\x1f\x8b", "gzip data"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"\x80", "a Python pickle"),
-)
+_MAGIC = {
+    b"PK": "a zip archive such as .npz",
+    b"\x93NUMPY": "a NumPy .npy array",
+    b"glTF": "a binary glTF",
+    b"PXR-USDC": "a binary USD",
+    b"#usda": "a text USD",
+    b"Kaydara FBX": "an FBX file",
+    b"Ogawa": "an Alembic file",
+    b"ply": "a PLY file",
+    b"\x1f\x8b": "gzip data",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+    b"\x80": "a Python pickle",
+}
 
 
 def describe(head: bytes) -> str:
-    """What the first bytes of a file look like, for error messages."""
+    """Format that the first bytes of a file look like, for error messages."""
     if not head:
         return "the file is empty"
-    for magic, name in _MAGIC:
+    for magic, name in _MAGIC.items():
         if head.startswith(magic):
             return f"it looks like {name}"
     text = all(32 <= b < 127 or b in b"\t\r\n" for b in head)

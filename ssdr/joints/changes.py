@@ -1,6 +1,7 @@
 """Changes of a model whose bones hang on joints: other edges, other bones.
 
-Each gives a copy that hangs on its joints again and waits to be polished and judged.
+Each returns a changed copy whose bones are attached to their joints again; the caller polishes it
+and keeps it if its objective is lower.
 """
 
 from __future__ import annotations
@@ -11,85 +12,89 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..hierarchy.tree import Tree
-from ..search.moves import polish_steps, worst_patch
+from ..search.moves import patch_of_most_error, polish_steps
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.initialization import fit_patches
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Array, Trajectories
 from .mirror import edges_with_image, mirror_of
 from .placement import (
-    contacts,
-    hang,
-    joint_between,
-    masses,
-    pair_joints,
-    soft_step,
+    find_contacts,
+    fit_joint,
+    fit_joints,
+    snap_to_joints,
+    step_with_joint_penalty,
 )
 
 __all__ = [
-    "give_up_bone",
-    "join_touching",
-    "loss_of_bones",
+    "add_edge_between_skin_neighbours",
+    "attach_by_stiffness",
     "mirror_edge",
+    "move_bone_to_error",
+    "removal_losses",
+    "remove_cheapest_bone",
     "reparent",
     "replace_bone",
-    "seize",
     "split_bone",
-    "stiffen",
 ]
 
-_HARD = 100.0  # stiffness at the end of a ramp, of the lighter bone's mass: next to no gap is left
-_MOST_JOINED = 3  # edges that change at once, drawn from 1 to this
-_SOFTEST, _STIFFEST = -2.5, 0.0  # powers of ten between which a ramp begins, drawn
-_RAMP = 10  # steps of a ramp after a change
-_CHEAPEST = 12  # edges, by the gap that they would have, among which a change draws
-_WEAKEST = 0.7  # how often the edge that goes is the one whose bones share least
-_PATCH_SIZES = (0.25, 0.5, 1.0)  # of the vertices that a bone has on average
+# Last stiffness of the joints, relative to the lighter bone's mass: next to no gap is left.
+_HARD = 100.0
+_MOST_EDGES = 3  # that change at once, drawn from 1 to this
+_FIRST_STIFFNESS = -2.5, 0.0  # powers of ten between which the first stiffness is drawn
+_STEPS = 10  # in which the stiffness grows after a change
+_CHEAPEST = 12  # edges of smallest gap among which a change draws
+_WEAKEST = 0.7  # probability that the dropped edge is the one whose bones share least
+_PATCH_SIZES = (0.25, 0.5, 1.0)  # vertices relative to those of an average bone, drawn
 
 
-def stiffen(data: Trajectories, model: Model, fixed: Fixed, *, start: float, steps: int) -> None:
-    """Bring bones to their joints by a ramp of stiffness, then hang them (in place)."""
+def attach_by_stiffness(
+    data: Trajectories, model: Model, fixed: Fixed, *, start: float, steps: int
+) -> None:
+    """Bring bones to their joints by growing stiffness, then attach them (in place)."""
     for stiffness in np.geomspace(start, _HARD, steps):
-        soft_step(data, model, float(stiffness), fixed)
-    hang(data, model, fixed)
+        step_with_joint_penalty(data, model, float(stiffness), fixed)
+    snap_to_joints(data, model, fixed)
 
 
-def join_touching(
+def add_edge_between_skin_neighbours(
     data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
 ) -> Model:
-    """Bones that share skin become neighbours; an edge of the circle that this closes goes."""
+    """Connect two bones that share weights and drop one edge of the resulting cycle."""
     changed = model.with_restarted_support()
-    for _ in range(int(rng.integers(1, _MOST_JOINED + 1))):
+    for _ in range(int(rng.integers(1, _MOST_EDGES + 1))):
         tree = _tree(changed)
-        meet = contacts(changed)
+        meet = find_contacts(changed)
         chance = np.triu(meet.overlap, 1)
-        hung = tree.hung
+        hung = tree.non_roots
         chance[hung, tree.parents[hung]] = chance[tree.parents[hung], hung] = 0.0
         if not chance.sum() > 0:
             break
         n = changed.n_bones
         a, b = divmod(int(rng.choice(n * n, p=chance.ravel() / chance.sum())), n)
-        up, down = tree.way(a, b)
+        up, down = tree.path(a, b)
         edges = sorted(up + down, key=lambda k: (meet.overlap[k, tree.parents[k]], k))
         edge = edges[0] if rng.random() < _WEAKEST else edges[int(rng.integers(len(edges)))]
-        point, _ = joint_between(changed, a, b, meet.point[a, b])
+        point, _ = fit_joint(changed, a, b, meet.points[a, b])
         a, b = (a, b) if edge in up else (b, a)
-        changed.tree = tree.rehung(edge, a, b, point)
-    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+        changed.tree = tree.replace_edge(edge, a, b, point)
+    attach_by_stiffness(
+        data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
+    )
     return changed
 
 
 def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    """One joint elsewhere, drawn by the gap that it would have there."""
+    """Move one edge of the tree, drawn by the gap that its joint would have there."""
     changed = model.with_restarted_support()
     tree, n = _tree(changed), changed.n_bones
-    meet = contacts(changed)
-    points, gap = pair_joints(changed.transforms, meet.point)
-    beyond = tree.beyond(masses(changed))
+    meet = find_contacts(changed)
+    points, gap = fit_joints(changed.transforms, meet.points)
+    beyond = tree.subtree_sums(changed.bone_masses())
     lighter = np.minimum(beyond, beyond.max() - beyond)
     ways = []
-    for edge in tree.hung.tolist():
-        part = tree.part(edge)
+    for edge in tree.non_roots.tolist():
+        part = tree.subtree(edge)
         for a in part:
             others = np.setdiff1d(np.arange(n), part)
             ways += [
@@ -103,16 +108,16 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     costs = np.array([way[0] for way in ways])
     chance = 1.0 / (costs + 0.1 * costs.mean() + 1e-300)
     _, edge, a, b = ways[int(rng.choice(len(ways), p=chance / chance.sum()))]
-    changed.tree = tree.rehung(edge, a, b, points[a, b])
-    stiffen(data, changed, fixed, start=1.0, steps=4)
+    changed.tree = tree.replace_edge(edge, a, b, points[a, b])
+    attach_by_stiffness(data, changed, fixed, start=1.0, steps=4)
     return changed
 
 
 def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    """A joint that one side of a symmetric rest pose has, on the other side, too.
+    """Add the mirror image of an edge that has none and drop one edge of the resulting cycle.
 
-    An edge of the circle that this closes goes, one without a mirror image where there is one.
-    Where the rest pose is not symmetric, or the tree already is, a joint goes elsewhere instead.
+    An edge without a mirror image is dropped where there is one.  If the rest pose is not
+    symmetric, or the tree already is, this is :func:`reparent`.
     """
     mirror = mirror_of(model.rest, model.indices, model.weights, model.n_bones)
     if mirror is None:
@@ -123,18 +128,22 @@ def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixe
         return reparent(data, model, rng, fixed)
     edge = alone[int(rng.integers(len(alone)))]
     a, b = int(other[edge]), int(other[tree.parents[edge]])
-    up, down = tree.way(a, b)
-    overlap = contacts(changed).overlap
+    up, down = tree.path(a, b)
+    overlap = find_contacts(changed).overlap
     gone = min(up + down, key=lambda k: (k not in alone, overlap[k, tree.parents[k]], k))
     a, b = (a, b) if gone in up else (b, a)
-    changed.tree = tree.rehung(gone, a, b, mirror.image(tree.points[edge]))
-    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+    changed.tree = tree.replace_edge(gone, a, b, mirror.image(tree.points[edge]))
+    attach_by_stiffness(
+        data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
+    )
     return changed
 
 
-def seize(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    """A bone near the error lets go of what it moves and takes a patch with much error instead."""
-    members = worst_patch(data, model, rng, float(rng.choice(_PATCH_SIZES)))
+def move_bone_to_error(
+    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+) -> Model:
+    """Refit a bone near the patch of most error to that patch, which it then moves alone."""
+    members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
     tree = _tree(model)
     away = np.linalg.norm(tree.points - model.rest[members].mean(axis=0), axis=1)
     chance = 1.0 / (away + 0.1 * away.mean() + 1e-12) ** 2
@@ -148,15 +157,17 @@ def seize(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fix
     changed.support[free], changed.support_weights[free] = 0, 0.0
     changed.support[free, 0], changed.support_weights[free, 0], changed.count[free] = bone, 1.0, 1
     vertex_step(data, changed, fixed=fixed)
-    stiffen(data, changed, fixed, start=10 ** rng.uniform(_SOFTEST, _STIFFEST), steps=_RAMP)
+    attach_by_stiffness(
+        data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
+    )
     return changed
 
 
 def replace_bone(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    """A bone splits where the error is, and after some polish the cheapest bone goes."""
+    """Split a bone where the error is, polish, and remove the cheapest bone."""
     grown = split_bone(data, model.with_restarted_support(), rng)
     polish_steps(data, grown, int(rng.integers(3, 7)), fixed)
-    return give_up_bone(data, grown, fixed)
+    return remove_cheapest_bone(data, grown, fixed)
 
 
 def split_bone(
@@ -167,16 +178,21 @@ def split_bone(
     leaf: bool = False,
     parent: int = -1,
 ) -> Model:
-    """A copy with one bone more, a twin of the bone that moves a patch; no vertex moves.
+    """A copy in which the bone that moves the patch of most error is split in two.
 
-    The patch is of vertices that `parent` moves most, where there is one and it moves any.
+    The new bone moves as the old one, so that no vertex moves.  It takes over the patch and, unless
+    it is to be a `leaf`, the joints that are nearer to the patch than to what the old bone keeps.
 
-    The twin takes over the patch and, unless it shall be a `leaf`, the joints that are nearer to
-    it than to the rest.
+    Parameters
+    ----------
+    leaf : bool
+        Make the new bone a child without children.
+    parent : int
+        The bone to split, whose vertices the patch is taken from; −1: the patch decides.
     """
     size = float(rng.choice(_PATCH_SIZES))
     main = model.indices[np.arange(data.n_vertices), model.weights.argmax(axis=1)]
-    members = worst_patch(data, model, rng, size, among=main == parent)
+    members = patch_of_most_error(data, model, rng, size, among=main == parent)
     share = np.bincount(
         model.indices[members].ravel(),
         weights=model.weights[members].ravel(),
@@ -211,29 +227,29 @@ def split_bone(
     return grown
 
 
-def give_up_bone(data: Trajectories, model: Model, fixed: Fixed) -> Model:
-    """A copy without the bone that it costs least to lose, the others hung anew."""
-    losses = loss_of_bones(data, model)
+def remove_cheapest_bone(data: Trajectories, model: Model, fixed: Fixed) -> Model:
+    """A copy without the bone that costs least, whose neighbours are attached to one of them."""
+    losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
     smaller = model.without(np.array([bone]))
-    smaller.tree = _tree(model).without(bone, loss.heir, loss.points)
-    hang(data, smaller, fixed)
+    smaller.tree = _tree(model).contract(bone, loss.heir, loss.points)
+    snap_to_joints(data, smaller, fixed)
     return smaller
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Loss:
-    """What it would cost to give up a bone.
+    """Cost of removing a bone from a tree.
 
     Attributes
     ----------
     cost : float
-        Of the objective: what its vertices lose, and the gaps by which its neighbours would move.
+        Rise of the objective: of its vertices, and by the gaps that its neighbours would close.
     heir : int
-        The neighbour on which the others would hang; −1 where there is none.
+        The neighbour to which the others would be attached; −1 where there is none.
     points : dict
-        Their joints there.
+        Their joints with it.
     """
 
     cost: float
@@ -241,11 +257,11 @@ class Loss:
     points: dict[int, Array]
 
 
-def loss_of_bones(data: Trajectories, model: Model) -> list[Loss]:
-    """For every bone the cheapest way to do without it; infinite for one without neighbours."""
+def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
+    """The cheapest way to remove each bone; the cost is inf for a bone without neighbours."""
     tree = _tree(model)
-    mass = masses(model)
-    beyond, total = tree.beyond(mass), float(mass.sum())
+    mass = model.bone_masses()
+    beyond, total = tree.subtree_sums(mass), float(mass.sum())
     losses = []
     for bone, cost in enumerate(bone_costs(data, model)):
         near = tree.neighbours(bone)
@@ -255,7 +271,7 @@ def loss_of_bones(data: Trajectories, model: Model) -> list[Loss]:
             for k in near:
                 if k == heir:
                     continue
-                points[k], gap = joint_between(model, k, heir, tree.joint(bone, k))
+                points[k], gap = fit_joint(model, k, heir, tree.joint(bone, k))
                 there = beyond[k] if tree.parents[k] == bone else total - beyond[bone]
                 price += min(there, total - there) * gap
             if price < best.cost:

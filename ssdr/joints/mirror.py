@@ -1,4 +1,4 @@
-"""The plane in which a rest pose is its own mirror image, and which bone mirrors which."""
+"""The plane of symmetry of a rest pose, and pairs of bones that mirror each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from ..errors import InputError
 from ..hierarchy.transforms import rest_diagonal
-from ..shapes import floats_of
 from ..skinning import Skinning
 
 __all__ = [
@@ -23,31 +22,31 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-_MOST_POINTS = 4000  # by which planes are compared
-_ROUNDS = 12  # of fitting a plane to the pairs that it makes
-_KEPT = 0.8  # of the pairs, the closest: a bent arm does not turn the plane of a trunk
-# Of the diagonal: how far an image may be from the mesh, for half of the vertices, for nearly all.
+_MOST_POINTS = 4000  # vertices by which planes are compared
+_ROUNDS = 12  # most rounds of pairing vertices with their images and fitting the plane to the pairs
+_KEPT = 0.8  # closest part of the pairs that are fitted: a bent arm must not turn the plane
+# Largest distances of an image from the nearest vertex, in diagonals: the median, and the quantile
+# _NEARLY_ALL.
 _MOST_GAP, _MOST_OUTSIDE = 0.005, 0.02
 _NEARLY_ALL = 0.95
-_ALIKE = 0.5  # cosine between a bone's weights and the mirror image of another's
-_ASIDE = 0.01  # of the diagonal: closer to the plane a bone is in the middle
+_ALIKE = 0.5  # least cosine between a bone's weights and the mirror image of its partner's
+_ASIDE = 0.01  # distance from the plane, in diagonals, from which a bone is on one side
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mirror:
-    """A plane of symmetry of a rest pose, and what it says of the bones.
+    """A plane of symmetry of a rest pose, with partners and sides of the bones.
 
     Attributes
     ----------
     normal : (3,) array
-        Of unit length; its largest component is positive.
+        Unit normal, its largest component positive.
     offset : float
         Points of the plane have ``x @ normal == offset``.
     gap : float
         Mean distance between a vertex's image and the vertex nearest to it.
     partners : (B,) int array
-        The bone that moves the image of what each bone moves; a bone of the middle is its own;
-        -1: none does.
+        The bone that mirrors each bone: itself in the middle, -1 where there is none.
     sides : (B,) int array
         1 on the side to which `normal` points, -1 on the other, 0 in the middle.
 
@@ -71,11 +70,12 @@ class Mirror:
 
 
 def find_mirror(skinning: Skinning) -> Mirror | None:
-    """The plane in which the rest pose is its own mirror image; None where there is none.
+    """Find the plane of symmetry of the rest pose; None where there is none.
 
-    Half of the vertices must have an image within 0.5 % of the diagonal of some vertex, and 95 %
-    one within 2 %.  Candidates are the planes across the principal axes and across x, y and z,
-    each fitted to the pairs of vertices that it makes, by turns.
+    For half of the vertices, the mirror image must lie within 0.5 % of the diagonal of some vertex,
+    and for 95 % within 2 %.  Candidates are the planes through the centroid normal to x, y, z and
+    the principal axes.  Each is refined by turns: vertices are paired with those nearest to their
+    images, and the plane is fitted to the pairs.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def find_mirror(skinning: Skinning) -> Mirror | None:
     Raises
     ------
     InputError
-        If there is one vertex alone.
+        If there is only one vertex.
 
     Examples
     --------
@@ -107,8 +107,8 @@ def find_mirror(skinning: Skinning) -> Mirror | None:
 def mirror_of(
     rest: ArrayLike, indices: NDArray[np.integer], weights: NDArray[np.floating], n_bones: int
 ) -> Mirror | None:
-    """As :func:`find_mirror`, from a model's arrays; None for a vertex alone, too."""
-    points = floats_of(rest, "rest", ("V", 3)).astype(np.float64)
+    """As :func:`find_mirror`, from a model's arrays; None also for a single vertex."""
+    points = np.asarray(rest, dtype=np.float64)
     size = rest_diagonal(points)
     if not size > 0:
         return None
@@ -136,7 +136,10 @@ def mirror_of(
 
 
 def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, bool]:
-    """For each bone on an edge whose two bones have partners: is it on the other side, too?"""
+    """Whether the mirror image of each bone's edge to its parent is an edge, too.
+
+    Only edges whose two bones have partners are keys.
+    """
     edges = {b: frozenset((b, int(a))) for b, a in enumerate(parents) if a >= 0}
     there = set(edges.values())
     return {
@@ -147,21 +150,16 @@ def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, 
 
 
 def mirrored_edges(mirror: Mirror, parents: NDArray[np.integer]) -> tuple[int, int]:
-    """How many of the edges whose two bones have partners are there on the other side, too.
-
-    Returns
-    -------
-    mirrored, edges : int
-    """
+    """Number of edges whose mirror image is an edge, and number of edges with a mirror image."""
     there = edges_with_image(mirror, parents)
     return sum(there.values()), len(there)
 
 
 def side_names(mirror: Mirror | None, n_bones: int, stem: str = "joint") -> tuple[str, ...]:
-    """Names of joints: two that mirror each other share a number and end in ``_L`` and ``_R``.
+    """Names of joints; two that mirror each other share a number and end in ``_L`` and ``_R``.
 
-    ``_L`` is the side of the mirror's normal: of positive x for a mesh that looks along z, which
-    is the left of one that faces +z with y up (glTF) or -y with z up (Blender).
+    ``_L`` is the side to which the mirror's normal points.  Across the plane x = 0 that is positive
+    x, the left of a character that faces +z with y up (glTF) or -y with z up (Blender).
     """
     digits = len(str(n_bones - 1))
     names = [f"{stem}_{k:0{digits}d}" for k in range(n_bones)]
@@ -174,14 +172,14 @@ def side_names(mirror: Mirror | None, n_bones: int, stem: str = "joint") -> tupl
 
 
 def _reflected(points: Array, normal: Array, offset: float) -> Array:
-    beyond = points @ normal - offset
-    return np.asarray(points - 2 * beyond[..., None] * normal)
+    distance = points @ normal - offset
+    return np.asarray(points - 2 * distance[..., None] * normal)
 
 
 def _fitted(
     points: Array, every: cKDTree, normal: Array, offset: float
 ) -> tuple[Array, float, float, float]:
-    """A plane fitted to the pairs that it makes: normal, offset, median and 95 % of the gaps."""
+    """Plane refined from a start: normal, offset, median and 95 % quantile of the gaps."""
     best = (normal, offset, np.inf, np.inf)
     for _ in range(_ROUNDS):
         gap, near = map(np.asarray, every.query(_reflected(points, normal, offset)))
@@ -201,7 +199,10 @@ def _fitted(
 
 
 def _partners(dense: Array, near: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Bones whose weights are each other's mirror images."""
+    """Partner of each bone by its weights and their mirror image, -1 for none.
+
+    `near` (V,) is the vertex nearest to each vertex's image.
+    """
     from scipy.optimize import linear_sum_assignment
 
     image = dense[near]

@@ -1,9 +1,10 @@
-"""Joints of a model: where bones would hang on each other, and bones brought there by degrees.
+"""Where joints of a model lie, which bones they connect, and bones brought onto them by degrees.
 
-A joint of two bones a, b is the rest point c that minimises Σ_t |M_a c − M_b c|².  Where their
-relative turn leaves it open (none at all, or about one axis), it is where their skin meets.
-Bones that were fitted freely are far from any tree: a penalty on the gaps of the joints, made
-stiffer step by step while bones, weights and joints are solved in turn, leads them there.
+The joint of two bones a, b is the rest point c that minimises Σ_t |M_a c − M_b c|².  Where their
+relative rotation leaves it open (no rotation, or one about a single axis), it is where their skin
+meets.  Bones that were fitted freely are far from any tree.  A penalty on the gaps of the joints
+leads them there: it is made stiffer step by step while bones, joints and weights are solved in
+turns.
 
 References
 ----------
@@ -19,7 +20,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from ..hierarchy.tree import Tree, rooted
+from ..hierarchy.tree import Tree, root_at_centroids
 from ..kernels.chains import chain_move
 from ..solver.alternation import sweep, vertex_step
 from ..solver.model import Fixed, Model
@@ -28,44 +29,49 @@ from ..solver.trajectories import Array, Trajectories
 
 __all__ = [
     "Contacts",
-    "contacts",
-    "hang",
-    "joint_between",
-    "masses",
-    "pair_joints",
-    "settled",
-    "soft_step",
+    "find_contacts",
+    "fit_joint",
+    "fit_joints",
+    "move_onto_joints",
+    "refit_joints",
+    "snap_to_joints",
     "spanning_tree",
+    "step_with_joint_penalty",
 ]
 
-# Of the mesh's size squared, per frame and unit of mass: what a joint away from where two bones'
-# skin meets costs (it decides where motion does not), and what skin apart costs.
+# Weights, per frame, of what an edge costs beside its gap: the joint's squared distance from the
+# contact of its bones, which decides where motion does not, and the squared distance of their skin.
 _AWAY, _APART = 1e-3, 1e-2
-_HARDLY = 1e-6  # of either, where gaps alone shall decide
-# Of the mesh's size, the root mean square distance from its centroid: parts that are further away
-# from each other than one number, and would come apart by more than the other, share no joint.
-# Three pairs of them: touching parts in any case, near ones, those that move together.  Near is
-# what lies a ring of a game character apart (the tail of glTF's fox: 0.37).
-_FAR, _LOOSE = (0.1, 0.5, np.inf), (np.inf, 0.1, 0.03)
-_STAY = 1e-4  # of a joint's place, while bones are brought to it
+_TIE = 1e-6  # factor of both where they only decide between equal gaps
+# Largest distance of the skin and gap of the joint of bones that may be connected, in the mesh's
+# size (its root mean square distance from the centroid).  Three pairs, of which one must hold: for
+# touching skin, for skin nearby, and for skin that moves together.  Nearby is as far as from one
+# ring of vertices to the next on a game character (the tail of glTF's fox: 0.37).
+_DISTANCES, _GAPS = (0.1, 0.5, np.inf), (np.inf, 0.1, 0.03)
+_STAY = 1e-4  # weight, per frame, of a joint's present place, which decides where gaps do not
 _SWEEPS = 3
-_MEMBER = 0.5  # weight from which a vertex is of a bone
-_TOUCH = 12  # nearest vertices of two bones whose mean is where they meet
-_SHARED = 1e-3  # overlap of weights from which it says where bones meet
+_MEMBER = 0.5  # weight from which a vertex belongs to a bone
+_TOUCH = 12  # vertices of two bones nearest to each other whose mean is their contact
+_SHARED = 1e-3  # overlap of weights from which these place the contact instead
 
 
-def masses(model: Model) -> Array:
-    """(B,) sums of squared weights: how much a bone's motion counts."""
-    squares = (model.weights**2).ravel()
-    sums = np.bincount(model.indices.ravel(), weights=squares, minlength=model.n_bones)
-    return np.asarray(sums, dtype=np.float64)
+def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple[Array, Array]:
+    """Fit a joint to every pair of bones.
 
+    Parameters
+    ----------
+    transforms : (F, B, 3, 4) array
+    prior : (B, B, 3) array
+        Places that decide what the motion leaves open.
+    away : float
+        Weight, per frame, of the squared distance from them.
 
-def pair_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple[Array, Array]:
-    """Best joint (B, B, 3) of every two bones, and Σ_t |M_a c − M_b c|² there (B, B).
-
-    `prior` (B, B, 3) decides what their motion leaves open, by a penalty `away` on the squared
-    distance from it.
+    Returns
+    -------
+    points : (B, B, 3) array
+        The joints.
+    gaps : (B, B) array
+        Σ_t |M_a c − M_b c|² there.
     """
     n_frames, n_bones = transforms.shape[:2]
     turn, shift = transforms[..., :3], transforms[..., 3]
@@ -80,47 +86,43 @@ def pair_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tupl
     square = moved.T @ moved
     far = square[index, index][:, None] + square[index, index] - 2.0 * square
     pull = away * n_frames
-    point = np.linalg.solve(matrix + pull * np.eye(3), (right + pull * prior)[..., None])[..., 0]
-    gap = np.einsum("abi,abij,abj->ab", point, matrix, point)
-    gap += far - 2.0 * np.einsum("abi,abi->ab", point, right)
-    return point, np.maximum(gap, 0.0)
+    points = np.linalg.solve(matrix + pull * np.eye(3), (right + pull * prior)[..., None])[..., 0]
+    gaps = np.einsum("abi,abij,abj->ab", points, matrix, points)
+    gaps += far - 2.0 * np.einsum("abi,abi->ab", points, right)
+    return points, np.maximum(gaps, 0.0)
 
 
-def joint_between(model: Model, a: int, b: int, prior: Array) -> tuple[Array, float]:
-    """The same of two bones."""
-    point, gap = pair_joints(model.transforms[:, [a, b]], np.broadcast_to(prior, (2, 2, 3)))
-    return point[0, 1], float(gap[0, 1])
+def fit_joint(model: Model, a: int, b: int, prior: Array) -> tuple[Array, float]:
+    """Fit the joint (3,) of two bones; its gap."""
+    points, gaps = fit_joints(model.transforms[:, [a, b]], np.broadcast_to(prior, (2, 2, 3)))
+    return points[0, 1], float(gaps[0, 1])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contacts:
-    """Where the bones of a model meet.
+    """Where the skin of every two bones meets.
 
     Attributes
     ----------
-    point : (B, B, 3)
-        Between what two bones move.
-    apart : (B, B)
-        Distance of what they move.
-    overlap : (B, B)
-        Σ_i w_ia w_ib, relative to the root of both bones' own sums.
+    points : (B, B, 3) array
+        A point between what the bones move.
+    distances : (B, B) array
+        Distance of their skin, 0 beside bones that move nothing.
+    overlap : (B, B) array
+        Σ_i w_ia w_ib / sqrt(Σ_i w_ia² · Σ_i w_ib²).
     """
 
-    point: Array
-    apart: Array
+    points: Array
+    distances: Array
     overlap: Array
 
 
-def contacts(model: Model) -> Contacts:
-    """Where bones meet, by the weights that they share, else by their nearest vertices."""
-    n_bones, n = model.n_bones, len(model.rest)
-    weights = np.zeros((n, n_bones))
-    for joint, weight in zip(model.indices.T, model.weights.T, strict=True):
-        np.add.at(weights, (np.arange(n), joint), weight)
+def find_contacts(model: Model) -> Contacts:
+    """Find the contacts of bones by the weights that they share, else by their nearest vertices."""
+    n_bones, weights = model.n_bones, model.dense_weights()
     overlap = weights.T @ weights
     places = np.einsum("ia,ib,id->abd", weights, weights, model.rest, optimize=True)
     most = weights.max(axis=0)
-    empty = ~(most > 0)
     members = [
         model.rest[weights[:, j] >= min(_MEMBER, 0.9 * most[j])] if most[j] > 0 else model.rest
         for j in range(n_bones)
@@ -136,26 +138,32 @@ def contacts(model: Model) -> Contacts:
             if overlap[a, b] > _SHARED:
                 meeting = places[a, b] / overlap[a, b]
             point[a, b] = point[b, a] = meeting
-            if not (empty[a] or empty[b]):
+            if most[a] > 0 and most[b] > 0:
                 apart[a, b] = apart[b, a] = np.sort(there)[max(0, len(there) // 20 - 1)]
     own = np.sqrt(np.maximum(np.diag(overlap), 1e-12))
     return Contacts(point, apart, overlap / own[:, None] / own[None])
 
 
 def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
-    """The tree over the bones that costs least: gaps of its joints, weighted by what hangs there.
+    """Find the minimum spanning tree over the bones, each edge costing the gap of its joint.
 
-    A forest, where parts are apart from each other and no joint would hold them together.
-    `by_gap`: the gaps alone decide, where they differ at all.
+    Gaps are weighted by the mass of their bones.  The result is a forest where parts of the mesh
+    are far apart and move independently.
+
+    Parameters
+    ----------
+    model : Model
+    by_gap : bool
+        Whether gaps alone count, without masses, and contacts decide between equal gaps.
     """
-    meet = contacts(model)
+    meet = find_contacts(model)
     n_frames = len(model.transforms)
-    point, gap = pair_joints(model.transforms, meet.point, away=_HARDLY if by_gap else _AWAY)
-    mass = masses(model)
-    away = ((point - meet.point) ** 2).sum(axis=-1)
-    extra = n_frames * (_AWAY * away + _APART * meet.apart**2)
+    point, gap = fit_joints(model.transforms, meet.points, away=_TIE if by_gap else _AWAY)
+    mass = model.bone_masses()
+    away = ((point - meet.points) ** 2).sum(axis=-1)
+    extra = n_frames * (_AWAY * away + _APART * meet.distances**2)
     if by_gap:
-        cost = gap + _HARDLY * extra
+        cost = gap + _TIE * extra
     else:
         pair = mass[:, None] * mass / np.maximum(mass[:, None] + mass, 1e-12)
         cost = pair * (gap + extra)
@@ -164,30 +172,32 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     order = np.zeros_like(cost)
     order[above] = 1 + cost[above].argsort(kind="stable").argsort()
     edges = minimum_spanning_tree(order).toarray() > 0
-    joined = meet.overlap > 0
-    for far, loose in zip(_FAR, _LOOSE, strict=True):
-        joined |= (meet.apart <= far) & (gap <= loose**2 * n_frames)
-    _, part = connected_components(joined, directed=False)
+    connected = meet.overlap > 0
+    for distance, gap_size in zip(_DISTANCES, _GAPS, strict=True):
+        connected |= (meet.distances <= distance) & (gap <= gap_size**2 * n_frames)
+    _, part = connected_components(connected, directed=False)
     edges &= part[:, None] == part
-    parents = rooted(edges | edges.T, mass)
+    parents = root_at_centroids(edges | edges.T, mass)
     index = np.arange(model.n_bones)
     points = np.where((parents >= 0)[:, None], point[index, np.maximum(parents, 0)], 0.0)
     return Tree(parents, np.ascontiguousarray(points), rigid=False)
 
 
-def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) -> None:
-    """Bones under a penalty on their joints' gaps, then joints, then vertices (in place).
+def step_with_joint_penalty(
+    data: Trajectories, model: Model, stiffness: float, fixed: Fixed
+) -> None:
+    """Solve bones under a penalty on their joints' gaps, then joints, then vertices (in place).
 
-    The penalty of a joint is `stiffness` times the lighter bone's mass.
+    The penalty on a squared gap is `stiffness` times the mass of the lighter bone.
     """
     tree = model.tree
     assert tree is not None
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
-    mass = masses(model)
-    for j in tree.hung:
+    mass = model.bone_masses()
+    for j in tree.non_roots:
         k = tree.parents[j]
         place = np.append(tree.points[j], 1.0)
-        # a joint between bones that move nothing still holds them together
+        # 1e-9 holds bones together that move nothing
         block = (stiffness * min(mass[j], mass[k]) + 1e-9) * np.outer(place, place)
         u[j, j] += block
         u[k, k] += block
@@ -195,16 +205,16 @@ def soft_step(data: Trajectories, model: Model, stiffness: float, fixed: Fixed) 
         u[k, j] -= block
     sweep(model.transforms, u, c, fixed.locked(model.n_bones), sweeps=_SWEEPS)
     if not fixed.joints:
-        model.tree = settled(model, tree)
+        model.tree = refit_joints(model, tree)
     vertex_step(data, model, fixed=fixed)
 
 
-def settled(model: Model, tree: Tree) -> Tree:
-    """A tree with joints where the gaps are least; where motion leaves it open they stay."""
+def refit_joints(model: Model, tree: Tree) -> Tree:
+    """A tree with the joints of least gaps; they stay where the motion leaves them open."""
     points = tree.points.copy()
-    for j in tree.hung:
-        apart = model.transforms[:, j] - model.transforms[:, tree.parents[j]]
-        turn, shift = apart[..., :3], apart[..., 3]
+    for j in tree.non_roots:
+        relative = model.transforms[:, j] - model.transforms[:, tree.parents[j]]
+        turn, shift = relative[..., :3], relative[..., 3]
         stay = _STAY * len(turn)
         matrix = np.einsum("tab,tac->bc", turn, turn) + stay * np.eye(3)
         right = stay * points[j] - np.einsum("tab,ta->b", turn, shift)
@@ -212,16 +222,21 @@ def settled(model: Model, tree: Tree) -> Tree:
     return dataclasses.replace(tree, points=points, rigid=False)
 
 
-def hang(data: Trajectories, model: Model, fixed: Fixed) -> None:
-    """Move every bone onto its joint, its rotation kept, then solve the vertices (in place).
+def move_onto_joints(transforms: Array, tree: Tree) -> None:
+    """Translate every bone onto its joint (in place)."""
+    still = np.zeros((*transforms.shape[:2], 3))
+    chain_move(transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
 
-    Joints whose rotation is fixed get it.
+
+def snap_to_joints(data: Trajectories, model: Model, fixed: Fixed) -> None:
+    """Translate every bone onto its joint, then solve the vertices (in place).
+
+    Rotations stay, but for those relative to the parent that `fixed` prescribes.
     """
     tree = model.tree
     assert tree is not None
-    for j, k, turn in fixed.kept_turns(tree):
+    for j, k, turn in fixed.kept_rotations(tree):
         model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
-    still = np.zeros((*model.transforms.shape[:2], 3))
-    chain_move(model.transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
+    move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
     vertex_step(data, model, fixed=fixed)

@@ -1,116 +1,157 @@
-"""The stages that bring bones onto joints and look for a better tree."""
+"""The stages that attach bones to joints and look for a better tree."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
 
-from ..search.moves import loosen, polish_steps, thin
-from ..search.run import Run, Stage
-from ..search.stages import POLISH_STEPS_OF_A_TRY, Change, Search, Start
+from ..search.moves import exchange_influences, polish_steps
+from ..search.run import Run, Schedule, Stage
+from ..search.stages import STEPS_OF_A_TRIAL, Change, Search
+from ..solver.alternation import vertex_step
 from ..solver.initialization import fit_patches
 from ..solver.model import Model
 from .changes import (
-    give_up_bone,
-    join_touching,
+    add_edge_between_skin_neighbours,
     mirror_edge,
+    move_bone_to_error,
+    remove_cheapest_bone,
     reparent,
     replace_bone,
-    seize,
     split_bone,
 )
-from .matching import moved_like
-from .placement import hang, soft_step, spanning_tree
+from .limb_matching import match_by_motion
+from .placement import snap_to_joints, spanning_tree, step_with_joint_penalty
 
-__all__ = ["Contend", "GiveUp", "Hang", "SearchTrees", "SearchWeights", "Sprout", "StartOnSkeleton"]
+__all__ = [
+    "AddBones",
+    "AttachToJoints",
+    "AttachUnattached",
+    "FreeBones",
+    "RemoveBones",
+    "SearchTrees",
+    "SearchWeights",
+    "StartOnSkeleton",
+]
 
-# Stiffness of the joints, of the lighter bone's mass, from the first step of a ramp to the last.
-_RAMP = (1e-2, 100.0)
-_MOST_POLISH = 48  # steps of a try that is still on its way below the model that it has to beat
-_AHEAD = 4  # as many more blocks of steps as good as the last have to lead below it
+# Stiffness of the joints, relative to the lighter bone's mass, from the first step to the last.
+_STIFFNESS = (1e-2, 100.0)
+_MOST_POLISH = 48  # steps of a trial that is still on its way below the model it has to beat
+_PROMISING = 4.0  # ratio of objectives up to which a tree may lead below the best free bones
+_AHEAD = 4  # so many more blocks of steps as good as the last have to lead below that model
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Hang(Stage):
-    """A tree over free bones, to which they are brought by degrees; on the last step they hang.
+class AttachToJoints(Stage):
+    """Bring free bones to the joints of a tree by growing stiffness; at last they are attached.
 
-    The tree is the model's where it has one.
+    The tree is the model's where it has one, else the spanning tree of least gaps.
 
     Attributes
     ----------
     steps : int
-        Of the ramp of stiffness.
+        In which the stiffness grows.
     """
 
-    phase: ClassVar[str] = "hang"
+    phase: ClassVar[str] = "attach"
     steps: int = 20
     cost: float = 1.5
 
-    def step(self, run: Run) -> bool:
-        at = run.memory.count
-        if at == 0:
-            run.model = run.present.with_influences(run.influences)
-            if run.model.tree is None:
-                run.model.tree = spanning_tree(run.model)
-        model = run.present
-        stiffness = np.geomspace(*_RAMP, self.steps)[at]
-        soft_step(run.data, model, float(stiffness), run.fixed)
-        run.iteration += 1
-        if at == self.steps - 1:
-            hang(run.data, model, run.fixed)
-        return at == self.steps - 1
+    def apply(self, run: Run) -> Iterator[None]:
+        model = run.model = run.present.with_influences(run.influences)
+        if model.tree is None:
+            model.tree = spanning_tree(model)
+        for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, self.steps)):
+            step_with_joint_penalty(run.data, model, float(stiffness), run.fixed)
+            run.iteration += 1
+            if k == self.steps - 1:
+                snap_to_joints(run.data, model, run.fixed)
+            yield
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Contend(Stage):
-    """Of several starts the lowest is set aside; the run goes on from it after the last.
+class FreeBones(Stage):
+    """Improve a tree that promises a better model, drop it, and improve the freed bones.
+
+    A tree whose objective is more than four times the best one is dropped at once, and the best
+    model is returned to.
 
     Attributes
     ----------
-    last : bool
+    attached, freed : Schedule
+        Stages before and after.
     """
 
-    phase: ClassVar[str] = "contend"
-    cost: float = 0
-    last: bool = False
+    phase: ClassVar[str] = "free bones"
+    cost: float = 0.0
+    attached: Schedule
+    freed: Schedule
 
-    def step(self, run: Run) -> bool:
-        if run.aside is None or run.value(run.present) < run.value(run.aside):
-            run.aside = run.present.copy()
-        if self.last:
-            run.model, run.aside = run.aside, None
-        return True
+    @property
+    def work(self) -> float:
+        return sum(stage.work for stage in (*self.attached, *self.freed))
+
+    def apply(self, run: Run) -> Iterator[None]:
+        if run.value(run.present) > _PROMISING * run.best_value:
+            run.model = run.best_model.with_restarted_support()
+            return
+        for stage in self.attached:
+            yield from run.steps_of(stage)
+        run.model = dataclasses.replace(run.present.copy(), tree=None)
+        for stage in self.freed:
+            yield from run.steps_of(stage)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class StartOnSkeleton(Start):
-    """Bones of a skeleton that was handed over, as the vertices move that are theirs.
+class AttachUnattached(AttachToJoints):
+    """Attach the bones of a model to joints unless they already are."""
+
+    def apply(self, run: Run) -> Iterator[None]:
+        tree = run.present.tree
+        if tree is None or not tree.rigid:
+            yield from super().apply(run)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StartOnSkeleton(Stage):
+    """The bones of a skeleton that was handed over, fitted to the vertices that each moves.
 
     Attributes
     ----------
-    matched : bool
-        Whether the free bones of the model so far say which, else the nearest limb does.
+    by_motion : bool
+        Match the free bones of the present model with the skeleton's; else each vertex starts
+        with the nearest limb, or with the skeleton's weights where it has some.
     """
 
-    matched: bool = False
+    phase: ClassVar[str] = "start"
+    cost: float = 8
+    by_motion: bool = False
+
+    def apply(self, run: Run) -> Iterator[None]:
+        run.model = self._model(run)
+        vertex_step(run.data, run.model, fixed=run.fixed)
+        yield
 
     def _model(self, run: Run) -> Model:
-        data, prescribed = run.data, run.prescribed
-        tree, label = prescribed.skeleton, prescribed.label
+        data, given = run.data, run.given
+        tree, label = given.tree, given.nearest_bone
         assert tree is not None
-        rest = prescribed.start if prescribed.rest is None else prescribed.rest
+        rest = given.tree_pose if given.rest is None else given.rest
         assert rest is not None
-        indices, weights = prescribed.indices, prescribed.weights
-        if indices is None and prescribed.skin is not None:
-            indices, weights = prescribed.skin
+        indices, weights = given.indices, given.weights
+        if indices is None and given.skeleton_skin is not None:
+            indices, weights = given.skeleton_skin
         if indices is not None:
             label = indices[:, 0].astype(np.intp)
         assert label is not None
-        if self.matched:
+        if self.by_motion:
             free = run.present
-            label = moved_like(data, rest, free.indices[:, 0].astype(np.intp), free.n_bones, tree)
+            label = match_by_motion(
+                data, rest, free.indices[:, 0].astype(np.intp), free.n_bones, tree
+            )
         count = len(tree.parents)
         bones = fit_patches(data, rest, label, count)
         used = np.bincount(label, minlength=count)
@@ -126,92 +167,81 @@ class StartOnSkeleton(Start):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Sprout(Stage):
-    """One bone more where the error is, a child of the bone that moved its vertices.
+class AddBones(Stage):
+    """Add bones to a skeleton, each where the error is, as a child of the bone that moved it.
 
     Until there are as many as asked for; below the bones that were named, where some were.
 
     Attributes
     ----------
     polish_steps : int
-        After each.
+        After each bone.
     """
 
-    phase: ClassVar[str] = "sprout"
-    steps: int = 1000
+    phase: ClassVar[str] = "add bones"
+    steps: int = 4  # expected
     cost: float = 40
     polish_steps: int = 6
 
-    @property
-    def expected_steps(self) -> int:
-        return 4
-
-    def step(self, run: Run) -> bool:
-        model = run.present
-        if model.n_bones < run.bones:
-            wide = model.with_restarted_support()
-            start = run.bones - len(run.prescribed.sprouts)
-            parent = run.prescribed.sprouts[model.n_bones - start]
-            model = split_bone(run.data, wide, run.generator, leaf=True, parent=parent)
+    def apply(self, run: Run) -> Iterator[None]:
+        parents = run.given.extra_parents
+        while run.present.n_bones < run.bones:
+            wide = run.present.with_restarted_support()
+            parent = parents[wide.n_bones - (run.bones - len(parents))]
+            model = split_bone(run.data, wide, run.rng, leaf=True, parent=parent)
             polish_steps(run.data, model, self.polish_steps, run.fixed)
             run.iteration += self.polish_steps
-        run.model = model
-        return model.n_bones >= run.bones
+            run.model = model
+            yield
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class GiveUp(Stage):
-    """The cheapest bone of a tree goes, one by one, until there are as many as asked for.
+class RemoveBones(Stage):
+    """Remove the cheapest bone of a tree, one by one, until there are as many as asked for.
 
     Attributes
     ----------
     polish_steps : int
-        After each.
+        After each bone.
     """
 
-    phase: ClassVar[str] = "give up"
-    steps: int = 1000
+    phase: ClassVar[str] = "remove bones"
+    steps: int = 3  # expected
     cost: float = 30
     polish_steps: int = 6
 
-    @property
-    def expected_steps(self) -> int:
-        return 3
-
-    def step(self, run: Run) -> bool:
-        model = run.present
-        if model.n_bones > run.bones:
-            model = give_up_bone(run.data, model.with_restarted_support(), run.fixed)
+    def apply(self, run: Run) -> Iterator[None]:
+        while run.present.n_bones > run.bones:
+            wide = run.present.with_restarted_support()
+            model = remove_cheapest_bone(run.data, wide, run.fixed)
             polish_steps(run.data, model, self.polish_steps, run.fixed)
             run.iteration += self.polish_steps
-        run.model = model
-        return model.n_bones <= run.bones
+            run.model = model
+            yield
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SearchTrees(Search):
-    """A search whose changes are those of trees.
+    """A search that changes the tree.
 
-    A better tree shows only after many steps: a try is polished on for as long as its last
-    steps promise to lead below the model that it has to beat.
+    A better tree shows only after many steps: a trial is polished for as long as its last steps
+    promise to lead below the model that it has to beat.
     """
 
-    kinds: ClassVar[tuple[Change, ...]] = (
-        join_touching,
-        seize,
-        loosen,
+    changes: ClassVar[tuple[Change, ...]] = (
+        add_edge_between_skin_neighbours,
+        move_bone_to_error,
         reparent,
-        thin,
+        exchange_influences,
         replace_bone,
         mirror_edge,
     )
-    changes: ClassVar[int] = len(kinds)
 
-    def settle(self, run: Run, trial: Model, base: float) -> float:
+    def polished_value(self, run: Run, trial: Model, base: float) -> float:
         value = np.inf
-        for steps in range(0, _MOST_POLISH, POLISH_STEPS_OF_A_TRY):
+        for steps in range(0, _MOST_POLISH, STEPS_OF_A_TRIAL):
             before = value
-            polish_steps(run.data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
+            polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.fixed)
             value = run.value(trial)
             if value < base or (steps and value - _AHEAD * (before - value) > base):
                 break
@@ -222,5 +252,4 @@ class SearchTrees(Search):
 class SearchWeights(SearchTrees):
     """A search that leaves the tree as it is."""
 
-    kinds: ClassVar[tuple[Change, ...]] = (seize, loosen, thin)
-    changes: ClassVar[int] = len(kinds)
+    changes: ClassVar[tuple[Change, ...]] = (move_bone_to_error, exchange_influences)

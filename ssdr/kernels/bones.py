@@ -7,10 +7,11 @@ import numpy as np
 from .policy import inline, kernel
 from .vertices import monomials
 
-SPECK = 1e-6  # squared radius, of a mesh of unit size, below which a bone's scale is not trusted
-POINT = 1e-12  # squared radius below which rounding alone would turn a bone
-SMALLEST, LARGEST = 0.05, 20.0  # scale of a bone, unless it starts beyond
-COLUMNS = 512  # of the trajectories that are summed at once
+# squared radii of a bone's vertices, in a mesh of unit size
+SPECK = 1e-6  # below, the scale of the bone is hardly determined
+POINT = 1e-12  # below, its rotation would follow rounding errors
+SMALLEST, LARGEST = 0.05, 20.0  # bounds of a bone's scale, unless it starts outside
+COLUMNS = 512  # of the trajectories, summed at a time
 
 
 @kernel
@@ -44,7 +45,7 @@ def bone_moments(indices, weights, rest, importance, z, u, az, first, last):
                 ww = w * weights[i, s]
                 for d in range(10):
                     u[j, k, d] += ww * m[d]
-    # Bone by bone, three of its vertices at once and columns that stay in the cache: else each
+    # Bone by bone, three vertices at a time, with columns that fit into the cache: otherwise each
     # weight would read and write four whole rows of az.
     for j in range(n_bones):
         start[j + 1] = start[j] + 3 * ((start[j + 1] + 2) // 3)
@@ -78,10 +79,10 @@ def bone_moments(indices, weights, rest, importance, z, u, az, first, last):
 
 @inline
 def horn(s, r):
-    """Rotation that maximises tr(Rᵀs): largest eigenvector of Horn's 4×4 matrix K.
+    """Rotation that maximises tr(Rᵀs), from the largest eigenvector of Horn's 4×4 matrix K.
 
-    By squaring K + cI, c making all eigenvalues positive: what grows fastest is
-    the projection onto that eigenvector.
+    K + cI, with c such that no eigenvalue is negative, is squared again and again: scaled to a
+    trace of 1, it tends to the projection onto that eigenvector.
     """
     k = np.empty((4, 4))
     square = np.empty((4, 4))
@@ -119,7 +120,7 @@ def horn(s, r):
         for a in range(4):
             for b in range(4):
                 k[a, b] = square[a, b]
-        # a projection onto one direction is its own square
+        # converged: a projection is its own square
         if trace > 1.0 - 4e-16:
             break
     top = 0
@@ -131,6 +132,7 @@ def horn(s, r):
 
 @inline
 def quaternion_matrix(w, x, y, z, r):
+    """Rotation matrix r of a quaternion of any length but 0."""
     n = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * n, x * n, y * n, z * n
     r[0, 0] = 1.0 - 2.0 * (y * y + z * z)
@@ -146,10 +148,10 @@ def quaternion_matrix(w, x, y, z, r):
 
 @inline
 def rotate_toward(s, r, a, turn, new):
-    """Maximise tr(Rᵀs) over rotations from the current r, by Newton on SO(3).
+    """Maximise tr(Rᵀs) over rotations by Newton's method on SO(3), from the current r.
 
-    On SO(3) every local maximum is the global one: where the Hessian
-    tr(A)I − sym(A), A = Rᵀs, is not positive Horn's closed form takes over.
+    Every local maximum is the global one.  Where the Hessian tr(A)I − sym(A), A = Rᵀs, is not
+    positive definite, Horn's closed form is used.
     """
     size = 0.0
     for c in range(3):
@@ -170,7 +172,7 @@ def rotate_toward(s, r, a, turn, new):
         h02 = -0.5 * (a[0, 2] + a[2, 0])
         h12 = -0.5 * (a[1, 2] + a[2, 1])
         gx, gy, gz = a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1]
-        # LDLᵀ of the 3×3 Hessian; a flat direction (collinear points) is damped, not turned
+        # LDLᵀ of the Hessian; the step along a flat direction (collinear points) is damped
         floor = 1e-9 * size
         d0 = max(h00, floor)
         l10, l20 = h01 / d0, h02 / d0
@@ -190,7 +192,7 @@ def rotate_toward(s, r, a, turn, new):
         if lost or angle2 > 1.0:
             horn(s, r)
             return
-        # R ← R·exp(ω), exp by the quaternion (1, ω/2), exact to the order that Newton has
+        # R ← R·exp(ω), exp by the quaternion (1, ω/2): accurate to the order of Newton's method
         quaternion_matrix(1.0, 0.5 * wx, 0.5 * wy, 0.5 * wz, turn)
         for c in range(3):
             for d in range(3):
@@ -202,7 +204,7 @@ def rotate_toward(s, r, a, turn, new):
                 r[c, d] = new[c, d]
         if angle2 < 1e-20:
             break
-    # one step of Newton–Schulz: products of rotations drift from orthonormality
+    # One Newton–Schulz step, since products of rotations drift from orthonormality
     for c in range(3):
         for d in range(3):
             a[c, d] = 0.0
@@ -226,11 +228,11 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, firs
     c           (F, 3, 4, B)  float64  Σ_i w_j v_i p̃ᵀ, in
     u           (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     start       (B + 1,)      int32    where each bone's entries of `neighbour` start, in
-    neighbour   (N,)          int32    bones that share vertices with bone j, itself left out, at
+    neighbour   (N,)          int32    other bones that share vertices with bone j, at
                                        start[j]..start[j + 1], in
-    locked      (B,)          bool     bones that stay, in
+    locked      (B,)          bool     bones that are not changed, in
 
-    With `scaled` the 3×3 blocks are scaled rotations (Umeyama 1991), else rotations.
+    The 3×3 blocks are scaled rotations (Umeyama 1991) if `scaled`, else rotations.
     """
     n_bones = transforms.shape[1]
     d = np.empty((3, 4))
@@ -271,7 +273,7 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, firs
                 if extent > POINT * mass:
                     rotate_toward(s, r, a, turn, new)
                 if scaled:
-                    # a speck of the present size: a bone without extent keeps it
+                    # regularised towards the present scale, which a bone without extent keeps
                     spread = SPECK * mass
                     pull = spread * size
                     spread += extent

@@ -1,9 +1,9 @@
-"""Kernels of bones that hang on joints: tangents along the tree, its matrices, its poses.
+"""Kernels of bones that are connected by joints: tangents, Gauss–Newton matrices, moves.
 
-A tree lists parents before children.  A bone j that hangs on bone k by the rest point c_j
-satisfies M_j c_j = M_k c_j in every frame; a root is free.  The unknowns of a frame are a
-rotation ω_j of every bone, in its own axes, and a translation of every root; those that all
-frames share are the changes δc_j of the joints.
+A bone j with parent k and joint c_j, a point of the rest pose, satisfies M_j c_j = M_k c_j in
+every frame; a root is free.  The unknowns of a frame are a rotation ω_j of every bone, in the
+bone's axes, and a translation τ_j of every root.  The changes δc_j of the joints are shared by all
+frames.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from .policy import kernel
 
 @kernel
 def chain_image(transforms, order, parents, points, turns, shifts, moved, out, first, last):
-    """Tangents (ω, τ) of the bones of frames first..last under a change of the chain.
+    """Tangents (ω, τ) of all bones in frames first..last under a change of the unknowns.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     order       (B,)          int64    bones, parents before children, in
     parents     (B,)          int64    parent of each bone, −1 of a root, in
     points      (B, 3)        float64  joints in the rest pose, in
     turns       (F, B, 3)     float64  ω, in
-    shifts      (F, B, 3)     float64  τ of the roots; others are not read, in
+    shifts      (F, B, 3)     float64  τ of the roots, in; other rows are not read
     moved       (B, 3)        float64  δc, in
     out         (F, B, 6)     float64  tangents, out
     """
@@ -44,7 +44,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out, f
             c = points[j]
             p = out[t, k]
             m, n = transforms[t, k], transforms[t, j]
-            # the velocity of the joint as the parent carries it, in the world's axes
+            # velocity of the joint as a point of the parent, in world axes
             b0 = p[1] * c[2] - p[2] * c[1] + p[3] + moved[j, 0]
             b1 = p[2] * c[0] - p[0] * c[2] + p[4] + moved[j, 1]
             b2 = p[0] * c[1] - p[1] * c[0] + p[5] + moved[j, 2]
@@ -103,11 +103,12 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, 
 
 @kernel
 def chain_matrix(transforms, order, parents, points, u, scale, out, first, last):
-    """Add the Gauss–Newton matrices, in the chain's unknowns, of frames first..last.
+    """Add the Gauss–Newton matrices of frames first..last in the unknowns of the tree.
 
     u      (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     scale  (F,)          float64  importance of each frame, in
-    out    (B, 6, B, 6)  float64  added to; entries 3.. of bone j are τ of a root, δc_j of others
+    out    (B, 6, B, 6)  float64  added to; the last three entries of bone j are τ_j of a root and
+                                  δc_j of another bone
     """
     n_bones = len(parents)
     a = np.empty((n_bones, 6, n_bones, 6))
@@ -130,13 +131,14 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
                         for f in range(3):
                             s += transforms[t, j, f, d] * transforms[t, k, f, e]
                         r[d, e] = s * scale[t]
-                # δ(M p) = R (ω × p + τ): the block is Σ (p̃'s generators)ᵀ RᵀR (the same)
+                # δ(M p) = R (ω × p + τ): a block is Σ w_j w_k JᵀR_jᵀR_k J, with J the derivative
+                # of ω × p + τ
                 for d in range(3):
                     for e in range(3):
                         a[j, 3 + d, k, 3 + e] = r[d, e] * v[3, 3]
                     for e in range(3):
                         f, h = (e + 1) % 3, (e + 2) % 3
-                        # column of ω_e: e_e × p = p_f-term: (ω×p)_f = −ω_e p_h… in cyclic order
+                        # ω_e adds −ω_e p_h to (ω × p)_f and ω_e p_f to (ω × p)_h
                         a[j, 3 + d, k, e] = r[d, h] * v[3, f] - r[d, f] * v[3, h]
                         a[j, e, k, 3 + d] = r[h, d] * v[f, 3] - r[f, d] * v[h, 3]
                 for d in range(3):
@@ -165,7 +167,8 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
                     for f in range(3):
                         s += transforms[t, j, f, d] * transforms[t, p, f, e]
                     turn[d, e] = s
-            # columns, then rows: τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc, P = R_jᵀR_p
+            # substitute τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc with P = R_jᵀR_p, in the
+            # columns, then in the rows
             for side in range(2):
                 for k in range(n_bones):
                     for g in range(6):
@@ -215,10 +218,10 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
 
 @kernel
 def chain_move(transforms, order, parents, points, turns, shifts, first, last):
-    """Turn every bone by exp(ω), shift the roots, and hang the others on their joints again.
+    """Rotate every bone by exp(ω), translate the roots and restore the joints of the others.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
-    points      (B, 3)        float64  joints in the rest pose, moved already, in
+    points      (B, 3)        float64  joints in the rest pose after their change, in
     """
     n_bones = len(parents)
     turn = np.empty((3, 3))

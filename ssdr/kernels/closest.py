@@ -1,8 +1,8 @@
 """Distance from points to the triangles of a bounding-volume hierarchy.
 
-The tree is a complete binary one: node (level, j) covers the triangles
-``T j >> level`` to ``T (j + 1) >> level`` and has the heap index
-``2**level - 1 + j``, so that no ranges or links are stored.
+The tree is a complete binary tree: node j of a level covers the triangles ``T j >> level`` to
+``T (j + 1) >> level`` and has the index ``2**level - 1 + j``, so that neither ranges nor links are
+stored.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from .policy import inline, kernel
 
 @inline
 def _segment(px, py, pz, ax, ay, az, bx, by, bz):
+    """Squared distance of a point to the segment from a to b."""
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = px - ax, py - ay, pz - az
     length = ux * ux + uy * uy + uz * uz
@@ -31,7 +32,10 @@ def _segment(px, py, pz, ax, ay, az, bx, by, bz):
 
 @inline
 def _triangle(p, vertices, triangle):
-    """Squared distance; slivers thinner than 1e-7 of their length count as their edges."""
+    """Squared distance of a point to a triangle.
+
+    Of a triangle thinner than 1e-7 of its length only the edges count.
+    """
     a, b, c = vertices[triangle[0]], vertices[triangle[1]], vertices[triangle[2]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -58,6 +62,7 @@ def _triangle(p, vertices, triangle):
 
 @inline
 def _box(p, box):
+    """Squared distance of a point to an axis-aligned box."""
     total = 0.0
     for c in range(3):
         gap = max(0.0, max(box[c] - p[c], p[c] - box[3 + c]))
@@ -68,7 +73,7 @@ def _box(p, box):
 def tree_order(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], depth: int
 ) -> NDArray[np.intp]:
-    """Indices that sort triangles so that each node of the complete tree covers a compact range."""
+    """Order of triangles in which each node of the tree covers a compact set of them."""
     centres = vertices[faces].mean(axis=1)
     order, count = np.arange(len(faces)), len(faces)
     for level in range(depth):
@@ -125,8 +130,8 @@ def farthest(
     hints      (n,)                    int64    a triangle likely to be near each point, updated
     lead                               int      the point that is searched first
 
-    Once one far point is known, the search for another ends as soon as any triangle is nearer
-    to it than that distance: a good `lead` makes most searches short.
+    The search for a point ends as soon as a triangle is nearer to it than the largest distance so
+    far.  So a far first point makes most searches short.
     """
     count = len(triangles)
     stack_node = np.empty(2 * depth + 2, dtype=np.int64)

@@ -18,22 +18,22 @@ def skin_range(
     rest        (V, 3)        float     rest positions, in
     indices     (V, K)        int32     bone of each influence, in
     weights     (V, K)        float     its weight, 0 in unused influences, in
-    transforms  (F, B, 3, 4)  float     bones, in
+    transforms  (F, B, 3, 4)  float     transforms of the bones, in
     out         (F, V, 3)     float     positions, written for first..last
 
     float is float32 or float64, the same for all four.
     """
     n_slots = indices.shape[1]
     for t in range(transforms.shape[0]):
-        # Blending the twelve entries by flat index is a quarter faster than blending points; the
-        # sums start from a typed zero, since a plain one would make them float64.
+        # Blending the twelve entries by flat index is a quarter faster than blending points.  The
+        # sums start from a typed zero: a plain one would make them float64.
         m = transforms[t].reshape(-1)
         for i in range(first, last):
             zero = rest.dtype.type(0)
             a = b = c = d = e = f = g = h = o = p = q = r = zero
             for k in range(n_slots):
                 w = weights[i, k]
-                if w == 0:  # a padded slot must not touch bone 0
+                if w == 0:  # unused influences name bone 0, whose transform may not be finite
                     continue
                 s = indices[i, k] * 12
                 a += w * m[s]
@@ -83,7 +83,7 @@ def squared_error_range(
             c = -np.float64(target[t, i, 2])
             for k in range(n_slots):
                 w = weights[i, k]
-                if w == 0:  # a padded slot must not touch bone 0
+                if w == 0:  # unused influences name bone 0, whose transform may not be finite
                     continue
                 m = transforms[t, indices[i, k]]
                 a += w * (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3])

@@ -1,7 +1,7 @@
-"""The one place that says how kernels are compiled.
+"""How kernels are compiled.
 
-Numba's cache on disk looks at the date of the file in which a kernel stands.  It does not see a
-change of a helper in another file: after one, delete ``ssdr/kernels/__pycache__``.
+Numba's cache on disk depends on the date of a kernel's own file.  After a change of a helper in
+another file, delete ``ssdr/kernels/__pycache__``.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile without the GIL, cached on disk, IEEE arithmetic (NaN must be seen)."""
+    """Compile a kernel: without the GIL, cached on disk, with IEEE arithmetic (NaN propagates)."""
     compiled: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
     return compiled  # type: ignore[no-any-return]
 
 
 def inline(function: Function) -> Function:
-    """Compile a helper of kernels, cached as part of them; its integers have 64 bits."""
+    """Compile a helper of kernels, which are cached with it; its integers have 64 bits."""
     njit: Any = numba.njit  # its stubs do not know the last two options
     compiled: Any = njit(
         nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True
     )(function)
     resolve = getattr(compiled, "get_call_template", None)
     if resolve is not None:
-        # Else it is compiled once for each kind of integer and, while Numba is still guessing
-        # the types of a kernel, for literals: half of the time that all kernels take.
+        # Otherwise Numba compiles a helper for each type of integer and, while it infers the
+        # types of a kernel, for literals: half of the time of compiling all kernels.
         compiled.get_call_template = lambda args, kws: resolve(tuple(map(_wide, args)), kws)
     return compiled  # type: ignore[no-any-return]
 

@@ -1,7 +1,7 @@
 """The vertex step of the variable-projection polish.
 
-A vertex's free variables are the weights of its support but the largest (which
-takes up the sum) and its rest position: D = K + 2 at most.
+The variables of a vertex are its rest position and its weights but the largest, which follows from
+their sum: at most D = K + 2.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .policy import inline, kernel
-from .simplex_qp import cholesky_solve, simplex_qp
+from .simplex_qp import cheapest_to_drop, cholesky_solve, equilibrate, invert, simplex_qp
 from .vertices import (
     against,
     close_gaps,
@@ -83,22 +83,11 @@ def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turn
 
 @inline
 def error_of(x2, y, ids, w, n, p, moved):
-    """Squared error where :func:`joint_system` was set up."""
+    """Squared error at the point where :func:`joint_system` was evaluated."""
     e = x2
     for q in range(n):
         e += w[q] * (against(moved, q, p) - 2.0 * pulled(y, ids[q], p))
     return e
-
-
-@inline
-def equilibrate(a, n, scale):
-    """Scale the lower triangle to a unit diagonal: weights and lengths differ in size."""
-    for q in range(n):
-        scale[q] = 1.0 / np.sqrt(a[q, q]) if a[q, q] > 0.0 else 0.0
-    for q in range(n):
-        for s in range(q):
-            a[q, s] *= scale[q] * scale[s]
-        a[q, q] = 1.0
 
 
 @kernel
@@ -120,7 +109,7 @@ def polish_vertices(
     first,
     last,
 ):
-    """The vertex step of the polish, for vertices first..last: no vertex's error rises.
+    """The vertex step of the polish, for vertices first..last; no vertex's error rises.
 
     y             (V, 4, B)     float64  Σ_t v_i^t M_j^tᵀ, in
     x2            (V,)          float64  Σ_t |v_i^t|², in
@@ -130,14 +119,15 @@ def polish_vertices(
     indices       (V, K)        int32    bone of each influence, updated
     weights       (V, K)        float64  its weight, descending, updated
     error         (V,)          float64  squared error, out
-    keep_weights  (V,)          bool     vertices whose weights stay, in
+    keep_weights  (V,)          bool     vertices whose weights are not changed, in
     inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, D = K + 2, out
     gradient      (V, D)        float64  half gradient of the error, out
 
-    Up to `entering` bones are tried, by reduced gradient, against each member of a full support;
-    a negative number leaves out the solve of the weights too.  Then `rounds` Gauss–Newton steps
-    are taken on weights and rest position together, each only if it lowers the error.  The Schur
-    complement needs `inverse` and `gradient`.
+    First the weights are solved, unless `entering` is negative.  Then up to `entering` bones, of
+    least reduced gradient, are tried: each joins the support, or replaces a member of a full one,
+    if that lowers the error.  Then follow `rounds` Gauss–Newton steps on weights and rest position
+    together, each only if it lowers the error.  `inverse` and `gradient` serve the Schur
+    complement.
     """
     n_bones = gram.shape[0]
     n_keep = indices.shape[1]
@@ -189,7 +179,7 @@ def polish_vertices(
                     f_all[j] = pulled(y[i], j, p)
                     barred[j] = False
             for _ in range(entering):
-                # forget bones at zero
+                # drop bones of weight zero
                 n = close_gaps(ids, w, f, rows, n)
                 gradient_of_all(f_all, rows, w, n, grad)
                 level = 0.0
@@ -226,7 +216,7 @@ def polish_vertices(
                         out = second_out
                     if attempt > 0 and out < 0:
                         break
-                    # all of them first: if no more than K stay positive there is no one to drop
+                    # first with all of them: if at most K stay positive, none has to be dropped
                     left = 0
                     total = 0.0
                     for q in range(n + 1):
@@ -267,7 +257,7 @@ def polish_vertices(
                         w[q] = best_w[q]
                 else:
                     w[n] = 0.0
-            # the largest first: it is the reference of the joint step
+            # the largest weight comes first: it is the one that follows from the others
             store(ids, w, n, indices[i], weights[i])
             n = 0
             for q in range(n_keep):
@@ -349,62 +339,3 @@ def polish_vertices(
                 value = scale[q] * scale[s] * full[q, s]
                 inverse[i, q, s] = value
                 inverse[i, s, q] = value
-
-
-@inline
-def invert(a, n, full, row):
-    """Inverse of an equilibrated positive definite matrix.
-
-    a     (n, n)     float64  its lower triangle, in
-    full  (n, 16m)   float64  the inverse, out; 16m at least n
-    row   (16m,)     float64  scratch
-    """
-    width = 16 * ((n + 15) // 16)
-    for i in range(n):
-        for j in range(n, width):
-            full[i, j] = 0.0
-        for j in range(i):
-            full[i, j] = a[i, j]
-            full[j, i] = a[i, j]
-        full[i, i] = a[i, i] + 1e-9
-    for k in range(n):
-        pivot = full[k, k]
-        # what rounding leaves of a dependent variable is no curvature: it stays put
-        d = 1.0 / pivot if pivot > 1e-12 else 0.0
-        for j in range(width):
-            row[j] = full[k, j] * d
-        row[k] = d
-        for i in range(n):
-            f = full[i, k]
-            full[i, k] = 0.0
-            for j in range(width):
-                full[i, j] -= f * row[j]
-        for j in range(width):
-            full[k, j] = row[j]
-
-
-@inline
-def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """Which of n positive weights, but the last, the error rises least without; (first, second).
-
-    Exact where the other weights stay positive: w_q² / P_qq, P the inverse of h among changes
-    that keep the sum.
-    """
-    last = n - 1
-    for q in range(last):
-        for s in range(q + 1):
-            a[q, s] = h[q, s] - h[last, s] - h[q, last] + h[last, last]
-    equilibrate(a, last, scale)
-    invert(a, last, full, row)
-    first = second = -1
-    least = next_least = np.inf
-    for q in range(last):
-        curvature = full[q, q] * scale[q] * scale[q]
-        loss = w[q] * w[q] / curvature if curvature > 0.0 else 0.0
-        if loss < least:
-            first, second = q, first
-            least, next_least = loss, least
-        elif loss < next_least:
-            second = q
-            next_least = loss
-    return first, second

@@ -11,8 +11,9 @@ from .policy import kernel
 def raster_triangles(points, faces, depth, index, first, last) -> None:
     """Nearest triangle at the centre of each pixel of rows first..last.
 
-    points  (V, 3)  float64  x and y in pixels, then nearness: linear over the screen, larger
-                             when nearer, NaN behind the camera (drops the vertex's triangles), in
+    points  (V, 3)  float64  x and y in pixels, then nearness, in: it is linear over the screen,
+                             larger when nearer, and NaN behind the camera, where triangles are
+                             left out
     faces   (T, 3)  int32    vertices of triangles, in
     depth   (H, W)  float64  nearness of the nearest triangle so far, updated
     index   (H, W)  int32    its number, updated
@@ -54,8 +55,8 @@ def raster_triangles(points, faces, depth, index, first, last) -> None:
 def raster_balls(balls, depth, index, first, last) -> None:
     """Nearest ball at the centre of each pixel of rows first..last.
 
-    balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much nearness
-                            grows from there to the point closest to the viewer, in
+    balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much nearer
+                            the point closest to the viewer is, in
     depth  (H, W)  float64  nearness of the nearest ball so far, updated
     index  (H, W)  int32    its number, updated
     """
@@ -79,14 +80,14 @@ def raster_balls(balls, depth, index, first, last) -> None:
 
 @kernel
 def light_shares(points, normals, axes, corners, scales, nearness, bias, shares, first, last):
-    """Share of each distant light that reaches points first..last, read from pictures of depth.
+    """Share of each distant light that reaches points first..last, read from depth maps.
 
     points    (N, 3)     float64  in
-    normals   (N, 3)     float64  a point is lifted by the bias to the light's side, in
-    axes      (D, 3, 3)  float64  rows: right and up in a light's picture, towards the light, in
-    corners   (D, 2)     float64  of the pictures, along their axes, in
+    normals   (N, 3)     float64  along which points are lifted by the bias, to the light's side, in
+    axes      (D, 3, 3)  float64  rows: right and up in a light's map, towards the light, in
+    corners   (D, 2)     float64  lower left corner of each map, along its axes, in
     scales    (D,)       float64  pixels per unit of length, in
-    nearness  (D, n, n)  float64  along the third axis, −inf where nothing is, in
+    nearness  (D, n, n)  float64  largest coordinate along the third axis, −inf where nothing is, in
     bias      float64             what is nearer to the light by less casts no shadow, by twice as
                                   much a full one, in
     shares    (N, D)     float64  interpolated between pixels, out
@@ -103,7 +104,7 @@ def light_shares(points, normals, axes, corners, scales, nearness, bias, shares,
             u = (x * a[0, 0] + y * a[0, 1] + z * a[0, 2] - corners[d, 0]) * scales[d] - 0.5
             v = (x * a[1, 0] + y * a[1, 1] + z * a[1, 2] - corners[d, 1]) * scales[d] - 0.5
             near = x * a[2, 0] + y * a[2, 1] + z * a[2, 2]
-            # Outside the picture nothing is in the way: its border is empty.
+            # Outside the map nothing is in the way: its border is empty.
             u = min(max(u, 0.0), end + 1.0)
             v = min(max(v, 0.0), end + 1.0)
             column = min(int(u), end)

@@ -1,4 +1,4 @@
-"""Kernels of the polish beyond the vertex step: Schur complement, tangents, moves.
+"""Kernels of the polish besides the vertex step: Schur complement, tangents, moves.
 
 The tangent (ω, τ) of a bone acts from the right: δM = M [[ω]× τ; 0 0].
 """
@@ -38,7 +38,7 @@ def schur_vertices(
     start       (G + 1,)      integer  group g is vertices start[g]..start[g + 1], in
     bones       (G, K)        integer  bones that all vertices of a group use, in
     count       (G,)          integer  how many, in
-    slot        (V, K)        integer  place of each weight in the order of `inverse`, in
+    slot        (V, K)        integer  position of each weight in the order of `inverse`, in
     rest        (V, 3)        real     rest positions, in
     weights     (V, K)        real     weights in the order of the group's bones, in
     importance  (V,)          real     factor of each vertex's error, in
@@ -48,11 +48,11 @@ def schur_vertices(
     step        (V, D)        real     inverse times (H_vm δM + share·gradient), out
     total       (B, B, 4, 4)  float64  added to: the image Σ a δaᵀ of the step, as `cross`
 
-    Every real array has the same type, float32 or float64, in which a group is summed up.
+    All real arrays have one type, float32 or float64, in which a group is summed.
     """
     real = inverse.dtype
     n_keep = bones.shape[1]
-    # Rows of whole vectors: what is beyond 4·count holds anything finite, and nothing reads it.
+    # Rows are padded to whole vectors; entries beyond 4·count are finite and never used.
     width = 16 * ((4 * n_keep + 15) // 16)
     block = np.zeros((4 * n_keep, width), dtype=real)
     sums = np.zeros((4 * n_keep, width), dtype=real)
@@ -132,7 +132,7 @@ def schur_vertices(
                 delta[held, 4 * q + 2] = dw * p2 + w * g2
                 delta[held, 4 * q + 3] = dw
             held += 1
-            # four vertices at once: each pass over the sums is a read and a write of all of them
+            # four vertices at a time, since each pass reads and writes all sums
             if held == 4 or i + 1 == start[g + 1]:
                 for u in range(4 * n):
                     for v in range(held, 4):
@@ -153,13 +153,13 @@ def schur_vertices(
 
 @kernel
 def apply_vertex_step(step, size, rest, indices, weights, keep_weights, move_rest, first, last):
-    """Move weights and rest position by −size·step, weights back onto the simplex.
+    """Move weights and rest position by −size·step and return the weights to the simplex.
 
-    step          (V, K + 2)  float64  weights but the first, then rest position, in
+    step          (V, K + 2)  float64  of all weights but the first, then of the rest position, in
     rest          (V, 3)      float64  rest positions, updated where `move_rest`
     indices       (V, K)      int32    bone of each influence, updated
     weights       (V, K)      float64  its weight, descending, updated
-    keep_weights  (V,)        bool     vertices whose weights stay, in
+    keep_weights  (V,)        bool     vertices whose weights are not changed, in
     """
     n_keep = indices.shape[1]
     w = np.empty(n_keep)
@@ -185,7 +185,7 @@ def apply_vertex_step(step, size, rest, indices, weights, keep_weights, move_res
 
 @kernel
 def tangent_image(transforms, x, scale, out, first, last):
-    """The change of the transforms of frames first..last under tangents of the bones.
+    """Change of the transforms of frames first..last under tangents of the bones.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     x           (F, B, 6)     float64  tangents (ω, τ), in
@@ -236,7 +236,7 @@ def move_bones(transforms, x, locked, first, last):
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     x           (F, B, 6)     float64  tangents (ω, τ), in
-    locked      (B,)          bool     bones that stay, in
+    locked      (B,)          bool     bones that are not changed, in
     """
     turn = np.empty((3, 3))
     old = np.empty(3)

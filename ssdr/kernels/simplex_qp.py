@@ -1,17 +1,26 @@
-"""Small dense solves inside the vertex kernels: LDLᵀ, and a QP over a simplex."""
+"""Small dense problems inside the vertex kernels: LDLᵀ, inverses, a QP over a simplex."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from .policy import inline
 
-__all__ = ["RIDGE", "cholesky_solve", "simplex_qp"]
+__all__ = [
+    "RIDGE",
+    "cheapest_to_drop",
+    "cholesky_solve",
+    "equilibrate",
+    "invert",
+    "simplex_qp",
+]
 
-RIDGE = 1e-13  # of the trace: keeps bones that move alike from a division by zero
+RIDGE = 1e-13  # of the mean diagonal, added to it: bones that move alike make a matrix singular
 
 
 @inline
 def cholesky_solve(a, b, n):
-    """Solve a x = b in place, a overwritten by its LDLᵀ; False if not positive definite."""
+    """Solve a x = b: b becomes x, a its LDLᵀ; False if a is not positive definite."""
     trace = 0.0
     for i in range(n):
         trace += a[i, i]
@@ -41,8 +50,8 @@ def cholesky_solve(a, b, n):
 def simplex_qp(h, f, w, alive, n, a, b):
     """Minimise wᵀhw − 2fᵀw over the simplex spanned by ``alive[:n]``, from a feasible w.
 
-    Primal active set: full steps on the free weights, cut short at the first
-    that reaches zero, which is then left out.  Returns how many are left.
+    Primal active set: a step to the minimum over the free weights is cut at the first that reaches
+    zero, which is then left out.  Returns the number of weights left.
     """
     while n > 1:
         top = 0
@@ -84,7 +93,7 @@ def simplex_qp(h, f, w, alive, n, a, b):
             w[alive[q]] += step * b[q]
         w[r] -= step * total
         if block < 0:
-            # what a full step leaves at zero to rounding is zero
+            # after a full step, weights that rounding left below zero are dropped
             q = 0
             while q < n:
                 if w[alive[q]] <= 0.0:
@@ -98,3 +107,73 @@ def simplex_qp(h, f, w, alive, n, a, b):
         n -= 1
         alive[block] = alive[n]
     return n
+
+
+@inline
+def equilibrate(a, n, scale):
+    """Scale the lower triangle to a unit diagonal, since weights and lengths differ in size."""
+    for q in range(n):
+        scale[q] = 1.0 / np.sqrt(a[q, q]) if a[q, q] > 0.0 else 0.0
+    for q in range(n):
+        for s in range(q):
+            a[q, s] *= scale[q] * scale[s]
+        a[q, q] = 1.0
+
+
+@inline
+def invert(a, n, full, row):
+    """Inverse of an equilibrated positive definite matrix.
+
+    a     (n, n)     float64  its lower triangle, in
+    full  (n, 16m)   float64  the inverse, out; 16m at least n
+    row   (16m,)     float64  scratch
+    """
+    width = 16 * ((n + 15) // 16)
+    for i in range(n):
+        for j in range(n, width):
+            full[i, j] = 0.0
+        for j in range(i):
+            full[i, j] = a[i, j]
+            full[j, i] = a[i, j]
+        full[i, i] = a[i, i] + 1e-9
+    for k in range(n):
+        pivot = full[k, k]
+        # a pivot of rounding errors: the variable depends on others and is not moved
+        d = 1.0 / pivot if pivot > 1e-12 else 0.0
+        for j in range(width):
+            row[j] = full[k, j] * d
+        row[k] = d
+        for i in range(n):
+            f = full[i, k]
+            full[i, k] = 0.0
+            for j in range(width):
+                full[i, j] -= f * row[j]
+        for j in range(width):
+            full[k, j] = row[j]
+
+
+@inline
+def cheapest_to_drop(h, w, n, a, full, row, scale):
+    """The two of n positive weights, the last not among them, whose removal costs least.
+
+    The error rises by w_q² / P_qq, with P the inverse of h restricted to changes that keep the
+    sum.  This is exact if the other weights stay positive.
+    """
+    last = n - 1
+    for q in range(last):
+        for s in range(q + 1):
+            a[q, s] = h[q, s] - h[last, s] - h[q, last] + h[last, last]
+    equilibrate(a, last, scale)
+    invert(a, last, full, row)
+    first = second = -1
+    least = next_least = np.inf
+    for q in range(last):
+        curvature = full[q, q] * scale[q] * scale[q]
+        loss = w[q] * w[q] / curvature if curvature > 0.0 else 0.0
+        if loss < least:
+            first, second = q, first
+            least, next_least = loss, least
+        elif loss < next_least:
+            second = q
+            next_least = loss
+    return first, second

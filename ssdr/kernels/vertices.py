@@ -66,7 +66,7 @@ def gradient_of_all(f_all, rows, w, n, grad):
 
 @inline
 def close_gaps(ids, w, f, rows, n):
-    """Forget bones of weight zero; returns how many are left."""
+    """Drop bones of weight zero and return the number left."""
     left = 0
     for q in range(n):
         if w[q] > 0.0:
@@ -82,6 +82,7 @@ def close_gaps(ids, w, f, rows, n):
 
 @inline
 def monomials(p, m):
+    """The ten monomials of p, in the order of ``gram``."""
     x, y, z = p[0], p[1], p[2]
     m[0] = x * x
     m[1] = y * y
@@ -97,7 +98,7 @@ def monomials(p, m):
 
 @inline
 def form_of(pairs, indices, w, n, form):
-    """The ten coefficients of Σ w_j w_k p̃ᵀ G_jk p̃; pairs is ``(B, B, 10)``."""
+    """The ten coefficients of Σ w_j w_k p̃ᵀ G_jk p̃ from `pairs` ``(B, B, 10)``."""
     for d in range(10):
         form[d] = 0.0
     for q in range(n):
@@ -111,7 +112,7 @@ def form_of(pairs, indices, w, n, form):
 
 @inline
 def rest_step(form, g, p, a, b):
-    """Move p to the least-squares rest position of a quadratic form; g is Σ w_j y_j."""
+    """Move p to the minimum of the error p̃ᵀ form p̃ − 2 p̃ᵀg, with g = Σ w_j y_j."""
     x, y, z = p[0], p[1], p[2]
     a[0, 0], a[1, 1], a[2, 2] = form[0], form[1], form[2]
     a[1, 0], a[2, 0], a[2, 1] = 0.5 * form[3], 0.5 * form[4], 0.5 * form[5]
@@ -125,7 +126,7 @@ def rest_step(form, g, p, a, b):
 
 @inline
 def squared_error(x2, gram4, y, indices, w, n, p):
-    """x2 − 2 fᵀw + wᵀHw at p."""
+    """Squared error x2 − 2 fᵀw + wᵀHw of a vertex at p."""
     e = x2
     for q in range(n):
         j = indices[q]
@@ -167,8 +168,8 @@ def solve_vertices(
     x2            (V,)         float64  Σ_t |v_i^t|², in
     gram          (B, 10, B)   float64  coefficients of p̃ᵀ G_jk p̃, bones outermost, in
     pairs         (B, B, 10)   float64  the same, coefficients innermost, in
-    pull          (V, B)       float64  linear term of weight smoothness, (0, 0) without it, in
-    stiff         (V,)         float64  its quadratic term, (0,) without it, in
+    pull          (V, B)       float64  linear term of weight smoothness, empty without it, in
+    stiff         (V,)         float64  its quadratic term, empty without it, in
     rest          (V, 3)       float64  rest positions, updated where `move_rest`
     support       (V, S)       int32    bones of the solution before pruning, updated
     share         (V, S)       float64  their weights, updated
@@ -176,10 +177,10 @@ def solve_vertices(
     indices       (V, K)       int32    bones of the K largest weights, updated
     weights       (V, K)       float64  those weights, solved again; descending, updated
     error         (V,)         float64  squared error, out
-    keep_weights  (V,)         bool     vertices whose weights stay, in
+    keep_weights  (V,)         bool     vertices whose weights are not changed, in
 
-    The QP over all bones starts from the solution of the last call; bones enter by steepest
-    descent.  Smoothness adds stiff·|w|² − 2·pullᵀw to the quadratic error that is minimised.
+    The QP over all bones starts from the solution of the previous call; the bone of steepest
+    descent enters first.  Smoothness adds stiff·|w|² − 2·pullᵀw to the squared error.
     """
     n_bones = gram.shape[0]
     n_slots = support.shape[1]
@@ -230,7 +231,7 @@ def solve_vertices(
                     h[q, s] = rows[q, ids[s]]
             for _ in range(3 * n_slots):
                 left = simplex_qp(h, f, w, alive, n, a, b)
-                # close the gaps that dropped bones left
+                # drop bones of weight zero
                 n = close_gaps(ids, w, f, rows, n)
                 for q in range(n):
                     alive[q] = q
@@ -323,7 +324,7 @@ def solve_vertices(
 
 @inline
 def store(ids, w, n, indices, weights):
-    """Write weights descending, padded with joint 0, weight 0, summing to 1."""
+    """Write weights that sum to 1 in descending order; unused influences name bone 0."""
     for q in range(1, n):
         s = q
         while s > 0 and w[s] > w[s - 1]:
@@ -340,79 +341,3 @@ def store(ids, w, n, indices, weights):
         else:
             indices[q] = 0
             weights[q] = 0.0
-
-
-@kernel
-def removal_cost(y, x2, gram, rest, support, share, count, importance, cost, first, last):
-    """How much the error of vertices first..last would rise without each bone.
-
-    y           (V, 4, B)   float64  Σ_t v_i^t M_j^tᵀ, in
-    x2          (V,)        float64  Σ_t |v_i^t|², not read
-    gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
-    rest        (V, 3)      float64  rest positions, in
-    support     (V, S)      int32    bones of each vertex before pruning, in
-    share       (V, S)      float64  their weights, in
-    count       (V,)        int32    how many of them are used, in
-    importance  (V,)        float64  factor of each vertex's error, in
-    cost        (B,)        float64  added to
-    """
-    n_slots = support.shape[1]
-    n_bones = gram.shape[0]
-    m = np.empty(10)
-    rows = np.empty((n_slots, n_bones))
-    h = np.empty((n_slots, n_slots))
-    f = np.empty(n_slots)
-    w = np.empty(n_slots)
-    alive = np.empty(n_slots, dtype=np.uint32)
-    a = np.empty((n_slots, n_slots))
-    b = np.empty(n_slots)
-    diagonal = np.empty(n_bones)
-    f_all = np.empty(n_bones)
-    for i in range(first, last):
-        p = rest[i]
-        n = count[i]
-        monomials(p, m)
-        base = 0.0
-        for q in range(n):
-            j = support[i, q]
-            hessian_row(gram, j, m, rows[q])
-            f[q] = pulled(y[i], j, p)
-        for q in range(n):
-            base -= 2.0 * share[i, q] * f[q]
-            for s in range(n):
-                h[q, s] = rows[q, support[i, s]]
-                base += share[i, q] * share[i, s] * h[q, s]
-        if n == 1:
-            # the vertex falls to the next best single bone
-            for j in range(n_bones):
-                diagonal[j] = gram[j, 9, j]
-                for c in range(9):
-                    diagonal[j] += m[c] * gram[j, c, j]
-                f_all[j] = pulled(y[i], j, p)
-            best = np.inf
-            for j in range(n_bones):
-                if j != support[i, 0]:
-                    best = min(best, diagonal[j] - 2.0 * f_all[j])
-            cost[support[i, 0]] += importance[i] * (best - base)
-            continue
-        for q in range(n):
-            left = 0
-            rest_share = 1.0 - share[i, q]
-            for s in range(n):
-                w[s] = 0.0
-                if s != q:
-                    alive[left] = s
-                    left += 1
-            for s in range(left):
-                if rest_share > 1e-12:
-                    w[alive[s]] = share[i, alive[s]] / rest_share
-                else:
-                    w[alive[s]] = 1.0 / left
-            simplex_qp(h, f, w, alive, left, a, b)
-            value = 0.0
-            for s in range(n):
-                if w[s] > 0.0:
-                    value -= 2.0 * w[s] * f[s]
-                    for c in range(n):
-                        value += w[s] * w[c] * h[s, c]
-            cost[support[i, q]] += importance[i] * (value - base)

@@ -8,7 +8,6 @@ from .smoothing import (
     FrequencySplit,
     LaplacianKind,
     LaplacianSmoother,
-    implicit_smooth,
     split_frequencies,
 )
 
@@ -19,7 +18,6 @@ __all__ = [
     "LaplacianSmoother",
     "MassKind",
     "cotangent_laplacian",
-    "implicit_smooth",
     "mass_matrix",
     "split_frequencies",
     "uniform_laplacian",

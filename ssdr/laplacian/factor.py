@@ -80,7 +80,7 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> Factor:
 
 
 def _superlu(system: csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    # Shuffled first: the numbering of a subdivided mesh made minimum degree 100 times slower.
+    # Shuffled first: minimum degree is 100 times slower on the numbering of a subdivided mesh.
     order = np.random.default_rng(0).permutation(system.shape[0])
     back = np.argsort(order)
     try:
@@ -95,7 +95,7 @@ def _superlu(system: csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.f
         raise ArithmeticError(str(error)) from error
 
     def solve(b: NDArray[np.float64]) -> NDArray[np.float64]:
-        # SuperLU's blocks are small: threads of BLAS made it four times slower.
+        # SuperLU's blocks are small: with threads of BLAS it is four times slower.
         with serial_blas():
             return np.asarray(lu.solve(np.asfortranarray(b[order]))[back])
 

@@ -13,27 +13,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array, dia_array
 
-from ..checks import LARGEST, check_squarable
-from ..errors import InputError, check_choice, is_whole
-from ..sequence import _check_faces
+from ..checks import LARGEST, check_faces, check_floats, check_squarable, check_whole
+from ..errors import check_choice
 
-__all__ = ["MassKind", "cotangent_laplacian", "mass_matrix", "uniform_laplacian"]
+__all__ = [
+    "REGULAR",
+    "MassKind",
+    "check_mesh",
+    "cotangent_laplacian",
+    "mass_matrix",
+    "uniform_laplacian",
+]
 
 MassKind = Literal["barycentric", "voronoi"]
 
-
-# A doubled area below this share of the squared longest edge is a degenerate triangle.
-_SLIVER = 1e-6
-
-
-# Mass of a vertex without area, relative to the mean: enough for a stable factor, no weight.
-_MASS_FLOOR = 1e-6
-
-
-# Both cotangents opposite to an edge of a regular triangulation are 1/sqrt(3).
-_REGULAR = 1 / math.sqrt(3)
-
-
+REGULAR = 1 / math.sqrt(3)  # both cotangents opposite to an edge of a regular triangulation
+_SLIVER = 1e-6  # of the squared longest edge: a smaller doubled area is a degenerate triangle's
+_MASS_FLOOR = 1e-6  # of the mean: mass of a vertex without area, for a stable factor
 _MODERATE = 1e50  # coordinates up to which areas can be squared and summed
 
 
@@ -63,8 +59,8 @@ def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
            [-1,  2, -1],
            [-1, -1,  2]])
     """
-    n = _check_count(n_vertices)
-    triangles = _check_faces(faces, n, "faces")
+    n = check_whole(n_vertices, "n_vertices", 1, np.iinfo(np.int32).max)
+    triangles = check_faces(faces, n)
     ends = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     return _assemble(ends[:, 0], ends[:, 1], np.ones(len(ends)), n)
@@ -115,12 +111,9 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     >>> stiffness.shape, np.allclose(stiffness @ np.ones(3), 0)
     ((3, 3), True)
     """
-    points, triangles = _check_mesh(vertices, faces)
+    points, triangles = check_mesh(vertices, faces)
     points, _ = _moderate(points)
-    dots, double_area = _corners(points, triangles)
-    cot = np.divide(
-        dots, double_area[:, None], out=np.zeros_like(dots), where=double_area[:, None] > 0
-    )
+    cot, _ = _cotangents(points, triangles)
     a = triangles[:, [1, 2, 0]].ravel()
     b = triangles[:, [2, 0, 1]].ravel()
     return _assemble(a, b, 0.5 * cot.ravel(), len(points))
@@ -166,19 +159,21 @@ def mass_matrix(
     >>> np.allclose(mass.diagonal().sum(), 0.5)
     True
     """
-    points, triangles = _check_mesh(vertices, faces)
+    points, triangles = check_mesh(vertices, faces)
     check_choice(kind, "kind", MassKind)
     check_squarable(points, "vertices", f"numbers of less than {LARGEST:g}, for areas")
     points, power = _moderate(points)
+    n = len(points)
     edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
     squares = (edges**2).sum(axis=2)
-    double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    area = 0.5 * double_area
-    if kind == "barycentric":
-        share = np.repeat(area[:, None] / 3, 3, axis=1)
-    else:
-        share = _voronoi_cells(points, triangles, squares, area)
-    n = len(points)
+    area = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)[:, None]
+    share = np.repeat(area / 3, 3, axis=1)
+    if kind == "voronoi":
+        cot, obtuse = _cotangents(points, triangles)
+        halves = squares * cot / 8  # of edge k, to each of its two ends
+        cells = halves[:, [1, 2, 0]] + halves[:, [2, 0, 1]]
+        mixed = np.where(obtuse, area / 2, area / 4)
+        share = np.where(obtuse.any(axis=1, keepdims=True), mixed, cells)
     mass = np.bincount(triangles.ravel(), weights=share.ravel(), minlength=n)
     owners = mass[mass > 0] if mass.any() else squares.ravel()
     unit = owners.mean() if owners.size else 0.0
@@ -189,38 +184,23 @@ def mass_matrix(
 
 
 def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Points whose fourth powers are numbers, and the power of two that leads back."""
+    """Points scaled so that fourth powers do not overflow, and the exponent that undoes it."""
     largest = float(np.abs(points).max())
     power = int(np.frexp(largest)[1]) if largest > _MODERATE else 0
     return np.ldexp(points, -power), power
 
 
-def _corners(
+def _cotangents(
     points: NDArray[np.float64], triangles: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Cotangent of the angle at each corner, 0 where there is none, and whether it is obtuse."""
     # Edge k is opposite to corner k, so the angle at k lies between edges k+1 and k+2.
     edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
     dots = -np.einsum("tkc,tkc->tk", edges[:, [1, 2, 0]], edges[:, [2, 0, 1]])
     double_area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     longest = (edges**2).sum(axis=2).max(axis=1, initial=0.0)
-    return dots, np.maximum(double_area, _SLIVER * longest)
-
-
-def _voronoi_cells(
-    points: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    squares: NDArray[np.float64],
-    area: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    dots, double_area = _corners(points, triangles)
-    cot = np.divide(
-        dots, double_area[:, None], out=np.zeros_like(dots), where=double_area[:, None] > 0
-    )
-    halves = squares * cot / 8  # of edge k, to each of its two ends
-    cells = halves[:, [1, 2, 0]] + halves[:, [2, 0, 1]]
-    obtuse = dots < 0
-    mixed = np.where(obtuse, area[:, None] / 2, area[:, None] / 4)
-    return np.where(obtuse.any(axis=1, keepdims=True), mixed, cells)
+    safe = np.maximum(double_area, _SLIVER * longest)[:, None]
+    return np.divide(dots, safe, out=np.zeros_like(dots), where=safe > 0), dots < 0
 
 
 def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array:
@@ -233,21 +213,9 @@ def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array
     return csr_array(degree - both)
 
 
-def _check_mesh(
+def check_mesh(
     vertices: ArrayLike, faces: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    points = np.asarray(vertices)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 1:
-        raise InputError("vertices", "shape (V, 3) with V >= 1", f"shape {points.shape}")
-    if points.dtype.kind not in "fiu":
-        raise InputError("vertices", "real numbers", f"dtype {points.dtype}")
-    points = points.astype(np.float64)
-    if not np.isfinite(points).all():
-        raise InputError("vertices", "finite numbers", "NaN or Inf")
-    return points, _check_faces(faces, len(points), "faces")
-
-
-def _check_count(n_vertices: int) -> int:
-    if not is_whole(n_vertices) or not 1 <= n_vertices <= np.iinfo(np.int32).max:
-        raise InputError("n_vertices", "an integer from 1 to 2**31 - 1", repr(n_vertices))
-    return int(n_vertices)
+    """Vertices ``(V, 3)`` in float64, and triangles."""
+    points = check_floats(vertices, "vertices", ("V", 3)).astype(np.float64)
+    return points, check_faces(faces, len(points))

@@ -1,8 +1,4 @@
-"""Laplacians of a triangle mesh, implicit smoothing and the low/high-frequency split.
-
-Sign convention: L = D − W, positive semi-definite, so that −M⁻¹L is the
-discrete Laplace–Beltrami operator and (M + ℓ²L) x = M x₀ smooths.
-"""
+"""Implicit smoothing of values on a mesh, and the split into low and high frequencies."""
 
 from __future__ import annotations
 
@@ -18,9 +14,9 @@ from ..errors import InputError, check_choice, is_real, is_whole
 from ..sequence import MeshSequence
 from .factor import Backend, factor_spd
 from .operators import (
-    _REGULAR,
+    REGULAR,
     MassKind,
-    _check_mesh,
+    check_mesh,
     cotangent_laplacian,
     mass_matrix,
     uniform_laplacian,
@@ -31,7 +27,6 @@ __all__ = [
     "FrequencySplit",
     "LaplacianKind",
     "LaplacianSmoother",
-    "implicit_smooth",
     "split_frequencies",
 ]
 
@@ -41,27 +36,26 @@ _BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time: more take
 
 
 class LaplacianSmoother:
-    """Implicit smoothing (M + ℓ²L) x = M x₀ with a factor that is kept.
+    """Implicit smoothing (M + ℓ²L) x = M x₀; the matrix is factored once.
 
-    One backward Euler step of the heat equation over the time ℓ².  A pattern on
-    the surface with wavelength λ is damped by 1 / (1 + (2πℓ/λ)²): what is much
-    longer than 2πℓ stays, what is much shorter goes, whatever the resolution of
-    the mesh.  Constants, and so translations, are kept; the operator belongs to
-    one pose and its use on the x, y and z of others is linear and commutes with
-    rotations and translations.
+    This is one backward Euler step of the heat equation over the time ℓ².  A pattern of
+    wavelength λ on the surface is multiplied by 1 / (1 + (2πℓ/λ)²): patterns much longer than 2πℓ
+    stay, much shorter ones vanish, whatever the resolution of the mesh.  Constants are kept.  The
+    operator is that of one pose.  It is linear in the coordinates of any other pose and commutes
+    with rotations and translations of that pose.
 
     Parameters
     ----------
     vertices : (V, 3) array
-        The pose whose metric is used, in the mesh's units.
+        Pose whose metric is used, in the mesh's units.
     faces : (T, 3) int array
-        Without any, nothing is smoothed.
+        Without triangles nothing is smoothed.
     length : float
         ℓ in the mesh's units; 0 changes nothing.
     kind : {"cotangent", "uniform"}
-        "uniform" uses the graph Laplacian over √3, which on a regular
-        triangulation is the cotangent one; elsewhere it also pulls vertices
-        along the surface, and it has no negative weights.
+        "uniform" uses the graph Laplacian over √3, which is the cotangent Laplacian of a regular
+        triangulation.  Elsewhere it also moves vertices along the surface.  It has no negative
+        weights.
     mass : {"barycentric", "voronoi"}
     backend : {"cholmod", "scipy"}, optional
         CHOLMOD (scikit-sparse) where installed, SciPy's SuperLU otherwise.
@@ -84,9 +78,9 @@ class LaplacianSmoother:
 
     Notes
     -----
-    Degenerate triangles, boundaries, non-manifold edges and several components
-    are fine; a vertex of no triangle stays where it is.  Cost: one sparse
-    Cholesky factor, then two triangular solves for a coordinate of a frame.
+    Degenerate triangles, boundaries, non-manifold edges and several components are allowed; a
+    vertex of no triangle stays where it is.  Cost: one sparse Cholesky factorisation, then two
+    triangular solves for each coordinate of each frame.
 
     References
     ----------
@@ -111,7 +105,7 @@ class LaplacianSmoother:
         mass: MassKind = "barycentric",
         backend: Backend | None = None,
     ) -> None:
-        points, triangles = _check_mesh(vertices, faces)
+        points, triangles = check_mesh(vertices, faces)
         check_choice(kind, "kind", LaplacianKind)
         if not (is_real(length) and 0 <= float(length) < LARGEST):
             raise InputError("length", "a number >= 0, in the mesh's units", repr(length))
@@ -123,9 +117,9 @@ class LaplacianSmoother:
         if kind == "cotangent":
             laplacian = cotangent_laplacian(points, triangles)
         else:
-            laplacian = uniform_laplacian(triangles, len(points)) * _REGULAR
+            laplacian = uniform_laplacian(triangles, len(points)) * REGULAR
         self._mass = diagonal.diagonal()
-        # Scaled to masses around 1: areas of a tiny mesh would meet absolute thresholds.
+        # Scaled to masses around 1, since the solvers have absolute thresholds.
         scale = 1.0 / self._mass.max()
         system = csc_matrix(diagonal * scale + laplacian * (scale * self.length**2))
         try:
@@ -185,7 +179,7 @@ class LaplacianSmoother:
         return out.reshape(x.shape)
 
     def _smooth_block(self, block: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Constants pass unchanged, so that a far origin need not cost digits.
+        # The mean, which smoothing keeps, is left out, so that a far origin costs no digits.
         centre = block.mean(axis=1, keepdims=True)
         rows = np.ascontiguousarray((block - centre).transpose(0, 2, 1))
         rows *= self._mass
@@ -193,32 +187,6 @@ class LaplacianSmoother:
         solved = self._factor.solve(rows.reshape(-1, self.n_vertices).T)
         moved = solved.T.reshape(rows.shape).transpose(0, 2, 1)
         return np.asarray(moved + centre)
-
-
-def implicit_smooth(
-    values: ArrayLike,
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    *,
-    length: float,
-    kind: LaplacianKind = "cotangent",
-    mass: MassKind = "barycentric",
-    backend: Backend | None = None,
-) -> NDArray[np.floating]:
-    """Smooth once; :class:`LaplacianSmoother` keeps the factor for the next time.
-
-    Parameters and result are those of :class:`LaplacianSmoother` and its
-    :meth:`~LaplacianSmoother.smooth`.
-
-    Examples
-    --------
-    >>> dancer = ssdr.samples.load("dancer_small")
-    >>> pose = dancer.frames(0)
-    >>> ssdr.laplacian.implicit_smooth(pose, pose, dancer.faces, length=0.05).shape
-    (799, 3)
-    """
-    smoother = LaplacianSmoother(vertices, faces, length, kind=kind, mass=mass, backend=backend)
-    return smoother.smooth(values)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -232,7 +200,7 @@ class FrequencySplit:
     high : (F, V, 3) array
         ``frames - low``, in the input's dtype.
     smoother : LaplacianSmoother
-        The operator, for more frames of the same mesh.
+        Smooths further frames of the same mesh.
 
     Examples
     --------
@@ -272,12 +240,11 @@ def split_frequencies(
     ----------
     frames : MeshSequence or (F, V, 3) array
     faces : (T, 3) int array, optional
-        Those of the sequence by default.
+        By default those of the sequence.
     length : float
         ℓ of :class:`LaplacianSmoother`, in the mesh's units.
     rest : int or (V, 3) array
-        The frame, or the pose, whose metric the operator uses for all frames:
-        the first frame by default.
+        Frame, or pose, whose metric is used for all frames.
     kind, mass, backend
         As in :class:`LaplacianSmoother`.
 

@@ -21,21 +21,17 @@ from .vertex_distances import Distances, distances
 
 __all__ = ["Comparison", "compare"]
 
-_NAMED = inspect.Parameter.KEYWORD_ONLY
-
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Comparison:
-    """Every metric of one animated mesh against a reference.
+class Comparison(Distances):
+    """Every metric of one animated mesh against a reference; ``str()`` prints a table.
 
     Attributes
     ----------
     n_frames, n_vertices : int
-    distances : Distances
-        Between corresponding vertices; its scalars are attributes here too.
     hausdorff : Hausdorff or None
     sted : Sted or None
-        None where it was not asked for; ``str()`` prints a table.
+        None where it was not asked for.
 
     Examples
     --------
@@ -47,33 +43,13 @@ class Comparison:
 
     n_frames: int
     n_vertices: int
-    distances: Distances
     hausdorff: Hausdorff | None = None
     sted: Sted | None = None
 
     @property
-    def rmse(self) -> float:
-        return self.distances.rmse
-
-    @property
-    def coordinate_rmse(self) -> float:
-        return self.distances.coordinate_rmse
-
-    @property
-    def E(self) -> float:
-        return self.distances.E
-
-    @property
-    def percent_of_diagonal(self) -> float:
-        return self.distances.percent_of_diagonal
-
-    @property
-    def mean(self) -> float:
-        return self.distances.mean
-
-    @property
-    def max(self) -> float:
-        return self.distances.max
+    def distances(self) -> Distances:
+        """Distances between corresponding vertices: the attributes of :class:`Distances` here."""
+        return self
 
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
         """Plain numbers for JSON.
@@ -81,31 +57,18 @@ class Comparison:
         Parameters
         ----------
         arrays : bool
-            Include the errors per frame and per vertex, as lists.
+            Whether to include the errors per frame and per vertex, as lists.
         """
-        result: dict[str, Any] = {"n_frames": self.n_frames, "n_vertices": self.n_vertices}
-        result |= _plain(self.distances, arrays)
-        if self.hausdorff is not None:
-            h = self.hausdorff
-            result["hausdorff"] = {
-                "vertex_max": h.vertex_max,
-                "vertex_mean": h.vertex_mean,
-                "surface_max": h.surface_max,
-                "surface_mean": h.surface_mean,
-            } | _plain(h, arrays)
-        if self.sted is not None:
-            result["sted"] = _plain(self.sted, arrays)
-        return result
+        return _plain(self, arrays)
 
     def __str__(self) -> str:
-        d = self.distances
         rows: list[tuple[str, str]] = [
-            ("RMSE", f"{d.rmse:.6g}"),
-            ("RMSE per coordinate", f"{d.coordinate_rmse:.6g}"),
-            ("RMSE, % of diagonal", f"{d.percent_of_diagonal:.4g}"),
-            ("E", f"{d.E:.6g}"),
-            ("mean distance", f"{d.mean:.6g}"),
-            ("max distance", f"{d.max:.6g}  (frame {d.max_frame}, vertex {d.max_vertex})"),
+            ("RMSE", f"{self.rmse:.6g}"),
+            ("RMSE per coordinate", f"{self.coordinate_rmse:.6g}"),
+            ("RMSE, % of diagonal", f"{self.percent_of_diagonal:.4g}"),
+            ("E", f"{self.E:.6g}"),
+            ("mean distance", f"{self.mean:.6g}"),
+            ("max distance", f"{self.max:.6g}  (frame {self.max_frame}, vertex {self.max_vertex})"),
         ]
         if self.hausdorff is not None:
             h = self.hausdorff
@@ -116,7 +79,7 @@ class Comparison:
             s = self.sted
             parts = f"(spatial {s.spatial:.4g}, temporal {s.temporal:.4g})"
             rows.append(("STED", f"{s.value:.4g}  {parts}"))
-        head = f"{self.n_frames} frames of {self.n_vertices} vertices, diagonal {d.diagonal:.6g}"
+        head = f"{self.n_frames} frames of {self.n_vertices} vertices, diagonal {self.diagonal:.6g}"
         width = max(len(name) for name, _ in rows)
         return "\n".join([head, *(f"{name:<{width}}  {text}" for name, text in rows)])
 
@@ -138,13 +101,12 @@ def compare(
     reference, other : MeshSequence or (F, V, 3) array
         Sequences that are not in memory are read by chunks of frames.
     faces : (T, 3) int array, optional
-        Triangles of both; those of either sequence by default.  Without any,
-        Hausdorff is that of the vertices alone and STED has no spatial part.
+        Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
+        distance is that of the vertices alone and STED has no spatial part.
     hausdorff, sted : bool
         Whether to compute them; they take most of the time.
     hausdorff_options, sted_options : mapping, optional
-        Keyword arguments of :func:`~ssdr.metrics.hausdorff` and
-        :func:`~ssdr.metrics.sted`.
+        Keyword arguments of :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
 
     Returns
     -------
@@ -165,37 +127,35 @@ def compare(
     first, second = as_pair(reference, other, faces)
     check_flag(hausdorff, "hausdorff")
     check_flag(sted, "sted")
-    for name, function, options in (
-        ("hausdorff_options", _hausdorff, hausdorff_options),
-        ("sted_options", _sted, sted_options),
-    ):
-        known = [
-            p.name for p in inspect.signature(function).parameters.values() if p.kind is _NAMED
-        ]
-        if options is not None and not (
-            isinstance(options, Mapping) and set(options) <= set(known)
-        ):
-            raise InputError(name, f"a mapping of {', '.join(known)}", repr(options))
+    for_hausdorff = {} if hausdorff_options is None else hausdorff_options
+    for_sted = {} if sted_options is None else sted_options
+    for function, options in ((_hausdorff, for_hausdorff), (_sted, for_sted)):
+        name = function.__name__
+        try:
+            inspect.signature(function).bind(first, second, None, **options)
+        except TypeError as error:
+            expected = f"a mapping of keyword arguments of {name}"
+            raise InputError(f"{name}_options", expected, f"{options!r} ({error})") from error
     return Comparison(
+        **vars(distances(first, second)),
         n_frames=first.n_frames,
         n_vertices=first.n_vertices,
-        distances=distances(first, second),
-        hausdorff=_hausdorff(first, second, **(hausdorff_options or {})) if hausdorff else None,
-        sted=_sted(first, second, **(sted_options or {})) if sted else None,
+        hausdorff=_hausdorff(first, second, **for_hausdorff) if hausdorff else None,
+        sted=_sted(first, second, **for_sted) if sted else None,
     )
 
 
 def _plain(result: Any, arrays: bool) -> dict[str, Any]:
     plain: dict[str, Any] = {}
-    for field in dataclasses.fields(result):
-        value = getattr(result, field.name)
-        if isinstance(value, np.ndarray):
-            if arrays:
-                plain[field.name] = value.tolist()
-        elif not (value is None and field.name.endswith("_per_frame")):
-            # JSON has no Infinity: a share of a diagonal of 0 is no number
+    for name, value in vars(result).items():
+        if isinstance(value, (Hausdorff, Sted)):
+            plain[name] = _plain(value, arrays)
+        elif isinstance(value, np.ndarray):
+            plain |= {name: value.tolist()} if arrays else {}
+        elif value is not None or name.endswith(("_max", "_mean")):
+            # JSON has no infinity, which a share of a diagonal of 0 is
             unknown = isinstance(value, float) and not math.isfinite(value)
-            plain[field.name] = None if unknown else value
+            plain[name] = None if unknown else value
     return plain
 
 

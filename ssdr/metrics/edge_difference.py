@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array, eye_array
 
-from ..checks import LARGEST
-from ..errors import InputError, check_flag, is_real, is_whole
-from ..parallel import run_chunks
+from ..checks import LARGEST, check_whole
+from ..errors import InputError, check_flag, is_real
+from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
-from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read, squares
+from .inputs import Frames, as_pair, check_finite, chunk_size, edges_of, read
 
 __all__ = ["Normaliser", "Sted", "sted"]
 
@@ -23,18 +23,17 @@ Normaliser = Literal["speed", "diagonal"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Sted:
-    """Both parts of the spatio-temporal edge difference; all without unit.
+    """The spatio-temporal edge difference and its two parts, without unit.
 
     Attributes
     ----------
     value : float
         √(spatial² + c² temporal²).
     spatial, temporal : float
-        Means of the local deviations; 0 where there is no edge, or less than
-        three frames.
+        Means of the local deviations; 0 if there is no edge, or fewer than three frames.
     spatial_per_frame : (F,) float64
     temporal_per_frame : (F - 1,) float64
-        Of the virtual edges from each frame to the next.
+        Of the virtual edges from each frame to the next one.
     neighbourhood, window, dt, c, signed
         As given.
     normaliser : float
@@ -97,17 +96,17 @@ def sted(
         Odd number of virtual edges, centred at t and cut at both ends of the
         sequence.
     dt : float
-        Length of a virtual edge of a vertex at rest, after division by s.  The
-        smaller, the more a change of slow motion counts.
+        Length of the virtual edge of a vertex at rest, after division by s.  The smaller it is,
+        the more changes of slow motion count.
     c : float
         Weight of the temporal part.
     normaliser : {"speed", "diagonal"} or float
-        s, in the mesh's units: mean length of a vertex's step from frame to frame
-        in the reference; the reference's diagonal; or a number.  Where the
-        reference never moves, the diagonal stands in for its speed.
+        s, in the mesh's units: the mean length of a vertex's step from frame to frame in the
+        reference, the reference's diagonal, or a number.  For a reference that never moves, the
+        diagonal replaces the speed.
     signed : bool
-        Take δ = (l − l') / l.  With the absolute value edges that stretch and
-        shrink alike in turn do not count.
+        Use δ = (l − l') / l.  With the absolute value, edges that stretch and shrink by the same
+        share do not differ.
 
     Returns
     -------
@@ -120,14 +119,13 @@ def sted(
 
     Notes
     -----
-    A rigid motion of either animation, another one in each frame, leaves the
-    spatial part alone; one that is the same in all frames leaves the temporal
-    part alone too.  Scaling both changes neither part (unless the normaliser is
-    a number).  An edge of no length in the reference has weight 0.  Vertices
-    without an edge do not count in the spatial part.
+    Rigid motions of either animation, a different one in each frame, do not change the spatial
+    part; the same one in all frames changes neither part.  Scaling both animations changes neither
+    part (unless the normaliser is a number).  An edge of length 0 in the reference has weight 0.
+    Vertices without an edge do not count in the spatial part.
 
-    The defaults are ours: figures can be compared only with those computed by
-    this function with the same parameters.
+    The source states no parameters, so figures can be compared only with those that this function
+    computes with the same parameters.
 
     References
     ----------
@@ -142,19 +140,18 @@ def sted(
     True
     """
     first, second = as_pair(reference, other, faces)
-    for name, number in (("neighbourhood", neighbourhood), ("window", window)):
-        if not is_whole(number) or number < 1:
-            raise InputError(name, "an integer >= 1", repr(number))
+    neighbourhood = check_whole(neighbourhood, "neighbourhood", 1)
+    window = check_whole(window, "window", 1)
     if window % 2 == 0:
         raise InputError("window", "an odd number", window)
     _check_number("dt", dt, positive=True)
     _check_number("c", c, positive=False)
-    check_flag(signed, "signed")
-    with squares():
+    signed = check_flag(signed, "signed")
+    with np.errstate(over="ignore", invalid="ignore"):
         scale = _normaliser(first, normaliser)
         check_finite(first, second, scale)
-        spatial, spatial_frames = _spatial(first, second, int(neighbourhood), bool(signed))
-        temporal, temporal_frames = _temporal(first, second, int(window), dt, scale, bool(signed))
+        spatial, spatial_frames = _spatial(first, second, neighbourhood, signed)
+        temporal, temporal_frames = _temporal(first, second, window, dt, scale, signed)
     value = math.hypot(spatial, c * temporal)
     check_finite(first, second, value)
     return Sted(
@@ -163,12 +160,12 @@ def sted(
         temporal=temporal,
         spatial_per_frame=spatial_frames,
         temporal_per_frame=temporal_frames,
-        neighbourhood=int(neighbourhood),
-        window=int(window),
+        neighbourhood=neighbourhood,
+        window=window,
         dt=float(dt),
         c=float(c),
         normaliser=scale,
-        signed=bool(signed),
+        signed=signed,
     )
 
 
@@ -199,7 +196,7 @@ def _spatial(
         per_frame[start:stop] = deviation.mean(axis=1)
 
     step = chunk_size(first, 4 * len(members))
-    run_chunks(work, _bounds(first.n_frames, step))
+    run_chunks(work, chunk_bounds(first.n_frames, step))
     return float(per_frame.mean()), per_frame
 
 
@@ -227,12 +224,12 @@ def _temporal(
             per_frame[t] = np.sqrt(square).mean()
 
     step = max(half, chunk_size(first, 6 * first.n_vertices), 1)
-    run_chunks(work, _bounds(count, step))
+    run_chunks(work, chunk_bounds(count, step))
     return float(per_frame.mean()), per_frame
 
 
 def _edges_near(edges: NDArray[np.int32], n_vertices: int, neighbourhood: int) -> csr_array:
-    """Which edges (columns) are near each vertex that has any (rows)."""
+    """Edges (columns) near each vertex that has any (rows)."""
     n_edges = len(edges)
     columns = np.repeat(np.arange(n_edges), 2)
     touch = csr_array((np.ones(2 * n_edges), (edges.ravel(), columns)), (n_vertices, n_edges))
@@ -271,10 +268,6 @@ def _relative(
 
 def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.sqrt(np.einsum("...c,...c->...", vectors, vectors)))
-
-
-def _bounds(count: int, step: int) -> list[tuple[int, int]]:
-    return [(start, min(count, start + step)) for start in range(0, count, step)]
 
 
 def _check_number(argument: str, value: object, *, positive: bool) -> None:

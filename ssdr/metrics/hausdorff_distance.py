@@ -7,20 +7,21 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from ..errors import InputError, check_flag, is_whole
+from ..checks import check_whole
+from ..errors import InputError, check_flag
 from ..kernels.closest import farthest, fit_boxes, tree_order
 from ..parallel import chunk_bounds, run_chunks
 from ..sequence import MeshSequence
-from .inputs import Frames, as_sequence, check_finite, read, squares
+from .inputs import Frames, as_sequence, check_finite, read
 
 __all__ = ["Hausdorff", "hausdorff"]
 
-_FRAMES = 8  # of one chunk: the search starts from the triangles found in the frame before
-_LEAF = 4  # triangles, about
-_FIRST = 32  # points that are looked up before the bound is tried
+_FRAMES = 8  # in a task: a search starts from the triangles found in the frame before
+_LEAF = 4  # triangles in a leaf of the tree, about
+_FIRST = 32  # points searched before the bound is tested
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,11 +30,12 @@ class Hausdorff:
 
     Attributes
     ----------
+    vertex_max, vertex_mean : float
+        Between the sets of vertices: in the worst frame, and its mean over the frames.
+    surface_max, surface_mean : float or None
+        Between the surfaces, probed at the vertices and samples; None without faces.
     vertex_per_frame : (F,) float64
-        Between the two sets of vertices.
     surface_per_frame : (F,) float64 or None
-        Between the surfaces, probed at the vertices (and samples); None without
-        faces.
     subdivisions : int
         As given.
 
@@ -45,29 +47,13 @@ class Hausdorff:
     ((2,), 3.0, None)
     """
 
+    vertex_max: float
+    vertex_mean: float
+    surface_max: float | None
+    surface_mean: float | None
     vertex_per_frame: NDArray[np.float64]
     surface_per_frame: NDArray[np.float64] | None
     subdivisions: int
-
-    @property
-    def vertex_max(self) -> float:
-        """The worst frame's distance between the vertices."""
-        return float(self.vertex_per_frame.max())
-
-    @property
-    def vertex_mean(self) -> float:
-        """Mean over the frames of the distance between the vertices."""
-        return float(self.vertex_per_frame.mean())
-
-    @property
-    def surface_max(self) -> float | None:
-        """The worst frame's distance between the surfaces."""
-        return None if self.surface_per_frame is None else float(self.surface_per_frame.max())
-
-    @property
-    def surface_mean(self) -> float | None:
-        """Mean over the frames of the distance between the surfaces."""
-        return None if self.surface_per_frame is None else float(self.surface_per_frame.mean())
 
 
 def hausdorff(
@@ -94,11 +80,11 @@ def hausdorff(
     other_faces : (T', 3) int array, optional
         Triangles of `other`; its own by default, else those of the reference.
     surface : bool
-        Whether to compare the surfaces too.
+        Whether to compare the surfaces, too.
     subdivisions : int
-        Probe each surface at the corners of its triangles cut into this squared
-        number of similar ones; 1 takes the vertices alone.  The distance to the
-        other surface is exact; its maximum over the surface is found from below.
+        n: each surface is probed at the corners of its triangles, each cut into n² similar ones; 1
+        takes the vertices alone.  The distance of a probe to the other surface is exact; the
+        maximum over the probes is a lower bound on that over the surface.
 
     Returns
     -------
@@ -111,9 +97,9 @@ def hausdorff(
 
     Notes
     -----
-    Points no triangle uses are no part of a surface.  Distances to triangles
-    are exact, by a bounding-volume hierarchy refitted to each frame; a search
-    ends early where it cannot raise the maximum.
+    Vertices of no triangle are no part of a surface.  Distances to triangles are exact, by a
+    bounding-volume hierarchy that is refitted to each frame; a search ends early where it cannot
+    raise the maximum.
 
     Examples
     --------
@@ -130,46 +116,39 @@ def hausdorff(
         second = as_sequence(second, first.faces, "other")
     elif len(first.faces) == 0 and len(second.faces) and faces is None:
         first = as_sequence(first, second.faces, "reference")
-    if not is_whole(subdivisions) or subdivisions < 1:
-        raise InputError("subdivisions", "an integer >= 1", repr(subdivisions))
+    subdivisions = check_whole(subdivisions, "subdivisions", 1)
     check_flag(surface, "surface")
     bounds = chunk_bounds(first.n_frames, _FRAMES)
-    vertex = np.empty(first.n_frames)
+    vertex, between = np.empty(first.n_frames), None
 
     def compare_vertices(_: int, start: int, stop: int) -> None:
         pairs = zip(read(first, start, stop), read(second, start, stop), strict=True)
         for t, (a, b) in enumerate(pairs, start):
             vertex[t] = max(_one_way(a, b), _one_way(b, a))
 
-    with squares():
+    with np.errstate(over="ignore", invalid="ignore"):
         run_chunks(compare_vertices, bounds)
     check_finite(first, second, vertex)
-    if not (surface and len(first.faces) and len(second.faces)):
-        return Hausdorff(
-            vertex_per_frame=vertex, surface_per_frame=None, subdivisions=int(subdivisions)
-        )
-    one, two = _Surface(first, int(subdivisions)), _Surface(second, int(subdivisions))
-    between = np.empty(first.n_frames)
-
-    def compare_surfaces(_: int, start: int, stop: int) -> None:
-        forward, backward = _Search(one, two), _Search(two, one)
-        pairs = zip(read(first, start, stop), read(second, start, stop), strict=True)
-        for t, (a, b) in enumerate(pairs, start):
-            between[t] = max(forward.distance(a, b), backward.distance(b, a))
-
-    with squares():
-        run_chunks(compare_surfaces, bounds)
-    check_finite(first, second, between)
+    if surface and len(first.faces) and len(second.faces):
+        between = _between_surfaces(first, second, subdivisions, bounds)
     return Hausdorff(
-        vertex_per_frame=vertex, surface_per_frame=between, subdivisions=int(subdivisions)
+        vertex_max=float(vertex.max()),
+        vertex_mean=float(vertex.mean()),
+        surface_max=None if between is None else float(between.max()),
+        surface_mean=None if between is None else float(between.mean()),
+        vertex_per_frame=vertex,
+        surface_per_frame=between,
+        subdivisions=subdivisions,
     )
 
 
 def _one_way(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Largest distance of a point of `a` to the set `b`."""
     tree = cKDTree(b, balanced_tree=False, compact_nodes=False)
     if len(a) != len(b):
         return float(np.max(tree.query(a)[0]))
-    # A vertex is no farther from the set than from its twin: few can hold the maximum.
+    # A vertex is at most as far from the other set as from its counterpart there: only few can be
+    # the farthest.
     bound = np.sqrt(((a - b) ** 2).sum(axis=1))
     order = np.argsort(-bound, kind="stable")
     worst, start, step = 0.0, 0, _FIRST
@@ -180,20 +159,38 @@ def _one_way(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return worst
 
 
+def _between_surfaces(
+    first: MeshSequence, second: MeshSequence, subdivisions: int, bounds: list[tuple[int, int]]
+) -> NDArray[np.float64]:
+    """Hausdorff distance of the surfaces in each frame, ``(F,)``."""
+    result = np.empty(first.n_frames)
+    one, two = _Surface(first, subdivisions), _Surface(second, subdivisions)
+
+    def work(_: int, start: int, stop: int) -> None:
+        forward, backward = _Search(one, two), _Search(two, one)
+        pairs = zip(read(first, start, stop), read(second, start, stop), strict=True)
+        for t, (a, b) in enumerate(pairs, start):
+            result[t] = max(forward.distance(a, b), backward.distance(b, a))
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        run_chunks(work, bounds)
+    check_finite(first, second, result)
+    return result
+
+
 class _Surface:
-    """Probe points and the order of triangles in a tree, fixed for all frames."""
+    """Probe points of a surface and a tree over its triangles, the same in all frames."""
 
     def __init__(self, sequence: MeshSequence, subdivisions: int) -> None:
-        first = read(sequence, 0, 1)[0]
-        self.depth = max(0, math.ceil(math.log2(max(1, len(sequence.faces)) / _LEAF)))
-        self.triangles = np.ascontiguousarray(
-            sequence.faces[tree_order(first, sequence.faces, self.depth)]
-        )
-        self.probes = _probes(sequence.faces, sequence.n_vertices, subdivisions)
+        faces = sequence.faces
+        self.depth = max(0, math.ceil(math.log2(max(1, len(faces)) / _LEAF)))
+        order = tree_order(read(sequence, 0, 1)[0], faces, self.depth)
+        self.triangles = np.ascontiguousarray(faces[order])
+        self.probes = _probes(faces, sequence.n_vertices, subdivisions)
 
 
 class _Search:
-    """From the probes of one surface to the triangles of another, frame after frame."""
+    """Search from the probes of one surface to the triangles of another, frame after frame."""
 
     def __init__(self, source: _Surface, target: _Surface) -> None:
         self.source, self.target = source, target
@@ -202,8 +199,8 @@ class _Search:
         self.lead = 0
 
     def distance(self, own: NDArray[np.float64], others: NDArray[np.float64]) -> float:
-        tree = self.target
-        others = np.ascontiguousarray(others)
+        """Largest distance of a probe to the other surface, by the positions of both."""
+        tree, others = self.target, np.ascontiguousarray(others)
         fit_boxes(others, tree.triangles, tree.depth, self.boxes)
         points = np.ascontiguousarray(self.source.probes @ own)
         square, self.lead = farthest(
@@ -214,22 +211,14 @@ class _Search:
 
 def _probes(faces: NDArray[np.int32], n_vertices: int, subdivisions: int) -> csr_array:
     """Matrix that takes the vertices to the probe points of the surface."""
-    used = np.unique(faces)
-    ones = csr_array((np.ones(len(used)), used, np.arange(len(used) + 1)), (len(used), n_vertices))
-    if subdivisions == 1:
-        return ones
-    n = subdivisions
+    used, n = np.unique(faces), subdivisions
+    corners = csr_array(
+        (np.ones(len(used)), used, np.arange(len(used) + 1)), (len(used), n_vertices)
+    )
     grid = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
-    inner = np.array([g for g in grid if max(g) < n], dtype=np.float64) / n
+    inner = np.array([g for g in grid if max(g) < n], dtype=np.float64).reshape(-1, 3) / n
     count = len(inner) * len(faces)
     columns = np.repeat(faces, len(inner), axis=0).ravel()
     values = np.tile(inner, (len(faces), 1)).ravel()
-    extra = csr_array((values, columns, np.arange(0, 3 * count + 1, 3)), (count, n_vertices))
-    return csr_array(
-        (
-            np.concatenate([ones.data, extra.data]),
-            np.concatenate([ones.indices, extra.indices]),
-            np.concatenate([ones.indptr, extra.indptr[1:] + ones.indptr[-1]]),
-        ),
-        (len(used) + count, n_vertices),
-    )
+    others = csr_array((values, columns, np.arange(0, 3 * count + 1, 3)), (count, n_vertices))
+    return csr_array(vstack([corners, others], format="csr"))

@@ -1,9 +1,7 @@
-"""Checks that all metrics share, and how they walk over frames."""
+"""Checks of arguments, and reading by chunks of frames, for all metrics."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ _CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time: more takes more 
 
 
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
-    """The argument as a checked sequence; `faces` replaces those that it has."""
+    """The argument as a checked sequence; `faces`, if given, replace its own."""
     if isinstance(frames, MeshSequence):
         if faces is None:
             return frames
@@ -33,7 +31,7 @@ def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshS
 def as_pair(
     reference: Frames, other: Frames, faces: ArrayLike | None = None
 ) -> tuple[MeshSequence, MeshSequence]:
-    """Both arguments as sequences of one mesh; faces of either serve for both."""
+    """Both arguments as sequences with equally many frames and vertices."""
     first = as_sequence(reference, faces, "reference")
     second = as_sequence(other, faces, "other")
     if first.vertices.shape != second.vertices.shape:
@@ -45,20 +43,13 @@ def as_pair(
     return first, second
 
 
-@contextlib.contextmanager
-def squares() -> Iterator[None]:
-    """Around sums of squares whose results :func:`check_finite` looks at."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        yield
-
-
 def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:
-    """Whether results are numbers; blames what is too large to be squared.
+    """Check that results are finite.
 
     Raises
     ------
     InputError
-        If one is not.
+        If one is not: it names the coordinates that are too large to be squared, if there are any.
     """
     if all(np.isfinite(result).all() for result in results):
         return
@@ -79,18 +70,10 @@ def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
 
 
 def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
-    """Frames a chunk, such that `per_frame` float64 numbers (3 V by default) stay small."""
+    """Frames of a chunk, each with `per_frame` numbers in float64, at least 3 V."""
     return max(1, _CHUNK_BYTES // (8 * max(per_frame, 3 * sequence.n_vertices)))
 
 
 def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
     """Frames start to stop in float64."""
     return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)
-
-
-def blocks(first: MeshSequence, second: MeshSequence) -> Iterator[tuple[int, Any, Any]]:
-    """Walk over the frames of both, as ``(first frame, (n,V,3), (n,V,3))`` in float64."""
-    step = chunk_size(first)
-    for start in range(0, first.n_frames, step):
-        stop = start + step
-        yield start, read(first, start, stop), read(second, start, stop)

@@ -8,7 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from .inputs import Frames, as_pair, blocks, check_finite, squares
+from ..parallel import chunk_bounds
+from .inputs import Frames, as_pair, check_finite, chunk_size, read
 
 __all__ = ["Distances", "distances", "rmse"]
 
@@ -24,14 +25,14 @@ class Distances:
     coordinate_rmse : float
         √(Σ ‖d‖² / (3 F V)), the same per coordinate.
     E : float
-        1000 · ‖A − Ã‖_F / √(3 F V), a thousand times the former, in the files'
-        own units (Kavan et al. 2010; not normalised by the size of the mesh).
+        1000 · ‖A − Ã‖_F / √(3 F V), a thousand times `coordinate_rmse` (Kavan et al. 2010; not
+        normalised by the size of the mesh).
     percent_of_diagonal : float
         100 · rmse / diagonal.
     mean, max : float
         Mean and largest distance.
     max_frame, max_vertex : int
-        Where the largest is; the first such frame and vertex.
+        Frame and vertex of the largest distance, the first if there are several.
     per_frame : (F,) float64
         rmse of each frame.
     per_vertex : (V,) float64
@@ -63,12 +64,12 @@ class Distances:
 
 
 def distances(reference: Frames, other: Frames) -> Distances:
-    """Distances between corresponding vertices, summed up in every usual way.
+    """Statistics of the distances between corresponding vertices.
 
     Parameters
     ----------
     reference, other : MeshSequence or (F, V, 3) array
-        Read by chunks of frames; computed in float64.
+        Read by chunks of frames; distances are computed in float64.
 
     Raises
     ------
@@ -87,12 +88,13 @@ def distances(reference: Frames, other: Frames) -> Distances:
     per_frame = np.empty(n_frames)
     per_vertex = np.zeros(n_vertices)
     total, largest, where, diagonal = 0.0, -1.0, (0, 0), 0.0
-    for start, a, b in blocks(first, second):
-        with squares():
+    for start, stop in chunk_bounds(n_frames, chunk_size(first)):
+        a, b = read(first, start, stop), read(second, start, stop)
+        with np.errstate(over="ignore", invalid="ignore"):
             square = ((a - b) ** 2).sum(axis=2)
             extent = ((a.max(axis=1) - a.min(axis=1)) ** 2).sum(axis=1)
         check_finite(first, second, square, extent)
-        per_frame[start : start + len(a)] = square.mean(axis=1)
+        per_frame[start:stop] = square.mean(axis=1)
         per_vertex += square.sum(axis=0)
         total += float(np.sqrt(square).sum())
         t, i = np.unravel_index(int(square.argmax()), square.shape)
@@ -135,8 +137,4 @@ def rmse(reference: Frames, other: Frames) -> float:
     >>> round(ssdr.metrics.rmse(reference, reference + [3, 4, 0]), 3)
     5.0
     """
-    first, second = as_pair(reference, other)
-    with squares():
-        total = sum(float(np.vdot(a - b, a - b)) for _, a, b in blocks(first, second))
-    check_finite(first, second, total)
-    return math.sqrt(total / (first.n_frames * first.n_vertices))
+    return distances(reference, other).rmse

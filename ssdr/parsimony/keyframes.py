@@ -7,192 +7,125 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from ..hierarchy.transforms import from_local, parents_first, rest_diagonal, to_local, translating
 from ..parallel import chunk_bounds, run_chunks
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning
 from ..solver.trajectories import Array
 from .report import key_bytes, time_bytes
-from .tree import Tree
 
 __all__ = ["Tracks"]
 
-# frames from a key to the next: every number up to six, then about a quarter more each
+# Frames from a key to the next: every number up to six, then about a quarter more each.
 _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
-# beyond so many frames × bones, where each span is a second or more
+# In place of them beyond so many frames × bones, where each span takes a second or more.
 _FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
+_WHOLE_SHOTS = 8  # first shots whose length is a span, too
 _BLOCK = 1 << 18  # frames × bones at a time
 
 
 class Tracks:
-    """The motion of every bone as keys, and what it costs to leave some out.
+    """Keys of every bone relative to its parent, and what it costs to leave some out.
 
-    A bone is a turn about, and a place of, the centroid of what it moves; between
-    keys the place runs straight and the turn along the shortest arc (matrices of
-    affine bones: straight), as engines play them.  In a hierarchy turn and place
-    are those of the joint relative to its parent, and what is left out of a joint
-    counts for all that hangs on it, were everything else as it is: what is left
-    out of several joints of a chain may add to more, or to less.
+    A key is a rotation about, and a place of, the bone's joint, relative to its parent; a bone
+    without a hierarchy turns about the centroid of what it moves.  Between keys places go straight
+    and rotations along the shortest arc (matrices of affine bones: straight), as engines play them.
+
+    Where bone b is at X instead of at L, a vertex p in its frame moves by s (X − L) p, with s the
+    size of the parent.  The squares of this, summed over all that moves with b, are
+    s² tr (X − L) S (X − L)ᵀ, with S the second moment of that in homogeneous coordinates.  For
+    rigid and similarity bones this is exact for one bone and vertices of one influence, and an
+    upper bound for several influences (Jensen's inequality).  Losses of several bones of a chain
+    may add to more than their sum, or to less.
 
     Parameters
     ----------
     skinning : Skinning
     offsets : (S + 1,) int array
         First frame of each shot: it and the last one of each stay keys.
+
+    Attributes
+    ----------
+    local : (F, B, 3, 4) float64
+        Bones relative to their parents.  One that does not translate has one place in all frames.
+    spans : list of int
+        Frames from a key to the next.
+    cost : list of (F − span, B) arrays
+        For each span and first frame the squared error of the frames between; inf across shots.
+    still : (B,) int array
+        Frame at which each bone had best stand still.
+    still_cost : (B,) array
     """
 
     def __init__(self, skinning: Skinning, offsets: NDArray[np.int64]) -> None:
         self.skinning = skinning
         self.affine = skinning.bone_model == "affine"
         m = np.asarray(skinning.transforms, dtype=np.float64)
-        self.centre = skinning.centroids()
-        self.tree = None if skinning.parents is None else Tree(skinning)
-        if self.tree is None:
-            self.place = np.einsum("tjab,jb->tja", m[..., :3], self.centre) + m[..., 3]
+        n_frames, n_bones = m.shape[:2]
+        if skinning.parents is None:
+            self.parents = np.full(n_bones, -1)
+            self.positions = skinning.centroids()
+            self.local = to_local(m, self.parents, self.positions)
         else:
-            m = self.tree.local
-            self.place = m[..., 3]
-        linear = m[..., :3]
-        self.scale = np.ones(m.shape[:2])
+            self.parents = skinning.parents
+            self.positions = np.asarray(skinning.joint_positions, dtype=np.float64)
+            self.local = to_local(m, self.parents, self.positions)
+            moving = translating(m, self.parents, self.positions, rest_diagonal(skinning.rest))
+            place = self.local[..., 3]
+            place[:, ~moving] = place[:, ~moving].mean(axis=0)
+        self._moment = self._moments()
+        hung = np.flatnonzero(self.parents >= 0)
+        self._size = np.ones(m.shape[:2])  # squared; of an affine parent the mean over directions
+        linear = m[:, self.parents[hung], :, :3]
+        self._size[:, hung] = np.einsum("tjab,tjab->tj", linear, linear) / 3
+        self._scale, linear = np.ones(m.shape[:2]), self.local[..., :3]
         if skinning.bone_model == "similarity":
-            self.scale = np.cbrt(np.linalg.det(linear))
-            linear = linear / self.scale[..., None, None]
-        self.linear = linear
+            self._scale = np.cbrt(np.linalg.det(linear))
+            linear = linear / self._scale[..., None, None]
         if not self.affine:
-            self.turn = unflip_quaternions(quaternion_from_matrix(linear))
-        self.key_bytes = key_bytes(skinning)
-        self.time_bytes = time_bytes(len(m))
-        self.forced = np.zeros(len(m), dtype=bool)
-        self.forced[offsets[:-1]] = self.forced[offsets[1:] - 1] = True
-        if self.tree is None:
-            self._root, self._mass = self._moments()
-            self._feature = self._features(linear * self.scale[..., None, None], self.place)
-        many = m.shape[0] * m.shape[1] > _MANY
-        whole = {int(n) - 1 for n in np.diff(offsets)[:8] if 2 <= n <= _SPANS[-1] + 1}
-        usual = {s for s in (_FEW_SPANS if many else _SPANS) if s < max(2, len(m))}
-        self.spans = sorted(usual | whole)
-        self.cost = self._span_costs()
+            self._turn = unflip_quaternions(quaternion_from_matrix(linear))
+        self._key_bytes = key_bytes(skinning)
+        self._time_bytes = time_bytes(n_frames)
+        whole = {int(n) - 1 for n in np.diff(offsets)[:_WHOLE_SHOTS] if 2 <= n <= _SPANS[-1] + 1}
+        usual = _FEW_SPANS if n_frames * n_bones > _MANY else _SPANS
+        self.spans = sorted({s for s in usual if s < max(2, n_frames)} | whole)
+        self.cost = self._span_costs(offsets)
         self.still, self.still_cost = self._standing()
 
-    def _moments(self) -> tuple[Array, Array]:
-        """Σ w (p−c)(p−c)ᵀ of every bone as a root (B, 3, 3), and Σ w (B,).
-
-        Weights to the first power: by Jensen's inequality the sum over bones then
-        bounds what vertices of several bones move.
-        """
-        s = self.skinning
-        n_bones = s.n_bones
-        p = np.asarray(s.rest, dtype=np.float64)
-        w = s.sparse_weights().astype(np.float64).tocoo()
-        arm = p[w.coords[0]] - self.centre[w.coords[1]]
-        moment = np.zeros((n_bones, 3, 3))
-        np.add.at(moment, w.coords[1], w.data[:, None, None] * arm[:, :, None] * arm[:, None, :])
-        values, vectors = np.linalg.eigh(moment)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-        mass = np.bincount(w.coords[1], weights=w.data, minlength=n_bones)
-        return root, np.asarray(mass, dtype=np.float64)
-
-    def _features(self, linear: Array, place: Array) -> Array:
-        """(..., B, 12): squared distances between them are squared errors of vertices."""
-        turned = np.einsum("...jab,jbc->...jac", linear, self._root)
-        moved = place * np.sqrt(self._mass)[:, None]
-        return np.concatenate([turned.reshape(*turned.shape[:-2], 9), moved], axis=-1)
-
-    def _between(self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array) -> Array:
-        """Features (n, B, 12) at a share of the way between keys at frames (n, B)."""
-        linear, place = self._mix(first, last, share)
-        out = self._features(linear, place)
-        if self.affine:
-            out[np.linalg.det(linear) <= 0] = np.inf  # on the straight way a bone may turn over
-        return out
-
-    def _mix(
-        self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array
-    ) -> tuple[Array, Array]:
-        bone = np.arange(self.place.shape[1])[None]
-        u = share[..., None]
-        place = (1 - u) * self.place[first, bone] + u * self.place[last, bone]
-        if self.affine:
-            v = u[..., None]
-            return (1 - v) * self.linear[first, bone] + v * self.linear[last, bone], place
-        a, b = self.turn[first, bone], self.turn[last, bone]
-        scale = (1 - share) * self.scale[first, bone] + share * self.scale[last, bone]
-        return matrix_from_quaternion(slerp(a, b, share)) * scale[..., None, None], place
-
-    def _span_costs(self) -> list[Array]:
-        """For every span (F − span, B): squared error of the frames that it leaves out."""
-        n_frames, n_bones = self.place.shape[:2]
-        out = []
-        step = max(1, _BLOCK // n_bones)
-        for span in self.spans:
-            cost = np.zeros((n_frames - span, n_bones))
-            blocked = np.concatenate([[0], np.cumsum(self.forced)])
-
-            def work(_: int, i: int, k: int, span: int = span, cost: Array = cost) -> None:
-                first = np.repeat(np.arange(i, k)[:, None], n_bones, axis=1)
-                for inner in range(1, span):
-                    share = np.full(first.shape, inner / span)
-                    if self.tree is not None:
-                        linear, place = self._mix(first, first + span, share)
-                        cost[i:k] += self.tree.loss(linear, place, slice(i + inner, k + inner))
-                        continue
-                    gone = self._between(first, first + span, share)
-                    gone -= self._feature[i + inner : k + inner]
-                    cost[i:k] += np.einsum("tja,tja->tj", gone, gone)
-
-            run_chunks(work, chunk_bounds(n_frames - span, step))
-            start = np.arange(n_frames - span)
-            cost[blocked[start + span] > blocked[start + 1]] = np.inf
-            out.append(cost)
-        return out
-
-    def _standing(self) -> tuple[NDArray[np.intp], Array]:
-        """For every bone the frame at which it had best stand still, and what that costs."""
-        if self.tree is not None:
-            return self.tree.standing()
-        mean = self._feature.mean(axis=0)
-        off = self._feature - mean
-        still = np.einsum("tja,tja->tj", off, off).argmin(axis=0)
-        gone = self._feature - self._feature[still, np.arange(len(still))]
-        return still, np.einsum("tja,tja->j", gone, gone)
-
     def choose(self, price: float) -> tuple[NDArray[np.bool_], float]:
-        """Keys (F, B) of least error where a byte costs `price`, and the squared error added."""
-        byte, key = price, price * (self.key_bytes + self.time_bytes)
-        n_frames, n_bones = self.place.shape[:2]
-        best = np.full((n_frames, n_bones), np.inf)
-        came = np.ones(
-            (n_frames, n_bones), dtype=np.intp
-        )  # where nothing is better, from frame to frame
-        best[0] = key
+        """Keys (F, B) of least error + price · bytes, and the squared error that they add."""
+        key = price * (self._key_bytes + self._time_bytes)
+        n_frames, n_bones = self.local.shape[:2]
+        bone = np.arange(n_bones)
+        least = np.full((n_frames, n_bones), np.inf)
+        came = np.ones((n_frames, n_bones), dtype=np.intp)  # span that ends at each frame
+        least[0] = key
         for t in range(1, n_frames):
-            for k, span in enumerate(self.spans):
+            for span, cost in zip(self.spans, self.cost, strict=True):
                 if span > t:
                     break
-                value = best[t - span] + self.cost[k][t - span] + key
-                better = value < best[t]
-                best[t, better] = value[better]
+                value = least[t - span] + cost[t - span] + key
+                better = value < least[t]
+                least[t, better] = value[better]
                 came[t, better] = span
         keys = np.zeros((n_frames, n_bones), dtype=bool)
         at = np.full(n_bones, n_frames - 1)
-        bone = np.arange(n_bones)
         while (at > 0).any():
             keys[at, bone] = True
             at = np.maximum(at - came[at, bone], 0)
         keys[0] = True
-        count = keys.sum(axis=0)
-        error = np.maximum(best[-1] - key * count, 0.0)
-        # with a key at every frame no times are stored
-        full = byte * self.key_bytes * n_frames < error + key * count
+        error = np.maximum(least[-1] - key * keys.sum(axis=0), 0.0)
+        # a bone with a key at every frame stores no frame numbers
+        every = price * self._key_bytes * n_frames
+        full = every < least[-1]
         keys[:, full] = True
-        error = np.where(full, 0.0, error)
-        whole = np.where(full, byte * self.key_bytes * n_frames, best[-1])
-        still = self.still_cost + key <= whole
+        still = self.still_cost + key <= np.minimum(every, least[-1])
         keys[:, still] = False
         keys[self.still[still], bone[still]] = True
-        return keys, float(np.where(still, self.still_cost, error).sum())
+        return keys, float(np.where(still, self.still_cost, np.where(full, 0.0, error)).sum())
 
     def play(self, keys: NDArray[np.bool_]) -> Skinning:
-        """The skinning whose transforms between keys are interpolated, its keys said."""
+        """The skinning with these keyframes, interpolated between them."""
         n_frames = len(keys)
         frame = np.arange(n_frames)[:, None]
         before = np.maximum.accumulate(np.where(keys, frame, -1), axis=0)
@@ -200,13 +133,83 @@ class Tracks:
         first = np.where(before < 0, after, before)
         last = np.where(after >= n_frames, before, after)
         share = np.where(last > first, (frame - first) / np.maximum(last - first, 1), 0.0)
-        linear, place = self._mix(first, last, share)
-        if self.tree is not None:
-            transforms = self.tree.play(linear, place, keys)
-            return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
-        shift = place - np.einsum("tjab,jb->tja", linear, self.centre)
-        transforms = np.concatenate([linear, shift[..., None]], axis=-1)
-        # keys are what they were, to the last bit
+        local = np.where(keys[..., None, None], self.local, self._between(first, last, share))
+        transforms = from_local(local, self.parents, self.positions)
+        # where nothing above is between keys, bones are what they were, to the last bit
+        whole = keys.copy()
+        for b in parents_first(self.parents):
+            if self.parents[b] >= 0:
+                whole[:, b] &= whole[:, self.parents[b]]
         original = np.asarray(self.skinning.transforms, dtype=np.float64)
-        transforms = np.where(keys[..., None, None], original, transforms)
+        transforms = np.where(whole[..., None, None], original, transforms)
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
+
+    def _moments(self) -> Array:
+        """Second moments (F, B, 4, 4) of all that moves with a bone, in its frame."""
+        s = self.skinning
+        w = s.sparse_weights().astype(np.float64).tocoo()
+        arm = np.ones((w.nnz, 4))
+        arm[:, :3] = np.asarray(s.rest, dtype=np.float64)[w.coords[0]] - self.positions[w.coords[1]]
+        own = np.zeros((s.n_bones, 4, 4))
+        np.add.at(own, w.coords[1], w.data[:, None, None] * arm[:, :, None] * arm[:, None, :])
+        moment = np.broadcast_to(own, (s.n_frames, *own.shape))
+        if (self.parents < 0).all():
+            return moment
+        moment = moment.copy()
+        for b in parents_first(self.parents)[::-1]:
+            above = int(self.parents[b])
+            if above >= 0:
+                frame = np.zeros((s.n_frames, 4, 4))
+                frame[:, :3], frame[:, 3, 3] = self.local[:, b], 1.0
+                moment[:, above] += frame @ moment[:, b] @ np.swapaxes(frame, 1, 2)
+        return moment
+
+    def _between(self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array) -> Array:
+        """Local transforms (n, B, 3, 4) at a share of the way between keys at frames (n, B)."""
+        bone, u = np.arange(self.local.shape[1])[None], share[..., None, None]
+        local = (1 - u) * self.local[first, bone] + u * self.local[last, bone]
+        if not self.affine:
+            turn = slerp(self._turn[first, bone], self._turn[last, bone], share)
+            scale = (1 - share) * self._scale[first, bone] + share * self._scale[last, bone]
+            local[..., :3] = matrix_from_quaternion(turn) * scale[..., None, None]
+        return local
+
+    def _loss(self, local: Array, frames: slice) -> Array:
+        """Squared error (n, B) of each bone at these local transforms, in these frames."""
+        off = local - self.local[frames]
+        loss = np.einsum("tjab,tjab->tj", off @ self._moment[frames], off) * self._size[frames]
+        if self.affine:
+            loss[np.linalg.det(local[..., :3]) <= 0] = np.inf  # between keys a bone may turn over
+        return np.asarray(np.maximum(loss, 0.0))
+
+    def _span_costs(self, offsets: NDArray[np.int64]) -> list[Array]:
+        n_frames, n_bones = self.local.shape[:2]
+        ends = np.zeros(n_frames, dtype=np.intp)
+        ends[offsets[:-1]] = ends[offsets[1:] - 1] = 1
+        before = np.concatenate([[0], np.cumsum(ends)])
+        step = max(1, _BLOCK // n_bones)
+        out = []
+        for span in self.spans:
+            cost = np.zeros((n_frames - span, n_bones))
+
+            def work(_: int, i: int, k: int, span: int = span, cost: Array = cost) -> None:
+                first = np.repeat(np.arange(i, k)[:, None], n_bones, axis=1)
+                for inner in range(1, span):
+                    local = self._between(first, first + span, np.full(first.shape, inner / span))
+                    cost[i:k] += self._loss(local, slice(i + inner, k + inner))
+
+            run_chunks(work, chunk_bounds(n_frames - span, step))
+            start = np.arange(n_frames - span)
+            cost[before[start + span] > before[start + 1]] = np.inf
+            out.append(cost)
+        return out
+
+    def _standing(self) -> tuple[NDArray[np.intp], Array]:
+        """The frame at which each bone had best stand still, and the squared error of that."""
+        weighted = self._moment * self._size[..., None, None]
+        local = self.local - self.local.mean(axis=0)  # or far from the origin digits are lost
+        cross = np.einsum("tjab,tjbc->jac", local, weighted)
+        cost = np.einsum("tjab,tjab->tj", local @ weighted.sum(axis=0), local)
+        still = (cost - 2 * np.einsum("tjab,jab->tj", local, cross)).argmin(axis=0)
+        off = self.local[still, np.arange(len(still))] - self.local
+        return still, np.maximum(np.einsum("tjab,tjab->j", off @ weighted, off), 0.0)

@@ -1,195 +1,185 @@
 """The error that a tolerance leaves is spent on bytes: fewer influences, fewer keyframes.
 
-Both are choices of error against bytes, made with one multiplier λ, the price of a byte: of all
-ways to store a vertex's weights, or a bone's keys, the one of least error + λ · bytes (Everett
-1963).  The price is raised while the models that it leads to hold the tolerance.
+One multiplier λ, the price of a byte, decides on both: of all ways to store a vertex's weights or
+a bone's keys the one of least error + λ · bytes is chosen (Everett 1963).  The price is raised
+while the models that it leads to hold the tolerance.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drivers.problem import Measure
-from ..frames.error import largest_error, squared_error
-from ..frames.executor import Executor
-from ..sequence import MeshSequence
+from ..search.moves import drop_influence
 from ..skinning import Skinning
-from ..solver.bone_models import polish_of
+from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
-from .influences import nest
 from .keyframes import Tracks
 from .report import Pruning, influence_bytes, size
+from .solved_frames import SolvedFrames
 
-__all__ = ["ErrorBudget", "TrueError"]
+__all__ = ["Nested", "Pruner"]
 
-# Prices of a byte that are tried: enough to come within a fifth of the best one; where each try
+# Prices of a byte that are tried: enough to come within a fifth of the best one; where each trial
 # walks over all frames, as few as bracket it.
 _PRICES, _FEW_PRICES = 12, 3
+_DEARER, _CHEAPER = 2.0, 0.25  # factors of the price until one holds and another does not
 _CLOSE_PRICES = 1.2  # ratio of the prices on either side of the best at which the search ends
+_HALVINGS = 8  # of the range in which the first price is guessed, 40 doublings
 _SETTLE = 6  # polish steps after influences are dropped
-_DAMPING = 1e-3  # of that polish: where it starts in the solver, too
+_DAMPING = 1e-3  # first damping of that polish, as in the solver
 
 
-class TrueError:
-    """Errors of skinnings against the frames themselves.
-
-    Parameters
-    ----------
-    sequences : list of MeshSequence
-    measure : {"rmse", "max"}
-    executor : Executor, optional
-        Walks over the frames; this process by default.
-    """
-
-    def __init__(
-        self,
-        sequences: list[MeshSequence],
-        measure: Measure,
-        executor: Executor | None = None,
-    ) -> None:
-        self.sequences, self.measure, self.executor = sequences, measure, executor
-        self.count = sum(len(s) for s in sequences) * sequences[0].n_vertices
-
-    def rmse(self, s: Skinning) -> float:
-        squared = squared_error(
-            self.sequences, s.rest, s.indices, s.weights, s.transforms, executor=self.executor
-        )
-        return math.sqrt(float(squared.sum()) / self.count)
-
-    def __call__(self, s: Skinning) -> float:
-        """The error that is asked about."""
-        if self.measure == "rmse":
-            return self.rmse(s)
-        return largest_error(
-            self.sequences, s.rest, s.indices, s.weights, s.transforms, executor=self.executor
-        )
-
-
-class ErrorBudget:
-    """What lies between a model's error and the tolerance.
+class Nested:
+    """A model with fewer and fewer influences at every vertex.
 
     Parameters
     ----------
     data : Trajectories
     model : Model
-        The one that holds the tolerance, of the frames in `data`.
+    fixed : Fixed
+
+    Attributes
+    ----------
+    models : list of Model
+        The m-th has at most K − m influences a vertex, each the best to drop after those before.
+    errors : (K, V) float64
+    counts : (K, V) int
+    """
+
+    def __init__(self, data: Trajectories, model: Model, fixed: Fixed) -> None:
+        self.importance = data.importance
+        self.models = [model.copy()]
+        while self.models[-1].n_influences > 1:
+            fewer = self.models[-1].copy()
+            drop_influence(data, fewer, fixed)
+            self.models.append(fewer.with_influences(fewer.n_influences - 1))
+        self.errors = np.maximum(np.stack([m.error for m in self.models]), 0.0)
+        self.counts = np.stack([(m.weights > 0).sum(axis=1) for m in self.models])
+
+    def choose(self, price: float) -> tuple[NDArray[np.intp], float]:
+        """The level of each vertex of least error + price · influences, and the squared error."""
+        cost = self.errors * self.importance + price * self.counts
+        # of equal costs the one of fewer influences
+        level = len(cost) - 1 - cost[::-1].argmin(axis=0)
+        least = np.take_along_axis(self.errors, level[None], axis=0)[0]
+        return level, float(self.importance @ least)
+
+    def build(self, level: NDArray[np.intp]) -> Model:
+        """The model whose vertices have these levels."""
+        out = self.models[0].copy()
+        for m, model in enumerate(self.models):
+            rows = level == m
+            model = model.with_influences(out.n_influences)
+            for name in ("rest", "indices", "weights", "error"):
+                getattr(out, name)[rows] = getattr(model, name)[rows]
+        out.restart_support()
+        return out
+
+
+class Pruned(NamedTuple):
+    """A skinning with fewer influences, one with fewer keys as well, and their errors."""
+
+    fewer: Skinning
+    keyed: Skinning
+    error: float
+    keyed_error: float
+
+
+class Pruner:
+    """Search for the price of a byte that uses up what a model leaves of the tolerance.
+
+    Parameters
+    ----------
+    frames : SolvedFrames
+    model : Model
+        The one that holds the tolerance.
     tolerance : float
-    true_error : TrueError
-        Over all frames.
-    offsets : (S + 1,) int array
-        First frame of each shot.
-    streamed : bool
-        Whether `data` holds some of the frames only.
-    to_skinning : callable
-        A model of `data` as a skinning of all frames.
-    on_try : callable
-        Called after every try.
+    skinning_of_all : callable
+        Makes a skinning of all frames from a model.
     """
 
     def __init__(
         self,
-        data: Trajectories,
+        frames: SolvedFrames,
         model: Model,
-        *,
-        fixed: Fixed,
         tolerance: float,
-        true_error: TrueError,
-        offsets: NDArray[np.int64],
-        streamed: bool,
-        to_skinning: Callable[[Model], Skinning],
-        on_try: Callable[[], None],
+        skinning_of_all: Callable[[Model], Skinning],
     ) -> None:
-        self.data, self.fixed, self.tolerance = data, fixed, tolerance
-        self.true_error, self.offsets, self.streamed = true_error, offsets, streamed
-        self.to_skinning, self.on_try = to_skinning, on_try
-        self.nested = nest(data, model, fixed=fixed)
+        self.frames, self.tolerance, self.skinning_of_all = frames, tolerance, skinning_of_all
+        self.fixed, self.offsets = frames.problem.fixed, frames.problem.offsets
+        self.nested = Nested(frames.data, model, self.fixed)
 
-    def spend(
-        self, skinning: Skinning, error: float
-    ) -> tuple[Skinning, Skinning, tuple[Pruning, Pruning]]:
-        """Fewer influences, then fewer keys as well; both models, and what each cost.
+    def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
+        """The smallest model of a search over prices, and what each pruning cost.
 
-        `error` is that of `skinning` over all frames.
-
-        One price of a byte decides on both.  It is guessed from what each choice
-        adds by itself, then doubled or halved while models made with it hold.
+        `skinning` is the model, of all frames.
         """
-        best = skinning, skinning, error, error
+        before = self.frames.error_of_all(skinning)
+        best = Pruned(skinning, skinning, before, before)
         price = self._guess(skinning)
         low = high = None
-        for _ in range(_FEW_PRICES if self.streamed else _PRICES):
+        streamed = self.frames.scan is not None
+        for _ in range(_FEW_PRICES if streamed else _PRICES):
             trial = self._pruned(price)
-            if trial[3] <= self.tolerance and trial[2] <= self.tolerance:
-                low = price
-                if size(trial[1]).total < size(best[1]).total:
-                    best = trial
-                if self.streamed:
-                    break
-            else:
+            if max(trial.error, trial.keyed_error) > self.tolerance:
                 high = price
-            if low is not None and high is not None:
-                if high < _CLOSE_PRICES * low:
-                    break
-                price = math.sqrt(low * high)
-            elif high is None:
-                price *= 2.0
             else:
-                price *= 0.25 if self.streamed or self.true_error.measure == "max" else 0.5
-        fewer, keyed, reached, final = best
-        losses = (
-            _pruning("influences", skinning, fewer, error, reached),
-            _pruning("keyframes", fewer, keyed, reached, final),
-        )
-        return fewer, keyed, losses
+                low = price
+                if size(trial.keyed).total < size(best.keyed).total:
+                    best = trial
+                if streamed:
+                    break
+            if low is None or high is None:
+                price *= _CHEAPER if low is None else _DEARER
+            elif high < _CLOSE_PRICES * low:
+                break
+            else:
+                price = math.sqrt(low * high)
+        return best.keyed, [
+            _pruning("influences", skinning, best.fewer, before, best.error),
+            _pruning("keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
+        ]
 
     def _guess(self, skinning: Skinning) -> float:
-        """The price of a byte at which what choices add, each by itself, uses up the budget."""
-        data, nested, unit = self.data, self.nested, self.data.scale**2
-        frames = len(skinning.transforms)
-        budget = self.tolerance**2 - self.true_error.rmse(skinning) ** 2
-        budget *= self.true_error.count
-        before = float(data.importance @ nested.errors[0])
+        """The price at which what both choices add, each by itself, uses up the tolerance."""
+        frames, nested, data = self.frames, self.nested, self.frames.data
+        left = self.tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2
+        budget = max(left, 1e-300) * skinning.n_frames * skinning.n_vertices
         tracks = Tracks(skinning, self.offsets)
-        each = influence_bytes(skinning.n_bones)
-
-        def added(price: float) -> float:
-            chosen = nested.choose(data.importance, price * each / unit)[1]
-            # representative frames stand for all
-            error = (chosen - before) * unit * frames / data.n_frames
-            return error + tracks.choose(price)[1]
-
+        # representative frames stand for all
+        unit = data.scale**2 * skinning.n_frames / data.n_frames
+        influence = influence_bytes(skinning.n_bones) / unit
+        least = nested.choose(0.0)[1]
         low, high = 1e-12 * budget, budget
-        if not budget > 0 or added(low) > budget:
-            return max(low, 1e-300)
-        for _ in range(20):
-            middle = math.sqrt(low * high)
-            low, high = (middle, high) if added(middle) <= budget else (low, middle)
+        for _ in range(_HALVINGS):
+            price = math.sqrt(low * high)
+            added = (nested.choose(price * influence)[1] - least) * unit
+            holds = added + tracks.choose(price)[1] <= budget
+            low, high = (price, high) if holds else (low, price)
         return low
 
-    def _pruned(self, price: float) -> tuple[Skinning, Skinning, float, float]:
-        data, nested = self.data, self.nested
-        bones = nested.models[0].n_bones
-        each = price * influence_bytes(bones) / data.scale**2
-        model = nested.build(nested.choose(data.importance, each)[0])
-        if self.true_error.measure == "rmse":  # a polish lowers the sum, and may raise the largest
+    def _pruned(self, price: float) -> Pruned:
+        data, nested = self.frames.data, self.nested
+        influence = influence_bytes(nested.models[0].n_bones) / data.scale**2
+        model = nested.build(nested.choose(price * influence)[0])
+        if self.frames.measure == "rmse":  # a polish lowers the sum, and may raise the largest
             # a damping handed over: no bone enters, supports stay as they are
-            polish = polish_of(data, model, fixed=self.fixed, damping=_DAMPING)
+            polish = GaussNewton(data, model, fixed=self.fixed, damping=_DAMPING)
             for _ in range(_SETTLE):
                 polish.step(entering=0)
-        self.on_try()
-        fewer = self.to_skinning(model)
-        reached = self.true_error(fewer)
-        if reached > self.tolerance:
-            return fewer, fewer, reached, reached
+        fewer = self.skinning_of_all(model)
+        error = self.frames.error_of_all(fewer)
+        if error > self.tolerance:
+            return Pruned(fewer, fewer, error, error)
         tracks = Tracks(fewer, self.offsets)
         keyed = tracks.play(tracks.choose(price)[0])
-        return fewer, keyed, reached, self.true_error(keyed)
+        return Pruned(fewer, keyed, error, self.frames.error_of_all(keyed))
 
 
 def _pruning(

@@ -1,4 +1,4 @@
-"""Error against size: one model for every number of bones."""
+"""Error against size: a model for each of many numbers of bones."""
 
 from __future__ import annotations
 
@@ -10,26 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import as_sequences, check_bones, check_influences, check_rng
-from ..drivers.scan import needs_streaming, scan, subset
-from ..drivers.schedule import Effort, Schedule
-from ..errors import Cancelled, InputError, check_choice
-from ..frames.error import squared_error
-from ..search.moves import grow_bone
-from ..search.prescribed import Prescribed
-from ..search.progress import Callback, Clock, Reporter
-from ..search.run import Run
-from ..search.stages import Alternate, Merge, Polish, Reseed, Start
-from ..sequence import MeshSequence
-from ..solver.model import Fixed, Model
-from ..solver.trajectories import Trajectories, gather
-from .report import bytes_of
+from ..checks import check_whole
+from ..drivers.problem import check_problem
+from ..drivers.schedule import Effort
+from ..errors import Cancelled
+from ..search.moves import add_bone
+from ..search.progress import Callback, Clock, ProgressReport
+from ..search.stages import Polish
+from ..sequence import MeshSequence, as_sequences
+from .ladder import Ladder
+from .solved_frames import SolvedFrames
 
 __all__ = ["Curve", "curve", "knee"]
 
 _MOST_BONES = 64  # by default
-_FLOOR = 1e-5  # of the diagonal: errors below are as good as none, on a logarithmic axis
-_STEPS = {"fast": (4, 6), "balanced": (8, 16), "best": (24, 40)}  # re-seeds, polish steps
+_FLOOR = 1e-5  # of the diagonal: errors below count as that, or no logarithmic axis would do
+# Bones that are moved and polish steps for each number of bones.
+_STEPS: dict[Effort, tuple[int, int]] = {"fast": (4, 6), "balanced": (8, 16), "best": (24, 40)}
 _DOWN, _UP = 0.9, 0.95  # fraction of the work that is done after the way down, and on the way up
 
 
@@ -85,18 +82,18 @@ def curve(
 ) -> Curve:
     """Error against size, from one bone to many.
 
-    One model of the most bones is merged down step by step, polished at each;
-    on the way back up, whatever a model with a bone more does worse is replaced
-    by one that grew out of the smaller.
+    A model of the most bones is merged down step by step and polished at each number of bones.
+    Where a larger model ends with more error than a smaller one, it is replaced by one that grew
+    out of the smaller.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-        Where it does not fit into memory, frames that differ most stand for it
-        in `rmse`; `bytes` and `diagonal` are of all frames.
+        Where it does not fit into memory, the frames that differ most stand for it in `rmse`;
+        `bytes` and `diagonal` are of all frames.
     faces : (T, 3) int array, optional
     bones : int, optional
-        The most; by default 64, or the number of vertices.
+        The most; by default 64, or the number of vertices if that is less.
     influences : int
         Most bones a vertex.
     effort : {"fast", "balanced", "best"}
@@ -124,34 +121,41 @@ def curve(
     """
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices
-    most = check_bones(min(n, _MOST_BONES) if bones is None else bones, n)
-    influences = check_influences(influences)
-    check_choice(effort, "effort", Effort)
-    if callback is not None and not callable(callback):
-        raise InputError("callback", "a function of one Progress, or None", repr(callback))
-    generator = check_rng(rng)
-    solved = sequences
-    if needs_streaming(sequences):
-        solved = [subset(sequences, scan(sequences, None).chosen)]
-    data = gather(solved, bones=most)
-    ladder = _ladder(most)
-    report = Reporter(callback, Clock())
-    models = _models(data, ladder, influences, effort, generator, report)
+    most = min(n, _MOST_BONES) if bones is None else bones
+    problem = check_problem(
+        sequences,
+        None,
+        bones=check_whole(most, "bones", 1, n, " (the number of vertices)"),
+        influences=influences,
+        effort=effort,
+        bone_model="rigid",
+        rig=None,
+        start=None,
+        vertex_importance=None,
+        frame_importance=None,
+        smoothness=0.0,
+        rng=rng,
+        time_limit=None,
+        checkpoint=None,
+        callback=callback,
+    )
+    clock = Clock()
+    frames, progress = SolvedFrames(problem, "rmse", clock), ProgressReport(callback, clock)
 
-    frames = sum(len(s) for s in sequences)
-    rmse, stored = np.empty(len(ladder)), np.empty(len(ladder), dtype=np.int64)
-    for i, count in enumerate(ladder):
-        model = models[count]
-        rest, transforms = data.to_world(model.rest, model.transforms)
-        squared = squared_error(solved, rest, model.indices, model.weights, transforms)
-        rmse[i] = math.sqrt(float(squared.sum()) / (data.n_frames * n))
-        used = int(np.count_nonzero(model.weights))
-        stored[i] = bytes_of(n, used, frames, np.full(count, frames), "rigid").total
-    # where the objective is exact to its last bits only, so is the order
-    rmse = np.minimum.accumulate(rmse)
-    diagonal = max(s.diagonal() for s in sequences)
+    def report(phase: str, iteration: int, fraction: float, _: bool) -> None:
+        rmse = min(ladder.errors.values(), default=math.inf)
+        if progress(phase, iteration=iteration, rmse=rmse, fraction=fraction):
+            raise Cancelled("stopped by the callback before the curve was done")
+
+    ladder = Ladder(frames, report, clock)
+    rungs = _rungs(problem.bones)
+    _fill(ladder, rungs, effort)
+    # where errors are exact to their last bits only, so is their order
+    rmse = np.minimum.accumulate([ladder.errors[bones] for bones in rungs])
+    stored = np.array([frames.bytes(ladder.models[bones]) for bones in rungs], dtype=np.int64)
+    diagonal = max(s.diagonal() for s in problem.sequences)
     return Curve(
-        bones=np.array(ladder, dtype=np.int64),
+        bones=np.array(rungs, dtype=np.int64),
         bytes=stored,
         rmse=rmse,
         diagonal=diagonal,
@@ -159,58 +163,22 @@ def curve(
     )
 
 
-def _models(
-    data: Trajectories,
-    ladder: list[int],
-    influences: int,
-    effort: Effort,
-    rng: np.random.Generator,
-    report: Reporter,
-) -> dict[int, Model]:
-    """A model for every number of bones: merged down from the most, then mended on the way up."""
-    reseeds, polish = _STEPS[effort]
-    improve: Schedule = (Reseed(steps=reseeds), Polish(steps=polish, gain=0.01))
-    merge: Schedule = (Merge(), Alternate(steps=4))
-    first: Schedule = (Start(factor=1.3), Alternate(steps=10))
-    unit = data.scale / math.sqrt(data.n_frames * data.n_vertices)
-    steps = 0
-
-    def solved(bones: int, schedule: Schedule, start: Model | None, fraction: float) -> Model:
-        run = Run(
-            data,
-            schedule,
-            bones=bones,
-            influences=influences,
-            rng=rng,
-            fixed=Fixed(),
-            prescribed=Prescribed(),
-        )
-        if start is not None:
-            run.begin_with(start)
-
-        def after_step(phase: str) -> None:
-            nonlocal steps
-            steps += 1
-            rmse = unit * math.sqrt(run.best_value)
-            if report(f"{bones} bones: {phase}", iteration=steps, rmse=rmse, fraction=fraction):
-                raise Cancelled("stopped by the callback before the curve was done")
-
-        run.drive(after_step)
-        return run.best_model
-
-    models: dict[int, Model] = {}
-    down = ladder[::-1]
-    models[down[0]] = solved(down[0], (*first, *merge, *improve), None, 0.0)
-    for place, (larger, bones) in enumerate(itertools.pairwise(down), start=1):
-        start = models[larger].with_restarted_support()
-        models[bones] = solved(bones, (*merge, *improve), start, _DOWN * place / len(down))
-    for smaller, larger in itertools.pairwise(ladder):
-        if models[larger].objective(data) > models[smaller].objective(data):
-            grown = models[smaller]
+def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
+    """A model for every rung: merged down from the most, then mended on the way up."""
+    stages, (moves, polish) = ladder.stages, _STEPS[effort]
+    improve = (*stages.move(moves), Polish(steps=polish, gain=0.01))
+    ladder.attempt(rungs[-1], (*stages.start(1.3), *improve), "start")
+    for place, (larger, bones) in enumerate(itertools.pairwise(rungs[::-1]), start=1):
+        done = _DOWN * place / len(rungs)
+        start = ladder.models[larger].with_restarted_support()
+        ladder.attempt(bones, (*stages.merge(), *improve), "merged", start=start, part=(done, done))
+    data, fixed = ladder.frames.data, ladder.frames.problem.fixed
+    for smaller, larger in itertools.pairwise(rungs):
+        if ladder.errors[larger] > ladder.errors[smaller]:
+            grown = ladder.models[smaller]
             while grown.n_bones < larger:
-                grown = grow_bone(data, grown, alternations=2, fixed=Fixed())
-            models[larger] = solved(larger, improve, grown, _UP)
-    return models
+                grown = add_bone(data, grown, alternations=2, fixed=fixed)
+            ladder.attempt(larger, improve, "grown", start=grown, part=(_UP, _UP))
 
 
 def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
@@ -224,7 +192,7 @@ def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
     return int(below.argmax())
 
 
-def _ladder(most: int) -> list[int]:
+def _rungs(most: int) -> list[int]:
     """1, 2, 3, ... and then about a fifth more each, to the most."""
     out = [1]
     while out[-1] < most:

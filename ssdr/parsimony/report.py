@@ -1,34 +1,51 @@
-"""What a search for the smallest model says: its size in bytes, and what each saving cost."""
+"""What a search for the smallest model reports: attempts, savings, and the size in bytes."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..hierarchy.transforms import rest_diagonal, translating
+from ..result import Decomposition
 from ..skinning import Skinning
 
 __all__ = [
-    "KEY_BYTES",
     "Attempt",
+    "Measure",
     "Parsimony",
     "Pruning",
     "Size",
-    "bytes_of",
+    "Smallest",
     "influence_bytes",
     "key_bytes",
     "size",
     "time_bytes",
 ]
 
+Measure = Literal["rmse", "max"]
+
+# float32: rotation and translation; a scale as well; a matrix
+_KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 48}
+_TRANSLATION_BYTES = 12
+
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """One try: bones, the error that it reached, steps that it took, where it started.
+    """One attempt at a number of bones.
+
+    Attributes
+    ----------
+    bones : int
+    error : float
+        In the mesh's units, as the tolerance means it.
+    iterations : int
+        Alternations and polish steps.
+    start : str
+        What it started from, such as "merged" or "new start".
 
     Examples
     --------
@@ -52,17 +69,16 @@ class Size:
     rest : int
         12 a vertex: three float32.
     weights : int
-        A vertex: 1 for the number of its influences; for each of them 2 of
-        weight (16 bits) and 1 of index (2 beyond 256 bones).
+        For each vertex 1 (the number of its influences); for each influence 2 (a weight of
+        16 bits) and 1 for the index (2 beyond 256 bones).
     joints : int
-        12 a bone: its place in the rest pose.  In a hierarchy 1 more for its
-        parent (2 beyond 256 bones).
+        12 a bone: its place in the rest pose.  In a hierarchy 1 more for the parent (2 beyond
+        256 bones).
     keys : int
-        A key: rotation 16 and translation 12 (float32), 4 more for a scale;
-        48 for an affine bone.  A joint that does not translate against its
-        parent, and a root that stays, need no translation: 12 less.  A bone
-        without a key at every frame stores the frame of each as well: 2 (4 beyond
-        65,536 frames).
+        For each key 28: rotation 16, translation 12 (float32); 32 with a scale, 48 for an affine
+        bone.  12 less for a joint that does not translate against its parent, and for a root that
+        stays.  2 more (4 beyond 65,536 frames) for the frame of a key where not every frame is a
+        key of the bone.
 
     Examples
     --------
@@ -82,13 +98,13 @@ class Size:
 
 @dataclasses.dataclass(frozen=True)
 class Pruning:
-    """What was left out, and what that cost.
+    """What was left out of the model, and what that cost.
 
     Attributes
     ----------
     what : {"bones", "influences", "keyframes"}
     before, after : int
-        Bones; influences of all vertices; keys of all bones.
+        Number of bones, of influences of all vertices, or of keys of all bones.
     bytes_before, bytes_after : int
     error_before, error_after : float
         In the mesh's units, as the tolerance means it.
@@ -110,45 +126,45 @@ class Pruning:
 
     @property
     def cost(self) -> float:
-        """Error that the pruning added, in the mesh's units (below 0: what a new solve gained)."""
+        """Rise of the error, in the mesh's units; negative where solving anew gained more."""
         return self.error_after - self.error_before
 
 
 @dataclasses.dataclass(frozen=True)
 class Parsimony:
-    """How small a model a tolerance allows.
+    """How small a model holds the tolerance.
 
     Attributes
     ----------
     tolerance : float
         In the mesh's units.
-    tolerance_of : {"rmse", "max"}
+    measure : {"rmse", "max"}
     error : float
-        What the result reaches, measured on the frames.
+        Error of the result, measured on the frames.
     held : bool
-        Whether that is within the tolerance.
+        True if that is within the tolerance.
     bones, influences : int
         Of the result; `influences` is the most that a vertex has.
     least_bones : int
-        No model of fewer holds the tolerance: proven by the rank of the motion.
+        No model of fewer bones holds the tolerance: proven by the rank of the motion.
     size : Size
     prunings : tuple of Pruning
-        Bones, influences, keyframes, in this order; after a stop those that were done.
+        Bones, influences, keyframes, in this order; those that were done before a stop.
     attempts : tuple of Attempt
-        Everything that was tried: bones, error, iterations, where it started.
+        Everything that was tried, in order.
 
     Examples
     --------
     >>> points = np.random.default_rng(0).random((8, 3))
     >>> turn = np.diag([-1.0, -1.0, 1.0])
     >>> frames = np.stack([points, points @ turn, points + 1])
-    >>> result = ssdr.decompose(frames, tolerance="0.5%", effort="fast", bones=2)
+    >>> result = ssdr.smallest(frames, tolerance="0.5%", effort="fast", bones=2)
     >>> result.parsimony.held, result.parsimony.bones
     (True, 1)
     """
 
     tolerance: float
-    tolerance_of: Literal["rmse", "max"]
+    measure: Measure
     error: float
     held: bool
     bones: int
@@ -157,6 +173,29 @@ class Parsimony:
     size: Size
     prunings: tuple[Pruning, ...]
     attempts: tuple[Attempt, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Smallest(Decomposition):
+    """The smallest model that was found to hold a tolerance, or the closest one.
+
+    A smaller model may have a larger error, so that in `history` `rmse` may rise up to the
+    tolerance.
+
+    Attributes
+    ----------
+    parsimony : Parsimony
+        How small it is, and what was tried.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small").frames(slice(0, 4))
+    >>> result = ssdr.smallest(dancer, tolerance="2%", effort="fast")
+    >>> result.parsimony.bones == result.skinning.n_bones
+    True
+    """
+
+    parsimony: Parsimony
 
 
 def size(skinning: Skinning) -> Size:
@@ -189,64 +228,32 @@ def size(skinning: Skinning) -> Size:
     keys = np.full(bones, frames)
     if skinning.keyframes is not None:
         keys = np.asarray(skinning.keyframes).sum(axis=0)
-    used = int(np.count_nonzero(skinning.weights))
-    return bytes_of(
-        skinning.n_vertices,
-        used,
-        frames,
-        keys,
-        skinning.bone_model,
-        key_bytes=key_bytes(skinning),
-        tree=skinning.parents is not None,
+    influence = influence_bytes(bones)
+    parent = influence - 2 if skinning.parents is not None else 0
+    times = np.where(keys < frames, keys * time_bytes(frames), 0)
+    return Size(
+        rest=12 * skinning.n_vertices,
+        weights=skinning.n_vertices + influence * int(np.count_nonzero(skinning.weights)),
+        joints=(12 + parent) * bones,
+        keys=int((keys * key_bytes(skinning) + times).sum()),
     )
 
 
 def influence_bytes(bones: int) -> int:
-    """Of one influence of a vertex: 16 bits of weight and an index."""
+    """Bytes per influence of a vertex: a weight of 16 bits, and an index."""
     return 3 if bones <= 256 else 4
 
 
-def key_bytes(skinning: Skinning) -> int | NDArray[np.int64]:
-    """Bytes of a key: of any bone, in a hierarchy of each (B,)."""
-    whole = KEY_BYTES[skinning.bone_model]
+def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
+    """Bytes per key of each bone (B,)."""
+    each = np.full(skinning.n_bones, _KEY_BYTES[skinning.bone_model])
     if skinning.parents is None:
-        return whole
+        return each
     tree = skinning.parents, skinning.joint_positions
     moving = translating(skinning.transforms, *tree, rest_diagonal(skinning.rest))
-    return np.where(moving, whole, whole - TRANSLATION_BYTES)
-
-
-def bytes_of(
-    vertices: int,
-    used: int,
-    frames: int,
-    keys: NDArray[Any],
-    bone_model: str,
-    *,
-    key_bytes: int | NDArray[np.int64] | None = None,
-    tree: bool = False,
-) -> Size:
-    """The same from counts: influences that are used, and keys (B,) of each bone.
-
-    `key_bytes` are those of :func:`key_bytes`, of bones without a hierarchy by default; in a
-    `tree` each bone has a parent as well.
-    """
-    each = KEY_BYTES[bone_model] if key_bytes is None else key_bytes
-    stored = keys * each + np.where(keys < frames, keys * time_bytes(frames), 0)
-    above = (influence_bytes(len(keys)) - 2) if tree else 0
-    return Size(
-        rest=12 * vertices,
-        weights=vertices + used * influence_bytes(len(keys)),
-        joints=(12 + above) * len(keys),
-        keys=int(stored.sum()),
-    )
-
-
-# float32: rotation and translation; a scale as well; a matrix
-KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 48}
-TRANSLATION_BYTES = 12
+    return np.where(moving, each, each - _TRANSLATION_BYTES)
 
 
 def time_bytes(frames: int) -> int:
-    """Of the frame of a key."""
+    """Bytes per frame number of a key."""
     return 2 if frames <= 1 << 16 else 4

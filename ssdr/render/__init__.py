@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from .figures import contact_sheet, render_frame, write_picture
-from .film import animate
-from .materials import FABRIC, NEUTRAL, SKIN, Material, Part
+from .film import Film, animate
+from .parts import CLAY, FABRIC, NEUTRAL, SKIN, Part
 from .raster import Camera
 from .scene import Style
 
 __all__ = [
+    "CLAY",
     "FABRIC",
     "NEUTRAL",
     "SKIN",
     "Camera",
-    "Material",
+    "Film",
     "Part",
     "Style",
     "animate",

@@ -1,7 +1,4 @@
-"""Pictures of sequences and skinnings, without a display: one frame, a contact sheet.
-
-Everything is drawn on the processor, by :mod:`ssdr.render.panel`; text is Pillow's.
-"""
+"""Pictures of sequences and skinnings, without a display: one frame, or a contact sheet."""
 
 from __future__ import annotations
 
@@ -10,30 +7,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import FormatError, InputError
 from ..io.atomic import atomic_path
 from ..sequence import MeshSequence
-from .materials import Part
-from .page import (
-    INK,
-    QUIET,
-    as_many,
-    check_picture,
-    checked_frames,
-    checked_style,
-    color_bar,
-    nice,
-    rounded,
-    spread,
-    upright_text,
-)
-from .panel import draw_panel
+from .panels import INK, QUIET, Panels, as_many, checked_frames, draw_scale
+from .parts import Part
 from .raster import Camera
-from .scene import Scene, Style, View
+from .scene import Scene, Style, Unit
 
 __all__ = ["contact_sheet", "picture_format", "render_frame", "write_picture"]
+
+_ROWS = {"plain": "shape", "weights": "skin weights", "bones": "bones", "error": "error"}
 
 
 def render_frame(
@@ -50,7 +37,6 @@ def render_frame(
     azimuth: float | None = None,
     elevation: float = 12.0,
     perspective: bool = True,
-    supersample: int = 2,
 ) -> Image.Image:
     """Picture of one frame.
 
@@ -62,25 +48,23 @@ def render_frame(
     reference : MeshSequence, optional
         What the subject should be; needed for the error.
     style : {"plain", "weights", "bones", "error"}, optional
-        Clay; coloured by bone weights; bones from joint to joint or, without a
-        hierarchy, as balls at the posed centroids of what they move, with their axes;
-        distance to the reference.  By default `weights` for a skinning and `plain` for a sequence.
+        The shape in clay; coloured by skin weights; bones from joint to joint or, without a
+        hierarchy, as balls with axes at the posed centroids of what they move; distance to the
+        reference.  By default `weights` for a skinning and `plain` for a sequence.
     size : (int, int)
         Width and height in pixels.
     camera : Camera, optional
-        Else one that sees the whole motion from `azimuth` and `elevation`
-        (degrees); without an azimuth the side that shows most is chosen.
+        By default one that sees the whole motion from `azimuth` and `elevation` (degrees);
+        without an azimuth the side that shows most is chosen.
     scale : float, optional
-        Error that gets the darkest colour, in the mesh's units; a high
-        percentile of this frame's errors by default.
+        Error that gets the darkest colour, in the mesh's units; by default a round number above
+        nearly all errors of this frame.
     parts : sequence of Part, optional
-        Parts of the subject with materials; `plain` shows these, `error` colours those that are
-        measured.  Every vertex belongs to one part.
+        Parts of the subject with colours of their own, which `plain` and `bones` show; `error`
+        colours those that are measured.  Every vertex belongs to one part.
     up : {"x", "y", "z", "-x", "-y", "-z"}
     perspective : bool
         False: parallel projection.
-    supersample : int
-        Samples per pixel along each axis.
 
     Returns
     -------
@@ -100,13 +84,20 @@ def render_frame(
     >>> render_frame(dancer, 3, size=(64, 48)).size
     (64, 48)
     """
-    scene = Scene.of(subject, reference, parts)
-    chosen = checked_style(style, scene)
-    check_picture(size, supersample)
-    (frame,) = checked_frames([frame], scene.n_frames)
-    view = View.of(scene, [frame], size, camera, up, azimuth, elevation, perspective)
-    top = scale or nice(scene.high_error([frame])) if chosen == "error" else 1.0
-    return draw_panel(scene, view, frame, chosen, size, top, supersample)
+    panels = Panels.of(
+        Scene.of(subject, reference, parts),
+        [style],
+        [frame],
+        size,
+        with_reference=False,
+        top=scale,
+        camera=camera,
+        up=up,
+        azimuth=azimuth,
+        elevation=elevation,
+        perspective=perspective,
+    )
+    return panels.draw(panels.frames[0])[0]
 
 
 def contact_sheet(
@@ -121,13 +112,8 @@ def contact_sheet(
     regions: Mapping[str, Any] | None = None,
     row_names: Sequence[str] | None = None,
     captions: Sequence[str] | None = None,
-    unit: tuple[str, float] | None = None,
-    camera: Camera | None = None,
-    up: str = "y",
-    azimuth: float | None = None,
-    elevation: float = 12.0,
-    perspective: bool = True,
-    supersample: int = 2,
+    unit: Unit | None = None,
+    **look: Any,
 ) -> Image.Image:
     """Figure with a row per style and a column per frame, labelled, with a scale of the error.
 
@@ -154,10 +140,10 @@ def contact_sheet(
     captions : sequence of str, optional
         Heads of the columns, of one line or two; the number of the frame by default.
     unit : (str, float), optional
-        Name of the unit of the figures and its number in one of the mesh's, ``("mm", 1000)`` for
-        a mesh in metres.
-    camera, up, azimuth, elevation, perspective, supersample
-        As in :func:`render_frame`.
+        Unit in which errors are stated, and how many of it one of the mesh's units has:
+        ``("mm", 1000)`` for a mesh in metres.
+    **look
+        `camera`, `up`, `azimuth`, `elevation` and `perspective` of :func:`render_frame`.
 
     Returns
     -------
@@ -177,64 +163,76 @@ def contact_sheet(
     320
     """
     scene = Scene.of(subject, reference, parts, regions)
-    columns = spread(frames, scene.n_frames)
+    columns = _spread(frames, scene.subject.n_frames)
     if not 200 <= width <= 20000:
         raise InputError("width", "200 to 20000 pixels", width)
-    rows: list[tuple[str, Scene, Style]] = []
-    if reference is not None:
-        rows.append(("input", Scene.of(reference, None, parts), "plain"))
-    wanted: list[Style] = list(styles or ())
     if styles is None:
-        wanted = ["weights", "bones"] if scene.skinning is not None else ["plain"]
-        wanted += ["error"] if reference is not None else []
-    names = {"plain": "shape", "weights": "skin weights", "bones": "bones", "error": "error"}
-    rows += [(names[s], scene, s) for s in (checked_style(s, scene) for s in wanted)]
-    if row_names is not None:
-        names_of = as_many("row_names", row_names, rows)
-        rows = [(n, *r[1:]) for n, r in zip(names_of, rows, strict=True)]
-    heads = None if captions is None else as_many("captions", captions, columns)
-
+        styles = ["weights", "bones"] if scene.has_bones else ["plain"]
+        styles += ["error"] if reference is not None else []
     scale = width / 1600
     edge, gap, label = round(36 * scale), round(10 * scale), round(44 * scale)
-    cell = (width - 2 * edge - label - gap * (len(columns) - 1)) // len(columns)
-    view = View.of(scene, columns, None, camera, up, azimuth, elevation, perspective)
-    size = (cell, round(cell / view.aspect))
-    check_picture(size, supersample)
-    with_error = any(style == "error" for _, _, style in rows)
-    top = nice(scene.high_error(columns)) if with_error else 1.0
+    panels = Panels.of(
+        scene,
+        styles,
+        columns,
+        None,
+        width=(width - 2 * edge - label - gap * (len(columns) - 1)) // len(columns),
+        **look,
+    )
+    names = ["input"] * (reference is not None) + [_ROWS[style] for style in styles]
+    if row_names is not None:
+        names = as_many("row_names", row_names, names)
+    heads = None if captions is None else as_many("captions", captions, columns)
+    unit = unit or ("", 1.0)
+    cell, height = panels.view.size
     lines = 0 if heads is None else 1 + any("\n" in h for h in heads)
     head = round((118, 160, 188)[lines] * scale)
-    foot = round((104 if with_error else 24) * scale)
-    page = Image.new("RGB", (width, head + len(rows) * (size[1] + gap) + foot), "white")
+    foot = round((104 if panels.with_error else 24) * scale)
+    page = Image.new("RGB", (width, head + len(names) * (height + gap) + foot), "white")
     draw = ImageDraw.Draw(page)
     small, medium, large = (ImageFont.load_default(max(8, s * scale)) for s in (19, 23, 42))
     draw.text((edge, 24 * scale), title or scene.name, INK, large)
-    draw.text((edge, 76 * scale), scene.summary(with_error, unit), QUIET, medium)
-    for r, (name, _, _) in enumerate(rows):
-        at = (edge, head + r * (size[1] + gap))
-        upright_text(page, name, at, (label, size[1]), medium)
-    for c, frame in enumerate(columns):
+    draw.text((edge, 76 * scale), scene.summary(panels.with_error, unit), QUIET, medium)
+    tops = [head + r * (height + gap) for r in range(len(names))]
+    for name, top in zip(names, tops, strict=True):
+        upright_text(page, name, (edge, top), (label, height), medium)
+    for c, frame in enumerate(panels.frames):
         x = edge + label + c * (cell + gap)
         if heads is not None:
             first, _, second = heads[c].partition("\n")
             above = head - 26 * scale * (lines - 1) - 12 * scale
             draw.text((x + 2 * scale, above), first, INK, medium, "ls")
             draw.text((x + 2 * scale, head - 12 * scale), second, QUIET, small, "ls")
-        # Rows of one column share the light on it.
-        for r, (_, shown, style) in enumerate(rows):
-            y = head + r * (size[1] + gap)
-            tile = draw_panel(shown, view, frame, style, size, top, supersample)
-            page.paste(tile, (x, y), rounded(size, round(10 * scale)))
+        pictures = panels.draw(frame)
+        for (shown, style), picture, top in zip(panels.rows, pictures, tops, strict=True):
+            page.paste(picture, (x, top), _rounded(panels.view.size, round(10 * scale)))
             text = f"frame {frame}" if heads is None else ""
-            if style == "error" and shown.parts:
-                text = shown.figures([frame], unit or ("", 1.0))
-            draw.text((x + 12 * scale, y + size[1] - 9 * scale), text, QUIET, small, "ls")
-    if with_error:
-        left = edge + label
-        box = (left, page.height - round(70 * scale), min(width - 2 * left, round(700 * scale)))
-        beyond = scene.largest_error(columns) > top
-        color_bar(draw, page, box, scale, scene, beyond, top, small, unit)
+            if style == "error" and shown.has_parts:
+                text = shown.figures([frame], unit)
+            draw.text((x + 12 * scale, top + height - 9 * scale), text, QUIET, small, "ls")
+    if panels.with_error:
+        left, top = edge + label, page.height - round(70 * scale)
+        _draw_scale(
+            page, panels, unit, (left, top, min(width - 2 * left, round(700 * scale))), small
+        )
     return page
+
+
+def _draw_scale(
+    page: Image.Image, panels: Panels, unit: Unit, bar: tuple[int, int, int], font: Any
+) -> None:
+    """Scale of the error with its name, and with % of the diagonal below."""
+    draw, scene, scale = ImageDraw.Draw(page), panels.scene, page.width / 1600
+    left, top, width = bar
+    above = top - 6 * scale
+    below = top + draw_scale(page, panels, unit, bar, scale, font) + 6 * scale
+    for share, anchor in ((0.0, "la"), (0.5, "ma"), (1.0, "ra")):
+        text = f"{100 * panels.top * share / scene.diagonal:.3g} %"
+        draw.text((left + (width - 1) * share, below), text, QUIET, font, anchor)
+    x = left + width + 24 * scale
+    truth = f"of the {scene.measured_name} to the truth" if scene.has_parts else "to the input"
+    draw.text((x, above), f"distance {truth}", INK, font, "ls")
+    draw.text((x, below), "in % of the diagonal", QUIET, font, "la")
 
 
 def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
@@ -283,3 +281,30 @@ def picture_format(path: Path) -> str:
     if name is None or name not in Image.SAVE:
         raise FormatError(f"{path}: not the name of a picture; .png, .jpg and .webp are")
     return name
+
+
+def upright_text(
+    page: Image.Image, text: str, corner: tuple[int, int], size: tuple[int, int], font: Any
+) -> None:
+    """Write from bottom to top, centred in a box."""
+    strip = Image.new("RGB", (size[1], size[0]), "white")
+    ImageDraw.Draw(strip).text((size[1] / 2, size[0] / 2 - 4), text, INK, font, "mm")
+    page.paste(strip.rotate(90, expand=True), corner)
+
+
+def _spread(frames: int | Sequence[int], n_frames: int) -> Sequence[int]:
+    if not isinstance(frames, (int, np.integer)):
+        return checked_frames(frames, n_frames)
+    if isinstance(frames, bool) or not 1 <= frames <= 100:
+        raise InputError("frames", "1 to 100, or a sequence of indices", frames)
+    # Not the last frame: in a cycle it is the first again.
+    count = min(int(frames), n_frames)
+    return [int(t) for t in (np.arange(count) + 0.5) * n_frames / count]
+
+
+def _rounded(size: tuple[int, int], radius: int) -> Image.Image:
+    """Mask of a rectangle with round corners."""
+    large = Image.new("L", (size[0] * 4, size[1] * 4), 0)
+    box = (0, 0, large.width - 1, large.height - 1)
+    ImageDraw.Draw(large).rounded_rectangle(box, radius * 4, fill=255)
+    return large.resize(size, Image.Resampling.LANCZOS)

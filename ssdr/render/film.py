@@ -16,62 +16,52 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .figures import write_picture
-from .materials import Part
-from .page import (
-    INK,
-    QUIET,
-    as_many,
-    check_picture,
-    checked_frames,
-    checked_style,
-    nice,
-    small_color_bar,
-)
-from .palette import heat, srgb_from_linear
-from .panel import draw_panel
-from .raster import Camera
-from .scene import Scene, Style, View
+from .panels import INK, QUIET, Panels, as_many, draw_scale
+from .parts import Part
+from .scene import Scene, Style, Unit, evenly
 
 __all__ = ["Film", "animate"]
 
 _PAPER, _MARK = "#ffffff", "#c93559"
-_PALETTE_FRAMES = 6  # frames that the colours of a GIF are chosen from
-_SCALE_COLORS = 24  # colours of a GIF that are those of the error's scale
-_KINDS = {".gif": "GIF", ".webp": "WEBP", ".png": "PNG"}
+_PALETTE_FRAMES = 4  # frames that the colours of a GIF are chosen from
+# Pillow's options by suffix; method 4 makes a WebP a third smaller, and is quicker than drawing
+_KINDS: dict[str, dict[str, Any]] = {
+    ".gif": {"format": "GIF", "disposal": 1},
+    ".webp": {"format": "WEBP", "method": 4},
+    ".png": {"format": "PNG"},
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Film:
-    """A film before it is drawn: what its panels show, which frames, and how fast.
+    """Panels side by side, frame after frame, with what is written beside them.
 
-    Made by :meth:`of`; :meth:`pictures` draws it.
+    Made by :meth:`of`; :func:`animate` makes and writes one.
 
     Attributes
     ----------
-    panels : tuple of (Scene, Style)
-    view : View
-    order : tuple of int
-        Frames.
+    panels : Panels
     fps : float
-    panel_size : (int, int)
-    top : float
-        Error that gets the last colour.
+        Frames per second.
     titles, captions : tuple of str or None
         Of the panels, and of the frames.
     unit : (str, float)
-    supersample : int
+        Of the errors.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> from ssdr.render import Film
+    >>> film = Film.of(dancer, size=(64, 48), frames=[0, 8, 16])
+    >>> film.order, [picture.size for picture in film.pictures()]
+    ((0, 8, 16), [(64, 48), (64, 48), (64, 48)])
     """
 
-    panels: tuple[tuple[Scene, Style], ...]
-    view: View
-    order: tuple[int, ...]
+    panels: Panels
     fps: float
-    panel_size: tuple[int, int]
-    top: float
     titles: tuple[str, ...] | None
     captions: tuple[str, ...] | None
-    unit: tuple[str, float]
-    supersample: int
+    unit: Unit
 
     @classmethod
     def of(
@@ -83,194 +73,184 @@ class Film:
         size: tuple[int, int] = (480, 480),
         frames: Sequence[int] | None = None,
         fps: float | None = None,
-        camera: Camera | None = None,
-        up: str = "y",
-        azimuth: float | None = None,
-        elevation: float = 12.0,
-        perspective: bool = True,
-        supersample: int = 2,
         parts: Sequence[Part] = (),
         regions: Mapping[str, Any] | None = None,
         titles: Sequence[str] | None = None,
         captions: Sequence[str] | None = None,
-        unit: tuple[str, float] | None = None,
+        unit: Unit | None = None,
         track: Any = None,
+        **look: Any,
     ) -> Film:
-        """Check the arguments, which are those of :func:`animate`."""
+        """Film of a subject.
+
+        Parameters
+        ----------
+        subject : MeshSequence, Skinning or Decomposition
+        reference : MeshSequence, optional
+            What the subject should be; shown to the left of the subject.
+        style : Style or sequence of Style, optional
+            Several are drawn side by side.
+        size : (int, int)
+            Width and height of a panel in pixels.
+        frames : sequence of int, optional
+            Which; by default all, thinned to at most 30 a second.
+        fps : float, optional
+            Frames shown per second; real time by default.
+        parts, regions, unit
+            As in :func:`contact_sheet`.
+        titles : sequence of str, optional
+            Names of the panels, drawn above them.
+        captions : sequence of str, optional
+            Texts of the frames, drawn below them; with a reference the RMSE of the frame and its
+            curve over the film are drawn beside.
+        track : (F, 3) array, optional
+            Path that the camera moves along; by default it follows a subject that travels far.
+        **look
+            `camera`, `up`, `azimuth`, `elevation` and `perspective` of :func:`render_frame`.
+
+        Raises
+        ------
+        InputError
+            As :func:`render_frame`.
+        """
         scene = Scene.of(subject, reference, parts, regions)
-        chosen = [style] if isinstance(style, str) or style is None else list(style)
-        panels = [(scene, checked_style(s, scene)) for s in chosen]
-        if reference is not None:
-            panels.insert(0, (Scene.of(reference, None, parts), "plain"))
-        check_picture(size, supersample)
-        step = max(1, math.ceil(scene.fps / 30 - 1e-9))
-        every = range(0, scene.n_frames, step)
-        order = checked_frames(every if frames is None else frames, scene.n_frames)
-        speed = fps or scene.fps / (step if frames is None else 1)
+        step = max(1, math.ceil(scene.subject.fps / 30 - 1e-9)) if frames is None else 1
+        speed = fps or scene.subject.fps / step
         if not (math.isfinite(speed) and speed > 0):
             raise InputError("fps", "a positive number", fps)
         path = None
         if track is not None:
             path = np.asarray(track, dtype=np.float64)
-            if path.shape != (scene.n_frames, 3) or not np.isfinite(path).all():
-                raise InputError("track", f"({scene.n_frames}, 3) places", f"shape {path.shape}")
-        view = View.of(scene, order, size, camera, up, azimuth, elevation, perspective, path)
-        with_error = any(s == "error" for _, s in panels)
-        return cls(
-            tuple(panels),
-            view,
-            tuple(order),
-            speed,
+            if path.shape != (scene.subject.n_frames, 3) or not np.isfinite(path).all():
+                expected = f"({scene.subject.n_frames}, 3) positions"
+                raise InputError("track", expected, f"shape {path.shape}")
+        panels = Panels.of(
+            scene,
+            [style] if isinstance(style, str) or style is None else list(style),
+            range(0, scene.subject.n_frames, step) if frames is None else frames,
             size,
-            nice(scene.high_error(order)) if with_error else 1.0,
-            None if titles is None else tuple(as_many("titles", titles, panels)),
-            None if captions is None else tuple(as_many("captions", captions, order)),
-            unit or ("", 1.0),
-            supersample,
+            track=path,
+            **look,
         )
+        return cls(
+            panels,
+            speed,
+            None if titles is None else tuple(as_many("titles", titles, panels.rows)),
+            None if captions is None else tuple(as_many("captions", captions, panels.frames)),
+            unit or ("", 1.0),
+        )
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Frames of the subject that are shown."""
+        return self.panels.frames
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of its pictures."""
-        width, height = self.panel_size
-        count = len(self.panels)
-        return width * count + self._gap * (count - 1), height + self._head + self._foot
+        (width, height), (head, foot, gap) = self.panels.view.size, self._paper
+        return (width + gap) * len(self.panels.rows) - gap, head + height + foot
 
     @property
-    def _gap(self) -> int:
-        """Paper between panels, even, where these have titles."""
-        return 0 if self.titles is None else 2 * round(0.008 * self.panel_size[1])
-
-    @property
-    def _head(self) -> int:
-        return 0 if self.titles is None else round(0.1 * self.panel_size[1])
-
-    @property
-    def _foot(self) -> int:
+    def _paper(self) -> tuple[int, int, int]:
+        """Heights above and below the panels, and the width between them."""
+        height = self.panels.view.size[1]
+        head, gap = (round(0.1 * height), 2 * round(0.008 * height)) if self.titles else (0, 0)
         if self.captions is None:
-            return 0
-        share = 0.22 if self._measured is not None else 0.1
+            return head, 0, gap
+        foot = round((0.1 if self.panels.scene.reference is None else 0.22) * height)
         # Films of some formats have an even height.
-        foot = round(share * self.panel_size[1])
-        return foot + (self._head + foot + self.panel_size[1]) % 2
+        return head, foot + (head + foot + height) % 2, gap
 
-    @property
-    def _measured(self) -> Scene | None:
-        shown = self.panels[-1][0]
-        return shown if shown.reference is not None else None
+    def pictures(
+        self,
+        callback: Callable[[float], object] | None = None,
+        chosen: Sequence[int] | None = None,
+    ) -> Iterator[Image.Image]:
+        """Draw the frames, one after the other.
 
-    def pictures(self, callback: Callable[[float], object] | None = None) -> Iterator[Image.Image]:
-        """Draw the frames, one after the other; `callback` is called with the fraction done."""
-        curve = None
-        beyond = any(
-            s == "error" and p.largest_error(self.order) > self.top for p, s in self.panels
-        )
-        if self.captions is not None and self._measured is not None:
-            curve = np.array([self._measured.rmse([t]) for t in self.order])
-        for done, frame in enumerate(self.order):
+        Parameters
+        ----------
+        callback : callable, optional
+            Called with the fraction done.
+        chosen : sequence of int, optional
+            Numbers in :attr:`order`; all by default.
+        """
+        scene, curve = self.panels.scene, None
+        if self.captions is not None and scene.reference is not None:
+            curve = np.array([scene.rmse([t]) for t in self.order])
+        chosen = range(len(self.order)) if chosen is None else chosen
+        head, _, gap = self._paper
+        for done, k in enumerate(chosen, 1):
             picture = Image.new("RGB", self.size, _PAPER)
-            for k, (shown, style) in enumerate(self.panels):
-                tile = draw_panel(
-                    shown, self.view, frame, style, self.panel_size, self.top, self.supersample
-                )
-                picture.paste(tile, (k * (self.panel_size[0] + self._gap), self._head))
-            self._annotate(picture, done, curve, beyond)
+            for n, panel in enumerate(self.panels.draw(self.order[k])):
+                picture.paste(panel, (n * (panel.width + gap), head))
+            self._annotate(picture, k, curve)
             yield picture
             if callback is not None:
-                callback((done + 1) / len(self.order))
+                callback(done / len(chosen))
 
     def write(
         self, path: str | os.PathLike[str], callback: Callable[[float], object] | None = None
     ) -> Path:
         """Write the film, looping; arguments and errors as :func:`animate`."""
-        path = Path(path)
-        kind = _kind(path)
-        options: dict[str, Any] = {"duration": max(20, round(1000 / self.fps)), "loop": 0}
-        with_parts = bool(self.panels[0][0].parts)
-        if kind == "WEBP" and with_parts:
-            options["method"] = 4  # a third smaller, and still quicker than drawing
-        if kind != "GIF":
-            frames = list(self.pictures(callback))
-        elif with_parts:
-            options["disposal"] = 1
-            frames = self._reduced(callback)
-        else:
-            options["disposal"] = 1
-            drawn = list(self.pictures(callback))
-            # One palette for all frames, else the background flickers.
-            palette = _palette([drawn[k] for k in {0, len(drawn) // 2, len(drawn) - 1}])
-            frames = [p.quantize(palette=palette) for p in drawn]
-        write_picture(frames[0], path, format=kind, append_images=frames[1:], **options)
+        path, options = Path(path), _options(Path(path))
+        drawn = self.pictures(callback)
+        if options["format"] == "GIF":
+            palette = self._palette()
+            drawn = (picture.quantize(palette=palette) for picture in drawn)
+        first, *others = drawn
+        duration = max(20, round(1000 / self.fps))
+        write_picture(first, path, append_images=others, duration=duration, loop=0, **options)
         return path
 
-    def _reduced(self, callback: Callable[[float], object] | None) -> list[Image.Image]:
-        """Frames with the 256 colours that a GIF can hold, and dots of two where one lies between.
+    def _palette(self) -> Image.Image:
+        """Picture with the 256 colours of a GIF, chosen from some of the frames.
 
-        The colours are chosen first, from some of the frames, so that only one is held in full.
+        One palette serves all frames: else the background flickers.
         """
-        count = len(self.order)
-        chosen = sorted({round(k) for k in np.linspace(0, count - 1, _PALETTE_FRAMES)})
-        some = dataclasses.replace(
-            self,
-            order=tuple(self.order[k] for k in chosen),
-            captions=None if self.captions is None else tuple(self.captions[k] for k in chosen),
-        )
         # Text and marks are few pixels, which a choice by frequency forgets.
         marks = [c for name in (_PAPER, INK, QUIET, _MARK) for c in ImageColor.getrgb(name)]
-        if any(style == "error" for _, style in self.panels):
-            scale = srgb_from_linear(heat(np.linspace(0, 1, _SCALE_COLORS)))
-            marks += (255 * scale).round().astype(int).ravel().tolist()
-        palette = _palette(list(some.pictures()), 256 - len(marks) // 3)
-        colors = palette.getpalette() or []
-        palette.putpalette(colors[: 768 - len(marks)] + marks)
-        return [p.quantize(palette=palette) for p in self.pictures(callback)]
+        width, height = self.size
+        chosen = evenly(len(self.order), _PALETTE_FRAMES)
+        strip = Image.new("RGB", (width, height * len(chosen)))
+        for k, picture in enumerate(self.pictures(chosen=chosen)):
+            strip.paste(picture, (0, k * height))
+        palette = strip.quantize(256 - len(marks) // 3, method=Image.Quantize.MEDIANCUT)
+        palette.putpalette((palette.getpalette() or [])[: 768 - len(marks)] + marks)
+        return palette
 
-    def _annotate(
-        self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None, beyond: bool
-    ) -> None:
-        width, height = self.panel_size
-        step = width + self._gap
+    def _annotate(self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None) -> None:
+        """Write titles and caption of a frame, with the scale of the error and its curve."""
+        (width, height), (head, _, gap) = self.panels.view.size, self._paper
         scale = height / 640
         draw = ImageDraw.Draw(picture)
         small, large = (ImageFont.load_default(max(8, s * scale)) for s in (20, 28))
         edge = 18 * scale
         for n, title in enumerate(self.titles or ()):
-            draw.text((n * step + edge, self._head / 2), title, INK, large, "lm")
-            if self.panels[n][1] == "error":
-                right = round(n * step + width - edge)
-                middle = self._head // 2
-                args = (beyond, self.top, small, self.unit)
-                small_color_bar(draw, picture, right, middle, scale, *args)
+            left = n * (width + gap)
+            draw.text((left + edge, head / 2), title, INK, large, "lm")
+            if self.panels.rows[n][1] == "error":
+                long = 130 * scale
+                bar = (round(left + width - edge - long), round(head - 28 * scale), round(long))
+                draw_scale(picture, self.panels, self.unit, bar, scale, small, ticks="lr")
         if self.captions is None:
             return
-        top = self._head + height
-        line = top + 32 * scale
+        line, right = head + height + 32 * scale, picture.width - edge
         draw.text((edge, line), self.captions[k], INK, small, "lm")
-        if curve is None or self._measured is None:
+        if curve is None:
             return
-        text = "RMSE " + self._measured.figures([self.order[k]], self.unit)
-        draw.text((picture.width - edge, line), text, INK, small, "rm")
-        self._plot(draw, curve, k, (edge, top + 60 * scale, picture.width - edge), scale)
-
-    def _plot(
-        self,
-        draw: ImageDraw.ImageDraw,
-        curve: NDArray[np.float64],
-        k: int,
-        box: tuple[float, float, float],
-        scale: float,
-    ) -> None:
-        """The error over time, up to now in ink."""
-        left, top, right = box
-        bottom = self.size[1] - 16 * scale
-        x = np.linspace(left, right, len(curve)) if len(curve) > 1 else np.array([left])
+        text = "RMSE " + self.panels.scene.figures([self.order[k]], self.unit)
+        draw.text((right, line), text, INK, small, "rm")
+        top, bottom = line + 28 * scale, picture.height - 16 * scale
+        x = np.linspace(edge, right, len(curve))
         y = bottom - (bottom - top) * curve / max(float(curve.max()), 1e-30)
-        line = [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
-        draw.line((left, bottom, right, bottom), fill="#d7dae0")
-        draw.line(line, fill="#c3c7cf", width=max(1, round(2 * scale)))
-        draw.line(line[: k + 1], fill=QUIET, width=max(1, round(2 * scale)))
-        r = 4.5 * scale
-        a, b = line[k]
+        points = [(float(a), float(b)) for a, b in zip(x, y, strict=True)]
+        thick, r = max(1, round(2 * scale)), 4.5 * scale
+        draw.line((edge, bottom, right, bottom), fill="#d7dae0")
+        draw.line(points, fill="#c3c7cf", width=thick)
+        draw.line(points[: k + 1], fill=QUIET, width=thick)
+        a, b = points[k]
         draw.ellipse((a - r, b - r, a + r, b + r), fill=_MARK)
 
 
@@ -278,49 +258,20 @@ def animate(
     subject: Any,
     path: str | os.PathLike[str],
     *,
-    reference: MeshSequence | None = None,
-    style: Style | Sequence[Style] | None = None,
-    size: tuple[int, int] = (480, 480),
-    frames: Sequence[int] | None = None,
-    fps: float | None = None,
-    camera: Camera | None = None,
-    up: str = "y",
-    azimuth: float | None = None,
-    elevation: float = 12.0,
-    perspective: bool = True,
-    supersample: int = 2,
-    parts: Sequence[Part] = (),
-    regions: Mapping[str, Any] | None = None,
-    titles: Sequence[str] | None = None,
-    captions: Sequence[str] | None = None,
-    unit: tuple[str, float] | None = None,
-    track: Any = None,
     callback: Callable[[float], object] | None = None,
+    **options: Any,
 ) -> Path:
     """Write a looping film: GIF, WebP or animated PNG, by the suffix.
 
     Parameters
     ----------
+    subject : MeshSequence, Skinning or Decomposition
     path : path
         Ends in ``.gif``, ``.webp`` or ``.png``; written at once when all is drawn.
-    style : Style or sequence of Style, optional
-        Several are drawn side by side; with a reference its own picture stands
-        to their left.
-    frames : sequence of int, optional
-        Which; by default all, thinned to at most 30 a second.
-    fps : float, optional
-        Frames shown per second; real time by default.
-    parts, regions, unit
-        As in :func:`contact_sheet`.
-    titles : sequence of str, optional
-        Names of the panels, drawn above them.
-    captions : sequence of str, optional
-        Texts of the frames, drawn below them; with a reference the RMSE stands beside it, with
-        its course.
-    track : (F, 3) array, optional
-        Place that the camera moves along with; by default it follows a subject that travels far.
     callback : callable, optional
         Called with the fraction done.
+    **options
+        Those of :meth:`Film.of`.
 
     Returns
     -------
@@ -343,41 +294,12 @@ def animate(
     ...     film.name
     'dancer.gif'
     """
-    path = Path(path)
-    _kind(path)
-    film = Film.of(
-        subject,
-        reference=reference,
-        style=style,
-        size=size,
-        frames=frames,
-        fps=fps,
-        camera=camera,
-        up=up,
-        azimuth=azimuth,
-        elevation=elevation,
-        perspective=perspective,
-        supersample=supersample,
-        parts=parts,
-        regions=regions,
-        titles=titles,
-        captions=captions,
-        unit=unit,
-        track=track,
-    )
-    return film.write(path, callback)
+    _options(Path(path))
+    return Film.of(subject, **options).write(path, callback)
 
 
-def _palette(pictures: Sequence[Image.Image], colors: int = 256) -> Image.Image:
-    """Picture with a palette of the most frequent colours."""
-    strip = Image.new("RGB", (pictures[0].width, pictures[0].height * len(pictures)))
-    for k, picture in enumerate(pictures):
-        strip.paste(picture, (0, k * picture.height))
-    return strip.quantize(colors, method=Image.Quantize.MEDIANCUT)
-
-
-def _kind(path: Path) -> str:
-    kind = _KINDS.get(path.suffix.lower())
-    if kind is None:
+def _options(path: Path) -> dict[str, Any]:
+    options = _KINDS.get(path.suffix.lower())
+    if options is None:
         raise FormatError(f"{path}: a film is written as .gif, .webp or .png")
-    return kind
+    return options

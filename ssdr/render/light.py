@@ -1,4 +1,7 @@
-"""Light that things are in the way of: depth seen from distant lights."""
+"""The light in every picture: a broad lamp from the side, a sky, a floor, and their shadows.
+
+Shadows are read from depth maps, one from the direction of each light.
+"""
 
 from __future__ import annotations
 
@@ -10,58 +13,80 @@ from numpy.typing import NDArray
 
 from ..kernels.raster import light_shares, raster_triangles
 from ..parallel import chunk_bounds, run_chunks
+from .raster import Camera, unit
 
-__all__ = ["Lights", "on_both_sides", "sphere_directions"]
+__all__ = ["Illumination", "Lights", "around_both_sides", "lamp", "sky", "sphere_directions"]
 
 Float = NDArray[np.float64]
-_CHUNK = 8192  # points in a piece of work
+# Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength,
+# chosen by eye.  The lamp grazes what faces the viewer, so that creases cast light and shade.
+_LAMP = unit(np.array([-0.84, 0.52, 0.36]))
+_LAMP_COLOR = np.array([1.00, 0.95, 0.88]) * 1.15
+_RIM = unit(np.array([0.80, 0.35, -0.42]))
+_RIM_COLOR = np.array([0.80, 0.90, 1.00]) * 0.30
+_SKY = np.array([0.88, 0.94, 1.02]) * 0.52
+_FLOOR = np.array([1.00, 0.94, 0.88]) * 0.28
+_LAMP_SIZE = 0.10  # radius over distance: how soft its shadows are
+_BOUNCE = 0.5  # share of the light kept out by the surface itself that it reflects back
+_SKY_LIGHTS, _LAMP_LIGHTS = 40, 10  # directions; fewer show as bands
+_SKY_PIXELS, _LAMP_PIXELS = 144, 384  # side of a depth map
+_CHUNK = 8192  # points in a task
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lights:
-    """Distant lights and what each of them sees.
+    """Distant lights with a square depth map each.
 
     Attributes
     ----------
     axes : (D, 3, 3) float64
-        Rows: right and up in a light's picture, and towards the light.
+        Rows: right and up in a light's depth map, and towards the light.
     corners : (D, 2) float64
-        Of the pictures, along their axes.
+        Lower left corner of each map, along its axes.
     scales : (D,) float64
         Pixels per unit of length.
     nearness : (D, n, n) float64
-        Along the third axis, −inf where nothing is.
+        Largest coordinate along the third axis, −inf where nothing is.
+    colors : (D, 3) float64
+        Linear RGB.
     """
 
     axes: Float
     corners: Float
     scales: Float
     nearness: Float
+    colors: Float
 
     @classmethod
     def around(
-        cls, directions: Float, points: Float, faces: NDArray[np.int32], pixels: int
+        cls,
+        directions: Float,
+        colors: Float,
+        points: Float,
+        faces: NDArray[np.int32],
+        pixels: int,
     ) -> Lights:
-        """Lights in unit directions ``(D, 3)`` from triangles, with square pictures of them."""
+        """Lights in unit directions ``(D, 3)``, with depth maps of triangles."""
         across = np.eye(3)[np.abs(directions).argmin(axis=1)]
-        right = np.cross(across, directions)
-        right /= np.linalg.norm(right, axis=1, keepdims=True)
+        right = unit(np.cross(across, directions))
         axes = np.stack([right, np.cross(directions, right), directions], axis=1)
-        view = np.einsum("drc,vc->dvr", axes, points)
-        low, high = view[:, :, :2].min(axis=1), view[:, :, :2].max(axis=1)
-        # Two pixels are free on each side, so that interpolation meets an edge.
-        scales = (pixels - 4) / np.maximum((high - low).max(axis=1), 1e-30)
-        corners = low - 2 / scales[:, None]
-        view[:, :, :2] = (view[:, :, :2] - corners[:, None]) * scales[:, None, None]
+        corners, scales = np.empty((len(axes), 2)), np.empty(len(axes))
         nearness = np.full((len(axes), pixels, pixels), -np.inf)
 
-        def look(_: int, first: int, last: int) -> None:
+        def draw(_: int, first: int, last: int) -> None:
             index = np.empty((pixels, pixels), dtype=np.int32)
             for d in range(first, last):
-                raster_triangles(view[d], faces, nearness[d], index, 0, pixels)
+                view = axes[d] @ points.T
+                low, high = view[:2].min(axis=1), view[:2].max(axis=1)
+                # Two pixels are free on each side, so that interpolation meets an empty border.
+                scales[d] = (pixels - 4) / max(float((high - low).max()), 1e-30)
+                corners[d] = low - 2 / scales[d]
+                view[:2] = (view[:2] - corners[d][:, None]) * scales[d]
+                view = np.ascontiguousarray(view.T)
+                raster_triangles(view, faces, nearness[d], index, 0, pixels)
 
-        run_chunks(look, chunk_bounds(len(axes), 4))
-        return cls(axes, corners, scales, nearness)
+        run_chunks(draw, chunk_bounds(len(axes), 4))
+        return cls(axes, corners, scales, nearness, colors)
 
     @property
     def directions(self) -> Float:
@@ -70,15 +95,13 @@ class Lights:
 
     def only(self, chosen: NDArray[np.bool_]) -> Lights:
         """Some of the lights."""
-        return Lights(
-            self.axes[chosen], self.corners[chosen], self.scales[chosen], self.nearness[chosen]
-        )
+        return Lights(*(getattr(self, f.name)[chosen] for f in dataclasses.fields(self)))
 
     def shares(self, points: Float, normals: Float, bias: float) -> Float:
         """Share ``(N, D)`` of each light that reaches points on a surface.
 
-        What lies nearer to a light by less than `bias` casts no shadow, by twice as much a full
-        one; points are lifted along their normals by as much, to the light's side.
+        What is nearer to a light by less than `bias` casts no shadow, by twice as much a full
+        one.  Points are lifted by `bias` along their normals, to the light's side.
         """
         out = np.empty((len(points), len(self.axes)))
         arrays = (self.axes, self.corners, self.scales, self.nearness)
@@ -91,7 +114,7 @@ class Lights:
 
 
 def sphere_directions(count: int) -> Float:
-    """Unit vectors ``(count, 3)``, evenly over the sphere (Fibonacci)."""
+    """Unit vectors ``(count, 3)``, evenly over the sphere (Fibonacci lattice)."""
     k = np.arange(count) + 0.5
     height = 1 - 2 * k / count
     turn = k * math.pi * (3 - math.sqrt(5))
@@ -99,17 +122,32 @@ def sphere_directions(count: int) -> Float:
     return np.stack([ring * np.cos(turn), height, ring * np.sin(turn)], axis=1)
 
 
-def on_both_sides(
-    lights: Lights, colors: Float, points: Float, normals: Float, bias: float
-) -> Float:
-    """Light ``(N, 6)`` from all around on a surface, as far as it arrives.
+def sky(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
+    """Lights all around: the sky above, the floor below."""
+    directions = sphere_directions(_SKY_LIGHTS)
+    part = np.clip(0.5 + 1.5 * directions @ camera.vertical, 0.0, 1.0)[:, None]
+    return Lights.around(directions, _FLOOR + (_SKY - _FLOOR) * part, points, faces, _SKY_PIXELS)
+
+
+def lamp(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
+    """Lights spread over the disc of the lamp."""
+    k = np.arange(_LAMP_LIGHTS)
+    radius = _LAMP_SIZE * np.sqrt((k + 0.5) / _LAMP_LIGHTS)
+    turn = k * np.pi * (3 - np.sqrt(5))
+    right = unit(np.cross([0.0, 1.0, 0.0], _LAMP))
+    up = np.cross(_LAMP, right)
+    spread = np.outer(radius * np.cos(turn), right) + np.outer(radius * np.sin(turn), up)
+    colors = np.tile(_LAMP_COLOR / _LAMP_LIGHTS, (_LAMP_LIGHTS, 1))
+    return Lights.around(unit(_LAMP + spread) @ camera.axes, colors, points, faces, _LAMP_PIXELS)
+
+
+def around_both_sides(lights: Lights, points: Float, normals: Float, bias: float) -> Float:
+    """Light ``(N, 6)`` from all around that arrives on a surface.
 
     Parameters
     ----------
     lights : Lights
-        Evenly over the sphere.
-    colors : (D, 3) float64
-        Their radiance, linear RGB; 1 everywhere gives 1 where nothing is in the way.
+        Evenly over the sphere; with colours of 1 the result is 1 where nothing is in the way.
     points, normals : (N, 3) float64
         The first three columns of the result are for the side of the normal.
     bias : float
@@ -117,6 +155,49 @@ def on_both_sides(
     """
     arrived = lights.shares(points, normals, bias)
     cosine = normals @ lights.directions.T
-    front = (np.maximum(cosine, 0.0) * arrived) @ colors
-    back = (np.maximum(-cosine, 0.0) * arrived) @ colors
-    return np.asarray(np.concatenate([front, back], axis=1) * (4.0 / len(colors)))
+    front = (np.maximum(cosine, 0.0) * arrived) @ lights.colors
+    back = (np.maximum(-cosine, 0.0) * arrived) @ lights.colors
+    return np.asarray(np.concatenate([front, back], axis=1) * (4.0 / len(lights.colors)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Illumination:
+    """Points of a surface and the light that reaches them.
+
+    Attributes
+    ----------
+    camera : Camera
+    normal : (N, 3) float64
+        Unit vectors on the viewer's side.
+    around : (N, 3) float64 or None
+        Light from sky and floor, linear RGB; None if nothing is in its way.
+    reached : (N, 1) float64 or float
+        Share of the lamp's light that arrives.
+    """
+
+    camera: Camera
+    normal: Float
+    around: Float | None = None
+    reached: Float | float = 1.0
+
+    def shaded(self, albedo: Float, even: float = 0.0) -> Float:
+        """Reflected light ``(N, 3)``, linear RGB.
+
+        Parameters
+        ----------
+        albedo : (N, 3) float64
+            Linear RGB.
+        even : float
+            Share of the light that does not depend on direction: colours that have to be read
+            are shaded less.
+        """
+        axes, n = self.camera.axes, self.normal
+        part = np.clip(0.5 + 0.55 * (n @ self.camera.vertical), 0.0, 1.0)[:, None]
+        uncovered = _FLOOR + (_SKY - _FLOOR) * part  # nearly: exact on a convex surface
+        around = uncovered if self.around is None else self.around
+        kept = np.clip(around.sum(axis=1) / uncovered.sum(axis=1), 0.0, 1.0)[:, None]
+        ambient = around + _BOUNCE * albedo * (uncovered - around).clip(0.0)
+        direct = np.clip(n @ (axes.T @ _LAMP), 0.0, 1.0)[:, None] * self.reached
+        rim = np.clip(n @ (axes.T @ _RIM), 0.0, 1.0)[:, None] * kept
+        light = ambient + _LAMP_COLOR * direct + _RIM_COLOR * rim
+        return np.asarray(albedo * (even * (0.8 + 0.35 * kept) + (1 - even) * light))

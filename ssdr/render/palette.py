@@ -1,4 +1,4 @@
-"""Colours: one a bone, neighbours far apart, and the scale of the error map."""
+"""Colours of bones, of blended weights and of errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["bone_colors", "heat", "linear_from_srgb", "mix", "srgb_from_linear"]
 
-# Ottosson, "A perceptual color space for image processing" (OKLab), 2020.
+# Ottosson, "A perceptual color space for image processing" (OKLab), 2020: both matrices.
 _LMS_FROM_RGB = np.array(
     [
         [0.4122214708, 0.5363325363, 0.0514459929],
@@ -15,7 +15,7 @@ _LMS_FROM_RGB = np.array(
         [0.0883024619, 0.2817188376, 0.6299787005],
     ]
 )
-# from cube roots of LMS; both matrices are those of Oklab (Ottosson 2020)
+# from the cube roots of LMS
 _LAB_FROM_LMS = np.array(
     [
         [0.2104542553, 0.7936177850, -0.0040720468],
@@ -61,25 +61,25 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
     candidates.
     """
     x = np.asarray(positions, dtype=np.float64)
-    candidates = _candidates()
-    apart = ((candidates[:, None] - candidates[None]) ** 2).sum(axis=2)
+    lab = _candidates()
+    apart = ((lab[:, None] - lab[None]) ** 2).sum(axis=2)
     gap = ((x[:, None] - x[None]) ** 2).sum(axis=2)
-    # Five neighbours or so count as close, whatever the density of bones.
+    # About five neighbours count as close, whatever the density of bones.
     reach = np.sort(gap, axis=1)[:, min(5, len(x) - 1)]
     near = np.exp(-gap / np.maximum(np.median(reach), 1e-300)) + 0.02
     repulsion = 1.0 / (apart + 1e-4)
-    cost = np.zeros((len(x), len(candidates)))
+    cost = np.zeros((len(x), len(lab)))
     chosen = np.full(len(x), -1)
-    used = np.zeros(len(candidates))
+    used = np.zeros(len(lab))
     for _ in range(len(x)):
-        # Next is the bone most hemmed in, so that the last ones are not left with no choice.
+        # Next is the bone whose best colour costs most: later it might find no good one.
         open_bones = np.flatnonzero(chosen < 0)
         b = int(open_bones[np.argmax(cost[open_bones].min(axis=1))])
         c = int(np.argmin(cost[b] + 0.5 * used))
         chosen[b] = c
         cost += near[:, b][:, None] * repulsion[c]
         used += repulsion[c] * 0.02
-    return _linear_from_oklab(candidates[chosen])
+    return _linear_from_oklab(lab[chosen]).clip(0.0, 1.0)
 
 
 def mix(colors: NDArray[np.float64], weights: ArrayLike, indices: ArrayLike) -> NDArray[np.float64]:
@@ -89,7 +89,7 @@ def mix(colors: NDArray[np.float64], weights: ArrayLike, indices: ArrayLike) -> 
     """
     lab = np.cbrt(colors @ _LMS_FROM_RGB.T) @ _LAB_FROM_LMS.T
     w, j = np.asarray(weights, dtype=np.float64), np.asarray(indices)
-    return _linear_from_oklab(np.einsum("vk,vkc->vc", w, lab[j]))
+    return _linear_from_oklab(np.einsum("vk,vkc->vc", w, lab[j])).clip(0.0, 1.0)
 
 
 def heat(values: ArrayLike) -> NDArray[np.float64]:
@@ -101,18 +101,16 @@ def heat(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _linear_from_oklab(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    lms = (lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3
-    return np.clip(lms @ np.linalg.inv(_LMS_FROM_RGB).T, 0.0, 1.0)
+    """Linear RGB, not clipped to the display's gamut."""
+    return np.asarray((lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3 @ np.linalg.inv(_LMS_FROM_RGB).T)
 
 
 def _candidates() -> NDArray[np.float64]:
     """Colours in OKLab, inside the display's gamut, of middling lightness and full chroma."""
-    levels, turns = np.meshgrid([0.55, 0.66, 0.77, 0.86], np.arange(0, 360, 15), indexing="ij")
-    light, hue = levels.ravel(), np.radians(turns.ravel())
-    chroma = np.full(light.shape, 0.19)
+    light, turn = np.meshgrid([0.55, 0.66, 0.77, 0.86], np.radians(np.arange(0, 360, 15)))
+    lab = np.stack([light, 0.19 * np.cos(turn), 0.19 * np.sin(turn)], axis=-1).reshape(-1, 3)
     for _ in range(30):
-        lab = np.stack([light, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1)
-        lms = (lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3
-        rgb = lms @ np.linalg.inv(_LMS_FROM_RGB).T
-        chroma = np.where((rgb < 0).any(axis=1) | (rgb > 1).any(axis=1), chroma * 0.96, chroma)
-    return np.stack([light, chroma * np.cos(hue), chroma * np.sin(hue)], axis=1)
+        rgb = _linear_from_oklab(lab)
+        outside = (rgb < 0).any(axis=1) | (rgb > 1).any(axis=1)
+        lab[outside, 1:] *= 0.96
+    return lab

@@ -1,4 +1,4 @@
-"""What a callback gets after every step, what the history keeps, and the clock behind both."""
+"""Progress for a callback, the records of a run, and its clock."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import math
 import time
 from collections.abc import Callable
 
-__all__ = ["Callback", "Clock", "Progress", "Record", "Reporter"]
+__all__ = ["Callback", "Clock", "Progress", "ProgressReport", "Record"]
 
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """One accepted model of exactly the bones and influences asked for.
+    """An accepted model with exactly the bones and influences asked for.
 
     Attributes
     ----------
     iteration : int
         Alternations and polish steps so far.
     elapsed : float
-        Seconds since the call, initialisation included, compilation not.
+        Seconds since the call, initialisation included, compilation excluded.
     rmse : float
         sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units.
     phase : str
@@ -28,7 +28,7 @@ class Record:
     Examples
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
-    >>> result = ssdr.decompose(dancer, bones=3, effort="fast", max_iterations=1)
+    >>> result = ssdr.decompose(dancer, bones=3, effort="fast")
     >>> last = result.history[-1]
     >>> last.iteration >= 1, np.allclose(last.rmse, result.rmse)
     (True, True)
@@ -42,7 +42,7 @@ class Record:
 
 @dataclasses.dataclass(frozen=True)
 class Progress:
-    """What a callback gets after every step.
+    """The state of a run, given to the callback after every step.
 
     Attributes
     ----------
@@ -51,8 +51,9 @@ class Progress:
     elapsed : float
         Seconds.
     rmse : float
-        Of the best model so far, in the mesh's units; inf before there is one.
-        Weighted by the importances, where there are any.
+        Error of the best model so far, in the mesh's units, weighted by the importances where
+        there are any; inf before there is a model.  Penalties of `smoothness` and of joints away
+        from the skin count as error.
     fraction : float
         Estimated fraction of the work that is done, 0 to 1.
     time_left : float
@@ -66,7 +67,6 @@ class Progress:
     ...     dancer,
     ...     bones=3,
     ...     effort="fast",
-    ...     max_iterations=1,
     ...     callback=lambda progress: fractions.append(progress.fraction),
     ... )
     >>> all(0 <= fraction <= 1 for fraction in fractions)
@@ -85,61 +85,40 @@ Callback = Callable[[Progress], bool | None]
 
 
 class Clock:
-    """Seconds of a call, and of the calls that it resumes.
-
-    Attributes
-    ----------
-    before : float
-        Seconds of the calls before this one.
-    """
+    """Seconds since it was made."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()
-        self.before = 0.0
-
-    @property
-    def here(self) -> float:
-        """Seconds since this call began."""
-        return time.perf_counter() - self._began
 
     @property
     def elapsed(self) -> float:
-        """Seconds of all the calls."""
-        return self.before + self.here
+        return time.perf_counter() - self._began
 
 
-class Reporter:
-    """The one place that builds a :class:`Progress`, time left included, and calls the callback.
+class ProgressReport:
+    """Build each :class:`Progress`, with an estimate of the time left, and call the callback.
 
     Parameters
     ----------
     callback : callable or None
     clock : Clock
     time_limit : float, optional
-        Seconds of this call.
+        Seconds.
     """
 
     def __init__(self, callback: Callback | None, clock: Clock, time_limit: float | None = None):
         self.callback, self.clock, self.time_limit = callback, clock, time_limit
 
     def __call__(self, phase: str, *, iteration: int, rmse: float, fraction: float) -> bool:
-        """Report a step; whether the callback asks to stop."""
+        """Report a step; True if the callback asks to stop."""
         if self.callback is None:
             return False
         elapsed = self.clock.elapsed
         left = elapsed * (1 - fraction) / fraction if fraction > 0 else math.inf
         if self.time_limit is not None:
-            left = min(left, max(0.0, self.time_limit - self.clock.here))
-        progress = Progress(
-            phase=phase,
-            iteration=iteration,
-            elapsed=elapsed,
-            rmse=rmse,
-            fraction=fraction,
-            time_left=left,
-        )
-        return bool(self.callback(progress))
+            left = min(left, max(0.0, self.time_limit - elapsed))
+        return bool(self.callback(Progress(phase, iteration, elapsed, rmse, fraction, left)))
 
     @property
     def out_of_time(self) -> bool:
-        return self.time_limit is not None and self.clock.here >= self.time_limit
+        return self.time_limit is not None and self.clock.elapsed >= self.time_limit

@@ -1,102 +1,98 @@
-"""A decomposition under way: a run through the stages of a schedule.
+"""A run through the stages of a schedule, which remembers the best model.
 
-It is at all times between two small steps and can be stopped, saved and resumed there.  The
-best model of exactly the bones asked for is remembered apart from the one that the next step
-starts from, which may have more bones, more influences or, after a change, more error.
+The best model of exactly the bones asked for is kept apart from the one that the next step starts
+from, which may have more bones, more influences or, after a change, more error.
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
+import logging
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import Cancelled
 from ..parallel import serial_blas
+from ..solver.alternation import bone_costs
 from ..solver.model import Fixed, Model
-from ..solver.polish import Polish
-from ..solver.recycling import Recycled
-from ..solver.skin_contact import judged
+from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
-from .prescribed import Prescribed
-from .progress import Clock
-from .state import number, numbers, whole
+from .given import Given
+from .progress import Clock, ProgressReport
 
-__all__ = ["Memory", "Run", "Stage"]
+__all__ = ["Lowest", "Run", "Schedule", "Stage"]
 
-# of the squared motion: an objective below is rounding alone, and nothing is left to gain
+_logger = logging.getLogger(__name__)
+# Objective, relative to the squared motion, below which all that is left is rounding.
 _EXACT = 1e-30
+# Rise of the objective, likewise, that solving for a bone leaves to rounding: a bone whose removal
+# costs less is idle.
+_NO_LOSS = 1e-13
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Stage(ABC):
-    """One entry of a schedule: a step that is repeated until it does not pay, or often enough.
+    """One entry of a schedule: a step, repeated until it stops improving or `steps` is reached.
 
     Attributes
     ----------
     steps : int
         At most.
     cost : float
-        Of a step, in alternations: for the time left alone.
-    branch : bool
-        Draws from a copy of the random generator, made where the branch starts: a start that
-        is given up leaves no trace in what comes after it.
+        Time of a step in alternations; serves the estimate of the time left alone.
     rigid : bool
-        With rigid bones, whatever kind was asked for.
+        Use rigid bones, whatever kind was asked for.
     """
 
     phase: ClassVar[str]
-    changes: ClassVar[int] = 0  # kinds of change that it takes turns with
     steps: int = 1
     cost: float = 1.0
-    branch: bool = False
     rigid: bool = False
 
     @property
-    def expected_steps(self) -> int:
-        return self.steps
+    def work(self) -> float:
+        """Expected time in alternations."""
+        return self.steps * self.cost
 
     @abstractmethod
-    def step(self, run: Run) -> bool:
-        """One small step; whether the stage is over."""
-
-    def prepare(self, run: Run) -> None:  # noqa: B027  # most stages change no data
-        """Change the data as the whole stage does, for a run that is taken up behind it."""
+    def apply(self, run: Run) -> Iterator[None]:
+        """Make the steps; yield after each."""
 
 
-@dataclasses.dataclass
-class Memory:
-    """What a stage remembers from step to step.
+Schedule = tuple[Stage, ...]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Lowest(Stage):
+    """Go through several schedules that each begin anew; continue from the lowest model.
 
     Attributes
     ----------
-    count : int
-        Steps so far.
-    failures : int
-        Steps in a row that did not pay.
-    recent : list of float
-        Objectives of the last steps of a polish.
-    track : list of float
-        Objective before a search and after each of its tries.
-    turns, misses : list of int
-        Of each kind of change of a search: the try at which it had its last turn, and the
-        failures since it paid.
-    damping : float or None
-        Of the polish.
+    starts : tuple of Schedule
     """
 
-    count: int = 0
-    failures: int = 0
-    recent: list[float] = dataclasses.field(default_factory=list)
-    track: list[float] = dataclasses.field(default_factory=list)
-    turns: list[int] = dataclasses.field(default_factory=list)
-    misses: list[int] = dataclasses.field(default_factory=list)
-    damping: float | None = None
+    phase: ClassVar[str] = "lowest"
+    cost: float = 0.0
+    starts: tuple[Schedule, ...]
+
+    @property
+    def work(self) -> float:
+        return sum(stage.work for start in self.starts for stage in start)
+
+    def apply(self, run: Run) -> Iterator[None]:
+        lowest, least = None, np.inf
+        for start in self.starts:
+            for stage in start:
+                yield from run.steps_of(stage)
+            if lowest is None or run.value(run.present) < least:
+                lowest, least = run.present.copy(), run.value(run.present)
+        run.model = lowest
 
 
 class Run:
@@ -110,18 +106,18 @@ class Run:
     rng : numpy.random.Generator
     fixed : Fixed
         What stays as it is, and what bones may do.
-    prescribed : Prescribed
+    given : Given
         Parts that the caller handed over, in the solver's space.
     smoothness : WeightSmoothness or None
         Penalty on the weights.
     clock : Clock, optional
     rigid_joints : bool
-        Whether only models whose bones hang on joints count.
+        Accept only models whose bones are attached to their joints.
 
     Attributes
     ----------
     whole : Trajectories
-        Of all vertices.
+        All vertices.
     data : Trajectories
         What the present step works on: all vertices, or a sample of them.
     chosen : (n,) int array or None
@@ -131,20 +127,14 @@ class Run:
     best : Model or None
         Lowest objective so far with exactly the bones asked for.
     best_value : float
-    aside : Model or None
-        The lowest of several starts so far, while others are made.
+    stage : Stage or None
+        The one whose step comes next.
     iteration : int
         Alternations and polish steps so far.
     converged : bool
-        Whether the last stage ended by its own stopping test.
-    memory : Memory
-        Of the present stage.
-    leader : list of float
-        Track of the search that ended lowest.
-    recycled : Recycled or None
-        What the last step of the present polish hands on to the next.
-    polish : Polish or None
-        Of the present stage; its factors last from step to step.
+        True if the last stage ended by its own stopping test.
+    finished : bool
+        True once no stage is left.
     records : list of (iteration, elapsed, squared error, phase)
     """
 
@@ -157,7 +147,7 @@ class Run:
         influences: int,
         rng: np.random.Generator,
         fixed: Fixed,
-        prescribed: Prescribed,
+        given: Given,
         smoothness: WeightSmoothness | None = None,
         clock: Clock | None = None,
         rigid_joints: bool = False,
@@ -166,64 +156,36 @@ class Run:
         self.whole, self.data, self.schedule = data, data, tuple(schedule)
         self.chosen: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.asked, self.prescribed, self.smoothness = fixed, prescribed, smoothness
+        self.asked, self.given, self.smoothness = fixed, given, smoothness
+        self.objective = Objective(fixed, smoothness)
         self.clock = clock or Clock()
         self.model: Model | None = None
         self.best: Model | None = None
         self.best_value = np.inf
-        self.aside: Model | None = None
         self.records: list[tuple[int, float, float, str]] = []
-        self.position, self.iteration, self.converged = 0, 0, False
-        self.branch_rng = rng
-        self.leader: list[float] = []
-        self.memory = Memory()
-        self.polish: Polish | None = None
-        self.recycled: Recycled | None = None
-
-    @property
-    def finished(self) -> bool:
-        return self.position >= len(self.schedule)
-
-    @property
-    def stage(self) -> Stage | None:
-        return None if self.finished else self.schedule[self.position]
-
-    @property
-    def phase(self) -> str:
-        return "done" if self.stage is None else self.stage.phase
+        self.stage: Stage | None = None
+        self.iteration, self.converged, self.finished = 0, False, False
+        self._done, self._work = 0.0, sum(stage.work for stage in schedule) or 1.0
 
     @property
     def fixed(self) -> Fixed:
         """What the present step may move, and how."""
-        fixed = self.asked if self.chosen is None else self.asked.of_vertices(self.chosen)
+        fixed = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
             return fixed
         return dataclasses.replace(fixed, bone_model="rigid")
 
     @property
-    def present_parts(self) -> Prescribed:
-        """What the caller handed over, of the vertices that the present step works on."""
-        if self.chosen is None or self.prescribed.rest is None:
-            return self.prescribed
-        return dataclasses.replace(self.prescribed, rest=self.prescribed.rest[self.chosen])
-
-    @property
-    def generator(self) -> np.random.Generator:
-        """Where the present stage draws from."""
-        return self.branch_rng if self.stage is not None and self.stage.branch else self.rng
+    def present_parts(self) -> Given:
+        """What the caller handed over, for the vertices that the present step works on."""
+        if self.chosen is None or self.given.rest is None:
+            return self.given
+        return dataclasses.replace(self.given, rest=self.given.rest[self.chosen])
 
     @property
     def fraction(self) -> float:
-        """Fraction of the schedule's work that is done, by its estimated cost."""
-        done = total = 0.0
-        for k, stage in enumerate(self.schedule):
-            steps = stage.expected_steps
-            total += steps * stage.cost
-            if k < self.position:
-                done += steps * stage.cost
-            elif k == self.position:
-                done += min(self.memory.count, steps) * stage.cost
-        return done / total if total else 1.0
+        """Estimated fraction of the schedule's work that is done."""
+        return min(1.0, self._done / self._work)
 
     @property
     def present(self) -> Model:
@@ -233,7 +195,7 @@ class Run:
 
     @property
     def best_model(self) -> Model:
-        """Of the bones asked for; a run has one after its first steps."""
+        """The best model of the bones asked for; a run has one after its first steps."""
         assert self.best is not None
         return self.best
 
@@ -244,7 +206,7 @@ class Run:
             self.best, self.best_value = model.copy(), self.value(model)
 
     def drive(self, after_step: Callable[[str], str | None] | None = None) -> str | None:
-        """Steps until the schedule ends, or `after_step` gives a reason to stop.
+        """Make steps until the schedule ends, or `after_step` gives a reason to stop.
 
         Parameters
         ----------
@@ -257,46 +219,94 @@ class Run:
             The reason; None at the end of the schedule.
         """
         with serial_blas():
-            while not self.finished:
-                phase = self.phase
-                self.advance()
-                reason = None if after_step is None else after_step(phase)
-                if reason is not None:
-                    return reason
+            for stage in self.schedule:
+                for _ in self.steps_of(stage):
+                    phase = self._record()
+                    if self.best_value <= _EXACT * float(self.whole.x2.sum()):
+                        self.converged = self.finished = True
+                    reason = None if after_step is None else after_step(phase)
+                    if reason is not None or self.finished:
+                        return reason
+        self.finished = True
         return None
 
-    def advance(self) -> None:
-        """One small step."""
-        stage = self.schedule[self.position]
-        over = stage.step(self)
-        self.memory.count += 1
-        self._record(stage.phase)
-        if over or self.memory.count >= stage.steps:
-            self._next()
-        if self.best_value <= _EXACT * float(self.whole.x2.sum()):
-            self.position, self.converged = len(self.schedule), True
+    def make_steps(
+        self,
+        report: ProgressReport,
+        *,
+        save: Callable[[], None],
+        part: tuple[float, float] = (0.0, 1.0),
+    ) -> str:
+        """Make steps until the schedule, the time limit or the caller ends them; says which.
+
+        Parameters
+        ----------
+        report : ProgressReport
+        save : callable
+            Called after every step from the first model on; may write a checkpoint.
+        part : (float, float)
+            Fractions of the whole work that are done before and after this run.
+
+        Raises
+        ------
+        Cancelled
+            If the callback stopped the run before there was any model.
+        """
+        unit = self.whole.scale / math.sqrt(self.whole.n_frames * self.whole.n_vertices)
+
+        def after_step(phase: str) -> str | None:
+            rmse = unit * math.sqrt(self.best_value)
+            _logger.debug("%s, iteration %d, rmse %.6g", phase, self.iteration, rmse)
+            if self.best is not None:
+                save()
+            fraction = part[0] + (part[1] - part[0]) * self.fraction
+            if report(phase, iteration=self.iteration, rmse=rmse, fraction=fraction):
+                if self.best is None:
+                    raise Cancelled("stopped by the callback before there was any model")
+                return "cancelled"
+            return "time limit" if self.best is not None and report.out_of_time else None
+
+        return self.drive(after_step) or ("converged" if self.converged else "effort spent")
+
+    @property
+    def idle_bones(self) -> int:
+        """Number of bones of the best model that could each be removed at no loss.
+
+        In a tree only bones without children could.
+        """
+        wide = self.best_model.with_restarted_support()
+        idle = bone_costs(self.whole, wide) <= _NO_LOSS * float(
+            self.whole.importance @ self.whole.x2
+        )
+        if wide.tree is not None:
+            idle[wide.tree.parents[wide.tree.non_roots]] = False
+        return int(idle.sum())
+
+    def steps_of(self, stage: Stage) -> Iterator[None]:
+        """The steps of a stage, which count as work done."""
+        self.stage, end = stage, self._done + stage.work
+        for _ in stage.apply(self):
+            self._done = min(self._done + stage.cost, end)
+            yield
+        self._done = end
 
     def value(self, model: Model) -> float:
-        """The objective: squared error, and what joints and weights add where asked to."""
-        penalty = 0.0 if self.smoothness is None else self.smoothness.penalty(model)
-        return judged(self.data, model, self.asked) + penalty
+        """The objective of a model."""
+        return self.objective.value(self.data, model)
 
-    def start_branch(self) -> None:
-        self.branch_rng = copy.deepcopy(self.rng)
-
-    def judge(self, trial: Model, patience: int) -> bool:
-        """Go on from the trial if it is better; whether too many in a row were not."""
-        if self.value(trial) < self.value(self.present):
-            self.model, self.memory.failures = trial, 0
-        else:
-            self.memory.failures += 1
-        return self.memory.failures >= patience
+    def accept_if_lower(self, trial: Model) -> bool:
+        """Continue from the trial if its objective is lower; True if it is."""
+        lower = self.value(trial) < self.value(self.present)
+        if lower:
+            self.model = trial
+        return lower
 
     def compress(self) -> None:
+        """Write the frames as few combinations of frames from now on."""
         self.whole = self.data = self.whole.compressed(self.bones)
 
     def take_sample(self, count: int) -> None:
-        """Work on about so many vertices from now on, evenly from still to wild ones.
+        """Work on about `count` vertices from now on, evenly from still to wild ones.
 
         Where there are few more, on all of them as before.
         """
@@ -305,7 +315,7 @@ class Run:
             order = np.argsort(self.whole.x2, kind="stable")
             every = np.linspace(0, n - 1, count).round().astype(np.intp)
             self.chosen = np.sort(order[every])
-            self.data = self.whole.vertices(self.chosen)
+            self.data = self.whole.select_vertices(self.chosen)
 
     def take_all(self) -> None:
         """Work on all vertices again."""
@@ -315,125 +325,22 @@ class Run:
         """Free the trajectories; no further step can be made."""
         self.take_all()
         self.whole = dataclasses.replace(self.whole, z=self.whole.z[:, :0].copy(), q=None)
-        self.data, self.polish = self.whole, None
+        self.data = self.whole
 
-    def followed_by(
-        self,
-        data: Trajectories,
-        schedule: Sequence[Stage],
-        prescribed: Prescribed,
-        smoothness: WeightSmoothness | None,
-    ) -> Run:
-        """A run on other frames that counts on from this one's steps and seconds."""
-        run = Run(
-            data,
-            schedule,
-            bones=self.bones,
-            influences=self.influences,
-            rng=self.rng,
-            fixed=self.asked,
-            prescribed=prescribed,
-            smoothness=smoothness,
-            clock=self.clock,
-            rigid_joints=self.rigid_joints,
-        )
-        run.iteration = self.iteration
-        return run
-
-    def progress(self) -> dict[str, Any]:
-        """What :meth:`restore` needs beside the models."""
-        memory = dataclasses.asdict(self.memory)
-        return memory | {
-            "position": self.position,
-            "iteration": self.iteration,
-            "lead": self.leader,
-            "settled": self.converged,
-            "elapsed": self.clock.elapsed,
-            "best_value": self.best_value,
-            "rng": self.rng.bit_generator.state,
-            "branch_rng": self.branch_rng.bit_generator.state,
-        }
-
-    def restore(
-        self,
-        progress: dict[str, Any],
-        model: Model | None,
-        best: Model | None,
-        aside: Model | None,
-        records: list[tuple[int, float, float, str]],
-    ) -> None:
-        """Go on where a saved run was.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If `progress` is damaged.
-        """
-        self.model, self.best, self.aside, self.records = model, best, aside, records
-        self.memory = self._memory_of(progress)
-        begun = self.position > 0 or self.memory.count > 0
-        if (begun and model is None) or (self.finished and best is None):
-            raise ValueError("there is no model")
-        if best is not None and best.n_bones != self.bones:
-            raise ValueError(f"the best model has {best.n_bones} bones")
-        self.iteration = whole(progress, "iteration")
-        if not isinstance(progress["settled"], bool):
-            raise ValueError(f"settled is {progress['settled']!r}")
-        self.converged, self.leader = progress["settled"], numbers(progress, "lead")
-        self.best_value = np.inf if best is None else number(progress, "best_value")
-        self.clock.before = number(progress, "elapsed")
-        self.branch_rng = copy.deepcopy(self.rng)
-        self.branch_rng.bit_generator.state = progress["branch_rng"]
-        self.rng.bit_generator.state = progress["rng"]
-
-    def go_to(self, position: int) -> None:
-        """The place in the schedule, with the data as the stages before it leave them.
-
-        Raises
-        ------
-        ValueError
-            If the schedule is shorter.
-        """
-        if position > len(self.schedule):
-            raise ValueError(f"position is {position}")
-        self.position = position
-        for stage in self.schedule[:position]:
-            stage.prepare(self)
-
-    def _memory_of(self, progress: dict[str, Any]) -> Memory:
-        memory = Memory(
-            count=whole(progress, "count"),
-            failures=whole(progress, "failures"),
-            damping=None if progress["damping"] is None else number(progress, "damping"),
-            recent=numbers(progress, "recent"),
-            track=numbers(progress, "track"),
-            turns=[int(t) for t in numbers(progress, "turns", least=-np.inf)],
-            misses=[int(t) for t in numbers(progress, "misses")],
-        )
-        kinds = self.stage.changes if self.stage is not None and memory.track else 0
-        if not len(memory.turns) == len(memory.misses) == kinds:
-            raise ValueError(f"{len(memory.turns)} turns and {len(memory.misses)} misses")
-        return memory
-
-    def _record(self, phase: str) -> None:
-        model = self.model
-        if self.chosen is not None:
-            return
-        if model is None or model.n_bones != self.bones or model.n_influences > self.influences:
-            return
+    def _record(self) -> str:
+        """Remember the present model if it is the best; returns the phase of its step."""
+        stage, model = self.stage, self.model
+        assert stage is not None
+        if self.chosen is not None or model is None:
+            return stage.phase
+        if model.n_bones != self.bones or model.n_influences > self.influences:
+            return stage.phase
         if self.rigid_joints and (model.tree is None or not model.tree.rigid):
-            return
+            return stage.phase
         value = self.value(model)
         if value < self.best_value:
             self.best, self.best_value = model.copy(), value
-            # records hold the error alone, without the penalty that `value` may carry
-            error = model.objective(self.data)
-            self.records.append((self.iteration, self.clock.elapsed, error, phase))
-
-    def _next(self) -> None:
-        track = self.memory.track
-        if track and (not self.leader or track[-1] < self.leader[-1]):
-            self.leader = track
-        self.position += 1
-        self.memory = Memory()
-        self.polish = self.recycled = None
+            # the error alone, without the penalty that `value` may carry
+            error = model.weighted_error(self.data)
+            self.records.append((self.iteration, self.clock.elapsed, error, stage.phase))
+        return stage.phase

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
@@ -11,14 +12,14 @@ from scipy.spatial import cKDTree
 from ..solver.alternation import alternate, vertex_step
 from .run import Run, Stage
 
-__all__ = ["Everywhere", "Recall", "Sample"]
+__all__ = ["AllVertices", "ReturnToBest", "SampleVertices"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Sample(Stage):
-    """From here on some vertices alone, where they are many: they tell where bones belong.
+class SampleVertices(Stage):
+    """Work on a third of the vertices from now on, within bounds: they tell where bones belong.
 
-    A third of them, within bounds; all, where that leaves less than half out.
+    On all of them, where that would leave less than half out.
 
     Attributes
     ----------
@@ -30,66 +31,60 @@ class Sample(Stage):
     least: int = 48
     most: int = 128
 
-    def step(self, run: Run) -> bool:
-        self.prepare(run)
-        if run.model is not None and run.chosen is not None:
-            run.model = run.model.vertices(run.chosen)
-        return True
-
-    def prepare(self, run: Run) -> None:
+    def apply(self, run: Run) -> Iterator[None]:
         third = run.whole.n_vertices // 3
         run.take_sample(min(self.most * run.bones, max(self.least * run.bones, third)))
+        if run.model is not None and run.chosen is not None:
+            run.model = run.model.select_vertices(run.chosen)
+        yield
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Everywhere(Stage):
-    """From here on all vertices again: each begins with the bones of the nearest of the sample.
+class AllVertices(Stage):
+    """Work on all vertices again: each begins with the bones of the nearest one of the sample.
 
     Attributes
     ----------
     alternations : int
-        Of all vertices, from there.
+        On all vertices, from there.
     """
 
-    phase: ClassVar[str] = "everywhere"
+    phase: ClassVar[str] = "all vertices"
     cost: float = 8
     alternations: int = 4
 
-    def step(self, run: Run) -> bool:
+    def apply(self, run: Run) -> Iterator[None]:
         few, chosen = run.present, run.chosen
-        self.prepare(run)
-        if chosen is None:
-            return True
-        data, frame = run.data, run.prescribed.rest_frame
-        rest = data.frame(frame) if run.prescribed.rest is None else run.prescribed.rest.copy()
-        near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
-        model = few.vertices(near)
-        model.rest = rest
-        if run.prescribed.rest is None:
-            model.rest[chosen] = few.rest
-        model.restart_support()
-        vertex_step(data, model, fixed=run.fixed)
-        alternate(data, model, self.alternations, run.fixed)
-        run.iteration += self.alternations
-        run.model = model
-        return True
-
-    def prepare(self, run: Run) -> None:
         run.take_all()
+        if chosen is not None:
+            data, given = run.data, run.given
+            rest = data.frame(given.rest_frame) if given.rest is None else given.rest.copy()
+            near = np.asarray(cKDTree(rest[chosen]).query(rest)[1])
+            model = few.select_vertices(near)
+            model.rest = rest
+            if given.rest is None:
+                model.rest[chosen] = few.rest
+            model.restart_support()
+            vertex_step(data, model, fixed=run.fixed)
+            alternate(data, model, self.alternations, run.fixed)
+            run.iteration += self.alternations
+            run.model = model
+        yield
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Recall(Stage):
-    """Go on from the best model so far; on a sample, from what it is there if that is better."""
+class ReturnToBest(Stage):
+    """Reset to the best model so far, restricted to the sample if that has lower error there."""
 
-    phase: ClassVar[str] = "recall"
+    phase: ClassVar[str] = "return to best"
     cost: float = 0
 
-    def step(self, run: Run) -> bool:
+    def apply(self, run: Run) -> Iterator[None]:
         best = run.best_model
         if run.chosen is not None:
-            best = best.vertices(run.chosen)
-            if best.objective(run.data) >= run.present.objective(run.data):
-                return True
+            best = best.select_vertices(run.chosen)
+            if best.weighted_error(run.data) >= run.present.weighted_error(run.data):
+                yield
+                return
         run.model = best.with_restarted_support()
-        return True
+        yield

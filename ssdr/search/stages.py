@@ -1,172 +1,69 @@
-"""The stages that a schedule is made of, each with its few numbers and its own step.
-
-Thresholds are chosen by hand unless an experiment is named; those are in ``docs/theory.md``.
-"""
+"""The stages of a schedule for bones without joints; each `apply` makes its small steps."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import numpy as np
 
-from ..solver.alternation import alternate, bone_step, vertex_step
-from ..solver.bone_models import fit_motion, normalise_gauge, polish_of
-from ..solver.initialization import bones_of_weights, single_bone_errors, start_model
+from ..solver.alternation import bone_step, vertex_step
+from ..solver.gauge import normalise_gauge
+from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Fixed, Model
 from ..solver.trajectories import Trajectories
 from .moves import (
+    add_and_merge_bones,
+    alternate_some,
     entering_at,
-    grow_and_shed,
-    kick,
-    loosen,
-    merge_step,
+    exchange_bones,
+    exchange_influences,
+    merge_bones,
+    move_cheapest_bone,
     polish_steps,
-    regrow_step,
-    reseed_step,
-    shed_influence,
-    thin,
+    polish_then_drop_influence,
 )
 from .run import Run, Stage
 
 __all__ = [
-    "POLISH_STEPS_OF_A_TRY",
+    "STEPS_OF_A_TRIAL",
+    "AddAndMerge",
     "Alternate",
+    "Change",
     "Compress",
     "Merge",
+    "MoveBones",
     "Polish",
-    "QuickStart",
-    "Regrow",
     "Relax",
-    "Reseed",
     "Search",
-    "Spread",
-    "Start",
 ]
 
-# Frames of the first model where there are twice as many or more, and alternations on them: 64
-# frames tell which bones there are, and 16 alternations place them.
-_FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
-# Where bones of a frame start from those of another frame: Gauss–Seidel sweeps, and leaps of all
-# bones together, since sweeps alone carry a bone far only in many rounds.
-_FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
 # An alternation that gains less than this, relative to the objective, does not count.
 _PLATEAU = 1e-5
 _PLATEAU_ALTERNATIONS = 3  # in a row: fewer end on a pause that is followed by progress
 _POLISH_WINDOW = 8  # polish steps over which the stopping test looks
-POLISH_STEPS_OF_A_TRY = 8  # after which a try of a search is judged
-_CLOSE = 1.02  # ratio of objectives at which a try gets as many polish steps again
-# makes a changed copy of a model
-Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
+STEPS_OF_A_TRIAL = 8  # polish steps before a trial of a search is judged
+_CLOSE = 1.02  # ratio of objectives below which a trial gets as many polish steps again
 _MOST_MISSES = 8  # failures that count against a kind of change: none is given up for good
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Start(Stage):
-    """Bones from motion, or from what the caller prescribed, and their first weights.
-
-    Attributes
-    ----------
-    factor : float
-        Bones to start with, relative to those asked for; a merge brings them down again.
-    influences : int or None
-        Of the start; None: those asked for.
-    """
-
-    phase: ClassVar[str] = "start"
-    quick: ClassVar[bool] = False
-    cost: float = 8
-    factor: float = 1.0
-    influences: int | None = None
-
-    def step(self, run: Run) -> bool:
-        if self.branch:
-            run.start_branch()
-        run.model = self._model(run)
-        vertex_step(run.data, run.model, fixed=run.fixed)
-        return True
-
-    def _model(self, run: Run) -> Model:
-        data, prescribed, influences = (
-            run.data,
-            run.present_parts,
-            self.influences or run.influences,
-        )
-        rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
-        bones, indices, weights = prescribed.transforms, prescribed.indices, prescribed.weights
-        if indices is not None and weights is not None:
-            if bones is None:
-                bones = bones_of_weights(data, rest, indices, run.bones, run.fixed.bone_model)
-            return Model.with_weights(bones.copy(), rest, indices, weights, influences)
-        if bones is not None and bones.shape[1] == run.bones:
-            every = np.arange(data.n_vertices)
-            cost, positions = single_bone_errors(data, prescribed.rest, bones, every)
-            label = cost.argmin(axis=1)
-            if positions is not None:
-                rest = np.ascontiguousarray(positions[every, :, label])
-            return Model.start(bones.copy(), rest, label, influences)
-        count = min(data.n_vertices, max(run.bones, round(run.bones * self.factor)))
-        return start_model(
-            data,
-            rest,
-            count,
-            influences,
-            run.generator,
-            bones,
-            run.fixed.bone_model,
-            quick=self.quick,
-        )
+# makes a changed copy of a model
+Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class QuickStart(Start):
-    """A start that is soon there: settled on a few frames where there are many, then on all."""
-
-    phase: ClassVar[str] = "quick"
-    quick: ClassVar[bool] = True
-
-    def step(self, run: Run) -> bool:
-        data, prescribed = run.data, run.prescribed
-        if data.n_frames < 2 * _FEW_FRAMES or prescribed.transforms is not None:
-            return super().step(run)
-        chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
-        few = data.some(chosen)
-        rest = data.frame(prescribed.rest_frame) if prescribed.rest is None else prescribed.rest
-        model = start_model(
-            few,
-            rest,
-            run.bones,
-            self.influences or run.influences,
-            run.rng,
-            None,
-            run.fixed.bone_model,
-            quick=True,
-        )
-        vertex_step(few, model, fixed=run.fixed)
-        alternate(few, model, _FEW_ALTERNATIONS, run.fixed)
-        between = 0.5 * (chosen[1:] + chosen[:-1])
-        nearest = np.searchsorted(between, np.arange(data.n_frames))
-        model.transforms = np.ascontiguousarray(model.transforms[nearest])
-        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed)
-        vertex_step(data, model, fixed=run.fixed)
-        run.model = model
-        return True
+# --- steps on all bones ------------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Compress(Stage):
-    """From here on the frames are as few combinations of frames as hold what matters."""
+    """Write the frames as the fewest combinations of frames that hold what matters."""
 
     phase: ClassVar[str] = "compress"
     cost: float = 4
 
-    def step(self, run: Run) -> bool:
-        self.prepare(run)
-        return True
-
-    def prepare(self, run: Run) -> None:
+    def apply(self, run: Run) -> Iterator[None]:
         run.compress()
+        yield
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -176,105 +73,31 @@ class Alternate(Stage):
     Attributes
     ----------
     gain : float
-        Relative gain in the objective that an alternation has to bring: three in a row that
+        Relative decrease of the objective that an alternation has to bring; three in a row that
         bring less end the stage.
     """
 
     phase: ClassVar[str] = "alternate"
     gain: float = _PLATEAU
 
-    def step(self, run: Run) -> bool:
-        model, data, memory = run.present, run.data, run.memory
-        before = run.value(model)
-        bone_step(data, model, fixed=run.fixed)
-        pull = stiff = None
-        if run.smoothness is not None:
-            pull, stiff = run.smoothness.terms(model)
-        vertex_step(data, model, fixed=run.fixed, pull=pull, stiff=stiff)
-        normalise_gauge(model, data.importance, run.fixed)
-        run.iteration += 1
-        after = run.value(model)
-        still = before - after < max(self.gain, _PLATEAU) * before
-        memory.failures = memory.failures + 1 if still else 0
-        run.converged = memory.failures >= _PLATEAU_ALTERNATIONS
-        return run.converged
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Merge(Stage):
-    """Give up the cheapest third of the bones too many, alternate, and again until none is.
-
-    Attributes
-    ----------
-    alternations : int
-        After each.
-    """
-
-    phase: ClassVar[str] = "merge"
-    steps: int = 1000
-    cost: float = 20
-    alternations: int = 4
-
-    @property
-    def expected_steps(self) -> int:
-        return 3  # thirds of 0.6 bones too many for each asked for
-
-    def step(self, run: Run) -> bool:
-        if run.present.n_bones > run.bones:
-            run.model = merge_step(run.data, run.present, run.bones, self.alternations, run.fixed)
-            run.iteration += self.alternations
-        return run.present.n_bones <= run.bones
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Reseed(Stage):
-    """Move one of the cheapest bones to where the error is; what is better stays.
-
-    Attributes
-    ----------
-    alternations : int
-        After which the move is judged.
-    patience : int
-        Failures in a row that end the stage.
-    """
-
-    phase: ClassVar[str] = "reseed"
-    steps: int = 16
-    cost: float = 6
-    alternations: int = 4
-    patience: int = 4
-
-    def step(self, run: Run) -> bool:
-        trial = reseed_step(run.data, run.present, run.generator, self.alternations, run.fixed)
-        run.iteration += self.alternations
-        return True if trial is None else run.judge(trial, self.patience)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Regrow(Stage):
-    """Several bones more where the error is, merged down again.
-
-    Attributes
-    ----------
-    alternations : int
-        After each change.
-    patience : int
-        Failures in a row that end the stage.  0: one step, taken whatever comes of it, for what
-        it is worth shows only once it has been relaxed and searched.
-    """
-
-    phase: ClassVar[str] = "regrow"
-    cost: float = 20
-    alternations: int = 3
-    patience: int = 0
-
-    def step(self, run: Run) -> bool:
-        trial = regrow_step(run.data, run.present, run.generator, self.alternations, run.fixed)
-        run.iteration += self.alternations
-        if self.patience:
-            return run.judge(trial, self.patience)
-        run.model = trial
-        return True
+    def apply(self, run: Run) -> Iterator[None]:
+        failures = 0
+        for _ in range(self.steps):
+            model, data = run.present, run.data
+            before = run.value(model)
+            bone_step(data, model, fixed=run.fixed)
+            pull = stiff = None
+            if run.smoothness is not None:
+                pull, stiff = run.smoothness.terms(model)
+            vertex_step(data, model, fixed=run.fixed, pull=pull, stiff=stiff)
+            normalise_gauge(model, data.importance, run.fixed)
+            run.iteration += 1
+            still = before - run.value(model) < max(self.gain, _PLATEAU) * before
+            failures = failures + 1 if still else 0
+            run.converged = failures >= _PLATEAU_ALTERNATIONS
+            yield
+            if run.converged:
+                return
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -294,15 +117,19 @@ class Relax(Stage):
     cost: float = 40
     polish_steps: int = 8
 
-    def step(self, run: Run) -> bool:
-        model, k = run.present, run.influences
-        if run.memory.count == 0:
-            model = model.with_influences(min(2 * k, k + self.steps, model.n_bones))
-        if model.n_influences > k:
-            model = shed_influence(run.data, model, run.fixed, steps=self.polish_steps)
-            run.iteration += self.polish_steps
-        run.model = model
-        return model.n_influences <= k
+    def apply(self, run: Run) -> Iterator[None]:
+        k = run.influences
+        model = run.present
+        model = model.with_influences(min(2 * k, k + self.steps, model.n_bones))
+        for _ in range(max(1, model.n_influences - k)):
+            if model.n_influences > k:
+                model = polish_then_drop_influence(
+                    run.data, model, run.fixed, steps=self.polish_steps
+                )
+                run.iteration += self.polish_steps
+            run.model = model
+            yield
+            model = run.present
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -312,127 +139,167 @@ class Polish(Stage):
     Attributes
     ----------
     gain : float
-        Relative gain in the error, over eight steps, below which the stage ends.
+        Relative decrease of the error, over eight steps, below which the stage ends.
     """
 
     phase: ClassVar[str] = "polish"
     cost: float = 6
     gain: float = 0.0
 
-    def step(self, run: Run) -> bool:
-        model, memory = run.present, run.memory
-        if run.polish is None:
-            run.polish = polish_of(
-                run.data,
-                model,
-                fixed=run.fixed,
-                damping=memory.damping,
-                recycled=run.recycled,
+    def apply(self, run: Run) -> Iterator[None]:
+        polish = GaussNewton(run.data, run.present, fixed=run.fixed)
+        values = [polish.value]
+        for k in range(self.steps):
+            polish.step(entering=entering_at(k))
+            run.iteration += 1
+            values = [*values, polish.value][-_POLISH_WINDOW - 1 :]
+            # the objective is a square: its relative change is twice that of the error
+            gain = 0.5 * (values[0] - values[-1]) / max(values[0], 1e-300)
+            run.converged = len(values) > _POLISH_WINDOW and gain < self.gain
+            yield
+            if run.converged:
+                return
+
+
+# --- changes -----------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Merge(Stage):
+    """Remove the cheapest third of the excess bones, alternate, and again until none is left.
+
+    Attributes
+    ----------
+    alternations : int
+        After each removal.
+    """
+
+    phase: ClassVar[str] = "merge"
+    steps: int = 3  # expected: thirds of 0.6 excess bones for each asked for
+    cost: float = 20
+    alternations: int = 4
+
+    def apply(self, run: Run) -> Iterator[None]:
+        while run.present.n_bones > run.bones:
+            run.model = merge_bones(run.data, run.present, run.bones, self.alternations, run.fixed)
+            run.iteration += self.alternations
+            yield
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MoveBones(Stage):
+    """Move one of the cheapest bones to where the error is; keep what is better.
+
+    Attributes
+    ----------
+    alternations : int
+        Before the move is judged.
+    patience : int
+        Failures in a row that end the stage.
+    """
+
+    phase: ClassVar[str] = "move bones"
+    steps: int = 16
+    cost: float = 6
+    alternations: int = 4
+    patience: int = 4
+
+    def apply(self, run: Run) -> Iterator[None]:
+        failures = 0
+        for _ in range(self.steps):
+            trial = move_cheapest_bone(run.data, run.present, run.rng, self.alternations, run.fixed)
+            run.iteration += self.alternations
+            if trial is None:
+                yield
+                return
+            failures = 0 if run.accept_if_lower(trial) else failures + 1
+            yield
+            if failures >= self.patience:
+                return
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AddAndMerge(Stage):
+    """Add several bones where the error is, and merge them down again.
+
+    Attributes
+    ----------
+    alternations : int
+        After each change.
+    patience : int
+        Failures in a row that end the stage.  0: one step whose result is taken in any case,
+        since what it is worth shows only once it has been relaxed and searched.
+    """
+
+    phase: ClassVar[str] = "add and merge"
+    cost: float = 20
+    alternations: int = 3
+    patience: int = 0
+
+    def apply(self, run: Run) -> Iterator[None]:
+        failures = 0
+        for _ in range(self.steps):
+            trial = add_and_merge_bones(
+                run.data, run.present, run.rng, self.alternations, run.fixed
             )
-        polish = run.polish
-        if not memory.recent:
-            memory.recent = [polish.value]
-        polish.step(entering=entering_at(memory.count))
-        memory.damping, run.recycled = polish.damping, polish.recycled
-        run.iteration += 1
-        memory.recent = [*memory.recent, polish.value][-_POLISH_WINDOW - 1 :]
-        full = len(memory.recent) > _POLISH_WINDOW
-        # the objective is a square: its relative change is twice that of the error
-        gain = 0.5 * (memory.recent[0] - memory.recent[-1]) / max(memory.recent[0], 1e-300)
-        run.converged = full and gain < self.gain
-        return run.converged
+            run.iteration += self.alternations
+            if not self.patience:
+                run.model = trial
+                yield
+                return
+            failures = 0 if run.accept_if_lower(trial) else failures + 1
+            yield
+            if failures >= self.patience:
+                return
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Search(Stage):
-    """Change the model in one of four ways, polish, and keep what is better.
+    """Change the model in one of several ways, polish, and keep what is better.
 
     Attributes
     ----------
     patience : int
-        Tries in a row without success that end the stage.
+        Trials in a row without success that end the stage.
     gain : float
-        Relative gain in the objective that makes a try a success.
-    race : (float, float)
-        The search gives up where the objective is above this many times that of the search
-        that ended lowest, at the same try: before the first try, and once each kind of change
-        had its turn.  0: never.
+        Relative decrease of the objective that makes a trial a success.
     """
 
     phase: ClassVar[str] = "search"
-    kinds: ClassVar[tuple[Change, ...]] = (loosen, grow_and_shed, kick, thin)
-    changes: ClassVar[int] = len(kinds)
+    changes: ClassVar[tuple[Change, ...]] = (exchange_bones, alternate_some, exchange_influences)
     cost: float = 60
     patience: int
     gain: float = 1e-3
-    race: tuple[float, float] = (0.0, 0.0)
 
-    def step(self, run: Run) -> bool:
-        model, data, memory = run.present, run.data, run.memory
-        base = run.value(model)
-        if not memory.track:
-            memory.track = [base]
-            memory.turns = list(range(-len(self.kinds), 0))
-            memory.misses = [0] * len(self.kinds)
-            if self._behind(run):
-                return True
-        kind = self.next_change(run)
-        trial = self.kinds[kind](data, model, run.generator, run.fixed)
-        value = self.settle(run, trial, base)
-        run.iteration += POLISH_STEPS_OF_A_TRY
-        if value < base:
-            run.model = trial
-        success = value < (1.0 - self.gain) * base
-        memory.failures = 0 if success else memory.failures + 1
-        memory.turns[kind] = memory.count
-        memory.misses[kind] = 0 if success else min(memory.misses[kind] + 1, _MOST_MISSES)
-        memory.track = [*memory.track, min(value, base)]
-        run.converged = memory.failures >= self.patience
-        return run.converged or self._behind(run)
+    def apply(self, run: Run) -> Iterator[None]:
+        last_turn = list(range(-len(self.changes), 0))
+        misses = [0] * len(self.changes)
+        failures = 0
+        for k in range(self.steps):
+            base = run.value(run.present)
+            # The change whose wait, divided by 1 + its recent failures, is the longest: by turns
+            # while all pay.  Which ones do differs between sequences, and between early and late.
+            waits = [(k - t) / (1 + m) for t, m in zip(last_turn, misses, strict=True)]
+            kind = int(np.argmax(waits))
+            trial = self.changes[kind](run.data, run.present, run.rng, run.fixed)
+            value = self.polished_value(run, trial, base)
+            run.iteration += STEPS_OF_A_TRIAL
+            if value < base:
+                run.model = trial
+            success = value < (1.0 - self.gain) * base
+            failures = 0 if success else failures + 1
+            last_turn[kind] = k
+            misses[kind] = 0 if success else min(misses[kind] + 1, _MOST_MISSES)
+            run.converged = failures >= self.patience
+            yield
+            if run.converged:
+                return
 
-    def settle(self, run: Run, trial: Model, base: float) -> float:
+    def polished_value(self, run: Run, trial: Model, base: float) -> float:
         """Polish a trial (in place) before it is judged; its objective."""
-        polish_steps(run.data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
+        polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.fixed)
         value = run.value(trial)
         if base <= value < _CLOSE * base:
-            polish_steps(run.data, trial, POLISH_STEPS_OF_A_TRY, run.fixed)
+            polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.fixed)
             value = run.value(trial)
         return value
-
-    def _behind(self, run: Run) -> bool:
-        """Whether the search that ended lowest was well ahead after as many tries."""
-        track, leader = run.memory.track, run.leader
-        tries = len(track) - 1
-        if 0 < tries < len(self.kinds) or tries >= len(leader):
-            return False
-        ratio = self.race[min(tries, 1)]
-        return 0 < ratio * leader[tries] < track[-1]
-
-    @staticmethod
-    def next_change(run: Run) -> int:
-        """The change whose wait, divided by 1 + its recent failures, is the longest.
-
-        By turns while all pay; which ones do differs from sequence to sequence and
-        from the first rounds to the last.
-        """
-        waited = [
-            (run.memory.count - turn) / (1 + missed)
-            for turn, missed in zip(run.memory.turns, run.memory.misses, strict=True)
-        ]
-        return int(np.argmax(waited))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Spread(Stage):
-    """Bones of frames that start with those of other frames, and the error under them."""
-
-    phase: ClassVar[str] = "spread"
-    cost: float = 12
-
-    def step(self, run: Run) -> bool:
-        model = run.present
-        fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
-        every = np.ones(run.data.n_vertices, dtype=bool)
-        as_is = dataclasses.replace(run.fixed, rest=True, weights=every)
-        vertex_step(run.data, model, fixed=as_is)
-        return True

@@ -1,4 +1,4 @@
-"""The alternation of Le and Deng 2012: bones, then weights and rest pose."""
+"""The alternation of Le and Deng 2012: bones, then weights and rest pose, each given the other."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..kernels.bones import sweep_bones
-from ..kernels.vertices import removal_cost, solve_vertices
+from ..kernels.removal import removal_cost
+from ..kernels.vertices import solve_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from .affine import leap_rigid, solve_affine
+from .affine_fit import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Fixed, Model
 from .moments import bone_sums, neighbours, transform_sums
 from .trajectories import Array, Trajectories
@@ -17,10 +18,10 @@ __all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
 
 
 def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
-    """`count` alternations of bones, weights and rest pose (in place).
+    """Take `count` alternations of bones, weights and rest pose (in place).
 
-    Neither half raises the error but for the choice of a vertex's influences, which keeps the
-    largest weights whether that pays or not (Le and Deng 2012, section 3).
+    No step raises the error but the choice of a vertex's influences, which keeps the largest
+    weights even where others would fit better (Le and Deng 2012, section 3).
     """
     for _ in range(count):
         bone_step(data, model, fixed=fixed)
@@ -35,7 +36,16 @@ def vertex_step(
     pull: Array | None = None,
     stiff: Array | None = None,
 ) -> None:
-    """Weights, then rest pose, then the error, of every vertex (in place)."""
+    """Solve weights, then rest pose, of every vertex and set its error (in place).
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+    fixed : Fixed
+    pull, stiff : (V, B), (V,) arrays, optional
+        A penalty of stiff_i |w_i|² − 2 pull_i · w_i on the weights of each vertex.
+    """
     n_bones = model.n_bones
     keep = fixed.keep_weights(data.n_vertices)
     with serial_blas():
@@ -66,18 +76,32 @@ def vertex_step(
             )
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
-    # differences of large numbers: what is below rounding is zero
+    # a difference of large numbers, which rounding may have made negative
     np.maximum(model.error, 0.0, out=model.error)
 
 
 def bone_step(
     data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE, leaps: int = 0
 ) -> tuple[Array, Array]:
-    """Transforms of every frame under the weights and rest pose (in place); returns the sums.
+    """Fit the transforms of every frame under the weights and rest pose (in place).
 
-    Gauss–Seidel sweeps over the bones where they are rotations, scaled or not;
-    one linear solve for all bones of all frames where they are affine.  `leaps`,
-    each with its sweeps, are for rigid bones that may be far from where they belong.
+    Rigid and similarity bones take Gauss–Seidel sweeps; affine ones take one linear solve.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+    sweeps : int
+        Passes over the bones of each frame.
+    fixed : Fixed
+    leaps : int
+        Rounds of sweeps of rigid bones that may be far from their optimum, each after a
+        :func:`~ssdr.solver.affine_fit.leap_rigid`; 0: one round without a leap.
+
+    Returns
+    -------
+    u, c : arrays
+        As :func:`~ssdr.solver.moments.bone_sums` returns them.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     locked = fixed.locked(model.n_bones)
@@ -101,9 +125,18 @@ def sweep(
     sweeps: int,
     scaled: bool = False,
 ) -> None:
-    """Gauss–Seidel sweeps over the bones of all frames (in place), from the sums of vertices.
+    """Fit each bone given the others, in turns, in every frame (in place): Gauss–Seidel.
 
-    `u` may also hold a penalty that ties bones to each other.
+    Parameters
+    ----------
+    transforms : (F, B, 3, 4) array
+    u, c : arrays
+        As :func:`~ssdr.solver.moments.bone_sums` returns them, with quadratic penalties on pairs
+        of bones added to `u` where there are any.
+    locked : (B,) bool array
+    sweeps : int
+    scaled : bool
+        Whether bones may also grow (similarity).
     """
     start, neighbour = neighbours(u)
 
@@ -114,7 +147,7 @@ def sweep(
 
 
 def bone_costs(data: Trajectories, model: Model) -> Array:
-    """(B,) rise of the objective without each bone, its vertices' weights solved again."""
+    """Rise (B,) of the squared error without each bone, its vertices' weights solved again."""
     n_bones = model.n_bones
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)
@@ -124,7 +157,6 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
             removal_cost(
                 y,
-                data.x2[i:k],
                 gram,
                 model.rest[i:k],
                 model.support[i:k],

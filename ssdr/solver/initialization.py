@@ -1,4 +1,4 @@
-"""Bones from motion: patches that move rigidly, and the few of them that explain the most."""
+"""First bones: patches of vertices, each with a bone fitted to it, of which the best are chosen."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from numpy.typing import NDArray
 from ..kernels.bones import sweep_bones
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..skinning import BoneModel
-from .affine import PATCH_RIDGE, solve_affine
+from .affine_fit import PATCH_RIDGE, solve_affine
 from .model import CHUNK, Model
 from .trajectories import Array, Trajectories
 
 __all__ = ["farthest_points", "fit_patches", "start_model"]
 
-_PATCHES_PER_BONE = 8  # candidates for each bone: more are slower and offer more to choose from
-_SAMPLE = 20_000  # vertices that choose among patches
-_REFITS = 3  # rounds of assigning vertices and fitting patches: more are slower, settle further
-_FEWEST_STRETCHED = 6  # vertices from which a patch may do more than move rigidly
-_SKETCH = 32  # dimensions in which distances between trajectories are compared
+_PATCHES_PER_BONE = 8  # candidates for each bone: more take longer and offer more choice
+_SAMPLE = 20_000  # vertices by whose error patches are chosen
+_REFITS = 3  # rounds of assigning vertices to bones and fitting these (Lloyd's iteration)
+_FEWEST_STRETCHED = 6  # vertices of a patch that may stretch: fewer say little about it
+_SKETCH = 32  # dimensions of a random projection in which trajectories are compared
 
 
 def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Farthest-point sampling of the rows of x: seeds and each row's nearest seed.
 
-    Fewer seeds than asked come back where rows coincide.
+    There are fewer than `count` seeds where rows coincide.
     """
     if x.shape[1] > 2 * _SKETCH:
-        # distances are only to spread the seeds: a random projection keeps them well enough
+        # approximate distances are enough to spread the seeds
         x = x @ np.random.default_rng(0).standard_normal((x.shape[1], _SKETCH))
     seeds = [first]
     label = np.zeros(len(x), dtype=np.intp)
@@ -57,15 +57,15 @@ def fit_patches(
     count: int,
     bone_model: BoneModel = "rigid",
 ) -> Array:
-    """Best transforms of `count` disjoint sets of vertices in every frame, (F, count, 3, 4).
+    """Fit a bone to each of `count` disjoint sets of vertices, (F, count, 3, 4).
 
-    Vertices with a negative label belong to no set; an empty set gets the identity.
+    `label` (V,) is the set of each vertex, negative for none.  An empty set gets the identity.
     """
     member = np.flatnonzero(label >= 0)
     member = member[np.argsort(label[member], kind="stable")]
     bounds = np.searchsorted(label[member], np.arange(count + 1))
     p = np.concatenate([rest[member], np.ones((len(member), 1))], axis=1)
-    # vertices of no importance still tell where their patch goes if nothing else does
+    # a patch without importance is fitted all the same
     weighted = p * np.maximum(data.importance[member], 1e-9)[:, None]
     az = np.zeros((4, count, data.z.shape[1]))
     own = np.zeros((count, 4, 4))
@@ -81,11 +81,10 @@ def fit_patches(
     free = np.zeros(1, dtype=bool)
 
     def work(j: int, _first: int, _last: int) -> None:
-        # one bone at a time: a table of all pairs would be mostly zeros
+        # one bone at a time: patches share no vertices, so the table of pairs would be sparse
         piece = np.ascontiguousarray(transforms[:, j : j + 1])
         sums = np.ascontiguousarray(c[..., j : j + 1])
         block = own[j].reshape(1, 1, 4, 4).copy()
-        # a handful of vertices says little about stretch
         stretches = bone_model != "rigid" and bounds[j + 1] - bounds[j] >= _FEWEST_STRETCHED
         sweep_bones(piece, sums, block, start, nobody, free, stretches, 1, 0, len(piece))
         if stretches and bone_model == "affine":
@@ -104,16 +103,16 @@ def single_bone_errors(
 ) -> tuple[Array, Array | None]:
     """Squared error (n, B) of the chosen vertices under each bone alone.
 
-    Without a rest pose every bone gets the rest position that suits it best,
-    returned as (n, 3, B).
+    Without a rest pose each vertex has the rest position that is best for the bone; these are
+    returned, too, as (n, 3, B).
     """
     n_bones = transforms.shape[1]
     out = np.empty((len(rows), n_bones))
     positions = np.empty((len(rows), 3, n_bones)) if rest is None else None
     with serial_blas():
-        hat = data.hat(transforms)
-        reduced = data.reduce(hat)
-        columns = hat.reshape(-1, 4, n_bones)
+        stacked = data.stack(transforms)
+        reduced = data.reduce(stacked)
+        columns = stacked.reshape(-1, 4, n_bones)
         gram = np.einsum("tdj,tej->jde", columns, columns)
         solve = np.linalg.inv(gram[:, :3, :3]) if rest is None else None
 
@@ -142,10 +141,16 @@ def single_bone_errors(
     return np.maximum(out, 0.0, out=out), positions
 
 
-def choose(cost: Array, importance: Array, count: int, held: Array | None = None) -> list[int]:
+def facility_location(
+    cost: Array, importance: Array, count: int, held: Array | None = None
+) -> list[int]:
     """Greedy facility location: columns that lower Σ_i u_i min_j cost_ij most, one by one.
 
-    `held` (n,) is what bones that are there already cost.  Lazy evaluation (Minoux 1978).
+    `held` (n,) is the least cost of bones that are given.
+
+    References
+    ----------
+    Minoux, "Accelerated greedy algorithms for maximizing submodular set functions", 1978.
     """
     column = np.ascontiguousarray(cost.T)
     chosen: list[int] = []
@@ -158,7 +163,7 @@ def choose(cost: Array, importance: Array, count: int, held: Array | None = None
     def gain(j: int) -> float:
         return float(importance @ np.maximum(best - column[j], 0.0))
 
-    # gains only shrink as bones come in (submodularity): a stale one is an upper bound
+    # gains only shrink as columns are chosen (submodularity): an old one is an upper bound
     heap = [(-gain(j), j) for j in range(len(column)) if j not in chosen]
     heapq.heapify(heap)
     while heap and len(chosen) < count:
@@ -183,26 +188,37 @@ def start_model(
     bone_model: BoneModel = "rigid",
     quick: bool = False,
 ) -> Model:
-    """First model: patches by farthest points, Kabsch each, the best of them, refitted.
+    """A first model of one bone a vertex.
 
-    `given` (F, B0, 3, 4) bones come first and stay as they are.  `quick` takes fewer
-    patches and vertices to choose them by, and always the same.
+    Farthest points seed patches, each patch is fitted, the best patches are chosen, and vertices
+    and bones are assigned and fitted in turns.
+
+    Parameters
+    ----------
+    data : Trajectories
+    rest : (V, 3) array
+    bones, influences : int
+    rng : Generator
+    given : (F, B0, 3, 4) array, optional
+        Bones that come first and stay.
+    bone_model : {"rigid", "similarity", "affine"}
+    quick : bool
+        Whether to try half as many patches on a fifth of the vertices, drawing nothing.
     """
     n = data.n_vertices
     n_given = 0 if given is None else given.shape[1]
     everyone = np.arange(n)
-    # vertices are drawn by their place in the order of motion: numbering them otherwise
-    # changes nothing
+    # sorted by motion, so that the numbering of the vertices does not matter
     rows = np.argsort(data.x2, kind="stable")
-    patches_per_bone, sample = (_PATCHES_PER_BONE, _SAMPLE)
+    patches_per_bone, sample = _PATCHES_PER_BONE, _SAMPLE
     if quick:
-        patches_per_bone, sample = (_PATCHES_PER_BONE // 2, _SAMPLE // 5)
+        patches_per_bone, sample = patches_per_bone // 2, sample // 5
         rows = rows[np.linspace(0, n - 1, min(n, sample)).astype(np.intp)]
     elif n > sample:
         rows = rows[np.sort(rng.choice(n, sample, replace=False))]
     kept = np.zeros((data.n_frames, 0, 3, 4)) if given is None else given
     if bones > n_given:
-        # scaled, so that what has little importance is not far from anything
+        # scaled, so that vertices of little importance are far from none
         seeds, label_rows = farthest_points(
             data.z[rows] * np.sqrt(data.importance[rows])[:, None],
             patches_per_bone * bones,
@@ -215,8 +231,8 @@ def start_model(
         held = None
         if n_given:
             held = single_bone_errors(data, rest, kept, rows)[0].min(axis=1)
-        chosen = choose(cost, data.importance[rows], bones - n_given, held)
-        # fewer motions than bones: the rest repeat what is there
+        chosen = facility_location(cost, data.importance[rows], bones - n_given, held)
+        # repeated where there are fewer patches than bones
         kept = np.concatenate([kept, patches[:, np.resize(chosen, bones - n_given)]], axis=1)
     kept = np.ascontiguousarray(kept)
     for _ in range(_REFITS):
@@ -227,10 +243,3 @@ def start_model(
         kept[:, used] = refit[:, used]
     nearest = single_bone_errors(data, rest, kept, everyone)[0].argmin(axis=1)
     return Model.start(kept, rest, nearest, influences)
-
-
-def bones_of_weights(
-    data: Trajectories, rest: Array, indices: NDArray[np.int32], count: int, bone_model: BoneModel
-) -> Array:
-    """Each bone's own fit to the vertices that it moves most."""
-    return fit_patches(data, rest, indices[:, 0].astype(np.intp), count, bone_model)

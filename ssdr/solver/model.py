@@ -1,4 +1,4 @@
-"""The model that the solver's steps pass on, and what of it stays fixed."""
+"""The model that the solver's steps change, and what of it they may not change."""
 
 from __future__ import annotations
 
@@ -12,30 +12,47 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = [
-    "Fixed",
-    "Model",
-]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Fixed", "Model"]
 
-# Size of the unpruned support that stays warm from step to step: beyond K, so that a bone can
-# come back, and no more than a small dense solve takes.
+# Size of a vertex's support, the bones that its weights are solved on: more than K, so that a bone
+# can come back, and few enough for a small dense solve.
 SLOTS = 12
-CHUNK = 512  # vertices a chunk of work: a few milliseconds, and its arrays stay in the cache
+CHUNK = 512  # vertices of a task: it takes milliseconds, and its arrays stay in the cache
 
 
 @dataclasses.dataclass(eq=False)
 class Model:
-    """Transforms, rest pose and weights in normalised space; arrays are updated in place."""
+    """Transforms, rest pose and weights in the solver's space; steps change the arrays in place.
 
-    transforms: Array  # (F, B, 3, 4)
-    rest: Array  # (V, 3)
-    support: NDArray[np.int32]  # (V, SLOTS)
-    support_weights: Array  # (V, SLOTS)
-    count: NDArray[np.int32]  # (V,)
-    indices: NDArray[np.int32]  # (V, K)
-    weights: Array  # (V, K)
-    error: Array  # (V,) squared error of indices, weights, rest, transforms
-    tree: Tree | None = None  # the hierarchy of the bones
+    Attributes
+    ----------
+    transforms : (F, B, 3, 4) float64
+    rest : (V, 3) float64
+    support : (V, SLOTS) int32
+        Bones that the weights of a vertex are solved on.
+    support_weights : (V, SLOTS) float64
+        Their weights.
+    count : (V,) int32
+        How many they are.
+    indices : (V, K) int32
+        Those of them with the largest weights, which skin the vertex.
+    weights : (V, K) float64
+        Their weights, solved again.
+    error : (V,) float64
+        Squared error of each vertex.
+    tree : Tree or None
+        Hierarchy of the bones.
+    """
+
+    transforms: Array
+    rest: Array
+    support: NDArray[np.int32]
+    support_weights: Array
+    count: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    weights: Array
+    error: Array
+    tree: Tree | None = None
 
     @property
     def n_bones(self) -> int:
@@ -49,55 +66,60 @@ class Model:
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
         return Model(**arrays, tree=self.tree)
 
-    def vertices(self, chosen: NDArray[np.intp]) -> Model:
-        """A copy of the chosen vertices alone, with all bones."""
-        arrays = {
-            name: np.ascontiguousarray(getattr(self, name)[chosen])
-            for name in ARRAYS
-            if name != "transforms"
-        }
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Model:
+        """A copy with the chosen vertices and all bones."""
+        arrays = {k: np.ascontiguousarray(getattr(self, k)[chosen]) for k in ARRAYS[1:]}
         return Model(transforms=self.transforms.copy(), **arrays, tree=self.tree)
 
     @staticmethod
     def start(
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
     ) -> Model:
-        """One bone a vertex."""
-        n = len(rest)
-        slots = max(SLOTS, influences)
-        support = np.zeros((n, slots), dtype=np.int32)
-        support_weights = np.zeros((n, slots))
-        indices = np.zeros((n, influences), dtype=np.int32)
-        weights = np.zeros((n, influences))
-        support[:, 0] = indices[:, 0] = label
-        support_weights[:, 0] = weights[:, 0] = 1.0
-        return Model(
+        """A model whose vertices each follow the bone that `label` (V,) names, with K slots."""
+        n, slots = len(rest), max(SLOTS, influences)
+        model = Model(
             transforms=transforms,
             rest=rest.copy(),
-            support=support,
-            support_weights=support_weights,
+            support=np.zeros((n, slots), dtype=np.int32),
+            support_weights=np.zeros((n, slots)),
             count=np.ones(n, dtype=np.int32),
-            indices=indices,
-            weights=weights,
+            indices=np.zeros((n, influences), dtype=np.int32),
+            weights=np.zeros((n, influences)),
             error=np.full(n, np.inf),
         )
+        model.indices[:, 0], model.weights[:, 0] = label, 1.0
+        model.restart_support()
+        return model
 
     @staticmethod
     def with_weights(
         transforms: Array, rest: Array, indices: NDArray[np.int32], weights: Array, influences: int
     ) -> Model:
-        """Weights as they are handed over, the largest first, in `influences` slots."""
+        """A model with the given weights, the largest first, in `influences` slots."""
         model = Model.start(transforms, rest, indices[:, 0], influences)
         k = min(influences, indices.shape[1])
         model.indices[:, :k], model.weights[:, :k] = indices[:, :k], weights[:, :k]
         model.restart_support()
         return model
 
-    def objective(self, data: Trajectories) -> float:
+    def weighted_error(self, data: Trajectories) -> float:
+        """Squared error of all vertices, weighted by importance."""
         return float(data.importance @ self.error)
 
+    def bone_masses(self) -> Array:
+        """(B,) Σ_i w_ij² of each bone: how much its motion counts."""
+        squares = (self.weights**2).ravel()
+        sums = np.bincount(self.indices.ravel(), weights=squares, minlength=self.n_bones)
+        return np.asarray(sums, dtype=np.float64)
+
+    def dense_weights(self) -> Array:
+        """Weights as a matrix (V, B)."""
+        dense = np.zeros((len(self.rest), self.n_bones))
+        np.add.at(dense, (np.arange(len(dense))[:, None], self.indices), self.weights)
+        return dense
+
     def restart_support(self) -> None:
-        """Let the unpruned support restart from the weights that were kept."""
+        """Reset the support to the influences (in place)."""
         k = self.n_influences
         self.support[:] = 0
         self.support_weights[:] = 0.0
@@ -106,20 +128,20 @@ class Model:
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
     def with_restarted_support(self) -> Model:
-        """A copy whose unpruned support restarts from the weights that were kept."""
+        """A copy whose support is reset to the influences."""
         model = self.copy()
         model.restart_support()
         return model
 
     def with_influences(self, count: int) -> Model:
-        """A copy with `count` slots for influences, the largest kept where they were more.
+        """A copy with `count` slots for influences, of which the largest stay.
 
-        The error is that of before.
+        The support is reset to them; errors are not computed again.
         """
         k = self.n_influences
         indices, weights = self.indices, self.weights
         if count < k:
-            # in the order they stand, and to the bit where nothing is lost
+            # in their present order; only vertices that lose weight are normalised again
             largest = np.sort(np.argsort(-weights, axis=1, kind="stable")[:, :count], axis=1)
             indices = np.take_along_axis(indices, largest, axis=1)
             weights = np.take_along_axis(weights, largest, axis=1)
@@ -127,26 +149,19 @@ class Model:
             lost = np.count_nonzero(weights, axis=1) < np.count_nonzero(self.weights, axis=1)
             weights = np.where(lost[:, None], weights / total, weights)
         padding = ((0, 0), (0, max(0, count - k)))
-        wide = ((0, 0), (0, max(0, count - self.support.shape[1])))
-        model = Model(
-            transforms=self.transforms.copy(),
-            rest=self.rest.copy(),
-            support=np.pad(self.support, wide),
-            support_weights=np.pad(self.support_weights, wide),
-            count=self.count.copy(),
+        size = len(self.rest), max(self.support.shape[1], count)
+        model = dataclasses.replace(
+            self.copy(),
+            support=np.zeros(size, dtype=np.int32),
+            support_weights=np.zeros(size),
             indices=np.ascontiguousarray(np.pad(indices, padding)),
             weights=np.ascontiguousarray(np.pad(weights, padding)),
-            error=self.error.copy(),
-            tree=self.tree,
         )
         model.restart_support()
         return model
 
     def without(self, bones: NDArray[np.intp]) -> Model:
-        """A copy that has lost some bones; vertices keep what is left of their support.
-
-        It has no tree.
-        """
+        """A copy without some bones and without a tree; vertices keep the rest of their support."""
         keep = np.setdiff1d(np.arange(self.n_bones), bones)
         rank = np.full(self.n_bones, -1, dtype=np.int32)
         rank[keep] = np.arange(len(keep))
@@ -164,73 +179,82 @@ class Model:
         support[support_weights <= 0] = 0
         k = self.n_influences
         weights = support_weights[:, :k] / support_weights[:, :k].sum(axis=1, keepdims=True)
-        return Model(
+        return dataclasses.replace(
+            self.copy(),
             transforms=np.ascontiguousarray(self.transforms[:, keep]),
-            rest=self.rest.copy(),
             support=np.ascontiguousarray(support, dtype=np.int32),
             support_weights=support_weights,
             count=count,
-            # a copy also where all of the support is kept: steps write to both
+            # a copy even where it is all of the support, since steps write to both
             indices=np.array(support[:, :k], dtype=np.int32, order="C"),
             weights=weights,
-            error=self.error.copy(),
+            tree=None,
         )
 
     def with_bone(self, transform: Array) -> Model:
-        """A copy with one bone more, (F, 3, 4), that nothing uses yet, and without a tree."""
-        grown = dataclasses.replace(self.copy(), tree=None)
-        grown.transforms = np.ascontiguousarray(
-            np.concatenate([self.transforms, transform[:, None]], axis=1)
+        """A copy with one more bone (F, 3, 4), which no vertex uses yet, and without a tree."""
+        transforms = np.concatenate([self.transforms, transform[:, None]], axis=1)
+        return dataclasses.replace(
+            self.copy(), transforms=np.ascontiguousarray(transforms), tree=None
         )
-        return grown
 
 
-ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")
+ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  # transforms first
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fixed:
-    """What a caller wants left alone, and what bones may do."""
+    """What steps may not change, and which transforms bones may have.
+
+    Attributes
+    ----------
+    rest : bool
+        Whether the rest pose stays.
+    weights : (V,) bool array or None
+        Vertices whose weights stay.
+    bones : (B0,) bool array or None
+        Bones whose transforms stay; bones beyond the B0 are free.
+    bone_model : {"rigid", "similarity", "affine"}
+    joints : bool
+        Whether joints of a tree stay.
+    near_skin : bool
+        Whether the objective penalises joints away from where the skin of their bones meets.
+    rotations : (F, B0, 3, 3) array or None
+        Rotations relative to the parent that bones of a tree keep; NaN for bones that are free.
+    """
 
     rest: bool = False
-    weights: NDArray[np.bool_] | None = None  # (V,) vertices whose weights stay
-    bones: NDArray[np.bool_] | None = None  # (B,) bones whose transforms stay
+    weights: NDArray[np.bool_] | None = None
+    bones: NDArray[np.bool_] | None = None
     bone_model: BoneModel = "rigid"
-    joints: bool = False  # joints of a tree
-    near_skin: bool = False  # whether a tree's joints are drawn to where skin meets
-    # (F, B0, 3, 3) rotations relative to the parent that bones of a tree keep; NaN: free
-    turns: NDArray[np.float64] | None = None
+    joints: bool = False
+    near_skin: bool = False
+    rotations: NDArray[np.float64] | None = None
 
-    def of_vertices(self, chosen: NDArray[np.intp]) -> Fixed:
-        """The same for the chosen vertices alone."""
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Fixed:
+        """The same for the chosen vertices."""
         weights = None if self.weights is None else self.weights[chosen]
         return dataclasses.replace(self, weights=weights)
 
     def keep_weights(self, n: int) -> NDArray[np.bool_]:
+        """Mask of the vertices, of which there are n, whose weights stay."""
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights
 
     def locked(self, n: int) -> NDArray[np.bool_]:
-        if self.bones is None:
-            return np.zeros(n, dtype=bool)
-        return np.concatenate([self.bones, np.zeros(n - len(self.bones), dtype=bool)])
+        """Mask of the bones, of which there are n, whose transforms stay."""
+        given = np.zeros(0, dtype=bool) if self.bones is None else self.bones
+        return np.concatenate([given, np.zeros(n - len(given), dtype=bool)])
 
-    def kept_turns(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
-        """Bones whose rotation relative to their parent stays, parents first: bone, parent, it."""
-        if self.turns is None:
+    def kept_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
+        """Bones that keep their rotation relative to the parent: bone, parent, rotation (F, 3, 3).
+
+        Parents come before children.
+        """
+        if self.rotations is None:
             return []
-        there = self.turns.shape[1]
-        order = [int(j) for j in tree.order if j < there and tree.parents[j] >= 0]
-        kept = [j for j in order if not np.isnan(self.turns[0, j, 0, 0])]
-        return [(j, int(tree.parents[j]), self.turns[:, j]) for j in kept]
+        order = [int(j) for j in tree.order if j < self.rotations.shape[1] and tree.parents[j] >= 0]
+        kept = [j for j in order if not np.isnan(self.rotations[0, j, 0, 0])]
+        return [(j, int(tree.parents[j]), self.rotations[:, j]) for j in kept]
 
 
 FREE = Fixed()
-
-
-def pad_influences(model: Model, influences: int) -> tuple[NDArray[np.int32], Any]:
-    """Joints and weights with exactly K columns."""
-    more = influences - model.n_influences
-    if more <= 0:
-        return model.indices, model.weights
-    widths = ((0, 0), (0, more))
-    return np.pad(model.indices, widths), np.pad(model.weights, widths)

@@ -1,4 +1,8 @@
-"""Sums over frames and vertices that the steps share: G, Y and C."""
+"""Sums over frames and over vertices that all steps share.
+
+G = Σ_t M^t M^tᵀ and Y = Σ_t v^t M^tᵀ are all that a vertex needs of the frames; Σ_i w_j w_k p̃p̃ᵀ and
+Σ_i w_j v^t p̃ᵀ are all that a bone needs of the vertices.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +14,24 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK
 from .trajectories import Array, Trajectories
 
-__all__ = ["bone_sums", "gram_tables", "neighbours", "transform_sums"]
+__all__ = ["bone_sums", "gram_tables", "neighbours", "stack_blocks", "transform_sums"]
 
-# at most so many tasks: each holds a table of sums of its own (memory), fewer use fewer cores
+# most tasks: each has its own table of sums, which takes memory, while fewer use fewer cores
 _MOMENT_TASKS = 16
-
-
 # index of monomial p̃_d p̃_e among x², y², z², xy, xz, yz, x, y, z, 1
 _PAIR = np.array([[0, 3, 4, 6], [3, 1, 5, 7], [4, 5, 2, 8], [6, 7, 8, 9]])
 
 
 def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
-    """G = hatᵀhat (4B, 4B) as (B, 10, B) coefficients and as (B, B, 4, 4) blocks."""
+    """G (4B, 4B) of stacked transforms as the kernels take it.
+
+    Returns
+    -------
+    table : (B, 10, B) array
+        Coefficients of the monomials of p̃ in p̃ᵀ G_jk p̃.
+    blocks : (B, B, 4, 4) array
+        G_jk.
+    """
     g = gram.reshape(4, n_bones, 4, n_bones)
     blocks = np.ascontiguousarray(g.transpose(1, 3, 0, 2))
     table = np.empty((n_bones, 10, n_bones))
@@ -33,13 +43,20 @@ def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
 
 
 def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array, Array, Array]:
-    """What every vertex needs of the transforms.
+    """Sums over frames that a vertex needs of the transforms.
 
-    The stacked matrix (3F, 4B), both tables of :func:`gram_tables`, and Qᵀ times the matrix.
+    Returns
+    -------
+    stacked : (3F, 4B) array
+        :meth:`Trajectories.stack` of the transforms.
+    table, blocks : arrays
+        As :func:`gram_tables` returns them.
+    reduced : (r, 4B) array
+        Qᵀ times the stacked transforms: z times this is Y.
     """
-    hat = data.hat(transforms)
-    gram, gram4 = gram_tables(hat.T @ hat, transforms.shape[1])
-    return hat, gram, gram4, data.reduce(hat)
+    stacked = data.stack(transforms)
+    table, blocks = gram_tables(stacked.T @ stacked, transforms.shape[1])
+    return stacked, table, blocks, data.reduce(stacked)
 
 
 def bone_sums(
@@ -49,7 +66,15 @@ def bone_sums(
     rest: Array,
     n_bones: int,
 ) -> tuple[Array, Array]:
-    """Σ w_j w_k p̃p̃ᵀ as (B, B, 4, 4) and Σ v w_j p̃ of every frame as (F, 3, 4, B)."""
+    """Sums over vertices that a bone needs, weighted by importance.
+
+    Returns
+    -------
+    u : (B, B, 4, 4) array
+        Σ_i w_j w_k p̃p̃ᵀ.
+    c : (F, 3, 4, B) array
+        Σ_i w_j v^t p̃ᵀ of each frame.
+    """
     n = data.n_vertices
     bounds = chunk_bounds(n, max(CHUNK, -(-n // _MOMENT_TASKS)))
     r = data.z.shape[1]
@@ -82,8 +107,21 @@ def bone_sums(
     return np.ascontiguousarray(u[:, :, _PAIR]), c
 
 
+def stack_blocks(u: Array) -> Array:
+    """Blocks (B, B, 4, 4) as a matrix (4B, 4B) in the order of stacked transforms."""
+    n = len(u)
+    return np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)
+
+
 def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Which bones share vertices, or a penalty, as compressed rows."""
+    """Bones that share vertices or a penalty with each bone, as compressed sparse rows.
+
+    Returns
+    -------
+    start : (B + 1,) int32 array
+    neighbour : int32 array
+        Those of bone j are ``neighbour[start[j] : start[j + 1]]``.
+    """
     shared = u[:, :, 3, 3] != 0
     np.fill_diagonal(shared, False)
     start = np.concatenate([[0], np.cumsum(shared.sum(axis=1))]).astype(np.int32)

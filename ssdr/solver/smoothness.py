@@ -1,4 +1,4 @@
-"""Optional smoothness of the weights over the mesh."""
+"""Optional penalty on weights that differ along edges of the mesh."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array, diags_array
 
-from ..checks import LARGEST, check_nonnegative
-from ..errors import InputError
+from ..checks import LARGEST
 from .model import Model
 from .trajectories import Array, Trajectories
 
@@ -20,9 +19,19 @@ __all__ = ["WeightSmoothness"]
 class WeightSmoothness:
     """The penalty λ Σ_edges |w_i − w_k|² and its separable upper bound.
 
-    L ⪯ 2D for a graph Laplacian, so that at the current weights w⁰ the penalty is
-    at most a constant plus Σ_i 2λd_i|w_i|² − 2λ w_iᵀ(2d_i w_i⁰ − (Lw⁰)_i): every
-    vertex is solved by itself and the sum still cannot rise.
+    The graph Laplacian L has L ⪯ 2D, with D the degrees d.  At weights w⁰ the penalty is thus at
+    most a constant plus Σ_i 2λ d_i |w_i|² − 2λ w_iᵀ (2d_i w_i⁰ − (L w⁰)_i), with equality at w⁰.
+    Vertices that are solved one by one under this bound cannot raise the objective.
+
+    Attributes
+    ----------
+    adjacency : (V, V) sparse array
+        1 for each edge of the mesh.
+    degree : (V,) array
+    strength : float
+        λ.
+    importance : (V,) array
+        Importance of the vertices, at least 1e-6.
     """
 
     adjacency: csr_array
@@ -34,33 +43,21 @@ class WeightSmoothness:
     def build(
         data: Trajectories, faces: NDArray[np.int32], smoothness: float
     ) -> WeightSmoothness | None:
-        """None where it is off.
-
-        Raises
-        ------
-        InputError
-            If `smoothness` is negative or not finite, or the mesh has no faces.
-        """
-        expected = "a length >= 0 in the mesh's units"
-        smoothness = check_nonnegative(smoothness, "smoothness", expected)
+        """The penalty of a mesh, from a checked `smoothness`; None where it is 0."""
         if smoothness == 0:
             return None
-        if len(faces) == 0:
-            raise InputError("smoothness", "0 for a mesh without faces", smoothness)
-        n = data.n_vertices
-        edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-        edges = edges[edges[:, 0] != edges[:, 1]]
-        i, k = np.concatenate([edges, edges[:, ::-1]]).T
-        adjacency = csr_array(coo_array((np.ones(len(i)), (i, k)), shape=(n, n)))
-        adjacency.data[:] = 1.0
-        degree = np.asarray(adjacency.sum(axis=1), dtype=np.float64).ravel()
-        # beyond that the error counts for nothing, and the square need not be a number
+        from ..laplacian.operators import uniform_laplacian  # which most solves need not load
+
+        laplacian = uniform_laplacian(faces, data.n_vertices)
+        degree = laplacian.diagonal()
+        adjacency = csr_array(diags_array(degree) - laplacian)
+        # bounded lest the square overflow; that far, the error counts for nothing
         strength = data.n_frames * min(smoothness / data.scale, LARGEST) ** 2
         return WeightSmoothness(adjacency, degree, strength, np.maximum(data.importance, 1e-6))
 
     def terms(self, model: Model) -> tuple[Array, Array]:
-        """`pull` (V, B) and `stiff` (V,) of the vertex step."""
-        w = _dense(model)
+        """`pull` (V, B) and `stiff` (V,) of the vertex step, for the bound at these weights."""
+        w = model.dense_weights()
         around = np.asarray(self.adjacency @ w)
         scale = self.strength / self.importance
         pull = scale[:, None] * (around + self.degree[:, None] * w)
@@ -68,13 +65,7 @@ class WeightSmoothness:
 
     def penalty(self, model: Model) -> float:
         """λ Σ_edges |w_i − w_k|²."""
-        w = _dense(model)
+        w = model.dense_weights()
         around = np.asarray(self.adjacency @ w)
         jumps = float(np.vdot(w, self.degree[:, None] * w - around))
-        return self.strength * max(jumps, 0.0)  # equal weights: zero to rounding, either side
-
-
-def _dense(model: Model) -> Array:
-    w = np.zeros((len(model.rest), model.n_bones))
-    np.add.at(w, (np.arange(len(w))[:, None], model.indices), model.weights)
-    return w
+        return self.strength * max(jumps, 0.0)  # rounding may make 0 negative

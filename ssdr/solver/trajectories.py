@@ -1,9 +1,8 @@
-"""The only code that walks over frames: what the solver needs of an animation.
+"""The animation as the solver sees it: aligned, scaled, and compressed.
 
-Positions are taken relative to each frame's centroid and turned onto the first
-frame, which changes no error and takes the common motion out of the numbers;
-then they are scaled to unit size and, where few combinations of frames carry
-all that matters, written as X ≈ Z Qᵀ with orthonormal Q.
+Each frame is centred and rotated onto the first, which removes the common motion and changes no
+error, and all frames are scaled to unit size.  Where a few combinations of frames hold all that
+matters, the trajectories X (V, 3F) are written as X ≈ Z Qᵀ with orthonormal Q.
 """
 
 from __future__ import annotations
@@ -26,16 +25,18 @@ __all__ = [
     "centred",
     "frame_scale_of",
     "gather",
+    "rotations_onto",
     "scale_of",
+    "stack_transforms",
     "truncated_basis",
-    "turn_onto",
+    "unstack_transforms",
 ]
 
 Array = NDArray[np.float64]
 
-_TAIL = 1e-4  # energy that compression may lose, relative to what no model of B bones can hold
-_MOST_COLUMNS = 0.8  # of all, beyond which a basis saves less than it costs
-_NOISE = 1e-15  # of the energy: rounding
+_TAIL = 1e-4  # squares that compression may lose, relative to those that no B bones can fit
+_MOST_COLUMNS = 0.8  # share of all columns from which a basis costs more time than it saves
+_NOISE = 1e-15  # rounding, relative to the sum of squares
 _AT_ONCE = 64  # frames that are aligned together
 _APART = f"distances of less than {LARGEST:g} times the mesh's size"
 _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
@@ -43,16 +44,16 @@ _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Alignment:
-    """The way between the input's space and the solver's.
+    """The map between the input's space and the solver's.
 
     Attributes
     ----------
-    centre : (F, 3), turn : (F, 3, 3), scale : float
-        ``x = turn (scale x') + centre`` leads back to the input's space.
+    centre : (F, 3), rotation : (F, 3, 3), scale : float
+        Points x' of a frame in the solver's space are at ``rotation @ (scale * x') + centre``.
     """
 
     centre: Array
-    turn: Array
+    rotation: Array
     scale: float
 
     @property
@@ -60,53 +61,64 @@ class Alignment:
         return len(self.centre)
 
     def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
-        """Rest pose and transforms (F, B, 3, 4) in the input's space."""
+        """Map a rest pose (V, 3) and transforms (F, B, 3, 4) to the input's space."""
         origin = self.centre[0]
-        r = np.einsum("tab,tjbc->tjac", self.turn, transforms[..., :3])
-        shift = self.scale * np.einsum("tab,tjb->tja", self.turn, transforms[..., 3])
+        r = np.einsum("tab,tjbc->tjac", self.rotation, transforms[..., :3])
+        shift = self.scale * np.einsum("tab,tjb->tja", self.rotation, transforms[..., 3])
         t = shift + self.centre[:, None] - r @ origin
         return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
 
-    def from_world(self, rest: Array, transforms: Array | None) -> tuple[Array, Array | None]:
-        """Inverse of :meth:`to_world`; refuses what cannot be squared at the mesh's size."""
+    def from_world(
+        self,
+        rest: Array,
+        transforms: Array | None,
+        names: tuple[str, str] = ("rest", "transforms"),
+    ) -> tuple[Array, Array | None]:
+        """Map a rest pose and transforms to the solver's space.
+
+        `names` of both arguments stand in messages.
+
+        Raises
+        ------
+        InputError
+            If numbers are too large to be squared.
+        """
         origin = self.centre[0]
         inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
-        check_squarable(inner, "rest", _APART)
+        check_squarable(inner, names[0], _APART)
         if transforms is None:
             return inner, None
         m = np.asarray(transforms, dtype=np.float64)
-        r = np.einsum("tba,tjbc->tjac", self.turn, m[..., :3])
+        r = np.einsum("tba,tjbc->tjac", self.rotation, m[..., :3])
         moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
-        t = np.einsum("tba,tjb->tja", self.turn, moved) / self.scale
-        check_squarable(t, "transforms", _APART)
+        t = np.einsum("tba,tjb->tja", self.rotation, moved) / self.scale
+        check_squarable(t, names[1], _APART)
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:
-        """Positions (V, c, 3) in the solver's space of the frames first.. (c, V, 3)."""
+        """Map consecutive frames (c, V, 3), of which the first has this index, to (V, c, 3)."""
         last = first + len(block)
         moved = block.astype(np.float64, order="C") - self.centre[first:last, None]
-        turned = np.matmul(moved, self.turn[first:last])
+        turned = np.matmul(moved, self.rotation[first:last])
         return np.ascontiguousarray(turned.transpose(1, 0, 2)) / self.scale
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Trajectories(Alignment):
-    """An animation as the solver sees it.
+    """Trajectories of all vertices, frames scaled by the root of their importance.
 
     Attributes
     ----------
     z : (V, r) float64
-        Reduced trajectories, frames scaled by the root of their importance.
+        Coefficients of the trajectories in the basis.
     q : (3F, r) float64 or None
-        Orthonormal basis; None where nothing was reduced (r = 3F).
+        Orthonormal basis; None without compression, where r = 3F.
     x2 : (V,) float64
-        Squared length of each vertex's whole trajectory.
+        Squared length of each vertex's uncompressed trajectory.
     importance : (V,) float64
-        Importance of vertices, mean 1.
+        Importance of the vertices, of mean 1.
     frame_scale : (F,) float64
-        Root of the frames' importance.
-    lost : float
-        Energy outside the basis, Σ x2 − Σ|z|².
+        Root of the importance of the frames, whose mean is 1.
     """
 
     z: Array
@@ -114,32 +126,29 @@ class Trajectories(Alignment):
     x2: Array
     importance: Array
     frame_scale: Array
-    lost: float
 
     @property
     def n_vertices(self) -> int:
         return len(self.z)
 
-    def hat(self, transforms: Array) -> Array:
-        """Transforms (F, B, 3, 4) as a matrix (3F, 4B), frames scaled."""
-        f, b = transforms.shape[:2]
-        scaled = transforms * self.frame_scale[:, None, None, None]
-        return np.ascontiguousarray(scaled.transpose(0, 2, 3, 1).reshape(3 * f, 4 * b))
+    def stack(self, transforms: Array) -> Array:
+        """Transforms (F, B, 3, 4), frames scaled, as a matrix (3F, 4B)."""
+        return stack_transforms(transforms * self.frame_scale[:, None, None, None])
 
-    def reduce(self, hat: Array) -> Array:
+    def reduce(self, stacked: Array) -> Array:
         """Qᵀ times a (3F, n) matrix."""
-        return hat if self.q is None else self.q.T @ hat
+        return stacked if self.q is None else self.q.T @ stacked
 
     def expand(self, az: Array) -> Array:
-        """Per-frame sums (F, 3, 4, B) from reduced sums (4, B, r)."""
+        """Sums over vertices for each frame, (F, 3, 4, B), from those of z, (4, B, r)."""
         four, b, r = az.shape
         flat = az.reshape(four * b, r)
         full = flat.T if self.q is None else self.q @ flat.T
         out = full.reshape(self.n_frames, 3, four, b)
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
-    def some(self, frames: NDArray[np.intp]) -> Trajectories:
-        """The chosen frames alone; for what is not compressed."""
+    def select_frames(self, frames: NDArray[np.intp]) -> Trajectories:
+        """The chosen frames of uncompressed trajectories."""
         assert self.q is None
         z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
         flat = z.reshape(self.n_vertices, -1)
@@ -148,12 +157,12 @@ class Trajectories(Alignment):
             z=flat,
             x2=np.einsum("ij,ij->i", flat, flat),
             centre=self.centre[frames],
-            turn=self.turn[frames],
+            rotation=self.rotation[frames],
             frame_scale=self.frame_scale[frames],
         )
 
-    def vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
-        """The chosen vertices alone, in the same frames and the same basis."""
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
+        """The chosen vertices, in the same frames and basis."""
         return dataclasses.replace(
             self,
             z=np.ascontiguousarray(self.z[chosen]),
@@ -163,10 +172,10 @@ class Trajectories(Alignment):
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
-        """In the fewest columns that hold what a model of `bones` needs; itself if all of them do.
+        """Compress to the fewest columns that a model of `bones` needs, unless nearly all are.
 
-        The basis loses at most a ten-thousandth of the energy that no model of
-        rank 4B can reach (Eckart–Young), so that its error hides in no result.
+        The squares lost are at most a ten-thousandth of those that no matrix of rank 4B can fit
+        (Eckart–Young), a lower bound of any model's error.
         """
         x = self.z
         if self.q is not None:
@@ -174,17 +183,16 @@ class Trajectories(Alignment):
         if (self.importance == self.importance[0]).all():
             z, q = _reduce(x, float(self.x2.sum()), 4 * bones)
         else:
-            # what has no importance shall not decide what the basis holds
+            # vertices without importance must not decide what the basis holds
             root = np.sqrt(self.importance)
             _, q = _reduce(x * root[:, None], float(self.importance @ self.x2), 4 * bones)
             z = x if q is None else np.ascontiguousarray(x @ q)
         if q is None:
             return self
-        lost = max(0.0, float(self.x2.sum() - np.einsum("ij,ij->", z, z)))
-        return dataclasses.replace(self, z=z, q=q, lost=lost)
+        return dataclasses.replace(self, z=z, q=q)
 
     def frame(self, t: int) -> Array:
-        """Normalised positions (V, 3) of one frame."""
+        """Positions (V, 3) of one frame."""
         columns = slice(3 * t, 3 * t + 3)
         x = self.z[:, columns] if self.q is None else self.z @ self.q[columns].T
         return np.ascontiguousarray(x / self.frame_scale[t])
@@ -199,18 +207,18 @@ def gather(
     frame_importance: Array | None = None,
     compress: bool = True,
 ) -> Trajectories:
-    """Read all frames of all shots and, unless told otherwise, compress them for `bones`."""
+    """Read, align and scale all frames of all shots; compress them for `bones` where asked to."""
     n_vertices = sequences[0].n_vertices
     n_frames = sum(len(s) for s in sequences)
     importance = np.ones(n_vertices)
     if vertex_importance is not None:
         importance = vertex_importance / vertex_importance.mean()
     frame_scale = frame_scale_of(frame_importance, n_frames)
-    # what has no importance shall not decide where the origin is
+    # vertices without importance must not decide where the origin is
     share = None if vertex_importance is None else importance / n_vertices
     x = np.empty((n_vertices, n_frames, 3))
     centre = np.empty((n_frames, 3))
-    turn = np.empty((n_frames, 3, 3))
+    rotation = np.empty((n_frames, 3, 3))
     first = None
     t = 0
     for sequence in sequences:
@@ -221,10 +229,10 @@ def gather(
                 here, centre[t:last] = centred(block, share)
                 if first is None:
                     first = here[0]
-                turn[t:last] = turn_onto(here, first, share)
+                rotation[t:last] = rotations_onto(here, first, share)
                 if t == 0:
-                    turn[0] = np.eye(3)
-                x[:, t:last] = np.matmul(here, turn[t:last]).transpose(1, 0, 2)
+                    rotation[0] = np.eye(3)
+                x[:, t:last] = np.matmul(here, rotation[t:last]).transpose(1, 0, 2)
                 t = last
     size = float(np.sqrt(np.vdot(x, x) / (n_vertices * n_frames)))
     scale = scale_of(size, size if size > 1 / LARGEST else float(np.abs(x).max()))
@@ -238,19 +246,17 @@ def gather(
         importance=importance,
         frame_scale=frame_scale,
         centre=centre,
-        turn=turn,
+        rotation=rotation,
         scale=scale,
-        lost=0.0,
     )
     return data.compressed(bones) if compress else data
 
 
 def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
-    """Positions (..., V, 3) relative to their (weighted) centroids, and those."""
-    # in C order: sums over the same numbers laid out otherwise differ in their last bits
+    """Positions (..., V, 3) relative to their centroids, weighted by `share`, and the centroids."""
+    # in C order, since the order in memory decides the last bits of sums
     here = frames.astype(np.float64, order="C")
-    # the first vertex is taken out before the mean: far from the origin a
-    # sum of positions loses what the positions themselves still hold
+    # far from the origin, sums of positions lose digits that the positions still have
     anchor = here[..., :1, :].copy()
     here -= anchor
     mean = here.mean(axis=-2, keepdims=True) if share is None else (share @ here)[..., None, :]
@@ -260,17 +266,20 @@ def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, A
 
 
 def scale_of(size: float, spread: float) -> float:
-    """The solver's unit: the RMS distance from the centroids, 1 where all of them are 0.
+    """The solver's unit of length: the RMS distance `size` from the centroids, 1 if that is 0.
 
-    `spread` is the largest coordinate; where its square vanishes, so do errors.
+    Raises
+    ------
+    InputError
+        If the square of `spread`, the largest coordinate, vanishes, since all errors would, too.
     """
     if 0 < spread < 1 / LARGEST:
         raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
     return size or 1.0
 
 
-def turn_onto(here: Array, first: Array, share: Array | None) -> Array:
-    """Rotations that, applied from the right, turn centred frames onto the first."""
+def rotations_onto(here: Array, first: Array, share: Array | None) -> Array:
+    """Rotations that map centred frames onto the first when they act from the right."""
     known = first if share is None else first * share[:, None]
     return nearest_rotation(np.swapaxes(here, -1, -2) @ known)
 
@@ -286,18 +295,19 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
 
 
 def frame_scale_of(importance: Array | None, n_frames: int) -> Array:
-    """(F,) root of the importance of frames, relative to its mean."""
+    """Root (F,) of the importance of the frames relative to its mean."""
     return np.ones(n_frames) if importance is None else np.sqrt(importance / importance.mean())
 
 
 def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None:
-    """Orthonormal columns that hold the rows of x but for a little of their squares.
+    """Orthonormal columns that span the rows of x but for a small part of their squares.
 
     Parameters
     ----------
     x : (n, m) array
     allowed : callable
-        What may be lost, given the squares ``tail[k]`` beyond each number k of columns.
+        Gives the squares that may be lost from the array ``tail``, where ``tail[k]`` are those
+        lost with k columns.
 
     Returns
     -------
@@ -319,7 +329,7 @@ def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None
 
 
 def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
-    """Randomised range finder (Halko et al. 2011), grown until the tail is small enough."""
+    """Basis by a randomised range finder (Halko et al. 2011), enlarged until it loses little."""
     rng = np.random.default_rng(0)
     keep = rank + 64
     while keep < _MOST_COLUMNS * min(x.shape):
@@ -333,3 +343,14 @@ def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
             return np.ascontiguousarray(z @ vectors), np.ascontiguousarray(q @ vectors)
         keep *= 2
     return x, None
+
+
+def stack_transforms(transforms: Array) -> Array:
+    """Transforms (F, B, 3, 4) as a matrix (3F, 4B): a row per frame and axis."""
+    f, b = transforms.shape[:2]
+    return np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(3 * f, 4 * b)
+
+
+def unstack_transforms(stacked: Array, n_bones: int) -> Array:
+    """View (F, B, 3, 4) of stacked transforms (3F, 4B)."""
+    return stacked.reshape(-1, 3, 4, n_bones).transpose(0, 3, 1, 2)

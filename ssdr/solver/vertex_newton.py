@@ -1,22 +1,82 @@
-"""Gauss–Newton on the weights and the rest position of every vertex, on the support that it has.
+"""Gauss–Newton on the weights and the rest position of each vertex, under given transforms.
 
-What the alternation's vertex step solves one after the other moves together here: a vertex has
-its free weights and three coordinates, a dense system of at most K + 2 unknowns.
+The alternation solves weights and rest position one after the other; here they move together.  A
+vertex has its weights but the largest, which takes up the sum, and three coordinates as unknowns:
+at most D = K + 2.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..kernels.polish import polish_vertices
-from ..parallel import chunk_bounds, run_chunks
-from .model import CHUNK, Fixed, Model
-from .trajectories import Array
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from .model import CHUNK, FREE, Fixed, Model
+from .moments import transform_sums
+from .trajectories import Array, Trajectories
 
-__all__ = ["newton_rows", "newton_vertices"]
+__all__ = ["VertexSystem", "newton_rows", "newton_vertices", "optimise_vertices"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class VertexSystem:
+    """Gauss–Newton matrices of all vertices at a model, of which bones eliminate the vertices.
+
+    Attributes
+    ----------
+    stacked : (3F, 4B) float64
+        Transforms of the model, as :meth:`Trajectories.stack` stacks them.
+    inverse : (V, D, D) float64
+        Inverse of each vertex's Gauss–Newton matrix.
+    gradient : (V, D) float64
+        Half gradient of its squared error.
+    """
+
+    stacked: Array
+    inverse: Array
+    gradient: Array
+
+
+@serial_blas()
+def optimise_vertices(
+    data: Trajectories, model: Model, *, fixed: Fixed = FREE, entering: int = 3, rounds: int = 2
+) -> VertexSystem:
+    """Optimise weights and rest pose under the model's transforms (in place).
+
+    No vertex's error rises.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+    fixed : Fixed
+    entering, rounds : int
+        As in :func:`newton_vertices`.
+
+    Returns
+    -------
+    VertexSystem
+        At the optimised model.
+    """
+    stacked, gram, gram4, reduced = transform_sums(data, model.transforms)
+    n, size = data.n_vertices, model.n_influences + 2
+    system = VertexSystem(stacked, np.empty((n, size, size)), np.empty((n, size)))
+    newton_vertices(
+        lambda i, k: data.z[i:k] @ reduced,
+        data.x2,
+        (gram, gram4),
+        model,
+        fixed=fixed,
+        entering=entering,
+        rounds=rounds,
+        inverse=system.inverse,
+        gradient=system.gradient,
+    )
+    return system
 
 
 def newton_vertices(
@@ -31,25 +91,26 @@ def newton_vertices(
     inverse: Array | None = None,
     gradient: Array | None = None,
 ) -> None:
-    """Weights, rest pose and error of a model's vertices (in place).
+    """Optimise weights and rest pose from sums over the frames (in place).
 
     Parameters
     ----------
     products : callable
-        Y = Σ_t v_i^t M^tᵀ of the vertices i..k, as (k − i, 4B).
+        Gives Y = Σ_t v_i^t M^tᵀ of the vertices i..k, (k − i, 4B).
     x2 : (V,) array
         Squared length of each vertex's trajectory.
     tables : ((B, 10, B), (B, B, 4, 4)) arrays
-        Those of :func:`~ssdr.solver.moments.gram_tables`.
+        As :func:`~ssdr.solver.moments.gram_tables` returns them.
     model : Model
+        Its rest pose, weights and error are changed, its transforms not read.
     fixed : Fixed
     entering : int
-        Bones that may enter a vertex's support; −1: none, and weights stay (with 0 rounds
-        only `inverse` and `gradient` are computed).
+        Number of bones that may enter a vertex's influences, each if that lowers the error.  0:
+        weights are solved on the influences as they are; −1: this solve is left out, too.
     rounds : int
-        Of Gauss–Newton.
-    inverse, gradient : (V, K + 2, K + 2), (V, K + 2) arrays, optional
-        Receive the inverse of each vertex's Gauss–Newton matrix, and its half gradient.
+        Most Gauss–Newton steps of a vertex.
+    inverse, gradient : (V, D, D), (V, D) arrays, optional
+        Receive the fields of :class:`VertexSystem`.
     """
     n = len(model.rest)
     keep = fixed.keep_weights(n)
@@ -84,7 +145,17 @@ def newton_rows(
     inverse: Array | None = None,
     gradient: Array | None = None,
 ) -> None:
-    """The same for some vertices, whose rest, indices, weights and error are `rows`."""
+    """Do what :func:`newton_vertices` does for some vertices in the calling thread.
+
+    Parameters
+    ----------
+    y : (n, 4B) array
+        Their rows of Y.
+    rows : tuple of arrays
+        Their rest positions, indices, weights and errors, all changed in place.
+    keep : (n,) bool array
+        Vertices whose weights stay.
+    """
     rest, indices, weights, error = rows
     gram, gram4 = tables
     n, size = len(rest), indices.shape[1] + 2

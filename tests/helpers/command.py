@@ -38,32 +38,14 @@ def model_of(sequence, bones=2, influences=4):
     )
 
 
-class FakeState:
-    def __init__(self, steps):
-        self.steps = steps
-
-    def save(self, path):
-        np.savez(path, steps=self.steps)
-
-    @classmethod
-    def load(cls, path):
-        with np.load(path, allow_pickle=False) as file:
-            return cls(int(file["steps"]))
-
-
-def fake_decompose(sequence, *, bones, influences, callback, resume, steps=3, pause=0.0, **options):
+def fake_decompose(sequence, *, bones, influences, callback, steps=3, pause=0.0, **options):
     """Stands in for the solver: the same arguments and results, in as many steps as asked."""
     fake_decompose.options = options
-    began = time.perf_counter()
-    step = resume.steps if resume is not None else 0
     reason = "converged"
-    while step < steps:
-        step += 1
-        elapsed = time.perf_counter() - began
+    for step in range(1, steps + 1):
         progress = SimpleNamespace(
             phase="alternate",
-            iteration=step,
-            elapsed=elapsed,
+            elapsed=pause * step,
             rmse=1.0 / step,
             fraction=step / steps,
             time_left=pause * (steps - step),
@@ -71,19 +53,15 @@ def fake_decompose(sequence, *, bones, influences, callback, resume, steps=3, pa
         if callback(progress):
             reason = "cancelled"
             break
-        if pause > 1:
-            sys.stderr.write("asleep\n")
+        if pause and step == 1:
+            sys.stderr.write("solving\n")
         time.sleep(pause)
-    skinning = model_of(sequence, bones, influences)
-    if options.get("checkpoint") is not None:
-        FakeState(step).save(options["checkpoint"])
     return SimpleNamespace(
-        skinning=skinning,
+        skinning=model_of(sequence, bones, influences),
         rmse=0.25,
         converged=reason == "converged",
         stop_reason=reason,
-        history=(SimpleNamespace(iteration=step, elapsed=1.0, rmse=0.25, phase="alternate"),),
-        state=FakeState(step),
+        history=(SimpleNamespace(iteration=step),),
         compile_seconds=0.0,
     )
 
@@ -93,11 +71,16 @@ FAKED = textwrap.dedent(
     import functools, sys
     import ssdr, ssdr.cli
     from helpers import command
-    ssdr.decompose = functools.partial(command.fake_decompose, steps={steps}, pause=0.02)
-    ssdr.SolverState = command.FakeState
+    fake = functools.partial(command.fake_decompose, steps={steps}, pause={pause})
+    ssdr.decompose = fake
     sys.exit(ssdr.cli.main())
     """
 )
+
+
+def faked(steps=3, pause=0.02):
+    """Words for :func:`start` that run the command with the solver that waits."""
+    return ["-c", FAKED.format(steps=steps, pause=pause)]
 
 
 def start(arguments, *, environment=None, **options):

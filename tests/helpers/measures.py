@@ -1,16 +1,22 @@
-"""What the tests of decompositions share: two small motions, and measures by code of their own."""
+"""What tests of decompositions share: two small motions, and measures by code of their own."""
 
 from __future__ import annotations
 
 import functools
+import threading
+import time
+from collections.abc import Callable, Sequence
 
 import numpy as np
+import pytest
 
 import ssdr
 from helpers import motions
-from ssdr.search.prescribed import Prescribed
+from helpers.stretches import check_kind
+from ssdr.search.given import Given
 from ssdr.search.run import Run, Stage
-from ssdr.search.stages import Alternate, Start
+from ssdr.search.stages import Alternate
+from ssdr.search.starts import Start
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import Trajectories
 
@@ -34,21 +40,34 @@ def wavy() -> np.ndarray:
 
 @functools.cache
 def small() -> ssdr.Decomposition:
-    return ssdr.decompose(wavy(), tolerance="0.8%", effort="fast")
+    return ssdr.smallest(wavy(), tolerance="0.8%", effort="fast")
 
 
-def solved(
-    data: Trajectories, bones: int, influences: int = 4, schedule: list[Stage] | None = None
-) -> Model:
-    run = Run(
+def run_of(
+    data: Trajectories,
+    schedule: Sequence[Stage],
+    bones: int,
+    influences: int = 4,
+    *,
+    fixed: Fixed | None = None,
+    given: Given | None = None,
+) -> Run:
+    """A run that has not begun."""
+    return Run(
         data,
-        schedule or [Start(), Alternate(steps=8)],
+        schedule,
         bones=bones,
         influences=influences,
         rng=np.random.default_rng(0),
-        fixed=Fixed(),
-        prescribed=Prescribed(),
+        fixed=fixed or Fixed(),
+        given=given or Given(),
     )
+
+
+def solved(
+    data: Trajectories, bones: int, influences: int = 4, schedule: Sequence[Stage] | None = None
+) -> Model:
+    run = run_of(data, schedule or [Start(), Alternate(steps=8)], bones, influences)
     run.drive()
     return run.best_model
 
@@ -77,6 +96,76 @@ def largest_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
     return float(np.sqrt(((played(skinning) - array) ** 2).sum(axis=-1).max()))
 
 
-def bits(result: ssdr.Decomposition) -> list[bytes]:
+def bits(result: ssdr.Decomposition) -> tuple[bytes, ...]:
     s = result.skinning
-    return [a.tobytes() for a in (s.rest, s.indices, s.weights, s.transforms)]
+    return tuple(a.tobytes() for a in (s.rest, s.indices, s.weights, s.transforms))
+
+
+def bits_on_threads(
+    solve: Callable[[], ssdr.Decomposition], counts: Sequence[int] = (1, 2)
+) -> set[tuple[bytes, ...]]:
+    """The results of a call on so many threads each; one where they are the same."""
+    found = set()
+    try:
+        for count in counts:
+            ssdr.set_threads(count)
+            found.add(bits(solve()))
+    finally:
+        ssdr.set_threads(None)
+    return found
+
+
+def check(
+    result: ssdr.Decomposition, array: np.ndarray, bones: int, influences: int = 4
+) -> ssdr.Decomposition:
+    """What holds for every result."""
+    s = result.skinning
+    n_frames, n = array.shape[:2]
+    assert s.transforms.shape == (n_frames, bones, 3, 4)
+    assert s.rest.shape == (n, 3)
+    assert s.indices.shape == s.weights.shape == (n, influences)
+    assert s.indices.min() >= 0
+    assert s.indices.max() < bones
+    assert s.weights.min() >= 0
+    assert np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6
+    assert (np.diff(s.weights, axis=1) <= 1e-12).all()
+    assert (s.indices[s.weights == 0] == 0).all()
+    check_kind(s.transforms, s.bone_model)
+    scale = max(diagonal(array), float(np.abs(array).max()))
+    assert result.rmse == pytest.approx(rmse_of(s, array), rel=1e-6, abs=1e-13 * scale)
+    errors = [record.rmse for record in result.history]
+    assert (np.diff(errors) <= 0).all()
+    assert errors[-1] == result.rmse
+    assert (np.diff([record.elapsed for record in result.history]) >= 0).all()
+    assert (np.diff([record.iteration for record in result.history]) >= 0).all()
+    assert result.history[0].elapsed > 0
+    assert result.stop_reason in ("converged", "effort spent", "time limit", "cancelled")
+    assert result.converged == (result.stop_reason == "converged")
+    return result
+
+
+def longest_silence(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds that `work` took, and the longest that another Python thread had to wait."""
+    gaps: list[float] = []
+    started, done = threading.Event(), threading.Event()
+
+    def tick() -> None:
+        last = time.perf_counter()
+        while not done.is_set():
+            time.sleep(0.001)
+            now = time.perf_counter()
+            gaps.append(now - last)
+            last = now
+            started.set()
+
+    watcher = threading.Thread(target=tick)
+    watcher.start()
+    started.wait()
+    began = time.perf_counter()
+    try:
+        work()
+    finally:
+        spent = time.perf_counter() - began
+        done.set()
+        watcher.join()
+    return spent, max(gaps)

@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import ssdr
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rig:
@@ -23,8 +25,18 @@ class Rig:
         return blend(self.rest, self.indices, self.weights, self.transforms)
 
     @property
-    def bones(self) -> int:
-        return self.transforms.shape[1]
+    def skinning(self) -> ssdr.Skinning:
+        return model(self.rest, self.indices, self.weights, self.transforms, faces=self.faces)
+
+
+def model(rest, indices=None, weights=None, transforms=None, *, bones=None, **options):
+    """A model of these parts; where they are missing, vertices are of bone 0, bones at rest."""
+    if indices is None:
+        indices, weights = np.zeros((len(rest), 1), dtype=int), np.ones((len(rest), 1))
+    if transforms is None:
+        count = int(indices.max()) + 1 if bones is None else bones
+        transforms = np.tile(np.eye(3, 4), (1, count, 1, 1))
+    return ssdr.Skinning(rest, indices, weights, transforms, **options)
 
 
 def blend(rest, indices, weights, transforms):

@@ -2,93 +2,22 @@
 
 Each case says what to decompose, and either which argument the error names or the
 same problem without the disturbance, whose error the disturbed one must reach.
-Errors are relative: rmse over the size that the case names (the diagonal of the
-undisturbed frames), so that shifted and scaled input can be compared.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import os
-import subprocess
-import sys
-import tempfile
-import threading
-import time
-import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import ssdr
 from helpers import motions
-from helpers.measures import bits, diagonal
+from helpers.measures import diagonal
+from helpers.stability import Case, Group, Problem, goes_on, memory, run, same_bits, taken_up
 
-SEEDS = 3
-
-
-@dataclasses.dataclass(frozen=True)
-class Problem:
-    """Arguments of one call and the size that its error is measured by."""
-
-    frames: Any
-    size: float
-    faces: Any = None
-    options: dict[str, Any] = dataclasses.field(default_factory=dict)
-
-    def positions(self) -> np.ndarray:
-        """All frames (F, V, 3) in float64."""
-        parts = self.frames if isinstance(self.frames, list) else [self.frames]
-        arrays = [getattr(part, "vertices", part) for part in parts]
-        return np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays])
-
-    def solve(self, seeds: int = 1) -> ssdr.Decomposition:
-        """The best of so many seeds."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
-            results = [
-                ssdr.decompose(self.frames, self.faces, rng=seed, **({"bones": 4} | self.options))
-                for seed in range(seeds)
-            ]
-        return min(results, key=lambda result: result.rmse)
-
-
-@dataclasses.dataclass(frozen=True)
-class Case:
-    """A disturbed problem.
-
-    `refused` names the argument of the expected error.  Otherwise the relative
-    error must be at most ``factor`` times that of `undisturbed`, which may be known (0
-    where there is none: the data is exact), plus ``slack``, which is what the storage loses.
-    Of two problems that are compared the best of three seeds counts: rounding alone
-    can lead a single run to the minimum next door.  `check` is for what is no
-    matter of the error: it returns what is wrong.
-    """
-
-    name: str
-    disturbed: Callable[[], Problem]
-    undisturbed: Callable[[], Problem | float] | None = None
-    refused: str | None = None
-    factor: float = 1.1
-    slack: float = 1e-9
-    only_valid: bool = False
-    check: Callable[[Problem], str] | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class Group:
-    """Cases of one kind, by the number that the design gives them.
-
-    `catches` is what a solver does that fails here.
-    """
-
-    number: int
-    title: str
-    catches: str
-    cases: list[Case]
+__all__ = ["CASES", "GROUPS", "Case", "Problem", "large", "plain", "run"]
 
 
 @functools.cache
@@ -156,14 +85,16 @@ def components() -> Problem:
 
 
 def few_poses(rest: np.ndarray) -> Problem:
-    return Problem(base()[[0, 5, 11]], diagonal(base()), rig().faces, {"rest": rest})
+    return Problem(
+        base()[[0, 5, 11]], diagonal(base()), rig().faces, {"start": ssdr.Start(rest=rest)}
+    )
 
 
 def bent() -> Problem:
     """Three exact poses that fold up the chain, and its straight rest pose."""
     folded = motions.chain(bones=4, rows=16, frames=16, bend=2.5)
     frames = folded.frames[[4, 9, 14]]
-    return Problem(frames, diagonal(frames), folded.faces, {"rest": folded.rest})
+    return Problem(frames, diagonal(frames), folded.faces, {"start": ssdr.Start(rest=folded.rest)})
 
 
 def far_rest() -> np.ndarray:
@@ -278,6 +209,11 @@ def clips() -> Problem:
     return Problem(parts, diagonal(base()))
 
 
+def after(iterations: int) -> Callable[[ssdr.search.progress.Progress], bool]:
+    """A callback that stops there."""
+    return lambda progress: progress.iteration >= iterations and bool(np.isfinite(progress.rmse))
+
+
 def large(vertices: int, frames: int) -> Problem:
     """A waving sheet of so many vertices; float32."""
     rng = np.random.default_rng(0)
@@ -286,95 +222,8 @@ def large(vertices: int, frames: int) -> Problem:
     out = np.empty((frames, vertices, 3), dtype=np.float32)
     out[:] = rest
     out[..., 2] += np.sin(0.3 * rest[:, 0] + 0.1 * t) + np.cos(0.2 * rest[:, 1] - 0.07 * t)
-    options = {"bones": 6, "effort": "fast", "max_iterations": 8}
+    options = {"bones": 6, "effort": "fast", "callback": after(8)}
     return Problem(out, diagonal(out[:: max(1, frames // 20)]), None, options)
-
-
-MEMORY = """
-import sys
-from helpers.stability_cases import large, memory_used
-import ssdr
-ssdr.decompose([[[0.0, 0, 0]] * 3] * 3, bones=1)
-vertices, frames = int(sys.argv[1]), int(sys.argv[2])
-problem = large(vertices, frames)
-before = memory_used("VmRSS")
-found = ssdr.decompose(problem.frames, **problem.options)
-assert found.rmse < 0.05 * problem.size, found.rmse
-print((memory_used("VmHWM") - before) / (24 * vertices * frames), memory_used("VmHWM") - before)
-"""
-MOST_MEMORY = 6.0  # times the positions in float64
-
-
-def memory_used(what: str) -> float:
-    """Bytes of this process, now (VmRSS) or at most (VmHWM)."""
-    with open("/proc/self/status") as file:
-        line = next(line for line in file if line.startswith(what))
-    return 1024 * float(line.split()[1])
-
-
-def memory(problem: Problem) -> str:
-    """A process of its own, since the most that a process ever used cannot be reset."""
-    n_frames, n = np.asarray(problem.frames).shape[:2]
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", MEMORY, str(n), str(n_frames)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
-    )
-    if done.returncode:
-        return done.stderr.strip().splitlines()[-1]
-    times, used = (float(x) for x in done.stdout.split())
-    fits = times < MOST_MEMORY or used < 2**28
-    return "" if fits else f"{times:.1f} times the positions in float64"
-
-
-def same_bits(problem: Problem) -> str:
-    threads = ssdr.get_threads()
-    found = []
-    try:
-        for count in (1, 2):
-            ssdr.set_threads(count)
-            found.append(bits(problem.solve()))
-    finally:
-        ssdr.set_threads(threads)
-    return "" if found[0] == found[1] else "other bits"
-
-
-def resumed(problem: Problem) -> str:
-    whole = problem.solve()
-    with tempfile.TemporaryDirectory() as folder:
-        half = whole.history[len(whole.history) // 2].iteration
-        stop = {"callback": lambda p: p.iteration >= half and bool(np.isfinite(p.rmse))}
-        part = dataclasses.replace(problem, options=problem.options | stop).solve()
-        if part.stop_reason != "cancelled":
-            return f"did not stop: {part.stop_reason}"
-        path = part.state.save(Path(folder) / "state.npz")
-        again = dataclasses.replace(problem, options=problem.options | {"resume": path}).solve()
-    return "" if bits(again) == bits(whole) else "other bits"
-
-
-def goes_on(problem: Problem) -> str:
-    """Another thread sleeps and wakes while the solver runs; how late, at worst."""
-    problem.solve()  # kernels are ready
-    waits = [0.0]
-    over = threading.Event()
-
-    def tick() -> None:
-        while not over.is_set():
-            began = time.perf_counter()
-            time.sleep(0.001)
-            waits.append(time.perf_counter() - began)
-
-    thread = threading.Thread(target=tick)
-    thread.start()
-    began = time.perf_counter()
-    problem.solve()
-    seconds = time.perf_counter() - began
-    over.set()
-    thread.join()
-    return "" if max(waits) < 0.5 * seconds else f"waited {max(waits):.2f} of {seconds:.2f} s"
 
 
 GROUPS = [
@@ -481,10 +330,10 @@ GROUPS = [
     Group(19, "reproducible", "sums in the order in which threads happen to end", [
         Case("one thread and two", plain, check=same_bits),
     ]),
-    Group(20, "cancel and resume", "work lost when stopped; a program that stands still "
+    Group(20, "cancel and go on", "work lost when stopped; a program that stands still "
           "meanwhile", [
-        Case("cancelled, saved, resumed", plain, check=resumed),
-        Case("other threads go on", lambda: plain(effort="best", max_iterations=60),
+        Case("cancelled, taken up from its file", plain, check=taken_up),
+        Case("other threads go on", lambda: plain(effort="best", callback=after(60)),
              check=goes_on),
     ]),
     Group(21, "arrays of another kind", "a number read as another, a view read as if it "
@@ -506,78 +355,3 @@ GROUPS = [
     ]),
 ]  # fmt: skip
 CASES = [case for group in GROUPS for case in group.cases]
-
-
-@dataclasses.dataclass(frozen=True)
-class Outcome:
-    """What came of a case; `bound` is what its relative error must not exceed."""
-
-    case: str
-    outcome: str
-    figure: float | None = None
-    undisturbed: float | None = None
-    bound: float | None = None
-
-    @property
-    def passed(self) -> bool:
-        if self.outcome != "solved":
-            return self.outcome.startswith("refused: ")
-        return self.bound is None or bool(self.figure is not None and self.figure <= self.bound)
-
-
-@functools.cache
-def _figure(make: Callable[[], Problem | float]) -> float:
-    problem = make()
-    if isinstance(problem, float):
-        return problem
-    return problem.solve(SEEDS).rmse / problem.size
-
-
-def run(case: Case) -> Outcome:
-    """Solve a case; every model that comes back is checked from outside."""
-    problem = case.disturbed()
-    if case.check is not None:
-        fault = case.check(problem)
-        return Outcome(case.name, f"FAILED: {fault}" if fault else "solved")
-    try:
-        result = problem.solve(1 if case.undisturbed is None else SEEDS)
-    except ssdr.InputError as error:
-        if error.argument != case.refused:
-            return Outcome(case.name, f"WRONG ERROR: {error}")
-        return Outcome(case.name, f"refused: {error}")
-    if case.refused is not None:
-        return Outcome(case.name, "NOT REFUSED")
-    frames = problem.positions()
-    fault = invalid(result.skinning, frames, problem.options.get("bones", 4))
-    errors = [record.rmse for record in result.history]
-    if not fault and not problem.options.get("smoothness") and (np.diff(errors) > 0).any():
-        fault = "the error rises"
-    if fault:
-        return Outcome(case.name, f"INVALID: {fault}")
-    s = result.skinning
-    gap = motions.blend(s.rest, s.indices, s.weights, s.transforms) - frames
-    figure = float(np.sqrt((gap**2).sum(axis=-1).mean())) / problem.size
-    reported = result.rmse / problem.size
-    if abs(figure - reported) > 1e-4 * figure + 1e-9:
-        return Outcome(case.name, f"INVALID: says {reported:.3g}, is {figure:.3g}", figure)
-    before = 0.0 if case.undisturbed is None else _figure(case.undisturbed)
-    bound = None if case.only_valid else float(case.factor * before + case.slack)
-    return Outcome(case.name, "solved", figure, before, bound)
-
-
-def invalid(s: ssdr.Skinning, frames: np.ndarray, bones: int) -> str:
-    """What is wrong with a model, or an empty text."""
-    r = s.transforms[..., :3]
-    if s.bone_model == "similarity":
-        r = r / np.linalg.norm(r[..., :1], axis=-2, keepdims=True)
-    turned = np.abs(np.einsum("tjca,tjcb->tjab", r, r) - np.eye(3)).max()
-    tests = {
-        "number of bones": s.transforms.shape == (len(frames), bones, 3, 4),
-        "rest pose": s.rest.shape == frames.shape[1:] and bool(np.isfinite(s.rest).all()),
-        "transforms": bool(np.isfinite(s.transforms).all()),
-        "rotations": bool(turned < 1e-6) and bool(np.linalg.det(r).min() > 0),
-        "weights": bool(s.weights.min() >= 0)
-        and bool(np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6),
-        "indices": bool(s.indices.min() >= 0) and bool(s.indices.max() < bones),
-    }
-    return ", ".join(name for name, good in tests.items() if not good)

@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import trimesh
 
+from helpers import motions
+
 
 def same_sequence(a, b, *, strict=True):
     np.testing.assert_array_equal(a.vertices[:], b.vertices[:], strict=strict)
@@ -33,10 +35,7 @@ def grid(n, m, *, jitter=0.0, rng=None, size=1.0):
     points = np.stack([x, y, np.zeros_like(x)], axis=-1)
     if jitter:
         points[1:-1, 1:-1, :2] += jitter * rng.uniform(-1, 1, (n - 1, m - 1, 2))
-    index = np.arange((n + 1) * (m + 1)).reshape(n + 1, m + 1)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2).reshape(-1, 3)
-    return points.reshape(-1, 3), faces.astype(np.int32)
+    return points.reshape(-1, 3), motions.grid(n + 1, m + 1).astype(np.int32)
 
 
 def animation(seed=0, *, F=5, noise=0.1, subdivisions=1):

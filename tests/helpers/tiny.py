@@ -1,47 +1,138 @@
-"""A small fitted model with dense Jacobians by finite differences, for tests of the polish."""
+"""A small fitted model with dense Jacobians by finite differences, for tests of Gauss–Newton."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import ssdr
 from helpers import motions
+from helpers.stretches import stretched
+from ssdr.hierarchy.transforms import parents_first
+from ssdr.hierarchy.tree import Tree
+from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
+from ssdr.solver.gauss_newton import GaussNewton
 from ssdr.solver.model import FREE, Fixed, Model
-from ssdr.solver.polish import Polish
 from ssdr.solver.trajectories import Trajectories, gather
 
-__all__ = ["Tiny"]
+__all__ = ["CASES", "KINDS", "TREES", "Tiny"]
+
+_SOME, _ALL = np.arange(8) % 2 == 0, np.ones(8, dtype=bool)
+# rotations relative to the parent that bones 0 and 1 keep, where they have one
+_TURNS = Rotation.random(12, rng=np.random.default_rng(8)).as_matrix().reshape(4, 3, 3, 3)
+_TURNS[:, 2] = np.nan
+CASES = {
+    "free": FREE,
+    "rest": Fixed(rest=True),
+    "weights": Fixed(weights=_SOME),
+    "all weights": Fixed(weights=_ALL),
+    "rest and weights": Fixed(rest=True, weights=_ALL),
+    "bones": Fixed(bones=np.array([False, True, False])),
+    "joints": Fixed(joints=True),
+    "motion alone": Fixed(rest=True, weights=_ALL, joints=True),
+    "locked": Fixed(rotations=_TURNS),
+}
+KINDS = {"rigid": 6, "similarity": 7, "affine": 12}  # unknowns of a bone
+TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
 
 
 class Tiny:
-    """A small fitted model, its residual as a function of all unknowns, and the Jacobian."""
+    """A small fitted model, its residual as a function of all unknowns, and the Jacobian.
 
-    def __init__(self, seed: int = 0, *, fixed: Fixed = FREE, importance: bool = True) -> None:
+    `kind` is a bone model or a tree's name.
+    """
+
+    n, bones, frames, k = 8, 3, 4, 3
+
+    def __init__(self, kind: str = "rigid", case: str = "free", seed: int = 3) -> None:
         rng = np.random.default_rng(seed)
-        self.n, self.bones, self.frames, self.k = 8, 3, 4, 3
+        self.kind, tree = kind, TREES.get(kind)
         rest = rng.standard_normal((self.n, 3))
         indices, weights = motions.weights_of(rng, self.n, self.bones, self.k)
         truth = motions.motions(rng, self.frames, self.bones)
+        if kind in ("similarity", "affine"):
+            truth = stretched(truth, kind, amount=0.2)
         frames = motions.blend(rest, indices, weights, truth)
         frames += 0.1 * rng.standard_normal(frames.shape)
         self.data: Trajectories = gather(
             [ssdr.MeshSequence(frames)],
             bones=99,
-            vertex_importance=0.5 + rng.random(self.n) if importance else None,
-            frame_importance=0.5 + rng.random(self.frames) if importance else None,
+            vertex_importance=0.5 + rng.random(self.n),
+            frame_importance=0.5 + rng.random(self.frames),
         )
         assert self.data.q is None
         inner, start = self.data.from_world(rest, truth)
         assert start is not None
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
-        self.model = Model.start(start, inner, indices[:, 0].astype(np.intp), self.k)
-        self.model.indices[:], self.model.weights[:] = indices, weights
-        self.model.restart_support()
-        self.fixed = fixed
-        vertex_step(self.data, self.model, fixed=fixed)
-        self.polish = Polish(self.data, self.model, fixed=fixed, conjugate_steps=2000)
+        self.model = Model.with_weights(start, inner, indices, weights, self.k)
+        model_of = "rigid" if tree else kind
+        self.fixed = dataclasses.replace(CASES[case], bone_model=model_of)  # type: ignore[arg-type]
+        vertex_step(self.data, self.model, fixed=self.fixed)
+        if tree:
+            points = np.random.default_rng(5).normal(size=(3, 3))
+            self.model.tree = Tree(np.array(tree, dtype=np.int64), points, rigid=False)
+            snap_to_joints(self.data, self.model, self.fixed)
+        self.newton = self.gauss_newton()
+
+    def gauss_newton(self, **options: object) -> GaussNewton:
+        """Gauss–Newton whose conjugate gradients go on until they are exact."""
+        newton = GaussNewton(self.data, self.model, fixed=self.fixed, **options)  # type: ignore[arg-type]
+        newton.tangent.conjugate_steps = 3000
+        return newton
+
+    @property
+    def unknowns(self) -> int:
+        """How many the tangent has."""
+        tree = self.model.tree
+        if tree is None:
+            return self.frames * self.bones * KINDS[self.kind]
+        joints = 0 if self.fixed.joints else len(tree.non_roots)
+        return 3 * (self.frames * (self.bones + len(tree.roots)) + joints)
+
+    def shaped(self, x: np.ndarray) -> np.ndarray:
+        """Unknowns as the tangent takes them."""
+        return x if self.model.tree else x.reshape(self.frames, self.bones, -1)
+
+    def moved(self, x: np.ndarray) -> np.ndarray:
+        """Transforms after a step."""
+        m = self.model.transforms
+        if self.model.tree is not None:
+            return self._moved_chain(x)
+        x = x.reshape(self.frames, self.bones, -1)
+        if self.kind == "affine":
+            return m + x.reshape(m.shape)
+        out = m.copy()
+        out[..., :3] = m[..., :3] @ _rotations(x[..., :3])
+        out[..., 3] += np.einsum("tjab,tjb->tja", m[..., :3], x[..., 3:6])
+        if self.kind == "similarity":
+            out[..., :3] *= np.exp(x[..., 6])[..., None, None]
+        return out
+
+    def _moved_chain(self, x: np.ndarray) -> np.ndarray:
+        """Forward kinematics of a tree."""
+        tree, out = self.model.tree, self.model.transforms.copy()
+        points = tree.points.copy()
+        size = 3 * (self.bones + len(tree.roots))
+        of_frames = x[: self.frames * size].reshape(self.frames, size)
+        if not self.fixed.joints:
+            points[tree.non_roots] += x[self.frames * size :].reshape(-1, 3)
+        turns = _rotations(of_frames[:, : 3 * self.bones].reshape(self.frames, self.bones, 3))
+        shifts = of_frames[:, 3 * self.bones :].reshape(self.frames, -1, 3)
+        kept = {j: turn for j, _, turn in self.fixed.kept_rotations(tree)}
+        for j in parents_first(tree.parents):
+            k = tree.parents[j]
+            old = out[:, j, :, :3].copy()
+            out[:, j, :, :3] = out[:, k, :, :3] @ kept[j] if j in kept else old @ turns[:, j]
+            if k < 0:
+                shift = shifts[:, list(tree.roots).index(j)]
+                out[:, j, :, 3] += np.einsum("tab,tb->ta", old, shift)
+            else:
+                at = out[:, k, :, :3] @ points[j] + out[:, k, :, 3]
+                out[:, j, :, 3] = at - out[:, j, :, :3] @ points[j]
+        return out
 
     def freedoms(self) -> list[tuple[int, int]]:
         """(vertex, variable): weights of the support but the first, then x, y, z."""
@@ -54,13 +145,7 @@ class Tiny:
                 out += [(i, -c) for c in (3, 2, 1)]
         return out
 
-    def residual(self, tangents: np.ndarray, vertex: np.ndarray) -> np.ndarray:
-        x = tangents.reshape(self.frames, self.bones, 6)
-        turn = Rotation.from_rotvec(x[..., :3].reshape(-1, 3)).as_matrix()
-        m = self.model.transforms
-        moved = np.empty_like(m)
-        moved[..., :3] = m[..., :3] @ turn.reshape(self.frames, self.bones, 3, 3)
-        moved[..., 3] = m[..., 3] + np.einsum("tjab,tjb->tja", m[..., :3], x[..., 3:])
+    def residual(self, x: np.ndarray, vertex: np.ndarray) -> np.ndarray:
         rest, weights = self.model.rest.copy(), self.model.weights.copy()
         for value, (i, variable) in zip(vertex, self.freedoms(), strict=True):
             if variable > 0:
@@ -69,25 +154,29 @@ class Tiny:
             else:
                 rest[i, variable] += value
         inner = np.stack([self.data.frame(t) for t in range(self.frames)])
-        gap = motions.blend(rest, self.model.indices, weights, moved) - inner
+        gap = motions.blend(rest, self.model.indices, weights, self.moved(x)) - inner
         gap *= np.sqrt(self.data.importance)[None, :, None]
         gap *= self.data.frame_scale[:, None, None]
         return gap.ravel()
 
     def jacobians(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residual and its derivatives by the tangents and by the vertices' freedoms."""
-        m0, v0 = np.zeros(self.frames * self.bones * 6), np.zeros(len(self.freedoms()))
-        step = 1e-5
+        """Residual, and its derivatives by the bones' unknowns and the vertices' freedoms."""
+        n_m, n_v, step = self.unknowns, len(self.freedoms()), 1e-5
+        columns = np.zeros((n_m + n_v, 3 * self.frames * self.n))
+        for j, e in enumerate(step * np.eye(n_m + n_v)):
+            ends = [self.residual(s * e[:n_m], s * e[n_m:]) for s in (1, -1)]
+            columns[j] = (ends[0] - ends[1]) / (2 * step)
+        r = self.residual(np.zeros(n_m), np.zeros(n_v))
+        return r, columns[:n_m].T, columns[n_m:].T
 
-        def column(k: int, first: bool) -> np.ndarray:
-            e = np.zeros(len(m0 if first else v0))
-            e[k] = step
-            if first:
-                return (self.residual(e, v0) - self.residual(-e, v0)) / (2 * step)
-            return (self.residual(m0, e) - self.residual(m0, -e)) / (2 * step)
+    def moving(self) -> np.ndarray:
+        """Which unknowns are not of a locked bone."""
+        if self.model.tree is not None:
+            return np.ones(self.unknowns, dtype=bool)
+        locked = np.repeat(self.fixed.locked(self.bones), KINDS[self.kind])
+        return ~np.tile(locked, self.frames)
 
-        j_m = np.stack([column(k, True) for k in range(len(m0))], axis=1)
-        if len(v0) == 0:
-            return self.residual(m0, v0), j_m, np.zeros((len(j_m), 0))
-        j_v = np.stack([column(k, False) for k in range(len(v0))], axis=1)
-        return self.residual(m0, v0), j_m, j_v
+
+def _rotations(vectors: np.ndarray) -> np.ndarray:
+    turns = Rotation.from_rotvec(vectors.reshape(-1, 3)).as_matrix()
+    return turns.reshape(*vectors.shape, 3)

@@ -21,31 +21,33 @@ FPS = 30.0
 BASE = SimulationParameters(bending=0.5, density=0.2, time_scale=1.0)
 
 
+def _ring(columns):
+    angle = 2 * np.pi * np.arange(columns) / columns
+    return np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
+
+
+def _quads(columns, rings):
+    """Corners (n, 4) of the quads between rings: above, the next above, and both below."""
+    r, c = (a.ravel() for a in np.indices((rings - 1, columns)))
+    a, b = r * columns + c, r * columns + (c + 1) % columns
+    return np.stack([a, b, a + columns, b + columns], axis=1)
+
+
 def skirt(columns=16, rings=7):
     """Rest pose, faces and mirror permutation of an open cone."""
-    angle = 2 * np.pi * np.arange(columns) / columns
-    t = np.linspace(0, 1, rings)[:, None]
-    radius = 0.16 + 0.22 * t
-    rest = np.stack(
-        [
-            radius * np.sin(angle),
-            np.broadcast_to(1.0 - 0.5 * t, (rings, columns)),
-            radius * np.cos(angle),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
+    t = np.linspace(0, 1, rings)[:, None, None]
+    rest = (0.16 + 0.22 * t) * _ring(columns) + (1.0 - 0.5 * t) * np.array([0, 1, 0])
     faces = []
-    half = columns // 2
-    for r in range(rings - 1):
-        for c in range(columns):
-            a, b = r * columns + c, r * columns + (c + 1) % columns
-            # Diagonals mirrored on the other half, so that the triangles are symmetric too.
-            if c < half:
-                faces += [[a, a + columns, b], [b, a + columns, b + columns]]
-            else:
-                faces += [[a, a + columns, b + columns], [a, b + columns, b]]
+    for a, b, c, d in _quads(columns, rings):
+        # Diagonals mirrored on the other half, so that the triangles are symmetric too.
+        first = a % columns < columns // 2
+        faces += [[a, c, b], [b, c, d]] if first else [[a, c, d], [a, d, b]]
     mirror = (np.arange(rings)[:, None] * columns + (-np.arange(columns)) % columns).ravel()
-    return rest.astype(np.float32), np.array(faces, np.int32), mirror.astype(np.int32)
+    return (
+        rest.reshape(-1, 3).astype(np.float32),
+        np.array(faces, np.int32),
+        mirror.astype(np.int32),
+    )
 
 
 def body():
@@ -53,17 +55,14 @@ def body():
     names = ("root", "leg_l", "leg_r")
     skeleton = Skeleton(names, [-1, 0, 0], [[0, 1.0, 0], [0.08, 0.95, 0], [-0.08, 0.95, 0]])
     columns, rings = 10, 6
-    angle = 2 * np.pi * np.arange(columns) / columns
     height = np.linspace(1.15, 0.45, rings)
-    ring = np.stack([0.12 * np.sin(angle), 0 * angle, 0.12 * np.cos(angle)], axis=-1)
     rest = np.concatenate(
-        [ring + np.array([0, h, 0]) for h in height] + [[[0, 1.2, 0]], [[0, 0.4, 0]]]
+        [0.12 * _ring(columns) + np.array([0, h, 0]) for h in height]
+        + [[[0, 1.2, 0]], [[0, 0.4, 0]]]
     )
     faces = []
-    for r in range(rings - 1):
-        for c in range(columns):
-            a, b = r * columns + c, r * columns + (c + 1) % columns
-            faces += [[a, a + columns, b], [b, a + columns, b + columns]]
+    for a, b, c, d in _quads(columns, rings):
+        faces += [[a, c, b], [b, c, d]]
     top, bottom, last = len(rest) - 2, len(rest) - 1, (rings - 1) * columns
     for c in range(columns):
         n = (c + 1) % columns

@@ -5,8 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+import ssdr
+from helpers import motions
 from ssdr.hierarchy.transforms import from_local
 
 
@@ -21,6 +24,18 @@ class Skeleton:
     weights: np.ndarray
     transforms: np.ndarray
     frames: np.ndarray
+
+    def skinning(self, **changes) -> ssdr.Skinning:
+        """The model with its hierarchy, in the rest pose unless `transforms` are given."""
+        parts = {"transforms": np.eye(3, 4) + np.zeros((1, len(self.parents), 1, 1))} | changes
+        return ssdr.Skinning(
+            self.rest,
+            self.indices,
+            self.weights,
+            **parts,
+            parents=self.parents,
+            joint_positions=self.points,
+        )
 
 
 def skeleton(
@@ -59,8 +74,7 @@ def skeleton(
     local[:, 0, :, 3] += 0.5 * np.sin(time[:, None] + phase[1][0])
     transforms = from_local(local, parents, points)
     rest, indices, weights = (np.concatenate(part) for part in (rest, indices, weights))
-    posed = np.einsum("vk,tvkab,vb->tva", weights, transforms[..., :3][:, indices], rest)
-    posed += np.einsum("vk,tvka->tva", weights, transforms[..., 3][:, indices])
+    posed = motions.blend(rest, indices, weights, transforms)
     return Skeleton(parents, points, rest, indices, weights, transforms, posed)
 
 
@@ -71,18 +85,8 @@ def edges(parents) -> set[frozenset[int]]:
 
 def matched(found, truth: Skeleton) -> np.ndarray:
     """For each bone of the truth the one that moves most of what it moves, each once."""
-    from scipy.optimize import linear_sum_assignment
-
-    n = len(truth.parents)
-    mine = np.zeros((len(truth.rest), found.n_bones))
-    theirs = np.zeros((len(truth.rest), n))
-    for indices, weights, out in (
-        (found.indices, found.weights, mine),
-        (truth.indices, truth.weights, theirs),
-    ):
-        for joint, weight in zip(indices.T, weights.T, strict=True):
-            np.add.at(out, (np.arange(len(out)), joint), weight)
-    rows, columns = linear_sum_assignment(-(theirs.T @ mine))
-    place = np.empty(n, dtype=int)
+    shared = truth.skinning().dense_weights().T @ found.dense_weights()
+    rows, columns = linear_sum_assignment(-shared)
+    place = np.empty(len(truth.parents), dtype=int)
     place[rows] = columns
     return place

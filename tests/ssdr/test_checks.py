@@ -35,8 +35,8 @@ def test_tolerances(text: Any, expected: float) -> None:
     ],
 )  # fmt: skip
 def test_bad_tolerances_are_refused(bad: Any) -> None:
-    calls = []
+    calls: list[object] = []
     with pytest.raises(ssdr.InputError, match="a share of the diagonal such as") as caught:
-        ssdr.decompose(wavy(), tolerance=bad, callback=lambda p: calls.append(p))
+        ssdr.smallest(wavy(), tolerance=bad, callback=calls.append)
     assert caught.value.argument == "tolerance"
     assert not calls

@@ -115,19 +115,29 @@ def test_clips_stay_when_weights_are_pruned_and_keys_are_cut():
     assert not keyed.keyframes[9].any()
 
 
-@pytest.mark.parametrize("options", [{"bones": 3}, {"tolerance": "20%"}])
-def test_decompose_makes_a_clip_of_each_sequence(options):
-    result = ssdr.decompose(three(), effort="fast", max_iterations=2, **options)
+@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
+@pytest.mark.parametrize("way", ["in memory", "streamed", "smallest"])
+def test_a_clip_is_made_of_each_sequence(way, monkeypatch):
+    if way == "smallest":
+        result = ssdr.smallest(three(), tolerance="20%", effort="fast")
+    else:
+        monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: way == "streamed")
+        result = ssdr.decompose(three(), bones=3, effort="fast")
     assert result.skinning.clips == CLIPS
     assert (result.skinning.fps, result.skinning.name) == (24.0, "")
     np.testing.assert_array_equal(result.offsets, [0, 9, 19, 20])
 
 
-@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
-def test_streamed_frames_keep_their_clips(monkeypatch):
-    monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: True)
-    result = ssdr.decompose(three(), bones=2, effort="fast", max_iterations=1)
-    assert result.skinning.clips == CLIPS
+def test_a_model_taken_up_has_the_clips_of_the_frames():
+    shots = three()
+    first = ssdr.decompose(shots, bones=2, effort="fast")
+    frames = np.concatenate([s.vertices for s in shots])
+    whole = MeshSequence(frames, shots[0].faces, 12.0, name="all")
+    again = ssdr.decompose(whole, start=first.skinning, effort="fast")
+    assert again.skinning.clips == (Clip("all", 0, 20, 12.0),)
+    assert again.rmse <= first.rmse
+    back = ssdr.decompose(shots, start=again.skinning, effort="fast")
+    assert back.skinning.clips == CLIPS
 
 
 def test_names_come_from_clip_then_sequence_then_number():
@@ -143,25 +153,3 @@ def test_names_come_from_clip_then_sequence_then_number():
     assert ssdr.initialize(walk, bones=2).clips == (Clip("walk", 0, 9, 24.0),)
     plain = ssdr.initialize(walk.vertices, bones=2)
     assert (plain.name, plain.clips) == ("", (Clip("", 0, 9, 24.0),))
-
-
-@pytest.mark.parametrize("streamed", [False, True])
-@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
-def test_resume_refuses_other_clips(monkeypatch, streamed):
-    monkeypatch.setattr("ssdr.decomposition.needs_streaming", lambda _: streamed)
-    shots = three()
-    options = {"bones": 2, "effort": "fast", "max_iterations": 1}
-    state = ssdr.decompose(shots, **options).state
-    frames = np.concatenate([s.vertices for s in shots])
-    moved = [
-        MeshSequence(frames[:10], shots[0].faces, name="walk"),
-        MeshSequence(frames[10:19], shots[0].faces, name="jump"),
-        MeshSequence(frames[19:], shots[0].faces, name="death"),
-    ]
-    for other in (moved, MeshSequence(frames, shots[0].faces)):
-        with pytest.raises(InputError, match=r"clips of \[.*frames, got one on \[9, 10, 1\]"):
-            ssdr.decompose(other, **options, resume=state)
-    again = ssdr.decompose(shots, **options, resume=state)
-    assert again.skinning.clips == CLIPS
-    del state.settings["clips"]  # as states were saved before
-    assert ssdr.decompose(shots, **options, resume=state).skinning.clips == CLIPS

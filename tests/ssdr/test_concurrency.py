@@ -4,43 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 
 import numpy as np
 
 import ssdr
 from helpers import motions
-from helpers.measures import bits, frames
+from helpers.measures import bits, frames, longest_silence
 from ssdr.kernels.bones import sweep_bones
 from ssdr.solver.moments import bone_sums, neighbours
 from ssdr.solver.trajectories import gather
-
-
-def longest_silence(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds that `work` took, and the longest that another Python thread had to wait."""
-    gaps: list[float] = []
-    started, done = threading.Event(), threading.Event()
-
-    def tick() -> None:
-        last = time.perf_counter()
-        while not done.is_set():
-            time.sleep(0.001)
-            now = time.perf_counter()
-            gaps.append(now - last)
-            last = now
-            started.set()
-
-    watcher = threading.Thread(target=tick)
-    watcher.start()
-    started.wait()
-    began = time.perf_counter()
-    try:
-        work()
-    finally:
-        spent = time.perf_counter() - began
-        done.set()
-        watcher.join()
-    return spent, max(gaps)
 
 
 def test_a_kernel_releases_the_lock_of_python() -> None:
@@ -70,15 +42,14 @@ def test_other_threads_go_on_during_a_run() -> None:
     big = motions.chain(bones=8, rows=500, ring=10, frames=60)
     array = motions.wobble(big, 0.05)
     ssdr.decompose(array[:2], bones=2, effort="fast")  # compiled before the clock starts
-    spent, silence = longest_silence(
-        lambda: ssdr.decompose(array, bones=40, effort="fast", max_iterations=30)
-    )
+    stop = {"callback": lambda p: p.iteration >= 30}
+    spent, silence = longest_silence(lambda: ssdr.decompose(array, bones=40, effort="fast", **stop))
     assert silence < max(0.3, 0.3 * spent)
 
 
 def test_two_runs_at_once() -> None:
     alone = bits(ssdr.decompose(frames(), bones=4, effort="fast"))
-    found: list[list[bytes]] = []
+    found: list[tuple[bytes, ...]] = []
 
     def run() -> None:
         found.append(bits(ssdr.decompose(frames(), bones=4, effort="fast")))

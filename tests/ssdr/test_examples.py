@@ -29,9 +29,8 @@ _MODULES = (
 _RESULTS = (
     ("ssdr.search.progress", "Progress"),
     ("ssdr.search.progress", "Record"),
-    ("ssdr.fit.weights", "WeightFit"),
+    ("ssdr.fit.fit", "Fit"),
     ("ssdr.fit.bones", "BoneFit"),
-    ("ssdr.fit.rest_pose", "RestPoseFit"),
 )
 
 

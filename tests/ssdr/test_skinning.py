@@ -191,7 +191,7 @@ def broken(name, where, value):
         ({"indices": np.zeros((30, 3))}, "indices"),
         (broken("indices", (3, 1), 5), "indices"),
         (broken("indices", (3, 1), -1), "indices"),
-        ({"weights": np.full((30, 2), 0.5)}, "weights"),
+        ({"weights": np.full((30, 2), 0.5)}, "indices"),
         (broken("weights", (3, 1), np.inf), "weights"),
         (broken("weights", (3, slice(None)), [1.5, -0.5, 0]), "weights"),
         (broken("weights", 3, 0.2), "weights"),

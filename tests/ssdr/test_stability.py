@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import ssdr
-from helpers.stability_cases import CASES, GROUPS, Case, Problem, invalid, plain, run
+from helpers.stability import Case, Problem, invalid, run
+from helpers.stability_cases import CASES, GROUPS, plain
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

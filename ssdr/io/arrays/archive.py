@@ -1,36 +1,34 @@
-"""Zip archives of ``.npy`` arrays that are looked at before they are inflated.
+"""Zip archives of ``.npy`` arrays, checked before they are inflated.
 
 Type and shape in a member's ``.npy`` header must agree with its size in the
-archive, and that with what is plausible.  Nothing is ever unpickled.
+archive, and that with the memory that a file may ask for.  Nothing is unpickled.
 """
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import math
 import struct
 import warnings
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError, InputError
 from ..atomic import atomic_path
+from ..budget import afford, refuse_bomb
 from ..registry import describe, reading
 
-__all__ = ["has", "read_array", "read_arrays", "shape_of", "write_array", "write_arrays"]
+__all__ = ["names_in", "read_array", "read_arrays", "shape_of", "write_array", "write_arrays"]
 
 _npy: Any = np.lib.format  # NumPy types it only in part
-_MAX_BYTES = 16 << 30  # 16 GiB in one archive unless the caller allows more: stops a false size
-_BOMB_BYTES, _BOMB_RATIO = 256 << 20, 100
-_MAX_HEADER = 10_000  # characters of an .npy header; NumPy's own limit, against costly parsing
-_CHUNK = 16 << 20  # bytes read or written at a time: more only takes more memory
-# The time stamp that every member gets, the earliest a zip can hold: same content, same bytes.
-_EPOCH = (1980, 1, 1, 0, 0, 0)
+_MOST_HEADER = 10_000  # characters of an .npy header; NumPy's own limit, against costly parsing
+_CHUNK = 16 << 20  # bytes written at a time: more only takes more memory
 
 
 def read_arrays(
@@ -51,18 +49,18 @@ def read_arrays(
     mapped : names
         To be memory-mapped rather than read.
     max_bytes : int, optional
-        See :func:`read`.
+        Largest size of all arrays read; `MOST_BYTES` by default, and then an array that
+        inflates like a zip bomb is refused as well.
 
     Raises
     ------
     FormatError
         If the archive is damaged or hostile, or a required name is missing.
+    InputError
+        If an array to be mapped is compressed.
     """
-    if max_bytes is not None and max_bytes <= 0:
-        raise InputError("max_bytes", "a positive number", max_bytes)
-    unmappable = ""
-    with reading(path), path.open("rb") as stream, _archive(path, stream) as archive:
-        members = _members(path, archive)
+    arrays: dict[str, NDArray[Any]] = {}
+    with _open(path) as (stream, archive, members):
         missing = [key for key in required if key not in members]
         if missing:
             found = ", ".join(list(members)[:12]) or "nothing"
@@ -70,20 +68,20 @@ def read_arrays(
         chosen = [
             key
             for key in members
-            if key in required or any(fnmatch.fnmatchcase(key, p) for p in optional)
+            if any(fnmatch.fnmatchcase(key, p) for p in (*required, *optional))
         ]
-        headers = {key: _member_header(path, archive, members[key]) for key in chosen}
-        read_now = [key for key in chosen if key not in mapped]
-        _refuse_bombs(path, [members[key] for key in read_now], max_bytes)
-        arrays: dict[str, NDArray[Any]] = {}
+        headers = {key: _header_of(archive, members[key]) for key in chosen}
+        read = [members[key] for key in chosen if key not in mapped]
+        size, stored = sum(i.file_size for i in read), sum(i.compress_size for i in read)
+        what = f"reading {', '.join(i.filename for i in read[:9])}"
+        afford(size, what, path, max_bytes)
+        refuse_bomb(size, stored, what, path, max_bytes)
         for key in chosen:
-            if key in read_now:
-                arrays[key] = _read_member(path, archive, members[key], headers[key])
+            if key not in mapped:
+                arrays[key] = _read(archive, members[key])
             elif members[key].compress_type == zipfile.ZIP_STORED:
-                arrays[key] = _map_member(path, stream, members[key], headers[key])
-            else:
-                unmappable = key
-    if unmappable:
+                arrays[key] = _map(path, stream, members[key], headers[key])
+    if len(arrays) < len(chosen):
         raise InputError("mmap", "an uncompressed archive", f"{path}, compressed")
     return arrays
 
@@ -95,72 +93,36 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], *, compress: bool = True
     first axis.  Returns the size in bytes.
     """
     with atomic_path(path) as temporary:
-        with zipfile.ZipFile(temporary, "w") as archive:
+        method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
+        with zipfile.ZipFile(temporary, "w", method) as archive:
             for key, value in arrays.items():
                 array = value if hasattr(value, "shape") else np.asarray(value)
                 if np.dtype(array.dtype).hasobject:
                     raise InputError(key, "numbers or text", "Python objects")
-                info = zipfile.ZipInfo(f"{key}.npy", _EPOCH)
-                info.compress_type = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
-                info.create_system = 3
-                info.external_attr = 0o644 << 16
-                size = math.prod(array.shape) * array.dtype.itemsize
-                with archive.open(info, "w", force_zip64=size > 1 << 30) as member:
+                # A member that is opened by its name gets the zip format's first date, 1980.
+                with archive.open(f"{key}.npy", "w", force_zip64=True) as member:
                     write_array(member, array)
         return temporary.stat().st_size
 
 
 def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
-    """Read or map one array; its size must be what its header states."""
+    """Read or map the array of a ``.npy`` file, whose size must be what its header states."""
     with reading(path), path.open("rb") as stream:
-        head = stream.read(6)
-        if head != b"\x93NUMPY":
-            raise FormatError(f"{path}: not a .npy array: {describe(head + stream.read(64))}")
+        head = stream.read(64)
+        if not head.startswith(b"\x93NUMPY"):
+            raise FormatError(f"{path}: not a .npy array: {describe(head)}")
         stream.seek(0)
-        dtype, shape, fortran = read_header(stream)
+        dtype, shape, order = _read_header(stream)
         offset = stream.tell()
-        held, stated = path.stat().st_size - offset, math.prod(shape) * dtype.itemsize
-        if held != stated:
-            raise FormatError(
-                f"{path}: states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
-            )
+        _check_size("the array", dtype, shape, path.stat().st_size - offset)
         if mmap:
-            return np.memmap(path, dtype, "r", offset, shape, "F" if fortran else "C")
+            return np.memmap(path, dtype, "r", offset, shape, order)
         flat = np.fromfile(stream, dtype=dtype, count=math.prod(shape))
-        return np.ascontiguousarray(flat.reshape(shape, order="F" if fortran else "C"))
-
-
-def read_header(stream: IO[bytes]) -> tuple[np.dtype[Any], tuple[int, ...], bool]:
-    """Type, shape and Fortran order of a ``.npy`` stream, left at its data.
-
-    Raises
-    ------
-    FormatError
-        If it is not one, or holds objects (a pickle) or records.
-    """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # NumPy warns about headers by Python 2
-        try:
-            version = _npy.read_magic(stream)
-            if version not in ((1, 0), (2, 0)):
-                raise ValueError(f"version {version}")
-            readers = (
-                _npy.read_array_header_1_0,
-                _npy.read_array_header_2_0,
-            )
-            shape, fortran, dtype = readers[version[0] - 1](stream, max_header_size=_MAX_HEADER)
-        except Exception as error:
-            raise FormatError(f"no usable .npy header ({error})") from error
-    if dtype.hasobject:
-        raise FormatError("holds pickled Python objects, which are never read")
-    if dtype.kind not in "fiubU" or (dtype.itemsize == 0 and dtype.kind != "U"):
-        raise FormatError(f"holds {dtype}, neither numbers nor text")
-    if any(type(n) is not int or n < 0 for n in shape):
-        raise FormatError(f"has the shape {shape}")
-    return dtype, shape, fortran
+        return np.ascontiguousarray(flat.reshape(shape, order=order))
 
 
 def write_array(stream: IO[bytes], array: Any) -> None:
+    """Write a ``.npy`` header and the array's rows, by chunks of the first axis."""
     dtype = np.dtype(array.dtype)
     header = {
         "descr": _npy.dtype_to_descr(dtype),
@@ -177,101 +139,94 @@ def write_array(stream: IO[bytes], array: Any) -> None:
         stream.write(np.ascontiguousarray(array[start : start + step]).tobytes())
 
 
-def _archive(path: Path, stream: IO[bytes]) -> zipfile.ZipFile:
-    head = stream.read(64)
-    if not head.startswith(b"PK\x03\x04"):
-        raise FormatError(f"{path}: not an .npz archive: {describe(head)}")
-    stream.seek(0)
-    return zipfile.ZipFile(stream)
-
-
-def _members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    members: dict[str, zipfile.ZipInfo] = {}
-    for info in archive.infolist():
-        key = info.filename.removesuffix(".npy")
-        if key in members:
-            raise FormatError(f"{path}: two members are called {key!r}")
-        if key != info.filename:
-            members[key] = info
-    return members
-
-
-def has(path: Path, key: str) -> bool:
-    """Whether an archive has an array of that name."""
-    with reading(path), path.open("rb") as stream, _archive(path, stream) as archive:
-        return f"{key}.npy" in archive.namelist()
+def names_in(path: Path) -> set[str]:
+    """Names of the arrays in an archive."""
+    with _open(path) as (_, _, members):
+        return set(members)
 
 
 def shape_of(path: Path, key: str) -> tuple[int, ...]:
     """Shape of an array of an archive, which is not read."""
-    with reading(path), path.open("rb") as stream, _archive(path, stream) as archive:
-        return _member_header(path, archive, _members(path, archive)[key])[1]
+    with _open(path) as (_, archive, members):
+        return _header_of(archive, members[key])[1]
 
 
-_Header = tuple[np.dtype[Any], tuple[int, ...], bool, int]
+_Members = dict[str, zipfile.ZipInfo]
+_Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 
-def _member_header(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FormatError(f"{path}: {info.filename} is neither stored nor deflated")
-    with archive.open(info) as member:
+@contextlib.contextmanager
+def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
+    """File, archive and members by the name of their array; errors become FormatErrors."""
+    with reading(path), path.open("rb") as stream:
+        head = stream.read(64)
+        if not head.startswith(b"PK\x03\x04"):
+            raise FormatError(f"{path}: not an .npz archive: {describe(head)}")
+        stream.seek(0)
+        with zipfile.ZipFile(stream) as archive:
+            members: _Members = {}
+            for info in archive.infolist():
+                key = info.filename.removesuffix(".npy")
+                if key in members:
+                    raise FormatError(f"{path}: two members are called {key!r}")
+                if key != info.filename:
+                    members[key] = info
+            yield stream, archive, members
+
+
+def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
+    """Type, shape and order of a ``.npy`` stream, left at its data.
+
+    Raises
+    ------
+    FormatError
+        If it is not one, or holds objects (a pickle) or records.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # NumPy warns about headers by Python 2
         try:
-            dtype, shape, fortran = read_header(member)
-        except FormatError as error:
-            raise FormatError(f"{path}: {info.filename} {error}") from error
-        size = math.prod(shape) * dtype.itemsize
-        offset = info.file_size - size
-        if offset != member.tell():
-            raise FormatError(
-                f"{path}: {info.filename} states the shape {shape} of {dtype}, {size} bytes, "
-                f"but holds {info.file_size - member.tell()}"
-            )
-    return dtype, shape, fortran, offset
+            version = _npy.read_magic(stream)
+            read = {(1, 0): _npy.read_array_header_1_0, (2, 0): _npy.read_array_header_2_0}[version]
+            shape, fortran, dtype = read(stream, max_header_size=_MOST_HEADER)
+        except Exception as error:
+            raise FormatError(f"{member} has no usable .npy header ({error})") from error
+    if dtype.hasobject:
+        raise FormatError(f"{member} holds pickled Python objects, which are never read")
+    if dtype.kind not in "fiubU" or (dtype.itemsize == 0 and dtype.kind != "U"):
+        raise FormatError(f"{member} holds {dtype}, neither numbers nor text")
+    if any(type(n) is not int or n < 0 for n in shape):
+        raise FormatError(f"{member} has the shape {shape}")
+    return dtype, shape, "F" if fortran else "C"
 
 
-def _refuse_bombs(path: Path, infos: list[zipfile.ZipInfo], max_bytes: int | None) -> None:
-    total = sum(info.file_size for info in infos)
-    limit = _MAX_BYTES if max_bytes is None else max_bytes
-    if total > limit:
-        raise FormatError(f"{path}: needs {total} bytes in memory, max_bytes is {limit}")
-    if max_bytes is not None:
-        return
-    for info in infos:
-        if info.file_size > max(_BOMB_BYTES, _BOMB_RATIO * info.compress_size):
-            raise FormatError(
-                f"{path}: {info.filename} inflates {info.file_size // max(1, info.compress_size)}"
-                f"-fold to {info.file_size} bytes, like a zip bomb; max_bytes={total} admits it"
-            )
+def _check_size(member: str, dtype: np.dtype[Any], shape: tuple[int, ...], held: int) -> None:
+    stated = math.prod(shape) * dtype.itemsize
+    if held != stated:
+        raise FormatError(
+            f"{member} states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
+        )
 
 
-def _read_member(
-    path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo, header: _Header
-) -> NDArray[Any]:
-    dtype, shape, fortran, offset = header
-    buffer = bytearray(info.file_size - offset)
-    view = memoryview(buffer)
+def _header_of(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FormatError(f"{info.filename} is neither stored nor deflated")
     with archive.open(info) as member:
-        member.read(offset)
-        filled = 0
-        while filled < len(buffer):
-            block = member.read(min(_CHUNK, len(buffer) - filled))
-            if not block:
-                raise FormatError(f"{path}: {info.filename} is truncated")
-            view[filled : filled + len(block)] = block
-            filled += len(block)
-        member.read(1)  # the end of the member is where its checksum is compared
-    return _shaped(np.frombuffer(buffer, dtype=dtype), shape, fortran)
+        dtype, shape, order = _read_header(member, info.filename)
+        _check_size(info.filename, dtype, shape, info.file_size - member.tell())
+    return dtype, shape, order
 
 
-def _map_member(
-    path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header
-) -> NDArray[Any]:
-    dtype, shape, fortran, offset = header
+def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+    with archive.open(info) as member:
+        array = _npy.read_array(member, allow_pickle=False, max_header_size=_MOST_HEADER)
+        member.read(1)  # the checksum is compared at the end of the member
+    return np.ascontiguousarray(array).reshape(array.shape)  # which makes a scalar a vector
+
+
+def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) -> NDArray[Any]:
+    dtype, shape, order = header
     stream.seek(info.header_offset + 26)
     name, extra = struct.unpack("<HH", stream.read(4))
-    start = info.header_offset + 30 + name + extra + offset
-    return np.memmap(path, dtype, "r", start, shape, "F" if fortran else "C")
-
-
-def _shaped(flat: NDArray[Any], shape: tuple[int, ...], fortran: bool) -> NDArray[Any]:
-    return np.ascontiguousarray(flat.reshape(shape, order="F")) if fortran else flat.reshape(shape)
+    end = info.header_offset + 30 + name + extra + info.file_size
+    start = end - math.prod(shape) * dtype.itemsize
+    return np.memmap(path, dtype, "r", start, shape, order)

@@ -8,7 +8,7 @@ from typing import Any
 from ...errors import FormatError
 from ...sequence import MeshSequence
 from ..atomic import atomic_path
-from ..companion import find
+from ..companion import over_mesh
 from ..registry import SaveReport
 from .archive import read_array, write_array
 
@@ -35,8 +35,7 @@ def read(
     array = read_array(path, mmap=mmap)
     if array.ndim != 3 or array.shape[2] != 3:
         raise FormatError(f"{path}: expected an array of shape (F, V, 3), got {array.shape}")
-    mesh = find(path, faces, "faces", array.shape[1])
-    return mesh.moved(array, path, fps)
+    return over_mesh(array, path, faces, "faces", fps)
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
@@ -49,10 +48,7 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
                 write_array(stream, array)
             size += temporary.stat().st_size
     lost = sequence.surface is not None or sequence.vertex_map is not None
+    kept_not = "fps, surface and vertex map are" if lost else "fps is"
     return SaveReport(
-        path=path,
-        bytes=size,
-        note=f"faces are in {beside.name}; fps"
-        + (", surface and vertex map are" if lost else " is")
-        + " not kept",
+        path=path, bytes=size, note=f"faces are in {beside.name}; {kept_not} not kept"
     )

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 
 from ...clips import Clip, pick
 from ...errors import FormatError, InputError
-from ...sequence import Material, MeshSequence, Surface
+from ...sequence import MeshSequence
+from ...surface import Material, Surface
+from ..budget import afford
 from ..registry import SaveReport, bake, reading
-from .archive import has, read_arrays, shape_of, write_arrays
+from .archive import names_in, read_arrays, shape_of, write_arrays
 
 if TYPE_CHECKING:
     from ...skinning import Skinning
@@ -40,6 +42,8 @@ _log = logging.getLogger(__name__)
 FORMAT_VERSION = 2  # of the arrays' names and meaning; raised when an old reader would misread
 _SURFACE = ("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*")
 _SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
+_FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
+_WHERE_GIVEN = ("keyframes", "vertex_map", "parents", "joint_positions")
 
 
 def read(
@@ -56,7 +60,7 @@ def read(
     ----------
     path : Path
     clip : str or int, optional
-        Of a skinning of several clips; the first by default.
+        Clip of a skinning that has several; the first by default.
     fps : float, optional
         Instead of the file's own.
     mmap : bool
@@ -72,13 +76,16 @@ def read(
     InputError
         If `mmap` is asked of a compressed archive.
     """
-    if not has(path, "vertices") and has(path, "rest"):
+    if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
         names = [one.name for one in _named(skinning.clips, skinning.name, path)]
         index = pick(names, clip)
         if len(names) > 1:
             _log.info("%s: clip %r of %s", path, names[index], names)
         skinning = skinning.select(index)
+        count, n = skinning.n_frames, skinning.n_vertices
+        size = count * n * 3 * skinning.rest.itemsize
+        afford(size, f"baking {count} frames of {n} vertices", path, max_bytes)
         return bake(skinning)
     arrays = read_arrays(
         path,
@@ -90,11 +97,10 @@ def read(
     with reading(path):
         if fps is None and "fps" not in arrays:
             _log.info("%s: no fps stated, 24 assumed", path)
-            fps = 24.0
         sequence = MeshSequence(
             arrays["vertices"],
             arrays["faces"],
-            float(_scalar(arrays["fps"], "fps")) if fps is None else fps,
+            _fps(arrays) if fps is None else fps,
             name=_text(arrays, "name") or path.stem,
             clip=_text(arrays, "clip"),
             surface=_surface_from(arrays),
@@ -107,17 +113,21 @@ def read(
 def list_clips(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> tuple[Clip, ...]:
-    """The clips of a skinning; a sequence is one."""
-    if not has(path, "vertices") and has(path, "rest"):
+    """Clips of a skinning; a sequence is one clip."""
+    if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
         return _named(skinning.clips, skinning.name, path)
     names = ("fps", "name", "clip")
     arrays = read_arrays(path, required=(), optional=names, max_bytes=max_bytes)
     with reading(path):
         name = _text(arrays, "clip") or _text(arrays, "name") or path.stem
-        if fps is None:
-            fps = float(_scalar(arrays["fps"], "fps")) if "fps" in arrays else 24.0
-        return (Clip(name, 0, shape_of(path, "vertices")[0], fps),)
+        rate = _fps(arrays) if fps is None else fps
+        return (Clip(name, 0, shape_of(path, "vertices")[0], rate),)
+
+
+def _is_skinning(path: Path) -> bool:
+    names = names_in(path)
+    return "rest" in names and "vertices" not in names
 
 
 def _named(clips: tuple[Clip, ...], name: str, path: Path) -> tuple[Clip, ...]:
@@ -134,64 +144,50 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
     compress : bool
         Deflate; an uncompressed archive can be memory-mapped.
     """
-    arrays: dict[str, Any] = {
-        "vertices": sequence.vertices,
-        "faces": sequence.faces,
-        "fps": np.float64(sequence.fps),
-    }
-    for key in ("name", "clip"):
-        if getattr(sequence, key):
-            arrays[key] = np.array(getattr(sequence, key))
-    if sequence.vertex_map is not None:
-        arrays["vertex_map"] = sequence.vertex_map
-    arrays.update(_surface_arrays(sequence.surface))
-    return SaveReport(path=path, bytes=write_arrays(path, arrays, compress=compress))
+    return _write(sequence, path, {"vertices": sequence.vertices}, compress)
 
 
 def read_skinning(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> Skinning:
-    """Read what :func:`write_skinning` wrote; `fps` is the rate of all clips instead of theirs."""
+    """Read what :func:`write_skinning` wrote; `fps` replaces the rate of every clip."""
     from ...skinning import Skinning
 
     arrays = read_arrays(
         path,
         required=_SKINNING,
         optional=(
-            *("indices", "joints"),  # as version 1 called them
-            *("bone_model", "keyframes", "bone_names", "name", "vertex_map"),
-            *("clip_names", "clip_offsets", "clip_fps", "parents", "joint_positions"),
-            *_SURFACE,
+            *("indices", "joints", "bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
+            *("clip_names", "clip_offsets", "clip_fps"),
         ),
         max_bytes=max_bytes,
     )
     with reading(path):
-        version = int(_scalar(arrays["format_version"], "format_version"))
+        version = int(_scalar(arrays, "format_version"))
         if not 1 <= version <= FORMAT_VERSION:
             raise FormatError(
-                f"{path}: format_version {version}; this release reads up to {FORMAT_VERSION}"
+                f"format_version {version}; this release reads up to {FORMAT_VERSION}"
             )
+        indices = "joints" if version == 1 else "indices"
+        if indices not in arrays:
+            raise FormatError(f"no array {indices}, as format_version {version} has it")
         names = _text(arrays, "bone_names")
-        rate = float(_scalar(arrays["fps"], "fps")) if fps is None else fps
         clips = _clips_from(arrays)
         if fps is not None and clips is not None:
             clips = [dataclasses.replace(clip, fps=fps) for clip in clips]
         return Skinning(
             arrays["rest"],
-            arrays["joints" if version == 1 else "indices"],
+            arrays[indices],
             arrays["weights"],
             arrays["transforms"],
             faces=arrays["faces"],
-            fps=rate,
+            fps=_fps(arrays) if fps is None else fps,
             clips=clips,
             bone_model=_text(arrays, "bone_model") or "rigid",  # type: ignore[arg-type]
-            keyframes=arrays.get("keyframes"),
             surface=_surface_from(arrays),
-            vertex_map=arrays.get("vertex_map"),
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
-            parents=arrays.get("parents"),
-            joint_positions=arrays.get("joint_positions"),
+            **{key: arrays.get(key) for key in _WHERE_GIVEN},
         )
 
 
@@ -202,56 +198,59 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
         "indices": skinning.indices,
         "weights": skinning.weights,
         "transforms": skinning.transforms,
-        "faces": skinning.faces,
-        "fps": np.float64(skinning.fps),
         "format_version": np.int64(FORMAT_VERSION),
         "bone_model": np.array(skinning.bone_model),
     }
-    for key in ("keyframes", "vertex_map", "parents", "joint_positions"):
-        if getattr(skinning, key) is not None:
-            arrays[key] = getattr(skinning, key)
     if skinning.bone_names is not None:
         arrays["bone_names"] = np.array(json.dumps(skinning.bone_names))
-    if skinning.name:
-        arrays["name"] = np.array(skinning.name)
     clips = skinning.clips
     if len(clips) > 1 or clips[0].name != skinning.name:
         arrays["clip_names"] = np.array(json.dumps([clip.name for clip in clips]))
         arrays["clip_offsets"] = np.array([0, *(clip.stop for clip in clips)], dtype=np.int64)
         arrays["clip_fps"] = np.array([clip.fps for clip in clips])
-    arrays.update(_surface_arrays(skinning.surface))
+    return _write(skinning, path, arrays, compress)
+
+
+def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> SaveReport:
+    """Write arrays and the fields that a sequence and a skinning have in common."""
+    arrays |= {"faces": thing.faces, "fps": np.float64(thing.fps)}
+    for key in ("name", "clip"):
+        if getattr(thing, key, ""):
+            arrays[key] = np.array(getattr(thing, key))
+    for key in _WHERE_GIVEN:
+        if getattr(thing, key, None) is not None:
+            arrays[key] = getattr(thing, key)
+    arrays |= _surface_arrays(thing.surface)
     size = write_arrays(path, arrays, compress=compress)
-    return SaveReport(path=path, bytes=size, influences=skinning.n_influences)
+    return SaveReport(path=path, bytes=size, influences=getattr(thing, "n_influences", None))
 
 
 def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """Clips of an archive; None where it was written before there were any."""
+    """Clips of an archive, or None if it states none."""
     text = _text(arrays, "clip_names")
     if not text:
         return None
     names, offsets, rates = json.loads(text), arrays["clip_offsets"], arrays["clip_fps"]
     if not (isinstance(names, list) and offsets.dtype.kind in "iu" and rates.dtype.kind == "f"):
         raise InputError("clip_names", "a list of names with their frames and rates", text[:100])
-    if offsets.shape != (len(names) + 1,) or rates.shape != (len(names),):
-        raise InputError(
-            "clip_offsets", f"shape ({len(names) + 1},)", f"{offsets.shape}, rates {rates.shape}"
-        )
-    return [
-        Clip(name, start, stop, rate)
-        for name, start, stop, rate in zip(names, offsets[:-1], offsets[1:], rates, strict=True)
-    ]
+    if offsets.shape != (len(names) + 1,):
+        raise InputError("clip_offsets", f"shape ({len(names) + 1},)", offsets.shape)
+    return [Clip(*one) for one in zip(names, offsets[:-1], offsets[1:], rates, strict=True)]
 
 
-def _scalar(array: NDArray[Any], key: str) -> Any:
+def _fps(arrays: Mapping[str, NDArray[Any]]) -> float:
+    return float(_scalar(arrays, "fps")) if "fps" in arrays else 24.0
+
+
+def _scalar(arrays: Mapping[str, NDArray[Any]], key: str) -> Any:
+    array = arrays[key]
     if array.size != 1 or array.dtype.kind not in "fiu":
         raise InputError(key, "one number", f"{array.dtype} of shape {array.shape}")
     return array.ravel()[0]
 
 
 def _text(arrays: Mapping[str, NDArray[Any]], key: str) -> str:
-    if key not in arrays:
-        return ""
-    array = arrays[key]
+    array = arrays.get(key, np.array(""))
     if array.size != 1 or array.dtype.kind != "U":
         raise InputError(key, "one text", f"{array.dtype} of shape {array.shape}")
     return str(array.ravel()[0])
@@ -261,42 +260,33 @@ def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     if surface is None:
         return arrays
-    for field in ("uv", "normals", "material_index"):
-        value = getattr(surface, field)
-        if value is not None:
-            arrays[f"surface_{field}"] = np.asarray(value)
-    if surface.materials:
-        records = []
-        for k, material in enumerate(surface.materials):
-            record = dataclasses.asdict(material)
-            texture = record.pop("texture")
-            if texture is not None:
-                arrays[f"texture_{k}"] = np.frombuffer(texture, dtype=np.uint8)
-            records.append(record)
+    for field in _FIELDS:
+        if getattr(surface, field) is not None:
+            arrays[f"surface_{field}"] = np.asarray(getattr(surface, field))
+    records = [dataclasses.asdict(material) for material in surface.materials]
+    for k, record in enumerate(records):
+        texture = record.pop("texture")
+        if texture is not None:
+            arrays[f"texture_{k}"] = np.frombuffer(texture, dtype=np.uint8)
+    if records:
         arrays["materials"] = np.array(json.dumps(records, sort_keys=True))
     return arrays
 
 
 def _surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
-    uv, normals, index = (
-        arrays.get(f"surface_{field}") for field in ("uv", "normals", "material_index")
-    )
-    text = _text(arrays, "materials")
-    if uv is None and normals is None and index is None and not text:
-        return None
+    fields: dict[str, Any] = {}
+    for field, kind in _FIELDS.items():
+        array = arrays.get(f"surface_{field}")
+        if array is None:
+            continue
+        if array.dtype.kind != np.dtype(kind).kind or not np.isfinite(array).all():
+            raise InputError(f"surface_{field}", f"finite numbers, {kind}", f"{array.dtype}")
+        fields[field] = array.astype(kind, copy=False)
     materials = []
-    for k, record in enumerate(json.loads(text) if text else []):
+    for k, record in enumerate(json.loads(_text(arrays, "materials") or "[]")):
         texture = arrays.get(f"texture_{k}")
         record["base_color"] = tuple(float(c) for c in record["base_color"])
         materials.append(Material(**record, texture=None if texture is None else texture.tobytes()))
-    for field, array in (("uv", uv), ("normals", normals)):
-        if array is not None and (array.dtype.kind != "f" or not np.isfinite(array).all()):
-            raise InputError(f"surface_{field}", "finite numbers", f"{array.dtype}, NaN or Inf")
-    if index is not None and index.dtype.kind not in "iu":
-        raise InputError("surface_material_index", "integers", f"dtype {index.dtype}")
-    return Surface(
-        uv=None if uv is None else uv.astype(np.float32, copy=False),
-        normals=None if normals is None else normals.astype(np.float32, copy=False),
-        material_index=None if index is None else index.astype(np.int32, copy=False),
-        materials=tuple(materials),
-    )
+    if not (fields or materials):
+        return None
+    return Surface(**fields, materials=tuple(materials))

@@ -9,20 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import check_faces
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
-from ..companion import find
-from ..registry import SaveReport, reading, require
+from ..budget import afford, refuse_bomb
+from ..companion import over_mesh
+from ..registry import SaveReport, reading, refuse_device, require
 
 __all__ = ["read", "write_sequence"]
 
 _CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
-_MAX_BYTES = 1 << 42  # 4 TiB: stores are read chunk by chunk, so only absurd shapes are refused
+_METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
 
 
 def read(
-    path: Path, *, fps: float | None = None, faces: Any = None, max_bytes: int = _MAX_BYTES
+    path: Path, *, fps: float | None = None, faces: Any = None, max_bytes: int | None = None
 ) -> MeshSequence:
     """Open an array ``(F, V, 3)``, or a group of ``vertices`` and ``faces``.
 
@@ -33,32 +35,98 @@ def read(
         The attribute ``fps``, else 24, by default.
     faces
         As for ``.npy``; a group's own by default.
-    max_bytes : int
-        Largest size of all frames together; 4 TiB by default.  A store of a few
-        bytes can state any shape, and every frame is looked at once.
+    max_bytes : int, optional
+        Largest size of a chunk in memory; 16 GiB by default, and then chunks that inflate more
+        than 100-fold beyond 256 MiB are refused too.
+
+    Raises
+    ------
+    FormatError
+        If the store is damaged or hostile, a chunk is missing, or chunks are compressed by
+        anything but zstd and Blosc.
     """
     zarr = require("zarr", "zarr", str(path))
     with reading(path):
         if not path.is_dir():
             raise FormatError(f"{path}: not a folder, as a zarr store is")
+        for folder, folders, files in os.walk(path):
+            for name in files:
+                refuse_device(Path(folder, name))
+            for name in folders:
+                if os.path.islink(Path(folder, name)):
+                    raise FormatError(f"{Path(folder, name)}: a link to a folder, not followed")
         node = zarr.open(path, mode="r")
-        stated = node.attrs.get("fps")
-        vertices = node
-        if not hasattr(node, "shape"):
-            if "vertices" not in node:
-                raise FormatError(f"{path}: no array vertices; it holds {sorted(node.keys())}")
-            vertices = node["vertices"]
-            if faces is None and "faces" in node:
-                faces = np.asarray(node["faces"][:])
+        group = {"vertices": node} if hasattr(node, "shape") else node
+        if "vertices" not in group:
+            raise FormatError(f"{path}: no array vertices; it holds {sorted(node.keys())}")
+        vertices = group["vertices"]
         if len(vertices.shape) != 3 or vertices.shape[2] != 3:
             raise FormatError(f"{path}: expected the shape (F, V, 3), got {vertices.shape}")
-        size = math.prod(vertices.shape) * vertices.dtype.itemsize
-        if size > max_bytes:
-            raise FormatError(f"{path}: states {size} bytes, max_bytes is {max_bytes}")
-        if fps is None and stated is not None:
-            fps = float(stated)
-    mesh = find(path, faces, "faces", vertices.shape[1])
-    return mesh.moved(vertices, path, fps)
+        _check_chunks(vertices, path / vertices.path, max_bytes)
+        if faces is None and "faces" in group:
+            _check_chunks(group["faces"], path / "faces", max_bytes)
+            faces = check_faces(group["faces"][:], vertices.shape[1], "faces")
+        if fps is None and "fps" in node.attrs:
+            fps = float(node.attrs["fps"])
+    return over_mesh(vertices, path, faces, "faces", fps)
+
+
+def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
+    """Refuse an array with missing chunks or with chunks that take more memory than they may.
+
+    A missing chunk reads as zeros: a damaged store would give wrong positions, and a store
+    without data could state any number of frames.
+    """
+    codecs = [type(codec).__name__.removesuffix("Codec") for codec in array.compressors]
+    if array.shards or codecs not in ([], ["Zstd"], ["Blosc"]):
+        kind = "shards" if array.shards else f"chunks compressed by {' and '.join(codecs)}"
+        raise FormatError(f"{folder}: holds {kind}; whole chunks by zstd or Blosc are read")
+    files = [f for f in folder.rglob("*") if f.is_file() and f.name not in _METADATA]
+    if len(files) != array.nchunks:
+        raise FormatError(
+            f"{folder}: holds {len(files)} of {array.nchunks} chunks of the shape {array.shape} "
+            "(a store written with write_empty_chunks=True has them all)"
+        )
+    size = math.prod(array.chunks) * array.dtype.itemsize
+    afford(size, "a chunk", folder, max_bytes)
+    if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):  # is converted as a whole
+        afford(8 * math.prod(array.shape), f"the shape {array.shape}", folder, max_bytes)
+    stored = inflated = 0
+    for file in files:
+        held = file.stat().st_size
+        stored += held
+        if codecs and held:
+            data = np.memmap(file, np.uint8, "r")  # only the headers are read
+            held = _zstd_size(data) if codecs == ["Zstd"] else _number(data, 4, 4)
+        inflated += max(size, held)
+    refuse_bomb(inflated, stored, "the array", folder, max_bytes)
+
+
+def _number(data: Any, start: int, width: int) -> int:
+    """Little-endian integer."""
+    return int.from_bytes(data[start : start + width].tobytes(), "little")
+
+
+def _zstd_size(data: Any) -> int:
+    """Size that zstd frames (RFC 8878) decode to, by their headers."""
+    size = at = 0
+    while at < len(data):
+        flags = _number(data, at + 4, 1)
+        single = flags >> 5 & 1  # segment, without a window descriptor
+        width = (single, 2, 4, 8)[flags >> 6]
+        if _number(data, at, 4) != 0xFD2FB528 or not width:
+            raise FormatError("a chunk is no zstd frame that states its size")
+        at += 6 - single + (0, 1, 2, 4)[flags & 3]
+        size += _number(data, at, width) + 256 * (width == 2)
+        at += width
+        block = 0
+        while not block & 1:  # the last block
+            if at >= len(data):
+                raise FormatError("a chunk is truncated")
+            block = _number(data, at, 3)
+            at += 3 + (1 if block >> 1 & 3 == 1 else block >> 3)
+        at += flags & 4  # a checksum of four bytes
+    return size
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
@@ -66,33 +134,28 @@ def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
     zarr = require("zarr", "zarr", str(path))
     if not path.parent.is_dir():
         raise InputError("path", "a folder in a folder that exists", str(path))
-    if path.exists() and not (path / "zarr.json").is_file() and not (path / ".zgroup").is_file():
+    if path.exists() and not any((path / name).is_file() for name in _METADATA):
         raise InputError("path", "a zarr store or a new name", f"{path}, something else")
     temporary = free_name(path)
     try:
         with naming(path, temporary):
             group = zarr.create_group(store=temporary, attributes={"fps": sequence.fps})
-            vertices = sequence.vertices
-            row = sequence.n_vertices * 3 * vertices.dtype.itemsize
+            shape, dtype = sequence.vertices.shape, np.dtype(sequence.vertices.dtype)
+            row = sequence.n_vertices * 3 * dtype.itemsize
             step = min(sequence.n_frames, max(1, _CHUNK // row))
+            whole = {"write_empty_chunks": True}
             array = group.create_array(
-                "vertices",
-                shape=vertices.shape,
-                dtype=np.dtype(vertices.dtype),
-                chunks=(step, *vertices.shape[1:]),
+                "vertices", shape=shape, dtype=dtype, chunks=(step, *shape[1:]), config=whole
             )
             for start, block in sequence.chunks(step * row):
                 array[start : start + len(block)] = block
-            group.create_array("faces", data=sequence.faces)
+            group.create_array("faces", data=sequence.faces, config=whole)
             size = sum(f.stat().st_size for f in temporary.rglob("*") if f.is_file())
-            if path.exists():
-                # A folder that is not empty cannot be replaced in one step.
-                old = free_name(path)
+            old = free_name(path)
+            if path.exists():  # a folder that is not empty cannot be replaced in one step
                 os.replace(path, old)
-                os.replace(temporary, path)
-                remove(old)
-            else:
-                os.replace(temporary, path)
+            os.replace(temporary, path)
+            remove(old)
     except BaseException:
         remove(temporary)
         raise

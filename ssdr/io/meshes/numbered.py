@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,10 +11,11 @@ import numpy as np
 
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
-from ..registry import SaveReport, describe, reading
+from ..registry import SaveReport, natural_key, reading
 from .obj import ObjWriter, parse_obj
+from .off_stl import parse_off, parse_stl
 from .ply import parse_ply, write_ply
-from .polygons import Mesh, fan, vertex_rows
+from .polygons import Mesh
 
 __all__ = ["check_pattern", "read", "write_sequence"]
 
@@ -30,7 +30,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
     Files come in the natural order of their names (2 before 10).  Polygons are
     cut into fans of triangles.  STL has no shared vertices: corners that
     coincide in every frame become one vertex and `vertex_map` (3T,) keeps which.
-    Of glTF files, each a frame, UVs, materials and textures of the first are kept.
+    A glTF file is one frame.  UVs, normals and materials are those of the first file.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     InputError
         If a sequence of several frames gets a plain name.
     """
-    names = check_pattern(path, sequence.n_frames)
+    several = check_pattern(path, sequence.n_frames)
     if start < 0:
         raise InputError("start", "a number >= 0", start)
-    if names:
+    if several:
         path.parent.mkdir(parents=True, exist_ok=True)
-    stem = _PRINTF.sub("", path.stem) if names else path.stem
+    stem = _PRINTF.sub("", path.stem) if several else path.stem
     size, note = 0, ""
     writer = None
     if path.suffix.lower() == ".obj":
@@ -111,8 +111,8 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
 
 
-def check_pattern(path: Path, n_frames: int) -> list[str]:
-    """The numbers in a name, of which there must be one for a sequence of several frames.
+def check_pattern(path: Path, n_frames: int) -> bool:
+    """Whether a name holds a number, as ``frame_%04d.obj`` does; several frames need one.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def check_pattern(path: Path, n_frames: int) -> list[str]:
         raise InputError(
             "path", f"one number such as %04d in the name, for {n_frames} files", path.name
         )
-    return names
+    return bool(names)
 
 
 def _files(path: Path) -> list[Path]:
@@ -133,10 +133,11 @@ def _files(path: Path) -> list[Path]:
     elif path.exists():
         return [path]
     elif _PRINTF.search(path.name):
-        found = _numbered(path)
+        name = _PRINTF.sub(lambda m: f"[0-9]{{{int(m[1] or 1)},}}", re.escape(path.name))
+        found = [f for f in path.parent.glob("*") if re.fullmatch(name, f.name)]
     else:
         found = list(path.parent.glob(path.name))
-    found = [f for f in found if f.is_file()]
+    found = sorted((f for f in found if not f.is_dir()), key=lambda f: natural_key(f.name))
     if not found:
         raise FileNotFoundError(f"{path}: no mesh files ({', '.join(_PARSERS)})")
     kinds = sorted({f.suffix.lower() for f in found})
@@ -144,129 +145,46 @@ def _files(path: Path) -> list[Path]:
         raise FormatError(
             f"{path}: files of {', '.join(kinds)}; name one of {', '.join(_PARSERS)} by a pattern"
         )
-    found.sort(key=lambda f: _natural(f.name))
     _report_gaps(path, found)
     return found
 
 
-def _numbered(path: Path) -> list[Path]:
-    number = _PRINTF.search(path.name)
-    assert number is not None
-    head, tail = path.name[: number.start()], path.name[number.end() :]
-    digits = f"[0-9]{{{int(number[1] or 1)},}}"
-    pattern = re.compile(re.escape(head) + digits + re.escape(tail))
-    folder = path.parent
-    return [f for f in folder.iterdir() if pattern.fullmatch(f.name)] if folder.is_dir() else []
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(p), "") if p.isdecimal() else (-1, p) for p in re.split(r"([0-9]+)", name)]
-
-
 def _report_gaps(path: Path, files: list[Path]) -> None:
+    """Warn of frames that are missing and of names that differ in more than a number."""
+    if len(files) < 2:
+        return
     parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", f.stem) for f in files]
-    frames = {(m[1], m[3]) for m in parts if m}
-    if not all(parts) or len(frames) > 1:
-        if len(files) > 1:
-            _log.warning(
-                "%s: names differ in more than a number (%s, %s); taken in natural order",
-                path,
-                files[0].name,
-                files[-1].name,
-            )
+    if len({m and (m[1], m[3]) for m in parts}) > 1 or parts[0] is None:
+        first, last = files[0].name, files[-1].name
+        _log.warning("%s: names differ in more than a number: %s, %s", path, first, last)
         return
-    numbers = np.array([int(m[2]) for m in parts if m])
+    numbers = [int(m[2]) for m in parts if m]
     steps = np.diff(numbers)
-    if len(steps) == 0:
-        return
     if steps.min() == 0:
         k = int(steps.argmin())
         raise FormatError(f"{path}: {files[k].name} and {files[k + 1].name} have the same number")
-    stride = int(steps.min())
-    gaps = np.flatnonzero(steps > stride)
-    if len(gaps):
-        _log.warning(
-            "%s: frames are missing after %s; %d files taken as consecutive",
-            path,
-            ", ".join(str(numbers[k]) for k in gaps[:8]),
-            len(files),
-        )
+    gaps = [str(numbers[k]) for k in np.flatnonzero(steps > steps.min())]
+    if gaps:
+        _log.warning("%s: frames are missing after %s", path, ", ".join(gaps[:8]))
 
 
 def _name(path: Path) -> str:
-    if path.is_dir():
-        return path.name
-    return (
-        re.sub(r"[^A-Za-z0-9]+$", "", _PRINTF.sub("", path.stem).rstrip("*?")) or path.parent.name
-    )
+    stem = re.sub(r"[^A-Za-z0-9]+$", "", _PRINTF.sub("", path.stem).rstrip("*?"))
+    return path.name if path.is_dir() else stem or path.parent.name
 
 
 def _compare(file: Path, mesh: Mesh, first_file: Path, first: Mesh) -> None:
-    n, m = len(mesh.vertices), len(first.vertices)
-    if n != m:
-        raise FormatError(f"{file}: {n} vertices, but {first_file.name} has {m}")
-    if mesh.faces is first.faces:
-        return
-    if len(mesh.faces) != len(first.faces):
-        raise FormatError(
-            f"{file}: {len(mesh.faces)} triangles, but {first_file.name} has {len(first.faces)}"
-        )
-    other = (mesh.faces != first.faces).any(axis=1)
-    if other.any():
-        k = int(other.argmax())
+    for what in ("vertices", "faces"):
+        n, m = len(getattr(mesh, what)), len(getattr(first, what))
+        if n != m:
+            raise FormatError(f"{file}: {n} {what}, but {first_file.name} has {m}")
+    other = np.flatnonzero((mesh.faces != first.faces).any(axis=1))
+    if len(other):
+        k = other[0]
         raise FormatError(
             f"{file}: triangle {k} is {tuple(mesh.faces[k].tolist())}, "
             f"in {first_file.name} it is {tuple(first.faces[k].tolist())}"
         )
-
-
-def _parse_off(path: Path, _like: Mesh | None = None) -> Mesh:
-    with reading(path):
-        data = path.read_bytes()
-        lines = [line.split(b"#", 1)[0].split() for line in data.splitlines()]
-        lines = [line for line in lines if line]
-        if not lines or not re.fullmatch(rb"(ST)?C?N?OFF", lines[0][0]):
-            raise FormatError(f"{path}: not an OFF file: {describe(data[:64])}")
-        if lines[0][1:2] == [b"BINARY"]:
-            raise FormatError(f"{path}: binary OFF is not read")
-        start = 1 if len(lines[0]) > 1 else 2
-        counts = lines[0][1:] if start == 1 else lines[1]
-        n_vertices, n_faces = int(counts[0]), int(counts[1])
-        if min(n_vertices, n_faces) < 0 or n_vertices + n_faces != len(lines) - start:
-            raise FormatError(
-                f"{path}: states {n_vertices} vertices and {n_faces} faces, "
-                f"but holds {len(lines) - start} lines"
-            )
-        vertices = vertex_rows(lines[start : start + n_vertices])
-        rows = lines[start + n_vertices :]
-        corners = np.array([int(row[0]) for row in rows], dtype=np.int64)
-        if any(n < 0 or len(row) < n + 1 for n, row in zip(corners, rows, strict=True)):
-            raise FormatError(f"{path}: a face has fewer corners than it states")
-        flat = np.array(
-            [int(w) for n, row in zip(corners.tolist(), rows, strict=True) for w in row[1 : n + 1]],
-            dtype=np.int64,
-        )
-        triangles, _ = fan(corners)
-        return Mesh(vertices=vertices, faces=flat[triangles].reshape(-1, 3))
-
-
-def _parse_stl(path: Path, _like: Mesh | None = None) -> Mesh:
-    with reading(path):
-        data = path.read_bytes()
-        count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-        if count and len(data) == 84 + 50 * count:
-            kind = np.dtype([("normal", "<f4", 3), ("v", "<f4", (3, 3)), ("attribute", "<u2")])
-            vertices = np.frombuffer(data, dtype=kind, offset=84)["v"].reshape(-1, 3)
-        elif data[:5].lower() == b"solid" and b"\0" not in data:
-            rows = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data, re.IGNORECASE)
-            facets = len(re.findall(rb"endfacet", data, re.IGNORECASE))
-            if not facets or len(rows) != 3 * facets or b"endsolid" not in data.lower():
-                raise FormatError(f"{path}: {len(rows)} vertices in {facets} facets, or no end")
-            vertices = np.array(rows, dtype=np.float64)
-        else:
-            stated = f"states {count} triangles in {len(data)} bytes" if count else "no STL"
-            raise FormatError(f"{path}: {stated}; {describe(data[:64])}")
-        return Mesh(vertices=vertices, faces=np.arange(len(vertices)).reshape(-1, 3))
 
 
 def _parse_gltf(path: Path, _like: Mesh | None = None) -> Mesh:
@@ -283,8 +201,8 @@ def _parse_gltf(path: Path, _like: Mesh | None = None) -> Mesh:
 _PARSERS: dict[str, Callable[[Path, Mesh | None], Mesh]] = {
     ".obj": parse_obj,
     ".ply": parse_ply,
-    ".off": _parse_off,
-    ".stl": _parse_stl,
+    ".off": parse_off,
+    ".stl": parse_stl,
     ".glb": _parse_gltf,
     ".gltf": _parse_gltf,
 }

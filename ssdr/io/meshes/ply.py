@@ -1,12 +1,11 @@
 """PLY, ASCII and binary of both byte orders, polygons of any size.
 
-trimesh reads PLY too, but loses faces of mixed sizes in binary files, reorders
-polygons and takes numbers that are cut off.
+trimesh refuses binary files with polygons of different sizes (Blender writes
+such), reorders polygons, and reads on where a number or a row is cut off.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import struct
 from pathlib import Path
 from typing import Any
@@ -15,91 +14,67 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...sequence import Surface
-from ..atomic import atomic_path
-from ..registry import describe, reading
+from ...surface import Surface
+from ..atomic import write_bytes
+from ..registry import describe, read_file, reading
 from .polygons import Mesh, fan
 
 __all__ = ["parse_ply", "write_ply"]
 
-_TYPES = {
-    "char": "b",
-    "int8": "b",
-    "uchar": "B",
-    "uint8": "B",
-    "short": "h",
-    "int16": "h",
-    "ushort": "H",
-    "uint16": "H",
-    "int": "i",
-    "int32": "i",
-    "uint": "I",
-    "uint32": "I",
+_KINDS = {  # as struct and NumPy call them
+    **dict.fromkeys(("char", "int8"), "b"),
+    **dict.fromkeys(("uchar", "uint8"), "B"),
+    **dict.fromkeys(("short", "int16"), "h"),
+    **dict.fromkeys(("ushort", "uint16"), "H"),
+    **dict.fromkeys(("int", "int32"), "i"),
+    **dict.fromkeys(("uint", "uint32"), "I"),
+    **dict.fromkeys(("float", "float32"), "f"),
+    **dict.fromkeys(("double", "float64"), "d"),
     "int64": "q",
     "uint64": "Q",
-    "float": "f",
-    "float32": "f",
-    "double": "d",
-    "float64": "d",
 }
-_MAX_HEADER = 1 << 16  # bytes searched for end_header, so that no large file is searched whole
+_MOST_HEADER = 1 << 16  # bytes searched for end_header, so that no large file is searched whole
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Property:
-    name: str
-    kind: str
-    count_kind: str | None = None
-
-
-@dataclasses.dataclass(frozen=True)
-class _Element:
-    name: str
-    length: int
-    properties: list[_Property]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Lists:
-    counts: NDArray[np.int64]
-    values: NDArray[Any]
-
-
-_Columns = dict[str, Any]
+# Name, type of the numbers and, of a list, type of its length.
+_Property = tuple[str, str, str | None]
+_Elements = dict[str, tuple[int, list[_Property]]]  # how many, and what each has
+_Columns = dict[str, tuple[NDArray[np.int64], NDArray[Any]]]  # numbers in each row, all numbers
 
 
 def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
     """Read one PLY file; normals and texture coordinates of vertices go to the corners."""
     with reading(path):
-        data = path.read_bytes()
-        order, elements, offset = _header(path, data)
-        if order == "ascii":
-            tables = _ascii(elements, data[offset:].split())
-        else:
-            tables = _binary(elements, memoryview(data)[offset:], order)
-        if "vertex" not in tables or not {"x", "y", "z"} <= set(tables["vertex"]):
-            raise FormatError(f"{path}: no vertices with x, y, z")
-        vertex = tables["vertex"]
-        vertices = np.stack([vertex[c] for c in "xyz"], axis=1)
-        face = tables.get("face", {})
-        lists = face.get("vertex_indices", face.get("vertex_index"))
-        if lists is None:
-            return Mesh(vertices=vertices, faces=np.zeros((0, 3), dtype=np.int64))
-        if not isinstance(lists, _Lists) or lists.values.dtype.kind not in "iu":
-            raise FormatError(f"{path}: the faces are not lists of integers")
-        corners, _ = fan(lists.counts)
-        faces = lists.values.astype(np.int64)[corners]
-        if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-            raise FormatError(
-                f"{path}: faces name the vertices {faces.min()} to {faces.max()}, "
-                f"there are {len(vertices)}"
-            )
+        data = read_file(path)
+        elements, ascii_, start = _header(data)
+        body = memoryview(data)[start:]
+        if ascii_:  # words become doubles, the type that _header states for ASCII
+            body = memoryview(np.array(data[start:].split(), dtype=np.float64).tobytes())
+        tables: dict[str, _Columns] = {}
+        for name, (length, properties) in elements.items():
+            if length and properties:
+                read = _even(length, properties, body) or _uneven(length, properties, body)
+                tables[name], used = read
+                body = body[used:]
+        if len(body):
+            raise FormatError(f"{len(body)} bytes after the last element")
+        vertex, face = tables.get("vertex", {}), tables.get("face", {})
+        if not {"x", "y", "z"} <= set(vertex):
+            raise FormatError("no vertices with x, y, z")
+        vertices = np.stack([vertex[axis][1] for axis in "xyz"], axis=1)
+        faces = np.zeros((0, 3), dtype=np.int64)
+        if face:
+            counts, values = face.get("vertex_indices") or face["vertex_index"]
+            indices = values.astype(np.int64)
+            if (indices != values).any():
+                raise FormatError("the faces are not lists of integers")
+            faces = indices[fan(counts)[0]]
         return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces))
 
 
 def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> int:
-    """Write one binary little-endian PLY file, float or double as given; its size."""
+    """Write one binary little-endian PLY file, float or double as given; returns its size."""
     kind, name = ("<f8", "double") if vertices.dtype == np.float64 else ("<f4", "float")
     header = "\n".join(
         [
@@ -114,180 +89,104 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
     )
     rows = np.empty(len(faces), dtype=[("n", "u1"), ("v", "<i4", (3,))])
     rows["n"], rows["v"] = 3, faces
-    with atomic_path(path, flush=False) as temporary:
-        with temporary.open("wb") as stream:
-            stream.write(header.encode("ascii"))
-            stream.write(np.ascontiguousarray(vertices, dtype=kind).tobytes())
-            stream.write(rows.tobytes())
-        return temporary.stat().st_size
+    points = np.ascontiguousarray(vertices, dtype=kind).tobytes()
+    return write_bytes(path, header.encode() + points + rows.tobytes(), flush=False)
 
 
-def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
+def _header(data: bytes) -> tuple[_Elements, bool, int]:
+    """Elements, whether the rest is ASCII, and where that begins."""
     if not data.startswith((b"ply\n", b"ply\r")):
-        raise FormatError(f"{path}: not a PLY file: {describe(data[:64])}")
-    end = data.find(b"end_header", 0, _MAX_HEADER)
+        raise FormatError(f"not a PLY file: {describe(data[:64])}")
+    end = data.find(b"end_header", 0, _MOST_HEADER)
     newline = data.find(b"\n", end, end + 16)
     if end < 0 or newline < 0:
-        raise FormatError(f"{path}: its header does not end")
+        raise FormatError("its header does not end")
     order = ""
-    elements: list[_Element] = []
+    elements: _Elements = {}
+    properties: list[_Property] = []
+
+    def kind(word: str) -> str:
+        return "<d" if order == "ascii" else order + _KINDS[word]
+
     for line in data[:end].decode("ascii", errors="replace").splitlines()[1:]:
-        words = line.split()
-        match words:
-            case ["format", "ascii", _]:
-                order = "ascii"
-            case ["format", "binary_little_endian", _]:
-                order = "<"
-            case ["format", "binary_big_endian", _]:
-                order = ">"
-            case ["element", name, length] if length.isdigit():
-                elements.append(_Element(name, int(length), []))
-            case ["property", "list", count, kind, name] if (
-                elements and kind in _TYPES and _TYPES.get(count, "f") not in "fd"
+        match line.split():
+            case ["format", ("ascii" | "binary_little_endian" | "binary_big_endian") as named, _]:
+                order = {"ascii": "ascii", "binary_big_endian": ">"}.get(named, "<")
+            case ["element", name, length] if length.isdigit() and name not in elements:
+                properties = []
+                elements[name] = int(length), properties
+            case ["property", "list", count, word, name] if (
+                order and word in _KINDS and _KINDS.get(count, "f") not in "fd"
             ):
-                elements[-1].properties.append(_Property(name, _TYPES[kind], _TYPES[count]))
-            case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1].properties.append(_Property(name, _TYPES[kind]))
+                properties.append((name, kind(word), kind(count)))
+            case ["property", word, name] if order and word in _KINDS:
+                properties.append((name, kind(word), None))
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case _:
-                raise FormatError(f"{path}: unknown line in its header: {line[:60]!r}")
-    if not order:
-        raise FormatError(f"{path}: its header names no format")
-    names = [e.name for e in elements]
-    if len(set(names)) != len(names):
-        raise FormatError(f"{path}: two elements of one name")
-    return order, elements, newline + 1
+                raise FormatError(f"unknown line in its header: {line[:60]!r}")
+    return elements, order == "ascii", newline + 1
 
 
-def _binary(elements: list[_Element], data: memoryview, order: str) -> dict[str, _Columns]:
-    tables: dict[str, _Columns] = {}
-    for element in elements:
-        least = sum(struct.calcsize(p.count_kind or p.kind) for p in element.properties)
-        if element.length * max(1, least) > len(data):
-            raise FormatError(
-                f"{element.length} of {element.name} need {element.length * least} bytes or more, "
-                f"{len(data)} are left"
-            )
-        if element.length == 0:
-            continue
-        columns, used = _even(element, data, order) or _uneven(element, data, order)
-        tables[element.name] = columns
-        data = data[used:]
-    if len(data):
-        raise FormatError(f"{len(data)} bytes after the last element")
-    return tables
-
-
-def _even(element: _Element, data: memoryview, order: str) -> tuple[_Columns, int] | None:
-    """All rows have lists as long as those of the first row, or None."""
+def _even(
+    length: int, properties: list[_Property], body: memoryview
+) -> tuple[_Columns, int] | None:
+    """Columns and size of an element whose rows are all laid out like the first, else None."""
     fields: list[Any] = []
-    offset = 0
-    for k, p in enumerate(element.properties):
+    at = 0
+    for name, kind, count in properties:
         n = 1
-        if p.count_kind is not None:
-            n = struct.unpack_from(order + p.count_kind, data, offset)[0]
-            if n < 0:
-                return None
-            fields.append((f"n{k}", order + p.count_kind))
-            offset += struct.calcsize(p.count_kind)
-            fields.append((f"p{k}", order + p.kind, (n,)))
-        else:
-            fields.append((f"p{k}", order + p.kind))
-        offset += n * struct.calcsize(p.kind)
-        if offset > len(data):
+        if count is not None:
+            n = int(np.frombuffer(body, count, 1, at)[0])
+            fields.append((f"{name} count", count))
+            at += np.dtype(count).itemsize
+        fields.append((name, kind, (n,)))
+        at += n * np.dtype(kind).itemsize
+        if n < 0 or at * length > len(body):
             return None
-    if offset * element.length > len(data):
+    rows = np.frombuffer(body, fields, length)
+    counts = {name: np.full(length, rows[name].shape[1]) for name, _, _ in properties}
+    lists = [name for name, _, count in properties if count is not None]
+    if any((rows[f"{name} count"] != counts[name]).any() for name in lists):
         return None
-    rows = np.frombuffer(data, dtype=fields, count=element.length)
+    return {name: (counts[name], rows[name].ravel()) for name in counts}, rows.nbytes
+
+
+def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
+    """Columns and size of an element whose rows differ in the lengths of their lists."""
+    sizes = [np.dtype(kind).itemsize for _, kind, _ in properties]
+    lengths = [None if count is None else struct.Struct(count) for _, _, count in properties]
+    counts: list[int] = []
+    starts: list[int] = []
+    at = 0
+    for _ in range(length):
+        for size, stated in zip(sizes, lengths, strict=True):
+            n = value = 1
+            if stated is not None:
+                (value,) = stated.unpack_from(body, at)
+                n = int(value)
+                at += stated.size
+            counts.append(n)
+            starts.append(at)
+            at += n * size
+            if n < 0 or n != value or at > len(body):
+                raise FormatError(f"states {length} rows, but the file ends before")
     columns: _Columns = {}
-    for k, p in enumerate(element.properties):
-        values = rows[f"p{k}"]
-        values = values.astype(values.dtype.newbyteorder("="))
-        if p.count_kind is None:
-            columns[p.name] = values
-            continue
-        counts = rows[f"n{k}"].astype(np.int64)
-        if (counts != values.shape[1]).any():
-            return None
-        columns[p.name] = _Lists(counts, values.ravel())
-    return columns, offset * element.length
-
-
-def _uneven(element: _Element, data: memoryview, order: str) -> tuple[_Columns, int]:
-    counts: dict[str, list[int]] = {p.name: [] for p in element.properties}
-    values: dict[str, list[Any]] = {p.name: [] for p in element.properties}
-    offset = 0
-    for _ in range(element.length):
-        for p in element.properties:
-            n = 1
-            if p.count_kind is not None:
-                n = struct.unpack_from(order + p.count_kind, data, offset)[0]
-                offset += struct.calcsize(p.count_kind)
-            size = n * struct.calcsize(p.kind)
-            if n < 0 or offset + size > len(data):
-                raise FormatError(f"a list in {element.name} is longer than the file")
-            values[p.name].extend(struct.unpack_from(f"{order}{n}{p.kind}", data, offset))
-            counts[p.name].append(n)
-            offset += size
-    columns: _Columns = {}
-    for p in element.properties:
-        array = np.array(values[p.name], dtype=p.kind)
-        columns[p.name] = (
-            array if p.count_kind is None else _Lists(np.array(counts[p.name], np.int64), array)
-        )
-    return columns, offset
-
-
-def _ascii(elements: list[_Element], words: list[bytes]) -> dict[str, _Columns]:
-    tables: dict[str, _Columns] = {}
-    start = 0
-    for element in elements:
-        if element.length * max(1, len(element.properties)) > len(words) - start:
-            raise FormatError(f"{element.length} of {element.name} stated, the file ends before")
-        if element.length == 0:
-            continue
-        columns: _Columns = {}
-        if all(p.count_kind is None for p in element.properties):
-            stop = start + element.length * len(element.properties)
-            table = np.array(words[start:stop], dtype=np.float64).reshape(element.length, -1)
-            for k, p in enumerate(element.properties):
-                columns[p.name] = table[:, k]
-        else:
-            counts: dict[str, list[int]] = {p.name: [] for p in element.properties}
-            values: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
-            stop = start
-            for _ in range(element.length):
-                for p in element.properties:
-                    n = 1
-                    if p.count_kind is not None:
-                        n, stop = int(words[stop]), stop + 1
-                    if n < 0 or stop + n > len(words):
-                        raise FormatError(f"a list in {element.name} is longer than the file")
-                    values[p.name].extend(words[stop : stop + n])
-                    counts[p.name].append(n)
-                    stop += n
-            for p in element.properties:
-                kind = np.float64 if p.kind in "fd" else np.int64
-                array = np.array([kind(w) for w in values[p.name]], dtype=kind)
-                columns[p.name] = (
-                    array
-                    if p.count_kind is None
-                    else _Lists(np.array(counts[p.name], dtype=np.int64), array)
-                )
-        tables[element.name] = columns
-        start = stop
-    if start != len(words):
-        raise FormatError(f"{len(words) - start} words after the last element")
-    return tables
+    for k, (name, kind, _) in enumerate(properties):
+        count = np.array(counts[k :: len(sizes)], dtype=np.int64)
+        n_bytes = count * sizes[k]
+        gaps = np.array(starts[k :: len(sizes)], dtype=np.int64) - np.cumsum(n_bytes) + n_bytes
+        offsets = np.repeat(gaps, n_bytes)  # from a byte's place in the column to that in the file
+        data = np.frombuffer(body, np.uint8)[offsets + np.arange(len(offsets))]
+        columns[name] = count, data.view(kind)
+    return columns, at
 
 
 def _surface(vertex: _Columns, faces: NDArray[np.int64]) -> Surface | None:
     def at_corners(names: tuple[str, ...]) -> NDArray[np.float32] | None:
-        columns = [vertex.get(n) for n in names]
-        if any(not isinstance(c, np.ndarray) for c in columns):
+        if not set(names) <= set(vertex):
             return None
-        table = np.stack(columns, axis=1).astype(np.float32)  # type: ignore[arg-type]
+        table = np.stack([vertex[name][1] for name in names], axis=1).astype(np.float32)
         if not np.isfinite(table).all():
             raise FormatError(f"{', '.join(names)} are not finite")
         return np.asarray(table[faces])

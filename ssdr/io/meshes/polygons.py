@@ -1,4 +1,4 @@
-"""One mesh as a file holds it, polygons and corners, and as a sequence needs it."""
+"""Mesh of one file, and triangles of its polygons."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ...sequence import Surface
+from ...surface import Surface
 
 __all__ = ["Mesh", "fan", "vertex_rows"]
 
@@ -24,8 +24,8 @@ class Mesh:
     faces : (T, 3) int
     surface : Surface or None
     topology : bytes
-        The text that the faces were parsed from, where there is one: another
-        file with the same text has the same faces.
+        Text that the faces were parsed from, if they were: another file with
+        the same text has the same faces.
     """
 
     vertices: NDArray[Any]

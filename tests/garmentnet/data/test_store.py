@@ -100,7 +100,7 @@ def test_reads_what_was_written(store: ClipStore, rng: np.random.Generator) -> N
     assert again.attributes == {"scene": "strip"}
     naive = np.einsum(
         "fvab,vb->fva",
-        clip.joints[:, body().joints[:, 0]].astype(float),
+        clip.joints[:, body().indices[:, 0]].astype(float),
         np.c_[body().rest, np.ones(6)],
     )
     np.testing.assert_allclose(clip.body(), naive, atol=1e-5)

@@ -63,7 +63,7 @@ def test_vertices_inside_the_body_are_pushed_out(toy_network, joints):
     b = network.subject.body
     wide = Skinning(
         b.rest * np.array([2.2, 1, 2.2], np.float32),
-        b.joints,
+        b.indices,
         b.weights,
         b.transforms,
         faces=b.faces,

@@ -1,59 +1,68 @@
-"""The command as a whole: help, exit codes, errors as JSON."""
+"""The command as a whole: help, exit codes, errors as JSON, samples."""
 
 from __future__ import annotations
 
 import json
+import re
+
+import pytest
 
 import ssdr
 from helpers.command import start
 
+COMMANDS = ("decompose", "smallest", "info", "compare", "convert", "render")
 
-def test_help_version_and_usage(run):
-    code, out, _ = run("--help")
-    assert code == 0
-    for name in ("decompose", "info", "compare", "convert", "render", "Exit codes"):
-        assert name in out
+
+def test_help_version_and_usage(run, refused):
     assert run("--version")[:2] == (0, f"ssdr {ssdr.__version__}\n")
-    code, out, err = run()
-    assert (code, out) == (2, "")
-    assert err.startswith("Usage: ssdr")
-    code, out, err = run("decompose", "a.npz", "--bones", "0", "-o", "b.npz")
-    assert (code, out) == (2, "")
-    assert "--bones" in err
-    code, _, err = run("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "rubber")
-    assert code == 2
+    for arguments in ((), ("--help",)):
+        code, out, _ = run(*arguments)
+        assert code == 0
+        assert all(name in out for name in (*COMMANDS, "Exit codes"))
+    assert "--bones" in refused("decompose", "a.npz", "--bones", "0", "-o", "b.npz")
+    err = refused("decompose", "a.npz", "-b", "1", "-o", "b.npz", "--bone-model", "rubber")
     assert "'rigid'" in err
     assert "'affine'" in err
-    assert "Traceback" not in err
 
 
-def test_exit_codes_and_json_of_errors(run, tmp_path, monkeypatch):
+@pytest.mark.parametrize("command", COMMANDS[:2])
+def test_options_stand_in_panels(run, command):
+    code, out, _ = run(command, "--help")
+    assert code == 0
+    titles = re.findall(r"[-─] (\w+) [-─]", out)
+    assert titles == ["Arguments", "Options", "Model", "Rig", "Run", "Files"]
+    assert len(set(re.findall(r"^\W+(--[\w-]+)", out, re.MULTILINE)) - {"--help"}) <= 26
+
+
+def test_exit_codes_and_json_of_errors(run, refused, tmp_path, monkeypatch):
     bad = tmp_path / "bad.npz"
     bad.write_bytes(b"not a zip archive")
     code, out, err = run("info", bad, "--json")
     assert (code, err) == (3, "")
     document = json.loads(out)
-    assert document["kind"] == "FormatError"
-    assert document["exit_code"] == 3
+    assert (document["kind"], document["exit_code"]) == ("FormatError", 3)
     assert "bad.npz" in document["error"]
-    code, out, err = run("info", tmp_path / "none.npz")
-    assert (code, out) == (2, "")
-    assert err == f"ssdr: error: {tmp_path / 'none.npz'}: no such file\n"
+    missing = tmp_path / "none.npz"
+    assert refused("info", missing) == f"ssdr: error: {missing}: no such file\n"
+    for command in (["info"], ["compare", ssdr.samples.path("dancer_small")]):
+        assert "File name too long" in refused(*command, "9" * 300 + ".npz")
 
-    def fall(*_, **__):
-        raise ZeroDivisionError("oh")
+    def fall(error):
+        def read_any(*_, **__):
+            raise error
 
-    monkeypatch.setattr("ssdr.cli.inspecting.read_any", fall)
-    code, out, err = run("info", bad)
-    assert (code, out) == (1, "")
-    assert "unexpected ZeroDivisionError: oh" in err
-    assert "Traceback" not in err
+        monkeypatch.setattr("ssdr.cli.info.read_any", read_any)
 
-    def interrupt(*_, **__):
-        raise KeyboardInterrupt
+    fall(ZeroDivisionError("oh"))
+    assert "unexpected ZeroDivisionError: oh" in refused("info", bad, code=1)
+    fall(KeyboardInterrupt())
+    assert refused("info", bad, code=130) == "ssdr: interrupted\n"
 
-    monkeypatch.setattr("ssdr.cli.inspecting.read_any", interrupt)
-    assert run("info", bad)[0] == 130
+
+def test_a_sample_is_given_by_name(done, refused):
+    found = done("info", "sample:dancer_small")
+    assert (found["input"], found["frames"]) == (str(ssdr.samples.path("dancer_small")), 24)
+    assert "one of dancer, dancer_small" in refused("info", "sample:nobody")
 
 
 def test_a_process_of_its_own_without_a_display(clip, tmp_path):
@@ -61,14 +70,3 @@ def test_a_process_of_its_own_without_a_display(clip, tmp_path):
     out, err = process.communicate(timeout=120)
     assert (process.returncode, err) == (0, "")
     assert "a.png" in out
-    process = start(["-m", "ssdr", "info", tmp_path / "none.npz"])
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out) == (2, "")
-    assert "Traceback" not in err
-
-
-def test_a_name_that_no_file_can_have_is_wrong_input(run):
-    for command in (["info"], ["compare", ssdr.samples.path("dancer_small")]):
-        code, out, err = run(*command, "9" * 300 + ".npz")
-        assert (code, out) == (2, "")
-        assert "File name too long" in err

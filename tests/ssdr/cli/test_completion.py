@@ -33,4 +33,4 @@ def test_the_shell_completes_commands_and_options(shell: str) -> None:
     commands = complete(shell, "ssdr dec")
     assert "decompose" in commands
     assert "convert" not in commands
-    assert "--tolerance-of" in complete(shell, "ssdr decompose --to")
+    assert "--tolerance" in complete(shell, "ssdr smallest --to")

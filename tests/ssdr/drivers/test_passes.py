@@ -9,7 +9,8 @@ import ssdr
 from helpers import motions
 from ssdr.drivers import scan
 from ssdr.drivers.passes import AllFrames, carried
-from ssdr.solver.alternation import vertex_step
+from ssdr.search.given import Given
+from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model
 from ssdr.solver.model import Fixed, Model
 from ssdr.solver.trajectories import gather
@@ -28,9 +29,7 @@ def test_a_pass_is_one_exact_alternation() -> None:
     data = gather([few], bones=4)
     model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
-    passes = AllFrames(
-        sequences, found, data, model, fixed=Fixed(), prescribed=None, importance=None
-    )
+    passes = AllFrames(sequences, found, data, model, fixed=Fixed(), given=Given(), importance=None)
     values = [passes.pass_over(entering=3) for _ in range(3)]
     assert values == sorted(values, reverse=True)
     rest, transforms = found.alignment.to_world(passes.model.rest, passes.model.transforms)
@@ -39,16 +38,20 @@ def test_a_pass_is_one_exact_alternation() -> None:
     assert values[-1] * found.alignment.scale**2 == pytest.approx(squared, rel=1e-8)
 
 
-def test_of_bones_to_start_from_only_locked_ones_are_given_again() -> None:
+@pytest.mark.parametrize("free", [False, True])
+def test_of_bones_to_start_from_only_locked_ones_or_all_of_a_model_are_given_again(
+    free: bool,
+) -> None:
     data = gather([ssdr.MeshSequence(motions.rippled(12))], bones=4)
     model = start_model(data, data.frame(0), 4, 2, np.random.default_rng(0))
-    prescribed = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
+    own = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
     nearest = np.arange(20) % 12
     fixed = Fixed(bones=np.array([False, True, False]))
-    moved = carried(model, nearest, 0.5, prescribed, fixed)
-    np.testing.assert_array_equal(moved.transforms[:, 1], prescribed[:, 1])
+    moved = carried(model, nearest, 0.5, Given(transforms=own, free=free), fixed)
     np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
-    for j in (0, 2, 3):
+    kept = [0, 1, 2] if free else [1]
+    np.testing.assert_array_equal(moved.transforms[:, kept], own[:, kept])
+    for j in set(range(4)) - set(kept):
         np.testing.assert_array_equal(
             moved.transforms[:, j] / [1, 1, 1, 0.5], model.transforms[nearest, j]
         )
@@ -56,8 +59,6 @@ def test_of_bones_to_start_from_only_locked_ones_are_given_again() -> None:
 
 def test_rotations_leap_to_where_they_belong() -> None:
     """Far from the start, the error falls at once below what many sweeps reach."""
-    from ssdr.solver.alternation import bone_step
-
     rig = motions.chain(3, bones=4, frames=60)
     data = gather([ssdr.MeshSequence(rig.frames)], bones=4, compress=False)
     rest, exact = data.from_world(rig.rest, rig.transforms)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 import ssdr
 from helpers import motions, naive
+from helpers.stretches import KINDS, rig
 
 
 @settings(max_examples=20, deadline=None)
@@ -22,31 +25,25 @@ def test_against_dense_least_squares(seed: int, influences: int, offset: float) 
     transforms = motions.motions(rng, 5, 4)
     indices, weights = motions.weights_of(rng, 6, 4, influences)
     frames = offset + rng.standard_normal((5, 6, 3))
-    fit = ssdr.fit_rest_pose(frames, indices=indices, weights=weights, transforms=transforms)
+    fit = ssdr.fit_rest_pose(frames, motions.model(frames[0], indices, weights, transforms))
     want = naive.rest_position(frames, indices, weights, transforms)
-    np.testing.assert_allclose(fit.rest, want, atol=1e-8 * max(1.0, offset))
+    np.testing.assert_allclose(fit.skinning.rest, want, atol=1e-8 * max(1.0, offset))
     error = naive.squared_error(frames, want, indices, weights, transforms)
     np.testing.assert_allclose(fit.squared_error, error, rtol=1e-6)
     assert fit.rmse == pytest.approx(np.sqrt(error.sum() / 30), rel=1e-6)
 
 
 def test_locked_vertices_stay_to_the_bit() -> None:
-    rig = motions.chain(bones=4)
-    start = rig.rest + 0.1
+    chain = motions.chain(bones=4)
+    start = chain.rest + 0.1
     locked = np.arange(len(start)) % 3 == 0
-    fit = ssdr.fit_rest_pose(
-        motions.wobble(rig),
-        indices=rig.indices,
-        weights=rig.weights,
-        transforms=rig.transforms,
-        rest=start,
-        locked_vertices=locked,
-    )
-    assert np.array_equal(fit.rest[locked], start[locked])
-    assert (np.abs(fit.rest[~locked] - start[~locked]).max(axis=1) > 1e-3).all()
-    error = naive.squared_error(
-        motions.wobble(rig), fit.rest, rig.indices, rig.weights, rig.transforms
-    )
+    model = dataclasses.replace(chain.skinning, rest=start)
+    fit = ssdr.fit_rest_pose(motions.wobble(chain), model, locked_vertices=locked)
+    found = fit.skinning.rest
+    assert np.array_equal(found[locked], start[locked])
+    assert (np.abs(found[~locked] - start[~locked]).max(axis=1) > 1e-3).all()
+    parts = (chain.indices, chain.weights, chain.transforms)
+    error = naive.squared_error(motions.wobble(chain), found, *parts)
     np.testing.assert_allclose(fit.squared_error, error, rtol=1e-6)
 
 
@@ -59,26 +56,30 @@ def test_what_the_motion_leaves_open_stays() -> None:
     weights = np.array([[0.5, 0.5], [1.0, 0.0]])
     start = np.array([[9.0, 0.25, -0.5], [0.0, 0.0, 0.0]])
     frames = np.tile(np.array([[2.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), (3, 1, 1))
-    fit = ssdr.fit_rest_pose(
-        frames, indices=indices, weights=weights, transforms=transforms, rest=start
-    )
-    np.testing.assert_allclose(fit.rest[0], [2.0, 0.25, -0.5], atol=1e-2)
-    np.testing.assert_allclose(fit.rest[1], [0.0, 0.0, -1.0], atol=1e-6)
+    fit = ssdr.fit_rest_pose(frames, motions.model(start, indices, weights, transforms))
+    np.testing.assert_allclose(fit.skinning.rest[0], [2.0, 0.25, -0.5], atol=1e-2)
+    np.testing.assert_allclose(fit.skinning.rest[1], [0.0, 0.0, -1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_rest_pose_of_bones_that_stretch(kind: str) -> None:
+    truth = rig(kind)
+    model = dataclasses.replace(truth.skinning, rest=truth.rest + 0.1, bone_model=kind)
+    fit = ssdr.fit_rest_pose(truth.frames, model)
+    np.testing.assert_allclose(fit.skinning.rest, truth.rest, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("argument", "change"),
     [
-        ("rest", {"locked_vertices": [0]}),
-        ("indices", {"indices": np.full((120, 4), 7)}),
-        ("transforms", {"transforms": np.zeros((20, 3, 4))}),
-        ("locked_vertices", {"rest": np.zeros((120, 3)), "locked_vertices": [120]}),
-        ("locked_vertices", {"rest": np.zeros((120, 3)), "locked_vertices": [True]}),
+        ("skinning", {"skinning": np.zeros((120, 3))}),
+        ("skinning.transforms", {"skinning": motions.model(np.zeros((120, 3)))}),
+        ("locked_vertices", {"locked_vertices": [120]}),
+        ("locked_vertices", {"locked_vertices": [True]}),
     ],
 )
 def test_refuses(argument: str, change: dict[str, object]) -> None:
-    rig = motions.chain(bones=5)
-    parts = {"indices": rig.indices, "weights": rig.weights, "transforms": rig.transforms} | change
+    chain = motions.chain(bones=5)
     with pytest.raises(ssdr.InputError) as caught:
-        ssdr.fit_rest_pose(rig.frames, **parts)
+        ssdr.fit_rest_pose(chain.frames, **({"skinning": chain.skinning} | change))
     assert caught.value.argument == argument

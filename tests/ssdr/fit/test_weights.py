@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,21 +10,38 @@ from scipy.optimize import minimize
 
 import ssdr
 from helpers import motions, naive
-from ssdr.fit.weights import WeightFit
+from helpers.stretches import KINDS, rig
 
 
-def check_simplex(fit: WeightFit, n_bones: int, influences: int) -> None:
-    assert fit.indices.shape == fit.weights.shape
-    assert fit.weights.shape[1] == influences
-    assert fit.weights.min() >= 0
-    assert np.abs(fit.weights.sum(axis=1) - 1).max() < 1e-12
-    assert (np.diff(fit.weights, axis=1) <= 0).all()
-    assert fit.indices.min() >= 0
-    assert fit.indices.max() < n_bones
-    assert (fit.indices[fit.weights == 0] == 0).all()
-    for indices, weights in zip(fit.indices, fit.weights, strict=True):
+def solve(
+    frames: np.ndarray, rest: np.ndarray, transforms: np.ndarray, influences: int
+) -> ssdr.fit.fit.Fit:
+    """Weights of these bones, checked."""
+    model = motions.model(rest, transforms=transforms)
+    return checked(ssdr.fit_weights(frames, model, influences=influences), influences)
+
+
+def checked(fit: ssdr.fit.fit.Fit, influences: int) -> ssdr.fit.fit.Fit:
+    s = fit.skinning
+    assert s.weights.shape == s.indices.shape == (s.n_vertices, influences)
+    assert s.weights.min() >= 0
+    assert np.abs(s.weights.sum(axis=1) - 1).max() < 1e-12
+    assert (np.diff(s.weights, axis=1) <= 0).all()
+    assert s.indices.min() >= 0
+    assert s.indices.max() < s.n_bones
+    assert (s.indices[s.weights == 0] == 0).all()
+    for indices, weights in zip(s.indices, s.weights, strict=True):
         used = indices[weights > 0]
         assert len(set(used)) == len(used)
+    return fit
+
+
+def images_and_targets(
+    frames: np.ndarray, rest: np.ndarray, transforms: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where each bone alone puts each vertex, and where it should be."""
+    targets = frames.transpose(1, 0, 2).reshape(len(rest), -1)
+    return naive.bone_images(rest, transforms), targets
 
 
 @settings(max_examples=25, deadline=None)
@@ -44,10 +59,8 @@ def test_against_every_support(seed: int, bones: int, influences: int, noise: fl
     indices, weights = motions.weights_of(rng, n, bones, influences)
     frames = motions.blend(rest, indices, weights, transforms)
     frames += noise * rng.standard_normal(frames.shape)
-    fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=influences)
-    check_simplex(fit, bones, influences)
-    images = naive.bone_images(rest, transforms)
-    targets = frames.transpose(1, 0, 2).reshape(n, -1)
+    fit = solve(frames, rest, transforms, influences)
+    images, targets = images_and_targets(frames, rest, transforms)
     size = float((frames**2).sum()) / n
     best = np.array([naive.best_convex(images[i], targets[i], influences)[0] for i in range(n)])
     assert (fit.squared_error >= best - 1e-12 * size).all()
@@ -64,9 +77,8 @@ def test_many_bones_against_slsqp(rng: np.random.Generator) -> None:
     rest = rng.standard_normal((n, 3))
     transforms = motions.motions(rng, 6, bones, shift=0.3)
     frames = rest + 0.3 * rng.standard_normal((6, n, 3))
-    fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=bones)
-    images = naive.bone_images(rest, transforms)
-    targets = frames.transpose(1, 0, 2).reshape(n, -1)
+    fit = solve(frames, rest, transforms, bones)
+    images, targets = images_and_targets(frames, rest, transforms)
     for i in range(n):
         a, b = images[i], targets[i]
         found = minimize(
@@ -80,7 +92,7 @@ def test_many_bones_against_slsqp(rng: np.random.Generator) -> None:
         )
         assert fit.squared_error[i] == pytest.approx(found.fun, rel=1e-5)
         dense = np.zeros(bones)
-        np.add.at(dense, fit.indices[i], fit.weights[i])
+        np.add.at(dense, fit.skinning.indices[i], fit.skinning.weights[i])
         np.testing.assert_allclose(dense, found.x, atol=2e-3)
 
 
@@ -92,9 +104,8 @@ def test_sparse_choice_is_near_the_best_support() -> None:
     transforms = motions.motions(rng, 8, bones, shift=0.3)
     indices, weights = motions.weights_of(rng, n, bones, 4)
     frames = motions.blend(rest, indices, weights, transforms)
-    fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=k)
-    images = naive.bone_images(rest, transforms)
-    targets = frames.transpose(1, 0, 2).reshape(n, -1)
+    fit = solve(frames, rest, transforms, k)
+    images, targets = images_and_targets(frames, rest, transforms)
     best = sum(naive.best_convex(images[i], targets[i], k)[0] for i in range(n))
     assert best * (1 - 1e-9) <= fit.squared_error.sum() <= 1.001 * best
 
@@ -103,8 +114,11 @@ def test_error_is_that_of_skinning(rng: np.random.Generator) -> None:
     rest = rng.standard_normal((7, 3))
     transforms = motions.motions(rng, 5, 4)
     frames = 30 + rest + 0.5 * rng.standard_normal((5, 7, 3))
-    fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=3)
-    expected = naive.squared_error(frames, rest, fit.indices, fit.weights, transforms)
+    fit = solve(frames, rest, transforms, 3)
+    found = fit.skinning
+    expected = naive.squared_error(frames, rest, found.indices, found.weights, transforms)
+    assert np.array_equal(found.rest, rest)
+    assert np.array_equal(found.transforms, transforms)
     np.testing.assert_allclose(fit.squared_error, expected, rtol=1e-8)
     assert fit.rmse == pytest.approx(np.sqrt(expected.sum() / 35), rel=1e-8)
 
@@ -121,10 +135,9 @@ def test_more_influences_than_slots_of_the_warm_support(influences: int) -> None
         np.full((n, influences), 1 / influences),
         transforms,
     )
-    fit = ssdr.fit_weights(frames, rest=rest, transforms=transforms, influences=influences)
-    check_simplex(fit, bones, influences)
+    fit = solve(frames, rest, transforms, influences)
     assert fit.rmse < 1e-6
-    np.testing.assert_allclose(fit.weights[:, :influences], 1 / influences, atol=1e-5)
+    np.testing.assert_allclose(fit.skinning.weights[:, :influences], 1 / influences, atol=1e-5)
 
 
 def test_bones_that_move_alike() -> None:
@@ -134,85 +147,73 @@ def test_bones_that_move_alike() -> None:
     own = motions.motions(rng, 6, 3)
     indices, weights = motions.weights_of(rng, 12, 3, 3)
     frames = motions.blend(rest, indices, weights, own)
-    fit = ssdr.fit_weights(
-        frames, rest=rest, transforms=np.concatenate([own, own, own], axis=1), influences=4
-    )
-    check_simplex(fit, 9, 4)
+    fit = solve(frames, rest, np.concatenate([own, own, own], axis=1), 4)
     assert fit.rmse < 1e-6
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_weights_of_bones_that_stretch(kind: str) -> None:
+    truth = rig(kind)
+    model = motions.model(truth.rest, transforms=truth.transforms, bone_model=kind)
+    assert ssdr.fit_weights(truth.frames, model).rmse < 1e-5
+
+
+def smoothed(length: float, iterations: int) -> tuple[float, float]:
+    """Squared error and the weights' Dirichlet energy, of a chain of four bones."""
+    chain = motions.chain(bones=4, rows=12)
+    frames = motions.wobble(chain, 0.05)
+    fit = ssdr.fit_weights(frames, chain.skinning, smoothness=length, iterations=iterations)
+    s = checked(fit, 4).skinning
+    error = naive.squared_error(frames, chain.rest, s.indices, s.weights, chain.transforms)
+    np.testing.assert_allclose(fit.squared_error, error, rtol=1e-6)
+    return error.sum(), naive.dirichlet(chain.faces, s.indices, s.weights, 4)
+
+
 def test_smoothness_lowers_the_dirichlet_energy() -> None:
-    rig = motions.chain(bones=4, rows=12)
-    frames = motions.wobble(rig, 0.05)
-    energy, error = [], []
-    for length in (0.0, 0.02, 0.2, 20.0):
-        fit = ssdr.fit_weights(
-            frames,
-            rig.faces,
-            rest=rig.rest,
-            transforms=rig.transforms,
-            smoothness=length,
-            iterations=300,
-        )
-        check_simplex(fit, 4, 4)
-        energy.append(naive.dirichlet(rig.faces, fit.indices, fit.weights, 4))
-        error.append(fit.rmse)
-    assert energy == sorted(energy, reverse=True)
+    lengths = (0.0, 0.02, 0.2, 20.0)
+    error, energy = zip(*(smoothed(length, 300) for length in lengths), strict=True)
+    assert list(energy) == sorted(energy, reverse=True)
     assert energy[-1] < 0.01 * energy[0]
-    assert error == sorted(error)
+    assert list(error) == sorted(error)
 
 
 def test_smoothness_descends_the_penalised_error() -> None:
     """Where no weight is cut (K = B) every sweep lowers error + F l^2 sum |jump|^2."""
-    rig = motions.chain(bones=4, rows=12)
-    frames, length = motions.wobble(rig, 0.05), 0.3
-    values = []
-    for sweeps in (1, 2, 3, 5, 9, 40):
-        fit = ssdr.fit_weights(
-            frames,
-            rig.faces,
-            rest=rig.rest,
-            transforms=rig.transforms,
-            smoothness=length,
-            iterations=sweeps,
-        )
-        error = naive.squared_error(frames, rig.rest, fit.indices, fit.weights, rig.transforms)
-        energy = naive.dirichlet(rig.faces, fit.indices, fit.weights, 4)
-        values.append(error.sum() + len(frames) * length**2 * energy)
+    found = [smoothed(0.3, sweeps) for sweeps in (1, 2, 3, 5, 9, 40)]
+    values = [error + 20 * 0.3**2 * energy for error, energy in found]
     assert (np.diff(values) < 0).all()
     assert values[0] > 1.01 * values[-1]
 
 
-@dataclasses.dataclass(frozen=True)
-class Refusal:
-    argument: str
-    change: dict[str, object]
-
-
 @pytest.mark.parametrize(
-    "case",
+    ("argument", "change"),
     [
-        Refusal("influences", {"influences": 0}),
-        Refusal("influences", {"influences": 2.5}),
-        Refusal("rest", {"rest": np.zeros((3, 3))}),
-        Refusal("transforms", {"transforms": np.zeros((20, 4, 3, 4))}),
-        Refusal("transforms", {"transforms": np.tile(np.eye(4)[:3], (19, 2, 1, 1))}),
-        Refusal("iterations", {"iterations": 0}),
-        Refusal("smoothness", {"smoothness": -1.0}),
-        Refusal("smoothness", {"smoothness": float("nan")}),
+        ("influences", {"influences": 0}),
+        ("influences", {"influences": 2.5}),
+        ("iterations", {"iterations": 0}),
+        ("smoothness", {"smoothness": -1.0}),
+        ("smoothness", {"smoothness": float("nan")}),
+        ("skinning", {"skinning": None}),
+        ("skinning", {"skinning": motions.model(np.zeros((3, 3)))}),
+        (
+            "skinning.transforms",
+            {
+                "skinning": motions.model(
+                    np.zeros((30, 3)), transforms=np.tile(np.eye(3, 4), (19, 2, 1, 1))
+                )
+            },
+        ),
     ],
-    ids=str,
 )
-def test_refuses(case: Refusal) -> None:
-    rig = motions.chain(bones=4, rows=5)
-    given_ = {"rest": rig.rest, "transforms": rig.transforms} | case.change
+def test_refuses(argument: str, change: dict[str, object]) -> None:
+    chain = motions.chain(bones=4, rows=5)
     with pytest.raises(ssdr.InputError) as caught:
-        ssdr.fit_weights(rig.frames, rig.faces, **given_)
-    assert caught.value.argument == case.argument
+        ssdr.fit_weights(chain.frames, **({"skinning": chain.skinning} | change))
+    assert caught.value.argument == argument
 
 
 def test_refuses_a_reflection() -> None:
-    rig = motions.chain(bones=2, rows=5)
-    mirrored = rig.transforms * np.array([1, 1, -1, 1.0])
+    chain = motions.chain(bones=2, rows=5)
+    mirrored = motions.model(chain.rest, transforms=chain.transforms * np.array([1, 1, -1, 1.0]))
     with pytest.raises(ssdr.InputError, match="rigid"):
-        ssdr.fit_weights(rig.frames, rest=rig.rest, transforms=mirrored)
+        ssdr.fit_weights(chain.frames, mirrored)

@@ -107,15 +107,9 @@ def test_workers_find_what_this_process_finds(
     for source in sources(frames, tmp_path).values():
         assert isinstance(executor.executor_for([ssdr.MeshSequence(source)]), executor.Cluster)
         same(solve(source), here)
-
-
-def test_several_shots_on_workers(client: Any, tmp_path: Path) -> None:
-    frames = motions.rippled()
-    np.save(tmp_path / "a.npy", frames)
-    whole = np.load(tmp_path / "a.npy", mmap_mode="r")
-    cuts = [0, 2, 50, 51, 120]
-    shots = [ssdr.MeshSequence(whole[a:b]) for a, b in itertools.pairwise(cuts)]
-    same(solve(shots), solve(frames))
+        if isinstance(source, np.memmap):
+            cuts = itertools.pairwise([0, 2, 50, 51, 120])
+            same(solve([ssdr.MeshSequence(source[a:b]) for a, b in cuts]), here)
 
 
 def test_bad_frames_are_found_on_workers(client: Any) -> None:

@@ -1,4 +1,4 @@
-"""Trees over bones: cut, hung elsewhere and shortened, against sets of edges."""
+"""Operations on trees of bones against sets of edges."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssdr.hierarchy.transforms import parents_first
-from ssdr.hierarchy.tree import Tree, rooted
+from ssdr.hierarchy.tree import Tree, root_at_centroids
 
 
 @st.composite
@@ -23,7 +23,7 @@ def trees(draw):
 
 def _joints(tree):
     """Every joint as the two bones that it joins, and its point."""
-    return {frozenset((k, int(tree.parents[k]))): tuple(tree.points[k]) for k in tree.hung}
+    return {frozenset((k, int(tree.parents[k]))): tuple(tree.points[k]) for k in tree.non_roots}
 
 
 def _reached(edges, first):
@@ -34,12 +34,12 @@ def _reached(edges, first):
 
 
 @given(trees(), st.data())
-def test_an_edge_goes_and_another_comes(tree, data):
-    edge = data.draw(st.sampled_from(tree.hung.tolist()))
-    part = tree.part(edge)
+def test_one_edge_replaces_another(tree, data):
+    edge = data.draw(st.sampled_from(tree.non_roots.tolist()))
+    part = tree.subtree(edge)
     a = data.draw(st.sampled_from(part))
     b = data.draw(st.sampled_from([k for k in range(len(tree.parents)) if k not in part]))
-    other = tree.rehung(edge, a, b, np.full(3, 7.0))
+    other = tree.replace_edge(edge, a, b, np.full(3, 7.0))
     expected = _joints(tree)
     del expected[frozenset((edge, int(tree.parents[edge])))]
     expected[frozenset((a, b))] = (7.0, 7.0, 7.0)
@@ -49,44 +49,44 @@ def test_an_edge_goes_and_another_comes(tree, data):
 
 
 @given(trees(), st.data())
-def test_neighbours_of_a_bone_that_goes_hang_on_its_heir(tree, data):
+def test_contracting_an_edge(tree, data):
     n = len(tree.parents)
     bone = data.draw(st.integers(0, n - 1))
     near = tree.neighbours(bone)
-    heir = data.draw(st.sampled_from(near))
-    points = {k: np.full(3, float(k)) for k in near if k != heir}
-    smaller = tree.without(bone, heir, points)
+    into = data.draw(st.sampled_from(near))
+    points = {k: np.full(3, float(k)) for k in near if k != into}
+    smaller = tree.contract(bone, into, points)
     rank = {k: k - (k > bone) for k in range(n)}
     expected = {
         frozenset(rank[k] for k in joint): point
         for joint, point in _joints(tree).items()
         if bone not in joint
     }
-    expected |= {frozenset((rank[k], rank[heir])): tuple(p) for k, p in points.items()}
+    expected |= {frozenset((rank[k], rank[into])): tuple(p) for k, p in points.items()}
     assert _joints(smaller) == expected
     assert (smaller.parents < 0).sum() == 1
 
 
 @given(trees(), st.data())
-def test_the_way_between_two_bones(tree, data):
+def test_the_path_between_two_bones(tree, data):
     bones = st.integers(0, len(tree.parents) - 1)
     a, b = data.draw(bones), data.draw(bones)
-    up, down = tree.way(a, b)
+    up, down = tree.path(a, b)
     joints = [frozenset((k, int(tree.parents[k]))) for k in up + down]
     assert len(set(joints)) == len(joints)
     assert b in _reached(joints, a)
     for gone in range(len(joints)):  # without one of them there is no way
         assert b not in _reached(joints[:gone] + joints[gone + 1 :], a) or a == b
     for k in up:
-        assert a in tree.part(k)
-        assert b not in tree.part(k)
+        assert a in tree.subtree(k)
+        assert b not in tree.subtree(k)
 
 
 @given(trees())
-def test_what_hangs_on_a_bone(tree):
+def test_subtrees_and_sums_over_them(tree):
     mass = np.arange(1.0, 1.0 + len(tree.parents))
-    for k, total in enumerate(tree.beyond(mass)):
-        assert total == pytest.approx(mass[tree.part(k)].sum())
+    for k, total in enumerate(tree.subtree_sums(mass)):
+        assert total == pytest.approx(mass[tree.subtree(k)].sum())
 
 
 @given(trees(), st.integers(1, 3))
@@ -95,10 +95,10 @@ def test_a_root_balances_its_tree(tree, copies):
     mass = np.random.default_rng(n).random(n)
     edges = np.zeros((copies * n, copies * n), dtype=bool)
     for c in range(copies):
-        for k in tree.hung:
+        for k in tree.non_roots:
             a, b = c * n + k, c * n + tree.parents[k]
             edges[a, b] = edges[b, a] = True
-    parents = rooted(edges, np.tile(mass, copies))
+    parents = root_at_centroids(edges, np.tile(mass, copies))
     assert {frozenset((k, int(p))) for k, p in enumerate(parents) if p >= 0} == {
         frozenset(e.tolist()) for e in np.argwhere(edges)
     }

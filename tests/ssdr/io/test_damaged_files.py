@@ -79,7 +79,6 @@ KINDS = [
     "mesh.stl",
     "mesh_text.stl",
     "weights.csv",
-    "weights.json",
 ]
 
 
@@ -121,44 +120,30 @@ def test_truncated_files_are_refused(valid):
             result = numbers(read(path))
         except FormatError:
             continue
-        assert path.suffix in (".obj", ".off", ".ply", ".stl", ".csv", ".json")
+        assert path.suffix in (".obj", ".off", ".ply", ".stl", ".csv")
         for key, array in expected.items():
             np.testing.assert_allclose(result[key], array, rtol=0, atol=atol)
 
 
-def test_flipped_bytes_give_finite_arrays_or_an_error(valid, rng):
-    path, read = valid
-    whole = bytearray(path.read_bytes())
-    refused = 0
-    for trial in range(150):
-        data = bytearray(whole)
-        # Half of the flips go to the head, where counts and offsets are.
-        reach = len(data) if trial % 2 else min(len(data), 160)
-        for place in rng.integers(0, reach, 1 + trial % 3):
-            data[place] = rng.integers(0, 256)
-        path.write_bytes(data)
-        try:
-            result = read(path)
-        except FormatError:
-            refused += 1
-        else:
-            assert_sound(result)
-    assert refused > 0
-
-
-def test_inserted_and_removed_bytes_give_finite_arrays_or_an_error(valid, rng):
+def test_damaged_bytes_give_finite_arrays_or_an_error(valid, rng):
     path, read = valid
     whole = path.read_bytes()
-    for _ in range(60):
-        a, b = sorted(rng.integers(0, len(whole), 2))
-        b = min(b, a + 50)
-        extra = rng.bytes(int(rng.integers(0, 9)))
-        path.write_bytes(whole[:a] + extra + whole[b:])
+    refused = 0
+    for trial in range(200):
+        data = bytearray(whole)
+        if trial % 4 == 0:  # insert, remove or replace up to 50 bytes
+            a, b = sorted(rng.integers(0, len(whole), 2))
+            data[a : min(b, a + 50)] = rng.bytes(int(rng.integers(0, 9)))
+        else:  # flip bytes, half of the times in the head, where counts and offsets are
+            reach = len(data) if trial % 2 else min(len(data), 160)
+            for place in rng.integers(0, reach, 1 + trial % 3):
+                data[place] = rng.integers(0, 256)
+        path.write_bytes(data)
         try:
-            result = read(path)
+            assert_sound(read(path))
         except FormatError:
-            continue
-        assert_sound(result)
+            refused += 1
+    assert refused > 0
 
 
 @pytest.mark.parametrize("suffix", ["npz", "npy", "pc2", "mdd", "obj", "ply", "off", "stl"])

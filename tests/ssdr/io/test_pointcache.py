@@ -55,15 +55,13 @@ def test_mdd_times_carry_the_rate(tmp_path, fps):
 
 
 def test_uneven_mdd_times_are_told(tmp_path, caplog):
-    head = struct.pack(">ii3f", 3, 1, 0.0, 0.04, 0.2)
-    (tmp_path / "a.mdd").write_bytes(head + bytes(36))
+    for times in ((0.0, 0.04, 0.2), (0.0, 0.2, 0.1)):
+        (tmp_path / f"{times[2]}.mdd").write_bytes(struct.pack(">ii3f", 3, 1, *times) + bytes(36))
     with caplog.at_level(logging.WARNING, "ssdr"):
-        assert ssdr.load(tmp_path / "a.mdd", mesh="none").fps == 10
-    assert "not even" in caplog.text
-    head = struct.pack(">ii3f", 3, 1, 0.0, 0.2, 0.1)
-    (tmp_path / "a.mdd").write_bytes(head + bytes(36))
+        assert ssdr.load(tmp_path / "0.2.mdd", mesh="none").fps == 10
+    assert "uneven times, 0.04 to 0.16 s apart" in caplog.text
     with pytest.raises(FormatError, match="not increasing"):
-        ssdr.load(tmp_path / "a.mdd", mesh="none")
+        ssdr.load(tmp_path / "0.1.mdd", mesh="none")
 
 
 def test_point_caches_of_a_skinning_state_their_error(tmp_path, skinned):

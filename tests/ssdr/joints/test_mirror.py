@@ -110,10 +110,10 @@ def test_points_in_one_place_and_a_single_vertex():
 
 
 @pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
-@pytest.mark.parametrize("hierarchy", ["loose", "rigid"])
-def test_a_vertex_alone_is_decomposed_all_the_same(hierarchy):
+@pytest.mark.parametrize("rig", ["loose", "rigid"])
+def test_a_vertex_alone_is_decomposed_all_the_same(rig):
     frames = np.random.default_rng(0).normal(size=(5, 1, 3))
-    found = ssdr.decompose(frames, bones=1, hierarchy=hierarchy, effort="fast").skinning
+    found = ssdr.decompose(frames, bones=1, rig=rig, effort="fast").skinning
     assert found.joint_names == ("joint_0",)
 
 
@@ -164,9 +164,9 @@ def test_a_decomposition_names_the_sides(rng: int, kept: bool):
     figure = _figure(frames=30)
     sequence = ssdr.MeshSequence(figure.skin())
     # with one influence any pose of the parts is as good a rest pose; this one is its mirror image
-    rest = figure.rest if kept else None
+    start = ssdr.Start(rest=figure.rest) if kept else None
     found = ssdr.decompose(
-        sequence, bones=6, influences=1, hierarchy="rigid", rest=rest, rng=rng
+        sequence, bones=6, influences=1, rig="rigid", start=start, rng=rng
     ).skinning
     assert sorted(n[-2:] for n in found.joint_names if n[-2] == "_" and n[-1] in "LR") == [
         "_L",

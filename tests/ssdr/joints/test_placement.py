@@ -9,13 +9,12 @@ import ssdr
 from helpers import motions, trees
 from ssdr.hierarchy.transforms import joint_gaps
 from ssdr.joints.placement import (
-    contacts,
-    hang,
-    joint_between,
-    masses,
-    pair_joints,
-    soft_step,
+    find_contacts,
+    fit_joint,
+    fit_joints,
+    snap_to_joints,
     spanning_tree,
+    step_with_joint_penalty,
 )
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.model import FREE, Model
@@ -36,7 +35,7 @@ def test_gaps_and_joints_against_loops():
     transforms = motions.motions(rng, 6, 3)
     prior = rng.normal(size=(3, 3, 3))
     prior = prior + prior.transpose(1, 0, 2)
-    points, gap = pair_joints(transforms, prior)
+    points, gap = fit_joints(transforms, prior)
     for a in range(3):
         for b in range(3):
             rows, right = [], []
@@ -49,7 +48,7 @@ def test_gaps_and_joints_against_loops():
             apart = transforms[:, a] - transforms[:, b]
             expected = ((apart[..., :3] @ best + apart[..., 3]) ** 2).sum()
             assert gap[a, b] == pytest.approx(expected, abs=1e-9)
-    one, of_one = joint_between(
+    one, of_one = fit_joint(
         Model.start(transforms, prior[0], np.zeros(3, int), 1), 0, 2, prior[0, 2]
     )
     np.testing.assert_allclose(one, points[0, 2], atol=1e-12)
@@ -62,7 +61,7 @@ def test_exact_bones_give_their_tree_and_joints():
     tree = spanning_tree(model)
     assert trees.edges(tree.parents) == trees.edges(made.parents)
     points = tree.points * data.scale + data.centre[0]
-    for k in tree.hung:
+    for k in tree.non_roots:
         child = k if made.parents[k] == tree.parents[k] else tree.parents[k]
         assert np.linalg.norm(points[k] - made.points[child]) < 0.02
 
@@ -99,12 +98,12 @@ def test_what_motion_leaves_open_is_where_the_skin_meets():
     still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)).copy()
     rest = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
     model = Model.start(still, rest, np.array([0, 0, 1, 1]), 2)
-    meet = contacts(model)
-    points, gap = pair_joints(still, meet.point)
+    meet = find_contacts(model)
+    points, gap = fit_joints(still, meet.points)
     np.testing.assert_allclose(points[0, 1], [1.5, 0, 0], atol=1e-12)
     assert gap.max() == 0
     model.indices[1:3], model.weights[1:3] = [[0, 1], [1, 0]], [[0.75, 0.25], [0.75, 0.25]]
-    np.testing.assert_allclose(contacts(model).point[0, 1], [1.5, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(find_contacts(model).points[0, 1], [1.5, 0, 0], atol=1e-12)
 
 
 def test_masses_are_sums_of_squared_weights():
@@ -113,7 +112,7 @@ def test_masses_are_sums_of_squared_weights():
     dense = np.zeros((len(made.rest), 5))
     for k in range(2):
         np.add.at(dense, (np.arange(len(dense)), made.indices[:, k]), made.weights[:, k])
-    np.testing.assert_allclose(masses(model), (dense**2).sum(axis=0), atol=1e-12)
+    np.testing.assert_allclose(model.bone_masses(), (dense**2).sum(axis=0), atol=1e-12)
 
 
 def test_a_stiffer_penalty_closes_the_gaps():
@@ -134,9 +133,9 @@ def test_a_stiffer_penalty_closes_the_gaps():
     gaps = []
     for stiffness in (1e-2, 1.0, 100.0):
         for _ in range(3):
-            soft_step(data, model, stiffness, FREE)
+            step_with_joint_penalty(data, model, stiffness, FREE)
         gaps.append(joint_gaps(model.transforms, model.tree.parents, model.tree.points).max())
     assert gaps[0] > 3 * gaps[1] > 9 * gaps[2]
-    hang(data, model, FREE)
+    snap_to_joints(data, model, FREE)
     assert model.tree.rigid
     assert joint_gaps(model.transforms, model.tree.parents, model.tree.points).max() < 1e-13

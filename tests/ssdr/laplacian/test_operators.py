@@ -26,23 +26,14 @@ def soups(draw):
 
 def test_one_triangle_by_hand():
     # 3-4-5: cot at the right angle is 0, at the others 4/3 and 3/4; half of each is the weight.
-    vertices = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]])
-    expected = np.array(
-        [
-            [3 / 8 + 4 / 6, -3 / 8, -4 / 6],
-            [-3 / 8, 3 / 8, 0.0],
-            [-4 / 6, 0.0, 4 / 6],
-        ]
-    )
+    vertices, faces = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]]), [[0, 1, 2]]
     # The edge 0-1 (length 4) is opposite to vertex 2, whose cotangent is 3/4; 0-2 to vertex 1.
-    matrix = cotangent_laplacian(vertices, [[0, 1, 2]]).toarray()
-    np.testing.assert_allclose(matrix, expected, atol=1e-15)
-    np.testing.assert_allclose(mass_matrix(vertices, [[0, 1, 2]]).diagonal(), [2, 2, 2])
-    np.testing.assert_allclose(
-        mass_matrix(vertices, [[0, 1, 2]], kind="voronoi").diagonal(), [3, 1.5, 1.5]
-    )
+    expected = [[3 / 8 + 4 / 6, -3 / 8, -4 / 6], [-3 / 8, 3 / 8, 0.0], [-4 / 6, 0.0, 4 / 6]]
+    np.testing.assert_allclose(cotangent_laplacian(vertices, faces).toarray(), expected, atol=1e-15)
+    for kind, mass in (("barycentric", [2, 2, 2]), ("voronoi", [3, 1.5, 1.5])):
+        np.testing.assert_allclose(mass_matrix(vertices, faces, kind=kind).diagonal(), mass)
     np.testing.assert_array_equal(
-        uniform_laplacian([[0, 1, 2]], 3).toarray(), [[2, -1, -1], [-1, 2, -1], [-1, -1, 2]]
+        uniform_laplacian(faces, 3).toarray(), [[2, -1, -1], [-1, 2, -1], [-1, -1, 2]]
     )
 
 
@@ -51,34 +42,24 @@ def test_one_triangle_by_hand():
 def test_matrices_equal_naive_loops(soup):
     vertices, faces = soup
     n = len(vertices)
-    np.testing.assert_array_equal(
-        uniform_laplacian(faces, n).toarray(), naive.uniform_laplacian(faces, n)
-    )
-    expected = naive.cotangent_laplacian(vertices, faces)
-    np.testing.assert_allclose(
+    uniform = uniform_laplacian(faces, n).toarray()
+    np.testing.assert_array_equal(uniform, naive.uniform_laplacian(faces, n))
+    cotangent, expected = (
         cotangent_laplacian(vertices, faces).toarray(),
-        expected,
-        atol=1e-8 * max(1.0, np.abs(expected).max()) ** 2,
+        naive.cotangent_laplacian(vertices, faces),
     )
+    largest = max(1.0, np.abs(expected).max())
+    np.testing.assert_allclose(cotangent, expected, atol=1e-8 * largest**2)
+    for matrix in (uniform, cotangent):
+        size = np.abs(matrix).max()
+        np.testing.assert_array_equal(matrix, matrix.T)
+        np.testing.assert_allclose(matrix.sum(axis=1), 0, atol=1e-13 * size)
+        assert np.linalg.eigvalsh(matrix).min() >= -1e-12 * size
     used = np.unique(faces)
     for kind, twin in (("barycentric", naive.barycentric_mass), ("voronoi", naive.voronoi_mass)):
         got = mass_matrix(vertices, faces, kind=kind).diagonal()
         np.testing.assert_allclose(got[used], twin(vertices, faces)[used], rtol=1e-6)
         assert got.min() > 0
-
-
-@given(soups())
-@settings(max_examples=30, deadline=None)
-def test_symmetric_semi_definite_with_constants_in_the_null_space(soup):
-    vertices, faces = soup
-    for matrix in (
-        uniform_laplacian(faces, len(vertices)).toarray(),
-        cotangent_laplacian(vertices, faces).toarray(),
-    ):
-        size = np.abs(matrix).max()
-        np.testing.assert_array_equal(matrix, matrix.T)
-        np.testing.assert_allclose(matrix.sum(axis=1), 0, atol=1e-13 * size)
-        assert np.linalg.eigvalsh(matrix).min() >= -1e-12 * size
 
 
 def test_linear_precision_on_a_flat_patch():
@@ -125,7 +106,6 @@ def test_the_cotangent_laplacian_of_any_size_is_the_same(size: float) -> None:
 
 
 def test_masses_are_numbers_or_refused() -> None:
-    """They were infinite from 1e77 on."""
     dancer = ssdr.samples.load("dancer_small")
     points = dancer.vertices[0].astype(np.float64)
     for kind in ("barycentric", "voronoi"):
@@ -136,15 +116,3 @@ def test_masses_are_numbers_or_refused() -> None:
         for size in (1e101, 1e200):
             with pytest.raises(ssdr.InputError, match="less than 1e"):
                 mass_matrix(points * size, dancer.faces, kind=kind)
-
-
-def test_smoothing_gives_numbers_or_is_refused() -> None:
-    dancer = ssdr.samples.load("dancer_small")
-    points = dancer.vertices[0].astype(np.float64)
-    for length in (1e100, 1e200):
-        with pytest.raises(ssdr.InputError, match="length"):
-            ssdr.laplacian.LaplacianSmoother(points, dancer.faces, length)
-    smoother = ssdr.laplacian.LaplacianSmoother(points, dancer.faces, 0.1)
-    with pytest.raises(ssdr.InputError, match="values"):
-        smoother.smooth(np.full(points.shape, 1.7e308))
-    assert np.isfinite(smoother.smooth(points * 1e200)).all()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from helpers.surfaces import grid, sphere
 from ssdr import InputError, MeshSequence
 from ssdr.laplacian.operators import cotangent_laplacian, mass_matrix, uniform_laplacian
-from ssdr.laplacian.smoothing import LaplacianSmoother, implicit_smooth, split_frequencies
+from ssdr.laplacian.smoothing import LaplacianSmoother, split_frequencies
 
 HAS_CHOLMOD = importlib.util.find_spec("sksparse") is not None
 
@@ -47,7 +47,7 @@ def test_wave_on_a_plane_is_damped_by_theory():
     vertices, faces = grid(40, 12)
     wave = np.cos(np.pi * vertices[:, 0])
     length = 0.25
-    smoothed = implicit_smooth(wave, vertices, faces, length=length)
+    smoothed = LaplacianSmoother(vertices, faces, length).smooth(wave)
     np.testing.assert_allclose(smoothed, wave / (1 + (length * np.pi) ** 2), atol=4e-3)
 
 
@@ -64,7 +64,7 @@ def test_backends_solve_the_stated_system(backend):
         np.testing.assert_allclose(smoothed, np.linalg.solve(system, mass @ frame), atol=1e-12)
 
 
-def test_shapes_and_dtypes():
+def test_shapes_dtypes_and_batches(monkeypatch):
     vertices, faces = sphere()
     smoother = LaplacianSmoother(vertices, faces, 0.3)
     frames = np.random.default_rng(3).normal(size=(5, len(vertices), 3))
@@ -77,15 +77,8 @@ def test_shapes_and_dtypes():
     assert smoother.smooth(np.empty((0, len(vertices), 3))).shape == (0, len(vertices), 3)
     wide = np.broadcast_to(frames[:1, :, :1], (1, len(vertices), 40))
     assert smoother.smooth(wide).shape == wide.shape
-
-
-def test_batches_give_the_same(monkeypatch):
-    vertices, faces = sphere()
-    smoother = LaplacianSmoother(vertices, faces, 0.3)
-    frames = np.random.default_rng(4).normal(size=(7, len(vertices), 3))
-    whole = smoother.smooth(frames)
     monkeypatch.setattr("ssdr.laplacian.smoothing._BATCH_BYTES", 8 * 3 * len(vertices) * 2)
-    np.testing.assert_allclose(smoother.smooth(frames), whole, atol=1e-14)
+    np.testing.assert_allclose(smoother.smooth(frames), smoothed, atol=1e-14)
 
 
 @given(length=st.floats(0, 1e3), kind=st.sampled_from(["cotangent", "uniform"]))
@@ -106,9 +99,9 @@ def test_translations_and_rotations_commute_and_the_range_shrinks(length, kind):
 def test_length_zero_and_no_faces_change_nothing():
     vertices, faces = sphere()
     x = np.random.default_rng(6).normal(size=len(vertices))
-    np.testing.assert_allclose(implicit_smooth(x, vertices, faces, length=0.0), x, rtol=1e-14)
-    empty = np.zeros((0, 3), dtype=np.int32)
-    np.testing.assert_allclose(implicit_smooth(x, vertices, empty, length=9.0), x, rtol=1e-14)
+    for triangles, length in ((faces, 0.0), (np.zeros((0, 3), dtype=np.int32), 9.0)):
+        smoothed = LaplacianSmoother(vertices, triangles, length).smooth(x)
+        np.testing.assert_allclose(smoothed, x, rtol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["cotangent", "uniform"])
@@ -144,17 +137,17 @@ def test_a_mesh_without_any_area():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0, 0]])
     faces = np.array([[0, 1, 2], [0, 0, 3]])
     for kind in ("cotangent", "uniform"):
-        assert np.isfinite(implicit_smooth(points, points, faces, length=1.0, kind=kind)).all()
+        assert np.isfinite(LaplacianSmoother(points, faces, 1.0, kind=kind).smooth(points)).all()
     same = np.ones((4, 3))
-    np.testing.assert_allclose(implicit_smooth(points, same, faces, length=1.0), points)
+    np.testing.assert_allclose(LaplacianSmoother(same, faces, 1.0).smooth(points), points)
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_the_length_scales_with_the_mesh(scale):
     vertices, faces = sphere()
     x = np.random.default_rng(8).normal(size=len(vertices))
-    expected = implicit_smooth(x, vertices, faces, length=0.3)
-    scaled = implicit_smooth(x, scale * vertices, faces, length=0.3 * scale)
+    expected = LaplacianSmoother(vertices, faces, 0.3).smooth(x)
+    scaled = LaplacianSmoother(scale * vertices, faces, 0.3 * scale).smooth(x)
     np.testing.assert_allclose(scaled, expected, atol=1e-9)
 
 
@@ -199,6 +192,8 @@ def test_split_of_a_sequence_uses_the_named_rest():
         ({"length": -1.0}, "length"),
         ({"length": np.nan}, "length"),
         ({"length": "a"}, "length"),
+        ({"length": 1e99}, "length"),
+        ({"length": 1e200}, "length"),
         ({"kind": "mean"}, "kind"),
         ({"mass": "full"}, "kind"),
         ({"backend": "lapack"}, "backend"),
@@ -213,9 +208,11 @@ def test_bad_input(change, argument):
 
 def test_bad_values():
     smoother = LaplacianSmoother(np.eye(4, 3), [[0, 1, 2]], 1.0)
-    for values in (np.zeros(3), np.zeros((3, 4)), np.float64(1), np.full(4, np.inf), ["a"] * 4):
+    too_large = np.full(4, 1.7e308)
+    for values in (np.zeros(3), np.zeros((3, 4)), 1.0, np.full(4, np.inf), ["a"] * 4, too_large):
         with pytest.raises(InputError, match="values"):
             smoother.smooth(values)
+    assert np.isfinite(smoother.smooth(np.eye(4, 3) * 1e200)).all()
     with pytest.raises(InputError, match="n_vertices"):
         uniform_laplacian([[0, 1, 2]], 0)
     frames = np.zeros((2, 4, 3))

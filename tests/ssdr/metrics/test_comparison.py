@@ -41,18 +41,15 @@ def test_compare_has_them_all():
     result = compare(MeshSequence(a, faces), b)
     assert (result.n_frames, result.n_vertices) == a.shape[:2]
     d, h, s = distances(a, b), hausdorff(a, b, faces), sted(a, b, faces)
-    for name in ("rmse", "coordinate_rmse", "E", "percent_of_diagonal", "mean", "max"):
-        assert getattr(result, name) == getattr(d, name)
-    assert result.hausdorff.surface_max == h.surface_max
-    assert result.sted.value == s.value
     plain = json.loads(json.dumps(result.as_dict()))
-    assert plain["rmse"] == d.rmse
-    assert plain["hausdorff"]["vertex_mean"] == h.vertex_mean
-    assert plain["sted"]["temporal"] == s.temporal
-    assert "per_frame" not in plain
     full = json.loads(json.dumps(result.as_dict(arrays=True)))
-    np.testing.assert_allclose(full["per_vertex"], d.per_vertex)
-    np.testing.assert_allclose(full["hausdorff"]["surface_per_frame"], h.surface_per_frame)
+    for part, name in ((d, ""), (h, "hausdorff"), (s, "sted")):
+        found = getattr(result, name) if name else result.distances
+        for key, value in vars(part).items():
+            table = full[name] if name else full
+            np.testing.assert_array_equal(getattr(found, key), value)
+            np.testing.assert_array_equal(table[key], value)
+            assert (key in (plain[name] if name else plain)) == (not isinstance(value, np.ndarray))
     table = str(result)
     for text in (f"{d.rmse:.6g}", f"{h.surface_max:.6g}", f"{s.value:.4g}", "5 frames"):
         assert text in table
@@ -68,21 +65,9 @@ def test_compare_of_parts_and_options():
     a, faces = animation(F=5)
     b, _ = animation(1, F=5)
     bare = compare(a, b, hausdorff=False, sted=False)
-    assert bare.hausdorff is None
-    assert bare.sted is None
-    assert set(bare.as_dict()) == {
-        "n_frames",
-        "n_vertices",
-        "rmse",
-        "coordinate_rmse",
-        "E",
-        "percent_of_diagonal",
-        "mean",
-        "max",
-        "max_frame",
-        "max_vertex",
-        "diagonal",
-    }
+    assert bare.hausdorff is bare.sted is None
+    scalars = {k for k, v in vars(distances(a, b)).items() if not isinstance(v, np.ndarray)}
+    assert set(bare.as_dict()) == scalars | {"n_frames", "n_vertices"}
     assert "STED" not in str(bare)
     cloud = compare(a, b)
     assert cloud.hausdorff.surface_max is None
@@ -144,7 +129,6 @@ def test_bad_input(function, change, argument):
 @pytest.mark.parametrize("measure", ["compare", "distances", "rmse", "hausdorff", "sted"])
 @pytest.mark.parametrize("size", [1e160, 1e200, 1e307])
 def test_what_cannot_be_squared_is_refused_by_name(measure: str, size: float) -> None:
-    """Infinities came back, and NaN."""
     dancer = ssdr.samples.load("dancer_small")
     frames = dancer.vertices[:4].astype(np.float64)
     call = getattr(ssdr.metrics, measure)

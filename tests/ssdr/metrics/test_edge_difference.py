@@ -33,27 +33,9 @@ def test_sted_equals_naive_loops(seed, F, neighbourhood, window, dt, signed):
     vertices = np.concatenate([vertices, [[9.0, 9, 9]]])  # with a loose vertex
     a = vertices + np.cumsum(0.2 * rng.normal(size=(F, 13, 3)), axis=0)
     b = a + 0.05 * rng.normal(size=a.shape)
-    result = sted(
-        a,
-        b,
-        faces,
-        neighbourhood=neighbourhood,
-        window=window,
-        dt=dt,
-        c=0.7,
-        normaliser=0.3,
-        signed=signed,
-    )
-    spatial, temporal = naive.sted(
-        a,
-        b,
-        faces,
-        neighbourhood=neighbourhood,
-        window=window,
-        dt=dt,
-        normaliser=0.3,
-        signed=signed,
-    )
+    options = {"neighbourhood": neighbourhood, "window": window, "dt": dt, "signed": signed}
+    result = sted(a, b, faces, c=0.7, normaliser=0.3, **options)
+    spatial, temporal = naive.sted(a, b, faces, normaliser=0.3, **options)
     assert result.spatial == pytest.approx(spatial, rel=1e-9, abs=1e-12)
     assert result.temporal == pytest.approx(temporal if F > 2 else 0.0, rel=1e-9, abs=1e-12)
     assert result.value == pytest.approx(math.sqrt(spatial**2 + (0.7 * result.temporal) ** 2))

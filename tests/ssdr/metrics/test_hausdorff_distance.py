@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import directed_hausdorff
 
 from helpers import naive
-from helpers.surfaces import animation, sphere
+from helpers.surfaces import animation, grid, sphere
 from ssdr import MeshSequence
 from ssdr.metrics import hausdorff
 
@@ -76,12 +76,8 @@ def test_frames_do_not_influence_each_other():
 
 
 def test_parallel_planes_and_sliding():
-    n = 9
-    x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij")
-    points = np.stack([x, y, 0 * x], axis=-1).reshape(1, -1, 3)
-    index = np.arange(n * n).reshape(n, n)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    points, faces = grid(8, 8)
+    points, index = points[None], np.arange(81).reshape(9, 9)
     lifted = hausdorff(points, points + np.array([0, 0, 0.3]), faces)
     assert lifted.surface_max == pytest.approx(0.3)
     # Vertices that slide within the surface: the vertex sets differ, the surfaces do not.
@@ -96,21 +92,8 @@ def test_parallel_planes_and_sliding():
 def test_samples_see_what_vertices_miss():
     # A triangle against its three corners: all vertices of each lie on the other.
     whole = np.array([[[0.0, 0, 0], [3, 0, 0], [0, 3, 0]]])
-    corners = np.array(
-        [
-            [
-                [0.0, 0, 0],
-                [1, 0, 0],
-                [0, 1, 0],
-                [3, 0, 0],
-                [2, 1, 0],
-                [2, 0, 0],
-                [0, 3, 0],
-                [0, 2, 0],
-                [1, 2, 0],
-            ]
-        ]
-    )
+    flat = [[0, 0], [1, 0], [0, 1], [3, 0], [2, 1], [2, 0], [0, 3], [0, 2], [1, 2]]
+    corners = np.array([[(x, y, 0.0) for x, y in flat]])
     options = {"faces": [[0, 1, 2]], "other_faces": np.arange(9).reshape(3, 3)}
     assert hausdorff(whole, corners, **options).surface_max == pytest.approx(0, abs=1e-12)
     # The centroid, a probe of the triangle cut into nine, is farthest away.

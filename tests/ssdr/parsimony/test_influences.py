@@ -7,20 +7,20 @@ import pytest
 
 import ssdr
 from helpers.measures import rmse_of, solved, wavy
-from ssdr.parsimony.influences import nest
+from ssdr.parsimony.pruning import Nested
 from ssdr.solver.model import Fixed
 from ssdr.solver.trajectories import gather
 
 
 def test_dropped_influences_cost_what_is_said() -> None:
     data = gather([ssdr.MeshSequence(wavy())], bones=5)
-    nested = nest(data, solved(data, 5), fixed=Fixed())
+    nested = Nested(data, solved(data, 5), Fixed())
     assert (np.diff(nested.counts, axis=0) <= 0).all()
     assert (nested.counts[-1] == 1).all()
     assert (np.diff(nested.errors.sum(axis=1)) > 0).all()
-    cheap, none = nested.choose(data.importance, 0.0)
+    cheap, none = nested.choose(0.0)
     assert none == pytest.approx(nested.errors.min(axis=0).sum())
-    level, error = nested.choose(data.importance, 1e-4)
+    level, error = nested.choose(1e-4)
     assert (level >= cheap).all()
     model = nested.build(level)
     rest, transforms = data.to_world(model.rest, model.transforms)

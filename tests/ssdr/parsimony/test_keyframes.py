@@ -79,7 +79,7 @@ def test_a_steady_turn_needs_two_keys() -> None:
     rest = np.random.default_rng(0).standard_normal((30, 3))
     rest -= rest.mean(axis=0)
     frames = np.stack([rest @ motions.rotation(*(0.3 * t * axis)).T for t in range(20)])
-    result = ssdr.decompose(frames + np.array([1.0, 2.0, 3.0]), tolerance="0.001%")
+    result = ssdr.smallest(frames + np.array([1.0, 2.0, 3.0]), tolerance="0.001%")
     assert result.skinning.keyframes is not None
     assert np.flatnonzero(result.skinning.keyframes[:, 0]).tolist() == [0, 19]
 

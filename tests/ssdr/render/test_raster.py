@@ -41,45 +41,56 @@ def test_depth_orders_what_the_camera_sees():
     camera = raster.Camera.fit(np.eye(3), azimuth=0, elevation=0)
     near, far = camera.project(np.array([[0.0, 0, 0.9], [0, 0, -0.9]]), (100, 100))[:, 2]
     assert near > far
-    distance = camera.distance(np.array([near, far]))
-    assert distance[1] - distance[0] == pytest.approx(1.8)
+    assert 1 / far - 1 / near == pytest.approx(1.8)
 
 
 @pytest.mark.parametrize("perspective", [False, True])
-def test_a_square_lands_on_its_pixels_with_its_color(perspective):
+def test_a_square_lands_on_its_pixels(perspective):
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     camera = raster.Camera.fit(square, azimuth=0, elevation=0, perspective=perspective, margin=0.25)
-    red = np.tile([0.5, 0.0, 0.0], (4, 1))
-    layer = raster.draw_mesh(camera, (80, 80), square, faces, red)
+    nearness = raster.empty_depth((80, 80))
+    pixels, hit, _ = raster.triangles_seen(camera, square, faces, nearness)
     expected = np.zeros((80, 80), dtype=bool)
     expected[20:60, 20:60] = True
-    np.testing.assert_array_equal(layer.mask, expected)
-    pixels = layer.color[layer.mask]
-    np.testing.assert_allclose(pixels, np.broadcast_to(pixels[0], pixels.shape), atol=1e-9)
-    # Green and blue hold nothing but the white highlight.
-    assert pixels[0, 0] > 0.25
-    assert pixels[0, 1] == pytest.approx(pixels[0, 2])
-    assert pixels[0, 1] < 0.05
+    np.testing.assert_array_equal(np.isfinite(nearness), expected)
+    np.testing.assert_array_equal(np.stack(pixels), np.stack(np.nonzero(expected)))
+    assert np.bincount(hit).min() > 750
 
 
-def test_colors_are_interpolated_in_space_not_on_the_screen():
-    # A floor seen in perspective: the colour is the position along it.
+@pytest.mark.parametrize("perspective", [False, True])
+def test_a_ball_is_round_and_its_normals_point_outwards(perspective):
+    camera = raster.Camera.fit(np.eye(3), azimuth=30, perspective=perspective)
+    size, center, radius = (200, 160), np.array([[0.3, 0.2, 0.1]]), np.array([0.25])
+    nearness = raster.empty_depth(size)
+    pixels, _, normal = raster.balls_seen(camera, center, radius, nearness)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-12)
+    seen = camera.project(center + radius * normal, size)
+    across = np.hypot(seen[:, 0] - pixels[1] - 0.5, seen[:, 1] - pixels[0] - 0.5)
+    assert np.quantile(across, 0.9) < (3 if perspective else 1e-9)
+    nearest = seen[:, 2].argmax()
+    assert nearness[pixels][nearest] == pytest.approx(seen[nearest, 2], rel=1e-3)
+
+
+def test_values_are_interpolated_in_space_not_on_the_screen():
+    # A floor seen in perspective: the value is the position along it.
     floor = np.array([[-1.0, 0, 0], [1, 0, 0], [1, 0, -8], [-1, 0, -8]])
     faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
     camera = raster.Camera.fit(floor, azimuth=0, elevation=25)
     size = (120, 120)
-    ramp = np.repeat((-floor[:, 2] / 8)[:, None], 3, axis=1)
-    black = raster.draw_mesh(camera, size, floor, faces, np.zeros((4, 3))).color
-    white = raster.draw_mesh(camera, size, floor, faces, np.ones((4, 3))).color
-    layer = raster.draw_mesh(camera, size, floor, faces, ramp)
-    rows, columns = np.nonzero(layer.mask)
-    shade = (layer.color - black)[rows, columns, 0] / (white - black)[rows, columns, 0]
-    pixel = size[1] / 2 / camera.scale
-    ray = (
-        ((columns + 0.5 - 60) / pixel)[:, None] * camera.axes[0]
-        - ((rows + 0.5 - 60) / pixel)[:, None] * camera.axes[1]
-        - camera.axes[2]
-    )
-    hit = camera.eye - ray * (camera.eye[1] / ray[:, 1])[:, None]
-    np.testing.assert_allclose(shade, -hit[:, 2] / 8, atol=1e-9)
+    pixels, hit, share = raster.triangles_seen(camera, floor, faces, raster.empty_depth(size))
+    at = raster.between(share, floor[faces[hit]])
+    start, ray = camera.rays(*pixels, size)
+    expected = start - ray * (start[:, 1] / ray[:, 1])[:, None]
+    np.testing.assert_allclose(at, expected, atol=1e-9)
+
+
+def test_normals_of_a_sphere_are_exact():
+    directions = np.random.default_rng(0).normal(size=(6, 3))
+    points = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    faces = np.array([[0, k, k % 5 + 1] for k in range(1, 6)], dtype=np.int32)
+    flat, smooth = raster.normals_of(points, faces)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    np.testing.assert_allclose(flat, normal / np.linalg.norm(normal, axis=1, keepdims=True))
+    np.testing.assert_allclose(np.abs(smooth[0] @ points[0]), 1, atol=1e-12)

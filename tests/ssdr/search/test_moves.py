@@ -12,19 +12,18 @@ from hypothesis import strategies as st
 import ssdr
 from helpers import naive
 from helpers.blends import BONES, INFLUENCES, problem, squared_error
-from helpers.measures import rmse_of, solved
+from helpers.measures import rmse_of, run_of, solved
 from ssdr.search.moves import (
+    add_and_merge_bones,
+    add_bone,
+    alternate_some,
     drop_influence,
-    grow_and_shed,
-    grow_bone,
-    kick,
-    loosen,
+    exchange_bones,
+    exchange_influences,
+    move_cheapest_bone,
     polish_steps,
-    regrow_step,
-    relax,
-    reseed_step,
-    thin,
 )
+from ssdr.search.stages import Relax
 from ssdr.solver.model import FREE, Fixed, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
@@ -36,14 +35,14 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     frames = rng.standard_normal((5, 30, 3)) + 2 * rng.standard_normal((1, 30, 3))
     data = gather([ssdr.MeshSequence(frames)], bones=8)
     model = solved(data, bones, influences)
-    grown = grow_bone(data, model, alternations=2, fixed=Fixed())
+    grown = add_bone(data, model, alternations=2, fixed=Fixed())
     assert grown.n_bones == bones + 1
     assert grown.n_influences == model.n_influences
-    assert grown.objective(data) <= model.objective(data)
+    assert grown.weighted_error(data) <= model.weighted_error(data)
     rest, transforms = data.to_world(grown.rest, grown.transforms)
     built = ssdr.Skinning(rest, grown.indices, grown.weights, transforms)
     measured = rmse_of(built, frames)
-    said = data.scale * np.sqrt(max(grown.objective(data), 0.0) / (5 * 30))
+    said = data.scale * np.sqrt(max(grown.weighted_error(data), 0.0) / (5 * 30))
     assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
 
 
@@ -76,16 +75,28 @@ def test_fewer_influences_keep_the_largest() -> None:
         assert found == pytest.approx({int(j): w / total for w, j in largest})
 
 
+def relax(
+    data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int
+) -> tuple[Model, int]:
+    """A relaxed copy, and the steps of the stage."""
+    run = run_of(data, [Relax(steps=extra, polish_steps=steps)], BONES, INFLUENCES, fixed=fixed)
+    run.model = model.copy()
+    phases: list[str] = []
+    run.drive(phases.append)
+    return run.present, len(phases)
+
+
 @pytest.mark.parametrize("extra", [0, 1, 4, 50])
 def test_relaxed_model_is_one_of_the_same_size(extra: int) -> None:
     data, model = problem(1)
     before = model.copy()
-    relaxed = relax(data, model, FREE, extra=extra, steps=2)
+    relaxed, steps = relax(data, model, FREE, extra=extra, steps=2)
+    assert steps == max(1, min(extra, INFLUENCES))
     assert relaxed.n_influences == INFLUENCES
     assert relaxed.n_bones == BONES
     assert (relaxed.weights >= 0).all()
     assert relaxed.weights.sum(axis=1) == pytest.approx(1.0)
-    assert relaxed.objective(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
+    assert relaxed.weighted_error(data) == pytest.approx(squared_error(data, relaxed), rel=1e-6)
     for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
 
@@ -95,7 +106,7 @@ def test_relaxing_leaves_locked_weights_and_bones_alone() -> None:
     keep = np.zeros(90, dtype=bool)
     keep[::3] = True
     fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
-    relaxed = relax(data, model, fixed, extra=2, steps=2)
+    relaxed, _ = relax(data, model, fixed, extra=2, steps=2)
     assert np.array_equal(relaxed.indices[keep], model.indices[keep])
     assert np.array_equal(relaxed.weights[keep], model.weights[keep])
     assert np.array_equal(relaxed.transforms[:, :2], model.transforms[:, :2])
@@ -108,17 +119,17 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
         data, model = problem(seed)
         plain = model.copy()
         polish_steps(data, plain, 40, FREE)
-        relaxed = relax(data, model, FREE, extra=2, steps=8)
+        relaxed, _ = relax(data, model, FREE, extra=2, steps=8)
         polish_steps(data, relaxed, 24, FREE)
-        gains.append(relaxed.objective(data) / plain.objective(data))
+        gains.append(relaxed.weighted_error(data) / plain.weighted_error(data))
     assert np.median(gains) < 0.9
 
 
-def regrow(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    return regrow_step(data, model, rng, 3, fixed)
+def rebuild(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+    return add_and_merge_bones(data, model, rng, 3, fixed)
 
 
-CHANGES = (loosen, grow_and_shed, kick, thin, regrow)
+CHANGES = (exchange_bones, alternate_some, exchange_influences, rebuild)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -140,7 +151,7 @@ def test_changed_models_are_of_the_same_size(change: Change) -> None:
         assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
         assert (changed.weights >= 0).all()
         assert changed.weights.sum(axis=1) == pytest.approx(1.0)
-        assert changed.objective(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
+        assert changed.weighted_error(data) == pytest.approx(squared_error(data, changed), rel=1e-6)
 
 
 @pytest.mark.parametrize("change", CHANGES)
@@ -158,22 +169,22 @@ def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
         assert np.array_equal(was[:2], now[:2])
 
 
-def test_regrowing_finds_what_exchanges_of_one_bone_do_not() -> None:
+def test_rebuilding_finds_what_exchanges_of_one_bone_do_not() -> None:
     ratios = []
     for seed in range(5):
         data, model = problem(seed)
-        exchanged, regrown = model.copy(), model.copy()
+        exchanged, rebuilt = model.copy(), model.copy()
         rng = np.random.default_rng(seed)
         for _ in range(40):
-            trial = reseed_step(data, exchanged, rng, 4, FREE)
+            trial = move_cheapest_bone(data, exchanged, rng, 4, FREE)
             assert trial is not None
-            if trial.objective(data) < exchanged.objective(data):
+            if trial.weighted_error(data) < exchanged.weighted_error(data):
                 exchanged = trial
         for _ in range(10):
-            trial = regrow(data, regrown, rng, FREE)
-            if trial.objective(data) < regrown.objective(data):
-                regrown = trial
-        ratios.append(regrown.objective(data) / exchanged.objective(data))
+            trial = rebuild(data, rebuilt, rng, FREE)
+            if trial.weighted_error(data) < rebuilt.weighted_error(data):
+                rebuilt = trial
+        ratios.append(rebuilt.weighted_error(data) / exchanged.weighted_error(data))
     assert np.median(ratios) < 0.9
 
 

@@ -1,11 +1,18 @@
-"""A run with effort `best`: no worse than `balanced`, whatever bones it starts from."""
+"""Runs: what they accept, several starts, and `best` that is no worse than `balanced`."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
 import ssdr
+from helpers import motions
+from helpers.measures import run_of
+from ssdr.search.run import Lowest, Run, Stage
+from ssdr.solver.model import Model
+from ssdr.solver.trajectories import gather
 
 
 def beam(frames: int, rings: int) -> tuple[np.ndarray, np.ndarray]:
@@ -28,7 +35,7 @@ def beam(frames: int, rings: int) -> tuple[np.ndarray, np.ndarray]:
         (8, 14, {"bones": 6}),
         (20, 8, {"bones": 4, "influences": 2}),
         (15, 10, {"bones": 4, "influences": 1}),
-        (10, 12, {"bones": 5, "rest": True}),
+        (10, 12, {"bones": 5, "start": ssdr.Start(rest=beam(10, 12)[1])}),
         (6, 7, {"bones": 25, "influences": 1}),
     ],
 )
@@ -36,8 +43,7 @@ def test_best_is_no_worse_than_balanced(
     frames: int, rings: int, options: dict[str, object]
 ) -> None:
     """The quick start alone ended at two to eight times its error here."""
-    moving, rest = beam(frames, rings)
-    options = options | ({"rest": rest} if "rest" in options else {})
+    moving, _ = beam(frames, rings)
     balanced, best = (
         ssdr.decompose(moving, effort=effort, **options).rmse for effort in ("balanced", "best")
     )
@@ -48,7 +54,56 @@ def test_bones_that_are_given_and_not_locked_are_no_more_than_a_start() -> None:
     moving, rest = beam(10, 12)
     poor = np.repeat(ssdr.kabsch(rest, moving)[:, None], 5, axis=1)
     free = ssdr.decompose(moving, bones=5).rmse
-    given = ssdr.decompose(moving, bones=5, transforms=poor, locked_bones=[]).rmse
+    start = ssdr.Start(transforms=poor, locked_bones=[])
+    given = ssdr.decompose(moving, bones=5, start=start).rmse
     assert given < 4 * free  # both end anywhere between 2e-4 and 7e-4 of a length of 4
-    kept = ssdr.decompose(moving, bones=5, transforms=poor[:, :2], locked_bones=[1])
+    start = ssdr.Start(transforms=poor[:, :2], locked_bones=[1])
+    kept = ssdr.decompose(moving, bones=5, start=start)
     assert np.allclose(kept.skinning.transforms[:, 1], poor[:, 1], atol=1e-9)
+
+
+def start_at(error: float, seen: list[float]) -> Stage:
+    """A start whose vertices all have this error."""
+
+    class Made(Stage):
+        phase = "start"
+
+        def apply(self, run: Run) -> Iterator[None]:
+            seen.append(error)
+            moves = np.tile(np.eye(3, 4), (run.data.n_frames, 3, 1, 1))
+            label = np.arange(run.data.n_vertices) % 3
+            run.model = Model.start(moves, run.data.frame(0), label, 2)
+            run.model.error[:] = error
+            yield
+
+    return Made()
+
+
+@pytest.mark.parametrize("lowest", [0, 1, 2])
+def test_the_lowest_of_several_starts_goes_on(lowest: int) -> None:
+    data = gather([ssdr.MeshSequence(motions.chain(bones=3, frames=8).frames)], bones=3)
+    seen: list[float] = []
+    errors = [1.0 if k == lowest else 2.0 + k for k in range(3)]
+    starts = tuple((start_at(error, seen),) for error in errors)
+    run = run_of(data, [Lowest(starts=starts)], 3, 2)
+    assert run.drive() is None
+    assert run.finished
+    assert seen == errors
+    assert (run.present.error == 1.0).all()
+    assert run.best_value == run.value(run.present)
+    assert run.fraction == 1.0
+
+
+def test_a_run_ends_early_where_nothing_is_left_or_a_reason_is_given() -> None:
+    data = gather([ssdr.MeshSequence(motions.chain(bones=3, frames=8).frames)], bones=3)
+    seen: list[float] = []
+    schedule = [start_at(5.0, seen), start_at(0.0, seen), start_at(7.0, seen)]
+    run = run_of(data, schedule, 3, 2)
+    assert run.drive() is None
+    assert seen == [5.0, 0.0]
+    assert run.converged
+    assert run.finished
+    assert [error for _, _, error, _ in run.records] == [5.0 * data.n_vertices, 0.0]
+    run = run_of(data, schedule, 3, 2)
+    assert run.drive(lambda phase: "enough") == "enough"
+    assert not run.finished

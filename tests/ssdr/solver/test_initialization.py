@@ -8,7 +8,12 @@ from hypothesis import strategies as st
 
 import ssdr
 from helpers import motions, naive
-from ssdr.solver.initialization import choose, farthest_points, fit_patches, single_bone_errors
+from ssdr.solver.initialization import (
+    facility_location,
+    farthest_points,
+    fit_patches,
+    single_bone_errors,
+)
 from ssdr.solver.trajectories import gather
 
 
@@ -77,7 +82,7 @@ def test_choice_is_greedy(seed: int, count: int, held: bool) -> None:
     rng = np.random.default_rng(seed)
     cost, importance = rng.random((15, 8)), rng.random(15)
     there = rng.random(15) if held else None
-    got = choose(cost, importance, count, there)
+    got = facility_location(cost, importance, count, there)
     chosen: list[int] = []
     for _ in range(count):
         totals = []

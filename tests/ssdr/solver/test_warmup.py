@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import ssdr
-from ssdr.kernels import bones, lbs, polish, schur, vertices
+from ssdr.kernels import bones, lbs, polish, removal, schur, vertices
 from ssdr.solver import warmup
 
 _REPORT = """
@@ -35,7 +35,7 @@ print(json.dumps({"compiled": names.found, "seconds": seconds}))
 
 
 def signatures() -> dict[str, int]:
-    modules = (bones, lbs, polish, schur, vertices)
+    modules = (bones, lbs, polish, removal, schur, vertices)
     return {
         f"{m.__name__}.{name}": len(value.signatures)
         for m in modules

@@ -51,7 +51,7 @@ def test_topology_must_agree(tmp_path):
     (tmp_path / "f1.obj").write_text(a)
     for text, says in (
         (a + "v 2 2 2\n", r"f2\.obj: 5 vertices, but f1\.obj has 4"),
-        (a + "f 1 2 4\n", r"f2\.obj: 3 triangles, but f1\.obj has 2"),
+        (a + "f 1 2 4\n", r"f2\.obj: 3 faces, but f1\.obj has 2"),
         (a.replace("f 2 3 4", "f 2 4 3"), r"triangle 1 is \(1, 3, 2\), in f1\.obj it is \(1, 2, 3"),
     ):
         (tmp_path / "f2.obj").write_text(text)

@@ -72,16 +72,13 @@ def test_mtl_of_other_programs(tmp_path, caplog):
 
 
 @pytest.mark.parametrize(
-    "faces", ["f 1 2 4", "f 0 1 2", "f 1 2 -4", "f 1 2", "f 1 2 x", "f 1/1 2 3"]
+    "line",
+    [
+        *("f 1 2 4", "f 0 1 2", "f 1 2 -4", "f 1 2", "f 1 2 x", "f 1/1 2 3"),
+        *("v 1 2", "v 1 2 x", "v 1 2 nan", "v 1 2 inf", "v 1 2 1e999"),
+    ],
 )
-def test_obj_indices_must_exist(tmp_path, faces):
-    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{faces}\n")
-    with pytest.raises(FormatError, match=r"a\.obj"):
-        ssdr.load(tmp_path / "a.obj")
-
-
-@pytest.mark.parametrize("vertex", ["v 1 2", "v 1 2 x", "v 1 2 nan", "v 1 2 inf", "v 1 2 1e999"])
-def test_obj_vertices_must_be_finite_numbers(tmp_path, vertex):
-    (tmp_path / "a.obj").write_text(f"v 0 0 0\n{vertex}\nv 0 1 0\nf 1 2 3\n")
+def test_obj_indices_must_exist_and_vertices_be_finite_numbers(tmp_path, line):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{line}\nf 1 2 3\n")
     with pytest.raises(FormatError, match=r"a\.obj"):
         ssdr.load(tmp_path / "a.obj")

@@ -49,11 +49,20 @@ def test_ply_counts_are_not_believed(tmp_path, kind, n_vertices, n_faces, count)
         ssdr.load(tmp_path / "a.ply")
 
 
-def test_ply_lists_are_not_believed(tmp_path):
+@pytest.mark.parametrize("length", [2**31 - 1, -3])
+@pytest.mark.parametrize("first", [True, False])
+def test_ply_lists_are_not_believed(tmp_path, length, first):
     head = (HEAD.format("binary_little_endian", 3) + TAIL.format(2, "int")).encode()
-    first = struct.pack("<4i", 3, 0, 1, 2)
-    for second in (struct.pack("<4i", 2**31 - 1, 0, 1, 2), struct.pack("<4i", -3, 0, 1, 2)):
-        for rows in (first + second, second + first):
-            (tmp_path / "a.ply").write_bytes(head + bytes(36) + rows)
-            with pytest.raises(FormatError, match=r"a\.ply"):
-                ssdr.load(tmp_path / "a.ply")
+    rows = [struct.pack("<4i", n, 0, 1, 2) for n in (3, length)]
+    (tmp_path / "a.ply").write_bytes(head + bytes(36) + b"".join(rows[:: -1 if first else 1]))
+    with pytest.raises(FormatError, match=r"a\.ply"):
+        ssdr.load(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("rows", ["3 0 1 2 3 0 1", "3 0 1 2", "3.5 0 1 2 3 0 1 2", "nan 0 1 2"])
+def test_ply_text_that_is_cut_off_is_refused(tmp_path, rows):
+    """trimesh leaves out the rows."""
+    head = HEAD.format("ascii", 3) + TAIL.format(2, "uchar")
+    (tmp_path / "a.ply").write_text(head + "0 0 0 1 0 0 0 1 0 " + rows)
+    with pytest.raises(FormatError, match=r"a\.ply"):
+        ssdr.load(tmp_path / "a.ply")

@@ -1,0 +1,215 @@
+"""What ``ssdr decompose`` and ``ssdr smallest`` have in common: from files to files."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..clips import names_of
+from ..errors import Cancelled, InputError
+from ..io.registry import SaveReport
+from ..sequence import MeshSequence
+from ..signals import stop_on_signals
+from .format_options import read_options
+from .options import FitOptions
+from .output import Output, in_words, saved_line
+from .reading import clips_document, clips_text, join, read_any, read_clips
+from .saving import check_file, check_outputs, save_model, try_format
+from .template import options_with_template
+
+Solver = Callable[..., Any]
+Shots = list[MeshSequence]
+_SHARED = ("bones", "influences", "effort", "bone_model", "time_limit", "checkpoint")
+_ROWS = {
+    "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
+    "diagonal {diagonal:.4g}",
+    "model": "{bones} bones, {influences} influences",
+    "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal",
+    "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
+    "time": "{total_seconds:.1f} s: loading {load_seconds:.1f}, compiling {compile_seconds:.1f}, "
+    "solving {seconds:.1f}, saving {save_seconds:.1f}",
+}
+_PARSIMONY = {
+    "tolerance": "{measure} {error:.4g} of {tolerance:.4g}, held: {held}",
+    "size": "{bytes:,} bytes in an engine: rest pose {size[rest]:,}, weights {size[weights]:,}, "
+    "joints {size[joints]:,}, keys {size[keys]:,}; files hold more, such as triangles",
+}
+_PRUNING = "{before:,} to {after:,}: {bytes_after:,} bytes, error {error_after:.4g}"
+_ENDINGS = {
+    "converged": "the search converged",
+    "effort spent": "every step of this effort is done",
+    "time limit": "the time limit was reached: the best model so far",
+    "cancelled": "interrupted: the best model so far",
+    "tolerance held": "no smaller model was found within the tolerance",
+    "tolerance out of reach": "no model was found within the tolerance: the closest",
+}
+
+
+def fit(
+    command: str, solve: Solver, options: FitOptions, arguments: Callable[[], dict[str, Any]]
+) -> None:
+    """Read the inputs, call the solver, save its model and print the result.
+
+    Parameters
+    ----------
+    command : str
+    solve : callable
+        :func:`ssdr.decompose` or :func:`ssdr.smallest`.
+    options : FitOptions
+    arguments : callable
+        Checks the options that this command alone has, and returns the arguments for `solve`.
+
+    Raises
+    ------
+    Cancelled
+        If a signal stopped the solver, once its best model is saved.
+    """
+    output = Output.start(options)
+    began = time.perf_counter()
+    _check_files(options)
+    own = arguments()
+    shots, start, settings = _read(options, output)
+    own.setdefault("start", start)
+    loaded = time.perf_counter()
+    with stop_on_signals() as stop:
+        result = _solve(solve, options, shots, stop, own)
+        solved = time.perf_counter()
+        reports = save_model(result.skinning, settings)
+        picture = None if stop.is_set() else options.picture
+        if picture is not None:
+            from ..render.figures import contact_sheet, write_picture
+
+            with output.waiting(f"drawing {picture}"):
+                title = options.inputs[0].stem
+                sheet = contact_sheet(result.skinning, reference=join(shots), title=title)
+                write_picture(sheet, picture)
+    saved = time.perf_counter()
+    about = {
+        "command": command,
+        "picture": picture,
+        "load_seconds": loaded - began,
+        "compile_seconds": result.compile_seconds,
+        "seconds": solved - loaded - result.compile_seconds,
+        "save_seconds": saved - solved,
+        "total_seconds": saved - began,
+    }
+    _print(options, shots, result, reports, about)
+    if stop.is_set():
+        raise Cancelled("interrupted; the best model so far is saved (--start goes on from it)")
+
+
+def _check_files(options: FitOptions) -> None:
+    """Find out before the work whether everything can be written after it."""
+    check_outputs(options.outputs, options.write, force=options.force, sources=options.inputs)
+    others = [*options.inputs, *options.outputs]
+    checkpoint, picture = options.checkpoint, options.picture
+    if checkpoint is not None:
+        if checkpoint.suffix.lower() != ".npz":
+            raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
+        # A run may go on from its own checkpoint.
+        mine = options.start is not None and Path(options.start).resolve() == checkpoint.resolve()
+        check_file(checkpoint, "--checkpoint", force=options.force or mine, others=others)
+    if picture is not None:
+        from ..render.figures import picture_format
+
+        picture_format(picture)
+        check_file(picture, "--picture", force=options.force, others=others)
+
+
+def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
+    """The clips, what the solver starts from, and the options with which outputs are saved."""
+    names = ", ".join(map(str, options.inputs))
+    read = read_options(options.inputs, options)
+    with output.waiting(f"loading {names}"):
+        shots = read_clips(options.inputs, options.clip, read)
+        start = _start(options.start)
+    if sum(map(len, shots)) == 1:
+        got = f"one frame, {names} (no motion: did you mean a pattern?)"
+        raise InputError("IN", "an animation", got)
+    clips = names_of(shots)["clips"]
+    inputs, settings = dict(zip(options.inputs, read, strict=True)), {}
+    for path in options.outputs:
+        settings[path] = options_with_template(
+            path, options.write, inputs, new_bones=True, clips=[clip.name for clip in clips]
+        )
+        try_format(path, settings[path], options, shots[0], clips)
+    return shots, start, settings
+
+
+def _start(text: str | None) -> Any:
+    """A model to go on from, the rest pose of a mesh, or the frame whose rest pose is taken."""
+    import ssdr
+
+    if text is None:
+        return None
+    if text.isdecimal() and not Path(text).exists():
+        return ssdr.Start(rest_frame=int(text))
+    thing = read_any(Path(text))
+    return ssdr.Start(rest=thing.vertices[0]) if isinstance(thing, MeshSequence) else thing
+
+
+def _solve(
+    solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, own: dict[str, Any]
+) -> Any:
+    """Call the solver, show its progress and let it be stopped."""
+    own |= {name: getattr(options, name) for name in _SHARED} | {"rng": options.seed}
+    with Output.current.progress_bar() as show:
+
+        def follow(progress: Any) -> bool:
+            rmse = f"RMSE {progress.rmse:.4g}" if math.isfinite(progress.rmse) else ""
+            show(progress.phase, progress.fraction, rmse)
+            return stop.is_set()
+
+        return solve(shots[0] if len(shots) == 1 else shots, callback=follow, **own)
+
+
+def _print(
+    options: FitOptions,
+    shots: Shots,
+    result: Any,
+    reports: list[SaveReport],
+    about: dict[str, Any],
+) -> None:
+    """Print the result; `about` holds what else belongs to it."""
+    from .. import __version__
+
+    diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
+    document = {
+        **about,
+        "version": __version__,
+        "input": options.inputs[0] if len(options.inputs) == 1 else options.inputs,
+        "frames": sum(map(len, shots)),
+        "vertices": shots[0].n_vertices,
+        "triangles": len(shots[0].faces),
+        "clips": clips_document(clips),
+        "bones": result.skinning.n_bones,
+        "influences": result.skinning.n_influences,
+        "effort": options.effort,
+        "seed": options.seed,
+        "rmse": result.rmse,
+        "rmse_percent": 100 * result.rmse / diagonal if diagonal > 0 else math.nan,
+        "E": 1000 * result.rmse / math.sqrt(3),
+        "diagonal": diagonal,
+        "converged": result.converged,
+        "stop_reason": result.stop_reason,
+        "iterations": result.history[-1].iteration if result.history else 0,
+        "outputs": [dataclasses.asdict(report) for report in reports],
+        "checkpoint": options.checkpoint,
+    }
+    rows = in_words(document | {"input": options.inputs}, _ROWS)
+    if len(clips) > 1:
+        rows.insert(1, ("clips", clips_text(clips)))
+    parsimony = getattr(result, "parsimony", None)
+    if parsimony is not None:
+        found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}
+        document["parsimony"] = found
+        rows += in_words(found, _PARSIMONY)
+        rows += [(p["what"], _PRUNING.format_map(p)) for p in found["prunings"]]
+    rows.append(("ended", _ENDINGS.get(result.stop_reason, result.stop_reason)))
+    rows += [("wrote", saved_line(report, diagonal)) for report in reports]
+    Output.current.result(document, rows)

@@ -1,0 +1,115 @@
+"""``--read`` and ``--write``: options of the formats of files."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import FormatError, InputError
+from ..io.registry import FORMATS, Format, format_to_read
+from .options import Options
+
+_PREFIX = re.compile(r"\.?(\w+):(?=\w+=)")
+STRICT = "strict"  # an option of every output, see ssdr.cli.template
+
+
+def read_options(
+    paths: Sequence[Path], options: Options, *, roles: Sequence[str] = ()
+) -> list[dict[str, Any]]:
+    """Keyword arguments of :func:`ssdr.load` for each file.
+
+    ``key=value`` is for the files whose format knows the key, ``suffix:key=value`` for those of
+    that suffix, ``A:key=value`` for the one that has this role.
+
+    Raises
+    ------
+    InputError
+        If no file knows a key, or no file has what stands before the colon.
+    """
+    shared = {"fps": options.fps, "weld": options.weld or None}
+    result = [{k: v for k, v in shared.items() if v is not None} for _ in paths]
+    for pair in options.read or ():
+        prefix, key, value = _parse("--read", pair)
+        meant = [
+            k
+            for k, path in enumerate(paths)
+            if prefix in ("", *roles[k : k + 1]) or prefix.lower() == _suffix(path)
+        ]
+        if not meant:
+            before = ", ".join([*roles, "the suffix of an input"])
+            raise InputError("--read", f"{before} before the colon", pair)
+        known = {k: _known(paths[k]) for k in meant}
+        takers = [k for k in meant if key in known[k]]
+        if not takers:
+            wanted = ", ".join(sorted(set().union(*known.values())))
+            files = ", ".join(str(paths[k]) for k in meant)
+            raise InputError("--read", f"one of {wanted} for {files}", key)
+        for k in takers:
+            result[k][key] = value
+    return result
+
+
+def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
+    """Keyword arguments of :func:`ssdr.save` for one file.
+
+    Raises
+    ------
+    InputError
+        If no format has what stands before a colon.
+    """
+    options = {}
+    for pair in pairs or ():
+        prefix, key, value = _parse("--write", pair)
+        # The format may be one that this command does not write.
+        if prefix and f".{prefix.lower()}" not in FORMATS:
+            raise InputError("--write", "the suffix of a format before the colon", pair)
+        if prefix.lower() in ("", _suffix(path)):
+            options[key] = value
+    return options
+
+
+def keywords(format_: Format | None, role: str) -> set[str]:
+    """Names of the options of one of a format's functions, such as ``"read"``."""
+    name = getattr(format_, role, None)
+    if format_ is None or name is None:
+        return set()
+    function = getattr(importlib.import_module(f"ssdr.io.{format_.module}"), name)
+    parameters = inspect.signature(function).parameters.values()
+    return {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
+
+
+def readable_format(path: Path) -> Format | None:
+    """The format of a file that is to be read, if there is one."""
+    try:
+        return format_to_read(path)
+    except FormatError:
+        return None
+
+
+def _known(path: Path) -> set[str]:
+    """Keyword arguments of :func:`ssdr.load` for a file."""
+    format_ = readable_format(path)
+    of_format = keywords(format_, "read") | keywords(format_, "read_skinning")
+    return (of_format | {"fps", "scale", "weld"}) - {"clip"}
+
+
+def _suffix(path: Path) -> str:
+    return path.suffix.lower().removeprefix(".")
+
+
+def _parse(option: str, pair: str) -> tuple[str, str, Any]:
+    """Prefix, key and value of an option; a value that is no JSON is a text."""
+    match = _PREFIX.match(pair)
+    key, equals, value = pair[match.end() if match else 0 :].partition("=")
+    if not equals or not key.isidentifier():
+        raise InputError(option, "KEY=VALUE", repr(pair))
+    prefix = match[1] if match else ""
+    try:
+        return prefix, key, json.loads(value)
+    except ValueError:
+        return prefix, key, value

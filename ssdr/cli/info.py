@@ -1,0 +1,190 @@
+"""``ssdr info``."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..clips import Clip
+from ..hierarchy.transforms import RIGID, depths, rest_diagonal
+from ..joints.mirror import mirror_of, mirrored_edges
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from .format_options import read_options
+from .options import Options, argument, takes
+from .output import Output, in_words
+from .reading import clips_document, clips_in, clips_text, read_any, read_model
+
+_BONES = {
+    "bones": "{bones} ({bone_model}), {bones_without_vertices} move nothing",
+    "influences": "at most {influences}; vertices by number: {influence_histogram}",
+    "weights": "sums off 1 by at most {weight_sum_error:.2g}",
+    "rotations": "off orthonormal by at most {orthonormality_error:.2g} once the uniform scale is "
+    "divided out; stretch {smallest_stretch:.4g} to {largest_stretch:.4g}, determinant from "
+    "{smallest_determinant:.6g}",
+}
+_TREE = {
+    "hierarchy": "{joints} joints, {depth} deep, roots: {roots}; "
+    "largest gap of a joint {largest_gap:.3g}, at {joint_of_largest_gap}",
+}
+_MIRROR = {
+    "mirror": "{joints} joints have a mirror image, {mirrored_edges} of {edges} edges between "
+    "them, too",
+}
+_MESH = {
+    "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
+    "vertices": "{vertices:,}, {loose_vertices:,} of them in no triangle",
+    "seams": "{seams:,} vertices coincide with others in every frame (--weld merges them)",
+    "triangles": "{triangles:,} in {components:,} connected components, "
+    "{degenerate_triangles:,} degenerate",
+    "edges": "{boundary_edges:,} boundary, {nonmanifold_edges:,} non-manifold",
+    "surface": "UVs: {uv}, normals: {normals}, materials: {materials}",
+    "size": "diagonal {diagonal:.4g}",
+    "memory": "{memory:,} bytes of {dtype}, all in memory: {in_memory}",
+}
+
+
+@dataclasses.dataclass(kw_only=True)
+class InfoOptions(Options):
+    """What ``info`` takes."""
+
+    source: Annotated[Path, argument("FILE", "A sequence or a skinning.")]
+
+
+@takes
+def info(options: InfoOptions) -> None:
+    """Say what a file holds and what in it may give trouble.
+
+    If a file without a skin has several clips, all of them are listed and the first is examined.
+    """
+    output = Output.start(options)
+    source, clip = options.source, options.clip
+    (read,) = read_options([source], options)
+    with output.waiting(f"loading {source}"):
+        thing = read_any(source, **read) if clip is None else read_model(source, clip, read)
+    if isinstance(thing, Skinning):
+        clips, kind, about, table = thing.clips, "skinning", _about_skinning(thing), _BONES
+    else:
+        one = Clip(thing.clip or thing.name or source.stem, 0, thing.n_frames, thing.fps)
+        clips = (clips_in(source, read) if clip is None else ()) or (one,)
+        kind, about, table = "sequence", _about_sequence(thing), {}
+    about |= _about_mesh(thing)
+    rows = [("file", f"{source}: a {kind}"), ("clips", clips_text(clips))]
+    rows += in_words(about, _MESH | table)
+    tree = about.get("hierarchy")
+    if tree is not None:
+        rows += in_words(tree, _TREE)
+        none = [("mirror", "the rest pose is not its own mirror image")]
+        rows += in_words(tree["mirror"], _MIRROR) if tree["mirror"] is not None else none
+    document = {"command": "info", "input": source, "kind": kind, **about}
+    output.result({**document, "clips": clips_document(clips)}, rows)
+
+
+def _about_sequence(sequence: MeshSequence) -> dict[str, Any]:
+    _, weld = sequence.weld()
+    dtype = np.dtype(sequence.vertices.dtype)
+    return {
+        "duration": sequence.n_frames / sequence.fps,
+        "dtype": str(dtype),
+        "memory": sequence.n_frames * sequence.n_vertices * 3 * dtype.itemsize,
+        "in_memory": not sequence.is_lazy,
+        "diagonal": sequence.diagonal(),
+        "seams": weld.before - weld.after,
+    }
+
+
+def _about_skinning(skinning: Skinning) -> dict[str, Any]:
+    used = (skinning.weights > 0).sum(axis=1)
+    weights = skinning.dense_weights().astype(np.float64)
+    linear = skinning.transforms[..., :3].astype(np.float64)
+    determinant, stretch = np.linalg.det(linear), np.linalg.svd(linear, compute_uv=False)
+    scale = 1.0 if skinning.bone_model == "rigid" else np.cbrt(np.abs(determinant))
+    rotation = linear / np.where(scale > 0, scale, 1)[..., None, None]
+    off = np.swapaxes(rotation, -1, -2) @ rotation - np.eye(3)
+    arrays = (skinning.rest, skinning.indices, skinning.weights, skinning.transforms)
+    return {
+        "duration": sum(clip.n_frames / clip.fps for clip in skinning.clips),
+        "dtype": str(skinning.transforms.dtype),
+        "memory": sum(array.nbytes for array in arrays),
+        "in_memory": True,
+        "diagonal": rest_diagonal(skinning.rest),
+        "seams": _seams(skinning, weights),
+        "bones": skinning.n_bones,
+        "influences": skinning.n_influences,
+        "bone_model": skinning.bone_model,
+        "influence_histogram": np.bincount(used, minlength=skinning.n_influences + 1)[1:].tolist(),
+        "bones_without_vertices": int((weights.sum(axis=0) == 0).sum()),
+        "weight_sum_error": float(np.abs(weights.sum(axis=1) - 1).max()),
+        "orthonormality_error": float(np.abs(off).max()),
+        "smallest_determinant": float(determinant.min()),
+        "smallest_stretch": float(stretch.min()),
+        "largest_stretch": float(stretch.max()),
+        "hierarchy": None if skinning.parents is None else _about_tree(skinning, skinning.parents),
+    }
+
+
+def _about_tree(skinning: Skinning, parents: NDArray[np.int32]) -> dict[str, Any]:
+    names, gaps = skinning.names(), skinning.joint_gaps().max(axis=0)
+    mirror = mirror_of(skinning.rest, skinning.indices, skinning.weights, skinning.n_bones)
+    symmetry: dict[str, int] | None = None
+    if mirror is not None:
+        mirrored, edges = mirrored_edges(mirror, parents)
+        partners = int((mirror.partners >= 0).sum())
+        symmetry = {"joints": partners, "mirrored_edges": mirrored, "edges": edges}
+    return {
+        "joints": skinning.n_bones,
+        "roots": [names[b] for b in np.flatnonzero(parents < 0)],
+        "depth": int(depths(parents).max()) + 1,
+        "parents": parents,
+        "largest_gap": float(gaps.max()),
+        "joint_of_largest_gap": names[int(gaps.argmax())],
+        "rigid": bool(gaps.max() <= RIGID * rest_diagonal(skinning.rest)),
+        "mirror": symmetry,
+    }
+
+
+def _seams(skinning: Skinning, weights: NDArray[np.float64]) -> int:
+    """Number of vertices that have the rest position and the weights of another one."""
+    size = rest_diagonal(skinning.rest) or 1.0
+    columns = np.concatenate([skinning.rest, weights * size], axis=1)
+    columns = np.pad(columns, ((0, 0), (0, -columns.shape[1] % 3)))
+    frames = np.swapaxes(columns.reshape(len(columns), -1, 3), 0, 1)
+    _, weld = MeshSequence(frames, validate=False).weld()
+    return weld.before - weld.after
+
+
+def _about_mesh(thing: MeshSequence | Skinning) -> dict[str, Any]:
+    """Counts that tell whether a mesh is closed, clean and in one piece, and its surface."""
+    n, faces, surface = thing.n_vertices, thing.faces, thing.surface
+    first = thing.rest if isinstance(thing, Skinning) else thing.frames(0)
+    points = np.asarray(first, dtype=np.float64)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, times = np.unique(edges, axis=0, return_counts=True)
+    ones = np.ones(len(edges), dtype=np.int8)
+    _, label = connected_components(coo_array((ones, edges.T), shape=(n, n)), directed=False)
+    used = np.unique(faces)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    double = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
+    return {
+        "name": thing.name,
+        "frames": thing.n_frames,
+        "fps": thing.fps,
+        "vertices": n,
+        "triangles": len(faces),
+        "components": len(np.unique(label[used])),
+        "loose_vertices": n - len(used),
+        "degenerate_triangles": int((double <= 1e-10 * longest).sum()),
+        "boundary_edges": int((times == 1).sum()),
+        "nonmanifold_edges": int((times > 2).sum()),
+        "uv": surface is not None and surface.uv is not None,
+        "normals": surface is not None and surface.normals is not None,
+        "materials": [m.name for m in surface.materials] if surface is not None else [],
+        "welded_from": None if thing.vertex_map is None else len(thing.vertex_map),
+    }

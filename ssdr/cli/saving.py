@@ -1,0 +1,159 @@
+"""Check outputs before the work, and save a model after it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import tempfile
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..clips import Clip
+from ..errors import FormatError, InputError, error_text
+from ..io.atomic import check_writable
+from ..io.registry import SaveReport, format_of, require
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from .format_options import write_options
+from .options import FitOptions
+from .output import Output
+
+Settings = Mapping[str, Any]
+_PACKAGES = {"usd": "pxr", "zarr": "zarr"}
+_BESIDE = {".gltf": ".bin", ".npy": ".faces.npy"}  # what a format writes beside a file
+_TRIED_INFLUENCES = 16  # more than any format with a limit takes
+_SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+
+
+def check_outputs(
+    paths: Iterable[Path], pairs: list[str] | None, *, force: bool, sources: Sequence[Path]
+) -> None:
+    """Find out before the work whether the outputs can be written after it.
+
+    Raises
+    ------
+    InputError
+        If a suffix is unknown or only read, an option is unknown, a file exists (without
+        `force`), is named twice or is an input, or its folder cannot be written to.
+    MissingDependencyError
+        If a format needs a package that is not installed.
+    """
+    seen = list(sources)
+    for path in paths:
+        try:
+            suffix, format_ = format_of(path)
+        except FormatError as error:
+            raise InputError("--output", "a known suffix", str(error)) from error
+        if format_.write_skinning is None and format_.write_sequence is None:
+            raise InputError("--output", "a format that can be written", f"{path} ({suffix})")
+        if format_.extra == "blender":
+            from ..io.blender import finder
+
+            finder.command("")
+        if format_.extra in _PACKAGES:
+            require(_PACKAGES[format_.extra], format_.extra, f"{path}: {format_.title}")
+        write_options(pairs, path)
+        check_file(path, "--output", force=force, others=seen)
+        seen.append(path)
+
+
+def check_file(path: Path, option: str, *, force: bool, others: Iterable[Path]) -> None:
+    """Refuse a file that exists, that is one of the others, or that cannot be written."""
+    if not (path.suffix.lower() == ".zarr" and path.is_dir()):
+        try:
+            check_writable(path)
+        except InputError as error:
+            raise InputError(option, error.expected, error.got) from error
+    if path.resolve() in [other.resolve() for other in others]:
+        raise InputError(option, "a file that is no input and no other output", str(path))
+    taken = [path]
+    if path.suffix.lower() in _BESIDE:
+        taken.append(path.with_suffix(_BESIDE[path.suffix.lower()]))
+    pattern = re.sub(r"%0?\d*d", "*", path.name)
+    if pattern != path.name:
+        taken = sorted(path.parent.glob(pattern))
+    for one in taken:
+        if os.path.lexists(one) and not force:
+            raise InputError(option, "a new file (--force overwrites)", f"{one}, which exists")
+
+
+def try_format(
+    path: Path, settings: Settings, options: FitOptions, mesh: MeshSequence, clips: Sequence[Clip]
+) -> None:
+    """Write a small model to a temporary folder, so that a format refuses it before the work.
+
+    It has the mesh, the clips (two frames each), the bone model and the influences of the model
+    to come.
+
+    Raises
+    ------
+    InputError, MissingDependencyError, SsdrError
+        As :func:`ssdr.save`.
+    """
+    from .. import io
+
+    if format_of(path)[1].module == "blender":  # starts another program, for seconds
+        return
+    n = mesh.n_vertices
+    bones = min(options.influences, options.bones or n, _TRIED_INFLUENCES)
+    one = _SHEARED if options.bone_model == "affine" else np.eye(3, 4)
+    transforms = np.tile(one, (2 * len(clips), bones, 1, 1))
+    arrays = mesh.frames(0), np.tile(np.arange(bones), (n, 1)), np.full((n, bones), 1 / bones)
+    pairs = tuple(Clip(c.name, 2 * k, 2 * k + 2, c.fps) for k, c in enumerate(clips))
+    same = {name: getattr(mesh, name) for name in ("faces", "surface", "vertex_map", "name")}
+    model = Skinning(*arrays, transforms, clips=pairs, bone_model=options.bone_model, **same)
+    # Errors of the temporary folder say nothing about that of the output.
+    with contextlib.suppress(OSError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # they come again with the whole model
+        with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
+            io.save(model, Path(folder) / path.name, **settings)
+
+
+def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveReport]:
+    """Write a model to all outputs, given with their options.
+
+    An output that cannot be written, say because the disk is full, does not keep the others
+    from being written.  If no file holds the model then, it is written as ``.npz`` beside the
+    first output or, where that fails, to the folder for temporary files.
+
+    Raises
+    ------
+    SsdrError, OSError
+        Of the first output that could not be written, in the end.
+    """
+    import ssdr
+
+    reports, failed = [], []
+    for path, options in outputs.items():
+        try:
+            with Output.current.waiting(f"saving {path}"):
+                reports.append(ssdr.save(model, path, **options))
+        except Exception as error:
+            failed.append((path, error))
+    if not failed:
+        return reports
+    for path, other in failed[1:]:
+        Output.current.warn(f"{path}: {error_text(other)}")
+    if not any(format_of(report.path)[1].read_skinning for report in reports):
+        kept = _save_beside(model, failed[0][0])
+        Output.current.warn(f"the model is kept in {kept}" if kept else "the model is lost")
+    raise failed[0][1]
+
+
+def _save_beside(model: Skinning, path: Path) -> Path | None:
+    """Write a model near an output that did not take it; the file, or None if that fails."""
+    import ssdr
+
+    for folder in (path.parent, None):
+        with contextlib.suppress(Exception):
+            place = Path(folder or tempfile.gettempdir()) / f"{path.stem[:100]}.rescued.npz"
+            if os.path.lexists(place):
+                place = place.with_suffix(f".{os.getpid()}.npz")
+            ssdr.save(model, place)
+            return place
+    return None

@@ -1,0 +1,110 @@
+"""Inputs as templates of outputs, which keep from them all that is not the mesh's skin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..io.registry import Format, call, format_of
+from .format_options import STRICT, readable_format, write_options
+from .output import Output
+
+Inputs = Mapping[Path, dict[str, Any]]
+_AXES = "orientations of the joints"
+
+
+def shared_format(source: Path, target: Path) -> Format | None:
+    """The format of both files, if it is one whose files can be copied as a whole."""
+    format_ = readable_format(source)
+    if format_ is None or not format_.copy or format_of(target)[1] is not format_:
+        return None
+    return format_ if source.is_file() else None
+
+
+def options_with_template(
+    target: Path,
+    pairs: list[str] | None,
+    inputs: Inputs,
+    *,
+    new_bones: bool,
+    clips: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Options of :func:`ssdr.save`, with the first input of the output's format as its template.
+
+    A warning names what of the inputs is not kept; with the option ``strict=true`` it is an
+    error.  ``template=null`` writes the model without a template.
+
+    Parameters
+    ----------
+    target : Path
+    pairs : list of str or None
+        ``--write``.
+    inputs : mapping of Path to dict
+        The inputs, and the options with which each of them was read.
+    new_bones : bool
+        Whether the bones are not those of the input, so that the axes of its joints are not
+        missed.
+    clips : names
+        Clips of the model, which may be named after their files.
+
+    Raises
+    ------
+    InputError
+        If something cannot be kept, with ``strict=true``.
+    """
+    options = write_options(pairs, target)
+    strict, asked = bool(options.pop(STRICT, False)), "template" in options
+    source = options.pop("template") if asked else _template(target, options, inputs)
+    lost = [] if asked and source is not None else _left_out(inputs)
+    if source is not None:
+        options |= {"template": source} | ({STRICT: True} if strict else {})
+        lost = [what for what in lost if what == _AXES]
+        if not asked:
+            names = _new_names(source, clips)
+            options |= {k: v for k, v in inputs[source].items() if k == "meshes"}
+            options |= {"clip_names": names} if names else {}
+    if new_bones:
+        lost = [what for what in lost if what != _AXES]
+    if lost:
+        said = f"not kept in {target}: {', '.join(lost)}"
+        if strict:
+            raise InputError("strict", "an output that keeps all of the input", said)
+        Output.current.warn(said)
+    return options
+
+
+def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | None:
+    """The first input that can be the template of an output."""
+    for source, read in inputs.items():
+        format_ = shared_format(source, target)
+        if format_ is None:
+            continue
+        assert format_.template_problem is not None
+        problem = call(format_, format_.template_problem, source)
+        if not problem:
+            # A model with another up axis does not fit the rest of the file.
+            up = options.get("up", "y" if format_.module == "gltf" else None)
+            return source if up in (read.get("up"), "y") else None
+        Output.current.warn(f"{target} is written anew: {source}: {problem}")
+    return None
+
+
+def _new_names(source: Path, clips: Sequence[str]) -> dict[str, str]:
+    """New names of those clips of a file that are named differently in the model."""
+    from ..io import list_clips
+
+    names = {}
+    for clip in list_clips(source):
+        candidates = (clip.name, source.stem, f"{source.stem}_{clip.name}")
+        names[clip.name] = next((name for name in candidates if name in clips), clip.name)
+    return {old: new for old, new in names.items() if old != new}
+
+
+def _left_out(inputs: Inputs) -> list[str]:
+    """Things in the files that a model cannot hold."""
+    from ..io import left_out
+
+    files = [(path, read) for path, read in inputs.items() if path.is_file()]
+    return list(dict.fromkeys(what for path, read in files for what in left_out(path, **read)))

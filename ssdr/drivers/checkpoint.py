@@ -1,0 +1,53 @@
+"""The best model so far, written to an ordinary file while it is being looked for."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError, SsdrError, SsdrWarning
+from ..skinning import Skinning
+
+__all__ = ["Checkpoint"]
+
+_SECONDS = 60.0  # between two writes: what a killed process loses at most
+
+
+class Checkpoint:
+    """An ``.npz`` that holds the best model so far; it is written whole or not at all.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Raises
+    ------
+    InputError
+        If it is no name that ends in ``.npz`` in a folder that exists.
+    """
+
+    def __init__(self, path: Any) -> None:
+        if not isinstance(path, (str, Path)):
+            raise InputError("checkpoint", "the path of an .npz, or None", type(path).__name__)
+        self.path = Path(path)
+        if self.path.suffix != ".npz" or not self.path.parent.is_dir() or self.path.is_dir():
+            raise InputError("checkpoint", "a name ending in .npz in a folder that exists", path)
+        self._last = time.monotonic()
+
+    def offer(self, skinning: Callable[[], Skinning], *, now: bool = False) -> None:
+        """Write the model if the last write is a minute ago, or `now`.
+
+        A full disk or a folder that is gone does not end a run of hours: it warns.
+        """
+        if not now and time.monotonic() - self._last < _SECONDS:
+            return
+        from ..io.arrays.npz import write_skinning
+
+        try:
+            write_skinning(skinning(), self.path, compress=False)
+        except (OSError, SsdrError) as error:
+            warnings.warn(f"no checkpoint at {self.path}: {error}", SsdrWarning, stacklevel=2)
+        self._last = time.monotonic()

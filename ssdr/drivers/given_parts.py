@@ -1,0 +1,267 @@
+"""Check the parts of a model that a caller hands over: a start, and a skeleton."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import (
+    BoneModel,
+    check_floats,
+    check_mask,
+    check_skin,
+    check_squarable,
+    check_transforms,
+    check_whole,
+)
+from ..errors import InputError, check_choice, is_whole
+from ..hierarchy.tree import Tree
+from ..joints.limb_matching import limb_distances
+from ..joints.placement import move_onto_joints
+from ..search.given import Given
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from ..solver.trajectories import Array
+from ..start import JointKind, Skeleton, Start
+
+__all__ = ["check_skeleton", "check_start", "extra_parents", "on_skeleton"]
+
+Skin = tuple[NDArray[np.int32], Array]
+
+# Gaps of joints relative to the mesh's size: such as double precision leaves, and such as single
+# precision or a file's keys leave, which are closed at once.
+_EXACTLY, _NEARLY = 1e-12, 1e-4
+_TURNED = 1e-6  # of a rotation's entries: beyond, a joint is not where it was locked
+
+
+def check_start(
+    start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
+) -> tuple[Given, Skinning | None]:
+    """The parts to begin from, and the whole model where they are one; `shape` is (F, V, B, K)."""
+    if isinstance(start, Skinning):
+        return _from_model(start, shape, bone_model), start
+    return Given() if start is None else _from_parts(start, shape, bone_model), None
+
+
+def _from_model(model: Skinning, shape: tuple[int, int, int, int], bone_model: BoneModel) -> Given:
+    n_frames, n, bones, influences = shape
+    if model.n_vertices != n:
+        raise InputError("start", f"a model of {n} vertices, as the sequence has", model.n_vertices)
+    if model.n_bones != bones:
+        raise InputError("start", f"a model of {bones} bones, as the rig has", model.n_bones)
+    indices, weights = _sorted_skin(model.indices, model.weights, (n, bones, influences))
+    transforms = None
+    if model.n_frames == n_frames:
+        transforms = check_transforms(model.transforms, n_frames, bone_model, "start.")
+    tree = None
+    if model.parents is not None:
+        points = np.asarray(model.joint_positions, dtype=np.float64)
+        gap = model.joint_gaps().max() / float(np.ptp(model.rest, axis=0).max() or 1.0)
+        tree = Tree(model.parents.astype(np.int64), points, rigid=bool(gap <= _NEARLY))
+        if transforms is not None and _EXACTLY < gap <= _NEARLY:
+            move_onto_joints(transforms, tree)
+    return Given(
+        rest=_check_rest(model.rest, n),
+        indices=indices,
+        weights=weights,
+        transforms=transforms,
+        free=True,
+        tree=tree,
+    )
+
+
+def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: BoneModel) -> Given:
+    n_frames, n, bones, influences = shape
+    indices, weights, transforms = start.indices, start.weights, start.transforms
+    if (indices is None) != (weights is None):
+        missing, there = ("weights", "indices") if weights is None else ("indices", "weights")
+        raise InputError(f"start.{missing}", f"an array beside start.{there}", "None")
+    locked_vertices = check_mask(start.locked_vertices, "start.locked_vertices", n)
+    if weights is not None:
+        indices, weights = _sorted_skin(indices, weights, (n, bones, influences))
+        if locked_vertices is None:
+            locked_vertices = np.ones(n, dtype=bool)
+    elif locked_vertices is not None:
+        raise InputError("start.locked_vertices", "None without indices and weights", "a mask")
+    locked_bones = None
+    if transforms is not None:
+        transforms = check_transforms(transforms, n_frames, bone_model, "start.")
+        count = transforms.shape[1]
+        if count > bones:
+            raise InputError("start.transforms", f"at most {bones} bones, as asked for", count)
+        if weights is not None and count != bones:
+            raise InputError("start.transforms", f"{bones} bones beside given weights", count)
+        locked_bones = check_mask(start.locked_bones, "start.locked_bones", count)
+        if locked_bones is None:
+            locked_bones = np.ones(count, dtype=bool)
+    elif start.locked_bones is not None:
+        raise InputError("start.locked_bones", "None without transforms", "a mask")
+    return Given(
+        rest=None if start.rest is None else _check_rest(start.rest, n),
+        rest_frame=check_whole(start.rest_frame, "start.rest_frame", 0, n_frames - 1),
+        indices=indices,
+        weights=weights,
+        transforms=transforms,
+        locked_vertices=locked_vertices,
+        locked_bones=locked_bones,
+    )
+
+
+def check_skeleton(rig: Skeleton) -> None:
+    """Refuse a skeleton without hierarchy, and joints of an unknown kind."""
+    model = rig.skinning
+    if not isinstance(model, Skinning) or model.parents is None:
+        came = "one without parents" if isinstance(model, Skinning) else type(model).__name__
+        raise InputError("rig.skinning", "a Skinning with a hierarchy", came)
+    check_choice(rig.joints, "rig.joints", JointKind)
+
+
+def on_skeleton(
+    rig: Skeleton,
+    given: Given,
+    sequences: list[MeshSequence],
+    influences: int,
+    start: Skinning | None,
+) -> Given:
+    """The given parts with the tree of a skeleton, its extra bones and its locked joints.
+
+    `start` is the whole model that the parts are of, where they are one.
+    """
+    n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
+    skeleton, extra = rig.skinning, extra_parents(rig, n)
+    if extra and rig.joints == "loose":
+        raise InputError("rig.extra_bones", "0 beside loose joints", rig.extra_bones)
+    rotations = _locked_rotations(skeleton, rig.locked_joints, n_frames)
+    if start is not None:
+        tree = _same_tree(start, given, skeleton, rotations)
+        return dataclasses.replace(given, tree=tree, keeps_tree=True, rotations=rotations)
+    if extra and given.indices is not None:
+        expected = "0 beside start.indices and start.weights"
+        raise InputError("rig.extra_bones", expected, rig.extra_bones)
+    if given.transforms is not None:
+        raise InputError("start.transforms", "None beside a skeleton", "an array")
+    points = np.asarray(skeleton.joint_positions, dtype=np.float64)
+    tree = Tree(skeleton.parents.astype(np.int64), points, rigid=False)
+    pose, nearest, skin = _frame(sequences, given.rest_frame), None, None
+    if skeleton.n_vertices == n:
+        pose = np.asarray(skeleton.rest, dtype=np.float64)
+        skin = _largest(skeleton, influences)
+    else:
+        nearest = limb_distances(pose if given.rest is None else given.rest, tree).argmin(axis=1)
+    return dataclasses.replace(
+        given,
+        tree=tree,
+        keeps_tree=True,
+        tree_pose=pose,
+        nearest_bone=nearest,
+        skeleton_skin=skin,
+        extra_parents=extra,
+        rotations=rotations,
+    )
+
+
+def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
+    """The tree of a model to go on from, whose parents must be those of the skeleton.
+
+    Joints that are locked at another rotation than the model's have to be attached anew.
+    """
+    known = skeleton.n_bones
+    if given.tree is None or not np.array_equal(given.tree.parents[:known], skeleton.parents):
+        raise InputError("start", "a model whose bones hang as those of rig.skinning", "others")
+    if rotations is None or given.transforms is None:
+        return given.tree
+    away = np.abs(start.local_transforms()[:, :known, :, :3] - rotations)
+    turned = bool(np.nan_to_num(away).max() > _TURNED)
+    return dataclasses.replace(given.tree, rigid=given.tree.rigid and not turned)
+
+
+def _check_rest(rest: Any, n_vertices: int) -> Array:
+    points = check_floats(rest, "start.rest", (n_vertices, 3), copy=True)
+    check_squarable(points, "start.rest")
+    return np.asarray(points, dtype=np.float64)
+
+
+def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin:
+    """Indices and weights, the largest weights first, no bone twice at a vertex."""
+    n, bones, influences = size
+    indices, w = check_skin(indices, weights, n, bones, "start.")
+    used = int((w > 0).sum(axis=1).max())
+    if used > influences:
+        raise InputError("start.weights", f"at most {influences} influences a vertex", used)
+    w = w.astype(np.float64)
+    order = np.argsort(-w, axis=1, kind="stable")
+    w, indices = (np.take_along_axis(a, order, axis=1) for a in (w, indices))
+    distinct = np.sort(np.where(w > 0, indices, -1 - np.arange(w.shape[1])), axis=1)
+    twice = (distinct[:, 1:] == distinct[:, :-1]).any(axis=1)
+    if twice.any():
+        first = int(twice.argmax())
+        came = f"one twice at vertex {first}"
+        raise InputError("start.indices", "no bone twice at a vertex", came)
+    return np.where(w > 0, indices, 0).astype(np.int32), w / w.sum(axis=1, keepdims=True)
+
+
+def _largest(skeleton: Skinning, influences: int) -> Skin:
+    """The largest influences of every vertex, largest first."""
+    pruned = skeleton.prune(influences)
+    weights = pruned.weights.astype(np.float64)
+    return pruned.indices, weights / weights.sum(axis=1, keepdims=True)
+
+
+def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
+    """The parents of the bones that are added to a skeleton; −1: where the error is."""
+    named = rig.extra_bones if isinstance(rig.extra_bones, Mapping) else {"": rig.extra_bones}
+    parents: list[int] = []
+    for name, count in named.items():
+        if not is_whole(count) or count < 0:
+            raise InputError("rig.extra_bones", "an integer >= 0, or some by name", repr(count))
+        if count + len(parents) + rig.skinning.n_bones > n_vertices:
+            expected = f"no more bones in all than the {n_vertices} vertices"
+            raise InputError("rig.extra_bones", expected, repr(rig.extra_bones))
+        if isinstance(rig.extra_bones, Mapping):
+            parents += [_single_joint(rig.skinning, name, "rig.extra_bones")] * int(count)
+        else:
+            parents += [-1] * int(count)
+    return tuple(parents)
+
+
+def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
+    """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
+    listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
+    if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
+        raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
+    if not listed:
+        return None
+    if skeleton.n_frames not in (1, n_frames):
+        expected = f"one pose of the skeleton, or {n_frames} as the sequence has"
+        raise InputError("rig.locked_joints", expected, f"{skeleton.n_frames}")
+    local = np.asarray(skeleton.local_transforms()[..., :3], dtype=np.float64)
+    rotations = np.full((n_frames, *local.shape[1:]), np.nan)
+    for name in dict.fromkeys(listed):
+        joint = _single_joint(skeleton, name, "rig.locked_joints")
+        if skeleton.parents[joint] < 0:
+            raise InputError("rig.locked_joints", "joints that have a parent", f"{name!r}, a root")
+        rotations[:, joint] = local[:, joint]
+    return rotations
+
+
+def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
+    """The one joint of a name."""
+    names = skeleton.names()
+    there = [k for k, known in enumerate(names) if known == name]
+    if len(there) != 1:
+        expected = f"names of single joints of the skeleton ({', '.join(names[:8])}, ...)"
+        raise InputError(argument, expected, f"{name!r}, {len(there)} joints of that name")
+    return there[0]
+
+
+def _frame(sequences: list[MeshSequence], index: int) -> Array:
+    """One frame of the shots, counted through all of them."""
+    for sequence in sequences:
+        if index < len(sequence):
+            return np.asarray(sequence.vertices[index], dtype=np.float64)
+        index -= len(sequence)
+    raise AssertionError

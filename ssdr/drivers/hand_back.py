@@ -1,0 +1,192 @@
+"""The way back from the solver's space: the best model as a skinning, with its true error."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ..clips import names_of
+from ..frames.error import squared_error
+from ..frames.executor import Executor
+from ..hierarchy.tree import Tree
+from ..joints.mirror import mirror_of, side_names
+from ..joints.placement import refit_joints, spanning_tree
+from ..search.progress import Record
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from ..solver.gauge import normalise_gauge
+from ..solver.model import Model
+from ..solver.trajectories import Alignment, Array
+from .problem import Problem
+
+__all__ = ["Outcome", "Step", "outcome_of", "skinning_of"]
+
+# Ratio of the true error to the objective's beyond which they say different things: the error then
+# is of vertices of next to no importance, and records keep the objective's.
+_MOST_RATIO = 10.0
+
+# iteration, seconds, squared error and phase of an accepted model
+Step = tuple[int, float, float, str]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Outcome:
+    """What a driver hands back.
+
+    Attributes
+    ----------
+    skinning : Skinning
+    rmse : float
+        Over all frames, measured by skinning.
+    stop_reason : str
+    history : tuple of Record
+    warnings : tuple of str
+    """
+
+    skinning: Skinning
+    rmse: float
+    stop_reason: str
+    history: tuple[Record, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def skinning_of(
+    problem: Problem,
+    alignment: Alignment,
+    model: Model,
+    sequences: list[MeshSequence] | None = None,
+) -> Skinning:
+    """A model in the input's space, with what the input carries beside its shape.
+
+    `sequences` are the frames that the model is of; all of them by default.
+    """
+    sequences = problem.sequences if sequences is None else sequences
+    padded = model.with_influences(problem.influences)
+    if problem.fixed.bone_model != "rigid":
+        model = model.copy()
+        importance = problem.vertex_importance
+        equal = np.ones(len(model.rest))
+        normalise_gauge(model, equal if importance is None else importance, problem.fixed)
+    tree = _tree_of(problem, model, alignment)
+    points = model.rest if tree is None else np.concatenate([model.rest, tree.points])
+    points, transforms = alignment.to_world(points, model.transforms)
+    rest, joints = points[: len(model.rest)], points[len(model.rest) :]
+    first = sequences[0]
+    skinning = Skinning(
+        rest,
+        padded.indices,
+        padded.weights,
+        transforms,
+        faces=first.faces,
+        bone_model=problem.fixed.bone_model,
+        surface=first.surface,
+        vertex_map=first.vertex_map,
+        **names_of(sequences),
+    )
+    return skinning if tree is None else _with_tree(skinning, tree, joints, problem.names)
+
+
+def outcome_of(
+    problem: Problem,
+    alignment: Alignment,
+    model: Model,
+    steps: list[Step],
+    *,
+    reason: str,
+    idle: int,
+    executor: Executor | None = None,
+) -> Outcome:
+    """The model in the input's space with its true error; never above the one it started from.
+
+    `steps` hold squared errors in the solver's space.
+    """
+    count = problem.n_frames * problem.n_vertices
+
+    def rmse_of(s: Skinning) -> float:
+        parts = (s.rest, s.indices, s.weights, s.transforms)
+        squared = squared_error(problem.sequences, *parts, executor=executor)
+        return math.sqrt(float(squared.sum()) / count)
+
+    skinning = skinning_of(problem, alignment, model)
+    rmse = rmse_of(skinning)
+    if problem.start is not None and _is_an_answer(problem, problem.start):
+        start = _start_as_result(problem, alignment)
+        before = rmse_of(start)
+        if before < rmse:
+            skinning, rmse = start, before
+    values = np.array([value for _, _, value, _ in steps])
+    hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
+    return Outcome(
+        skinning=skinning,
+        rmse=rmse,
+        stop_reason=reason,
+        history=_history(steps, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
+        warnings=(hint,) if idle else (),
+    )
+
+
+def _is_an_answer(problem: Problem, start: Skinning) -> bool:
+    """Whether the model that a call starts from could be its result, judged by its error."""
+    plain = problem.vertex_importance is None and problem.frame_importance is None
+    rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
+    frames = start.n_frames == problem.n_frames
+    return plain and rigid and frames and problem.smoothness == 0
+
+
+def _start_as_result(problem: Problem, alignment: Alignment) -> Skinning:
+    """The model that a call starts from, with what its result has beside rest pose and bones."""
+    given, inner = problem.given, problem.given.inside(alignment)
+    assert inner.rest is not None
+    assert inner.indices is not None
+    assert inner.weights is not None
+    assert inner.transforms is not None
+    parts = (inner.rest, inner.indices, inner.weights, problem.influences)
+    model = Model.with_weights(inner.transforms, *parts)
+    model.tree = inner.tree
+    skinning = skinning_of(problem, alignment, model)
+    return dataclasses.replace(skinning, rest=given.rest, transforms=given.transforms)
+
+
+def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
+    """The tree that a model's bones hang on, or over bones that were found without one."""
+    if problem.rig == "none":
+        return None
+    if problem.rig == "rigid":
+        return model.tree
+    skeleton = problem.given.inside(alignment).tree
+    return spanning_tree(model, by_gap=True) if skeleton is None else refit_joints(model, skeleton)
+
+
+def _with_tree(skinning: Skinning, tree: Tree, joints: Array, names: tuple[str, ...]) -> Skinning:
+    """The skinning with parents, joints and names; `names` are those of the first bones."""
+    joints[tree.roots] = skinning.centroids()[tree.roots]
+    mirror, n_bones = None, skinning.n_bones
+    if not names:
+        mirror = mirror_of(skinning.rest, skinning.indices, skinning.weights, n_bones)
+    found = side_names(mirror, n_bones)
+    return dataclasses.replace(
+        skinning,
+        parents=tree.parents,
+        joint_positions=joints,
+        bone_names=names + found[len(names) :],
+    )
+
+
+def _history(steps: list[Step], errors: np.ndarray, rmse: float) -> tuple[Record, ...]:
+    """Records whose last error is the true one, measured on the frames.
+
+    The reduced basis and importance change the objective, not which model is better: the others
+    keep their ratio to the last, unless there is none to keep.
+    """
+    last = errors[-1]
+    proportional = last > 0 and rmse < _MOST_RATIO * last
+    errors = errors * (rmse / last) if proportional else errors
+    # where joints are drawn to the skin a better model may have a little more error
+    errors = np.maximum(np.minimum.accumulate(errors), rmse)
+    errors[-1] = rmse
+    return tuple(
+        Record(iteration=iteration, elapsed=elapsed, rmse=float(error), phase=phase)
+        for (iteration, elapsed, _, phase), error in zip(steps, errors, strict=True)
+    )

@@ -1,0 +1,68 @@
+"""What a fit of one part of a model returns, and the check of what it is given."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import check_floats, check_squarable, check_transforms
+from ..errors import InputError
+from ..sequence import MeshSequence, as_sequences
+from ..skinning import Skinning
+from ..solver.trajectories import Array
+
+__all__ = ["NAMES", "Fit", "checked", "checked_transforms", "rmse_of"]
+
+NAMES = ("skinning.rest", "skinning.transforms")  # of what is taken into the solver's space
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit:
+    """A model of which one part was solved for, and its error.
+
+    Attributes
+    ----------
+    skinning : Skinning
+    squared_error : (V,) float64
+        Σ_t |d|² of each vertex, in squared units of the mesh.
+    rmse : float
+        sqrt(Σ|d|² / (F V)).
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> fit = ssdr.fit_rest_pose(dancer, ssdr.initialize(dancer, bones=4))
+    >>> np.allclose(fit.rmse, np.sqrt(fit.squared_error.sum() / (24 * 799)))
+    True
+    """
+
+    skinning: Skinning
+    squared_error: NDArray[np.float64]
+    rmse: float
+
+
+def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Array]:
+    """The shots, and rest pose and weights of a model of the same mesh in double precision."""
+    sequences = as_sequences(sequence)
+    if not isinstance(skinning, Skinning):
+        raise InputError("skinning", "a Skinning", type(skinning).__name__)
+    n = sequences[0].n_vertices
+    if skinning.n_vertices != n:
+        raise InputError("skinning", f"{n} vertices, as the sequence has", skinning.n_vertices)
+    rest = np.asarray(check_floats(skinning.rest, "skinning.rest", (n, 3), copy=True), np.float64)
+    check_squarable(rest, "skinning.rest")
+    weights = np.array(skinning.weights, dtype=np.float64)
+    return sequences, rest, weights / weights.sum(axis=1, keepdims=True)
+
+
+def checked_transforms(sequences: list[MeshSequence], skinning: Skinning) -> Array:
+    """The model's transforms, which must be of as many frames as the shots."""
+    n_frames = sum(len(s) for s in sequences)
+    return check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
+
+
+def rmse_of(squared: Array, n_frames: int) -> float:
+    return float(np.sqrt(squared.sum() / (n_frames * len(squared))))

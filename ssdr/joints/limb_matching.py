@@ -1,0 +1,109 @@
+"""Vertices assigned to the bones of a skeleton that was handed over: by place, and by motion.
+
+The nearest limb says little about a vertex that is near two.  Its motion says more: free bones,
+each with the vertices that move as it does, are matched with the skeleton's bones, such that they
+lie near its limbs and that parent and child stay together at their joint.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ..hierarchy.tree import Tree
+from ..solver.initialization import fit_patches
+from ..solver.trajectories import Array, Trajectories
+from .placement import fit_joints
+
+__all__ = ["limb_distances", "match_by_motion", "matched_bones"]
+
+# Weight of a joint's squared gap beside squared distances from limbs: gaps tell bones apart that
+# are equally near.  On a tree of 18 bones 16 are matched right with 1, all with 10 to 1000.
+_GAP = 10.0
+_AWAY = 1e-2  # weight of a joint's squared distance from its place, which may be a little off
+
+
+def limb_distances(points: Array, tree: Tree) -> Array:
+    """Squared distances (V, B) of points from the limbs of bones.
+
+    A bone's limbs lead from its joint to those of its children; the limb of a bone without children
+    prolongs its parent's by as much again.
+    """
+    away = np.full((len(points), len(tree.parents)), np.inf)
+    for k in range(len(tree.parents)):
+        ends = tree.points[tree.parents == k]
+        if not len(ends):
+            above = tree.parents[k]
+            ends = 2 * tree.points[[k]] - tree.points[[above if above >= 0 else k]]
+        for end in ends:
+            along = end - tree.points[k]
+            length = float(along @ along)
+            off = points - tree.points[k]
+            part = np.clip(off @ along / length, 0.0, 1.0) if length > 0 else np.zeros(len(off))
+            limb = ((off - part[:, None] * along) ** 2).sum(axis=1)
+            away[:, k] = np.minimum(away[:, k], limb)
+    return away
+
+
+def match_by_motion(
+    data: Trajectories, rest: Array, label: NDArray[np.intp], count: int, tree: Tree
+) -> NDArray[np.intp]:
+    """The skeleton's bone (V,) for each vertex, from `count` free bones that move the vertices.
+
+    `rest` (V, 3) are the vertices in the pose in which the skeleton's joints are given.
+    """
+    away = limb_distances(rest, tree)
+    used = np.bincount(label, minlength=count)
+    place = np.full((count, len(tree.parents)), away.mean())
+    for j in np.flatnonzero(used):
+        place[j] = away[label == j].mean(axis=0)
+    bones = fit_patches(data, rest, label, count)
+    hung = tree.non_roots
+    gap = np.empty((len(hung), count, count))
+    for row, k in enumerate(hung):
+        point, squared = fit_joints(
+            bones, np.broadcast_to(tree.points[k], (count, count, 3)), away=_AWAY
+        )
+        gap[row] = squared / len(bones) + _AWAY * ((point - tree.points[k]) ** 2).sum(axis=-1)
+    own = matched_bones(place, _GAP * gap, tree)
+    nearest = place.argmin(axis=1)
+    for bone, j in enumerate(own):
+        if j >= 0:
+            nearest[j] = bone
+    out: NDArray[np.intp] = nearest[label]
+    return out
+
+
+def matched_bones(place: Array, gap: Array, tree: Tree) -> NDArray[np.intp]:
+    """The free bone (B,) matched with each bone of a skeleton, each at most once; −1: none.
+
+    First the assignment of least `place` (n, B); then two bones at a time swap their matches while
+    that lowers the sum of `place` and `gap` (hung, n, n), the latter of each free bone and that of
+    its parent.
+    """
+    n, n_bones = place.shape
+    hung, above = tree.non_roots, tree.parents[tree.non_roots]
+    # one more free bone, which costs nothing and stands for none
+    place = np.pad(place, [(0, 1), (0, 0)])
+    gap = np.pad(gap, [(0, 0), (0, 1), (0, 1)])
+    rows, columns = linear_sum_assignment(place[:n])
+    own = np.full(n_bones, n, dtype=np.intp)
+    own[columns] = rows
+    bones, edges = np.arange(n_bones), np.arange(len(hung))
+
+    def cost() -> float:
+        return float(place[own, bones].sum() + gap[edges, own[hung], own[above]].sum())
+
+    least, found = cost(), True
+    while found:
+        found = False
+        for a in range(n_bones):
+            for b in range(a):
+                own[[a, b]] = own[[b, a]]
+                now = cost()
+                if now < least * (1.0 - 1e-9):
+                    least, found = now, True
+                else:
+                    own[[a, b]] = own[[b, a]]
+    return np.where(own == n, -1, own)

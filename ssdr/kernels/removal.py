@@ -1,0 +1,84 @@
+"""The rise of the error if a bone were removed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .policy import kernel
+from .simplex_qp import simplex_qp
+from .vertices import hessian_row, monomials, pulled
+
+
+@kernel
+def removal_cost(y, gram, rest, support, share, count, importance, cost, first, last):
+    """Add, for each bone, the rise of the error of vertices first..last if it were removed.
+
+    y           (V, 4, B)   float64  Σ_t v_i^t M_j^tᵀ, in
+    gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
+    rest        (V, 3)      float64  rest positions, in
+    support     (V, S)      int32    bones of each vertex before pruning, in
+    share       (V, S)      float64  their weights, in
+    count       (V,)        int32    how many of them are used, in
+    importance  (V,)        float64  factor of each vertex's error, in
+    cost        (B,)        float64  added to
+    """
+    n_slots = support.shape[1]
+    n_bones = gram.shape[0]
+    m = np.empty(10)
+    rows = np.empty((n_slots, n_bones))
+    h = np.empty((n_slots, n_slots))
+    f = np.empty(n_slots)
+    w = np.empty(n_slots)
+    alive = np.empty(n_slots, dtype=np.uint32)
+    a = np.empty((n_slots, n_slots))
+    b = np.empty(n_slots)
+    diagonal = np.empty(n_bones)
+    f_all = np.empty(n_bones)
+    for i in range(first, last):
+        p = rest[i]
+        n = count[i]
+        monomials(p, m)
+        base = 0.0
+        for q in range(n):
+            j = support[i, q]
+            hessian_row(gram, j, m, rows[q])
+            f[q] = pulled(y[i], j, p)
+        for q in range(n):
+            base -= 2.0 * share[i, q] * f[q]
+            for s in range(n):
+                h[q, s] = rows[q, support[i, s]]
+                base += share[i, q] * share[i, s] * h[q, s]
+        if n == 1:
+            # the vertex would follow the best other bone alone
+            for j in range(n_bones):
+                diagonal[j] = gram[j, 9, j]
+                for c in range(9):
+                    diagonal[j] += m[c] * gram[j, c, j]
+                f_all[j] = pulled(y[i], j, p)
+            best = np.inf
+            for j in range(n_bones):
+                if j != support[i, 0]:
+                    best = min(best, diagonal[j] - 2.0 * f_all[j])
+            cost[support[i, 0]] += importance[i] * (best - base)
+            continue
+        for q in range(n):
+            left = 0
+            rest_share = 1.0 - share[i, q]
+            for s in range(n):
+                w[s] = 0.0
+                if s != q:
+                    alive[left] = s
+                    left += 1
+            for s in range(left):
+                if rest_share > 1e-12:
+                    w[alive[s]] = share[i, alive[s]] / rest_share
+                else:
+                    w[alive[s]] = 1.0 / left
+            simplex_qp(h, f, w, alive, left, a, b)
+            value = 0.0
+            for s in range(n):
+                if w[s] > 0.0:
+                    value -= 2.0 * w[s] * f[s]
+                    for c in range(n):
+                        value += w[s] * w[c] * h[s, c]
+            cost[support[i, q]] += importance[i] * (value - base)

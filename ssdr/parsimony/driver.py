@@ -1,0 +1,225 @@
+"""The driver for a tolerance: the fewest bones that hold it, then the fewest bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from ..drivers.problem import Problem
+from ..drivers.schedule import Effort
+from ..drivers.streamed import PASSES, SCANNED
+from ..errors import Cancelled
+from ..joints.stages import AttachUnattached
+from ..search.progress import Clock, ProgressReport, Record
+from ..search.stages import Polish
+from ..search.starts import StartFromModel
+from ..skinning import Skinning
+from ..solver.model import Model
+from .fewest_bones import Bounds, FewestBones
+from .ladder import Ladder, Stopped
+from .pruning import Pruner
+from .rank import rank_bound, rank_of, reduced
+from .report import Measure, Parsimony, Pruning, Smallest, size
+from .solved_frames import SolvedFrames
+
+__all__ = ["Driver"]
+
+_ROUNDING = 1e-13  # of the largest coordinate: an error below is none
+_LOOSE = 10.0  # times the largest distance between vertices that there can be
+# Polish steps of the model that holds: what they gain is left for influences and keyframes.
+_POLISH: dict[Effort, int] = {"fast": 0, "balanced": 16, "best": 60}
+_RETRIES = 4  # searches with ever stricter tolerances, where representative frames alone hold it
+
+
+class Driver:
+    """The search of a call, its limits, and its result.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its `bones` are the most.
+    tolerance : float
+        In the mesh's units.
+    measure : {"rmse", "max"}
+    """
+
+    def __init__(self, problem: Problem, tolerance: float, measure: Measure) -> None:
+        self.problem, self.asked, self.clock = problem, tolerance, Clock()
+        self.progress = ProgressReport(problem.callback, self.clock, problem.time_limit)
+        self.frames = frames = SolvedFrames(problem, measure, self.clock)
+        self.fraction = 0.0 if frames.scan is None else SCANNED
+        data = frames.data
+        largest = max(float(np.abs(data.centre).max()), data.scale)
+        # what no model misses bounds nothing, and its square need not be a number
+        most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)
+        self.tolerance = max(min(tolerance, most), _ROUNDING * largest)
+        self.least, exact = self._least_bones()
+        self.bounds = Bounds(min(self.least, problem.bones), problem.bones, exact)
+        frames.data = reduced(data, frames.squared(self.tolerance))
+        self.ladder = Ladder(frames, self.report, self.clock, self.tolerance)
+        self.skinning: Skinning | None = None  # the last that was made of all frames
+        self.prunings: list[Pruning] = []
+        self.stopped: str | None = None
+
+    def _least_bones(self) -> tuple[int, int]:
+        """The bound by the motion's rank, and the most bones of an exact skinning (0: none)."""
+        problem, frames = self.problem, self.frames
+        weighted = problem.vertex_importance is not None or problem.frame_importance is not None
+        if weighted or frames.scan is not None:
+            return 1, 0
+        least = rank_bound(frames.data, frames.squared(self.tolerance))
+        # a joint that two bones share takes one from the rank 4B − 1: at least 3B is left
+        exact = -(-rank_of(frames.data, 0.0) // 3)
+        return least, 0 if exact > 2 * least + 1 else exact
+
+    def solve(self) -> Smallest:
+        """The smallest model that holds the tolerance, or the closest one.
+
+        Raises
+        ------
+        Cancelled
+            If the callback stopped the search before there was any model.
+        """
+        reason = "tolerance held"
+        try:
+            self._start_from_model()
+            self._find_bones()
+            self._prune()
+        except Stopped as stop:
+            reason = stop.reason
+        if self.skinning is None:
+            model = self.ladder.smallest
+            if model is None:
+                raise Cancelled("stopped by the callback before there was any model")
+            self.skinning = self.frames.skinning_of_all(model, passes=1, on_progress=self._stops)
+        return self._result(self.skinning, reason)
+
+    def report(self, phase: str, iteration: int, fraction: float, ready: bool = True) -> None:
+        """Report a step, and offer the smallest model so far to the checkpoint.
+
+        Raises
+        ------
+        Stopped
+            If the callback ends the search, or the time limit does while a model is `ready`.
+        """
+        self.fraction = max(self.fraction, fraction)
+        ladder, held = self.ladder, self.ladder.fewest
+        if held is not None:
+            self.problem.save(lambda: self.frames.skinning(ladder.models[held]))
+        if self.stopped is None:
+            rmse = math.inf if held is None else ladder.errors[held]
+            if self.progress(phase, iteration=iteration, rmse=rmse, fraction=self.fraction):
+                self.stopped = "cancelled"
+            elif ready and self.progress.out_of_time:
+                self.stopped = "time limit"
+        if self.stopped is not None:
+            raise Stopped(self.stopped)
+
+    def _stops(self) -> bool:
+        """Report from within a pass, which is finished before the search ends."""
+        try:
+            self.report("all frames", self.ladder.iteration, self.fraction)
+        except Stopped:
+            return True
+        return False
+
+    def _start_from_model(self) -> None:
+        model, given = self.problem.start, self.frames.given
+        if model is not None:
+            attach = (AttachUnattached(),) if self.problem.rig == "rigid" else ()
+            self.ladder.attempt(model.n_bones, (StartFromModel(), *attach), "given", given=given)
+
+    def _find_bones(self) -> None:
+        """The fewest bones; where the search sees a part of the frames, until all of them hold."""
+        ladder, frames, effort = self.ladder, self.frames, self.problem.effort
+        search = FewestBones(ladder, self.bounds, effort)
+        for _ in range(_RETRIES):
+            search.run()
+            held = ladder.fewest
+            if held is None:
+                return
+            if _POLISH[effort]:
+                polish, start = Polish(steps=_POLISH[effort], gain=0.005), ladder.models[held]
+                part = (0.9, 0.95)
+                ladder.attempt(held, (polish,), "polished", start=start, until=0.0, part=part)
+            model, passes = ladder.models[held], PASSES[effort]
+            self.skinning = frames.skinning_of_all(model, passes=passes, on_progress=self._stops)
+            if self.stopped is not None:
+                raise Stopped(self.stopped)
+            error = frames.error_of_all(self.skinning)
+            if frames.scan is None or error <= self.tolerance:
+                return
+            ladder.tolerance *= 0.99 * self.tolerance / error
+            search.bounds = dataclasses.replace(search.bounds, least=held)
+
+    def _prune(self) -> None:
+        """Fewer influences and keyframes, for what is left of the tolerance."""
+        frames, ladder = self.frames, self.ladder
+        if self.skinning is None or not ladder.held:
+            return
+        ends = [ladder.held[0], ladder.held[-1]]
+        counts = [model.n_bones for model in ends]
+        stored, errors = map(frames.bytes, ends), map(frames.error, ends)
+        self.prunings.append(Pruning("bones", *counts, *stored, *errors))
+        if frames.error_of_all(self.skinning) > self.tolerance:
+            return
+
+        def skinning(model: Model) -> Skinning:
+            self.report("pruning", ladder.iteration, 0.95)
+            return frames.skinning_of_all(model, passes=1, entering=0, on_progress=self._stops)
+
+        model = ladder.models[ladder.fewest or ladder.held[-1].n_bones]
+        pruner = Pruner(frames, model, self.tolerance, skinning)
+        self.skinning, prunings = pruner.run(self.skinning)
+        self.prunings += prunings
+
+    def _result(self, skinning: Skinning, reason: str) -> Smallest:
+        frames, ladder, problem = self.frames, self.ladder, self.problem
+        error, rmse = frames.error_of_all(skinning), frames.error_of_all(skinning, "rmse")
+        held = error <= self.tolerance
+        if not held and reason == "tolerance held":
+            reason = "tolerance out of reach"
+        last = Record(
+            iteration=ladder.iteration, elapsed=self.clock.elapsed, rmse=rmse, phase="result"
+        )
+        return Smallest(
+            skinning=skinning,
+            rmse=rmse,
+            stop_reason=reason,
+            history=(*ladder.records, last),
+            offsets=problem.offsets,
+            compile_seconds=0.0,
+            warnings=() if held else (self._shortfall(skinning, error, reason),),
+            parsimony=Parsimony(
+                tolerance=self.asked,
+                measure=frames.measure,
+                error=error,
+                held=held,
+                bones=skinning.n_bones,
+                influences=skinning.n_influences,
+                least_bones=self.least,
+                size=size(skinning),
+                prunings=tuple(self.prunings),
+                attempts=tuple(ladder.attempts),
+            ),
+        )
+
+    def _shortfall(self, skinning: Skinning, error: float, reason: str) -> str:
+        """What a caller reads whose tolerance is not held."""
+        diagonal = max(s.diagonal() for s in self.problem.sequences)
+
+        def text(value: float) -> str:
+            share = f" ({100 * value / diagonal:.3g} % of the diagonal)" if diagonal else ""
+            return f"{value:.4g}{share}"
+
+        head = f"stopped ({reason}) before tolerance {text(self.asked)} was held"
+        if reason == "tolerance out of reach":
+            head = f"tolerance {text(self.asked)} is out of reach"
+            if self.least > self.bounds.most:
+                head += f", the motion's rank asks for at least {self.least} bones"
+        kind = {"rmse": "RMSE", "max": "largest error"}[self.frames.measure]
+        most = self.problem.influences
+        reached = f"{skinning.n_bones} bones of at most {most} influences reach a {kind} of"
+        return f"{head}: {reached} {text(error)}"

@@ -1,0 +1,182 @@
+"""``ssdr.smallest``: from frames to the smallest model that holds a tolerance."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..checks import BoneModel, check_whole, parse_tolerance
+from ..drivers.problem import Problem, check_problem
+from ..drivers.schedule import Effort
+from ..errors import InputError, SsdrWarning, check_choice
+from ..search.progress import Callback
+from ..sequence import MeshSequence, as_sequences
+from ..skinning import Skinning
+from ..solver.warmup import compile_kernels
+from ..start import Skeleton, Start
+from .driver import Driver
+from .report import Measure, Smallest
+
+__all__ = ["smallest"]
+
+_MOST_BONES = 256  # by default: what an index of 8 bits tells apart
+# Importance of a vertex relative to the largest: no search bounds the error of what counts less.
+_LEAST_VERTEX = 1e-4
+
+
+def smallest(
+    sequence: MeshSequence | Any,
+    faces: Any = None,
+    *,
+    tolerance: float | str,
+    measure: Measure = "rmse",
+    bones: int | None = None,
+    influences: int = 4,
+    effort: Effort = "balanced",
+    bone_model: BoneModel = "rigid",
+    rig: str | None = None,
+    start: Skinning | Start | None = None,
+    vertex_importance: Any = None,
+    frame_importance: Any = None,
+    rng: int | np.random.Generator = 0,
+    time_limit: float | None = None,
+    checkpoint: str | Path | None = None,
+    callback: Callback | None = None,
+) -> Smallest:
+    """Find the smallest model of an animated mesh that holds a tolerance.
+
+    The fewest bones first, then the fewest bytes: influences and keyframes are left out for what
+    remains of the tolerance.  The model is as in :func:`decompose`.
+
+    Parameters
+    ----------
+    sequence : MeshSequence, list of them, or (F, V, 3) array
+        As in :func:`decompose`.  Frames that do not fit into memory are solved on those that
+        differ most; the tolerance is verified on all of them.
+    faces : (T, 3) int array, optional
+        With plain arrays.
+    tolerance : float or str
+        Positive: a length in the mesh's units, or a share of the diagonal such as ``"0.5%"``.  The
+        diagonal is that of the bounding box in the frame where it is largest.
+    measure : {"rmse", "max"}
+        What the tolerance bounds: sqrt(Σ|d|² / (F V)), or the distance of every vertex in every
+        frame.  The solver minimises squares, so that "max" takes more bones than it would have to.
+    bones : int, optional
+        The most; by default 256, or the number of vertices if that is less.
+    influences : int
+        Most bones a vertex (K).
+    effort : {"fast", "balanced", "best"}
+        How hard each number of bones is tried before it is given up.
+    bone_model : {"rigid", "similarity", "affine"}
+        As in :func:`decompose`.
+    rig : {"loose", "rigid"}, optional
+        As in :func:`decompose`; a skeleton cannot be kept.
+    start : Skinning or Start, optional
+        A model to go on from, of at most `bones` bones, such as a checkpoint: if it holds the
+        tolerance, the result is no larger.  Of a :class:`Start` the rest pose alone is used.
+    vertex_importance : (V,) array, optional
+        Steers the solver as in :func:`decompose`; at least 1e-4 of the largest, since the tolerance
+        is of the plain error.
+    frame_importance : (F,) array, optional
+        Positive; likewise for frames.
+    rng : int or numpy.random.Generator
+        Same seed, same bits, whatever the number of threads.
+    time_limit : float, optional
+        Seconds of this call, compilation left out, after which the smallest model so far that
+        holds the tolerance is returned, unpruned; else the closest one.
+    checkpoint : path, optional
+        As in :func:`decompose`: the smallest model so far that holds the tolerance.
+    callback : callable, optional
+        Called with a :class:`Progress` after every step; returning True stops, as the time limit
+        does.  `rmse` is the error of the smallest model so far as `measure` means it, inf
+        before there is one that holds.
+
+    Returns
+    -------
+    Smallest
+        A :class:`Decomposition` with `parsimony`: what was left out, what that cost, and what was
+        tried.  `stop_reason` is "tolerance held", "tolerance out of reach", "time limit" or
+        "cancelled".
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable, before anything is computed.
+    Cancelled
+        If the callback stopped the search before there was any model.
+
+    Warns
+    -----
+    SsdrWarning
+        If the result does not hold the tolerance.
+
+    References
+    ----------
+    Bound from below: Eckart and Young, "The approximation of one matrix by another of lower rank",
+    1936.  Bytes: Everett, "Generalized Lagrange multiplier method", 1963.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.smallest(dancer, tolerance="1%", effort="fast")
+    >>> result.rmse <= 0.01 * dancer.diagonal(), result.stop_reason
+    (True, 'tolerance held')
+    """
+    sequences = as_sequences(sequence, faces)
+    n = sequences[0].n_vertices
+    most = min(n, _MOST_BONES) if bones is None else bones
+    most = check_whole(most, "bones", 1, n, " (the number of vertices)")
+    problem = check_problem(
+        sequences,
+        None,
+        bones=None if isinstance(start, Skinning) else most,
+        influences=influences,
+        effort=effort,
+        bone_model=bone_model,
+        rig=rig,
+        start=start,
+        vertex_importance=vertex_importance,
+        frame_importance=frame_importance,
+        smoothness=0.0,
+        rng=rng,
+        time_limit=time_limit,
+        checkpoint=checkpoint,
+        callback=callback,
+    )
+    check_choice(measure, "measure", Measure)
+    parse_tolerance(tolerance, 1.0)
+    _check_beside_tolerance(problem, rig, most)
+    length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
+    compile_seconds = compile_kernels()
+    # where the motion leaves a joint open, its place is free
+    fixed = dataclasses.replace(problem.fixed, near_skin=False)
+    driver = Driver(dataclasses.replace(problem, bones=most, fixed=fixed), length, measure)
+    result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
+    problem.save(lambda: result.skinning, last=True)
+    for note in result.warnings:
+        warnings.warn(note, SsdrWarning, stacklevel=2)
+    return result
+
+
+def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
+    """Refuse what does not go together with a tolerance."""
+    if isinstance(rig, Skeleton):
+        raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
+    if problem.start is None:
+        for name in ("weights", "transforms"):
+            if getattr(problem.given, name) is not None:
+                raise InputError(f"start.{name}", "None beside a tolerance", "an array")
+    elif problem.start.n_bones > most:
+        raise InputError("start", f"at most {most} bones", problem.start.n_bones)
+    importance = problem.vertex_importance
+    if importance is not None and importance.min() < _LEAST_VERTEX:
+        raise InputError(
+            "vertex_importance",
+            f"numbers > 0 (at least {_LEAST_VERTEX:g} of the largest) beside a tolerance, "
+            "which bounds the plain error",
+            f"{importance.min():.3g} of the largest",
+        )

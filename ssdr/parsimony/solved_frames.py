@@ -1,0 +1,151 @@
+"""The frames that a search sees, and errors of models on them and on all frames.
+
+Frames that do not fit into memory are solved on representative ones and verified on all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..drivers.hand_back import skinning_of
+from ..drivers.passes import ENTERING, GAIN, AllFrames
+from ..drivers.problem import Problem
+from ..drivers.scan import Scan, needs_streaming, subset
+from ..drivers.streamed import scan_of
+from ..frames.error import largest_error, squared_error
+from ..frames.executor import Executor, executor_for
+from ..search.given import Given
+from ..search.progress import Clock
+from ..sequence import MeshSequence
+from ..skinning import Skinning
+from ..solver.model import Model
+from .report import Measure, size
+
+__all__ = ["SolvedFrames"]
+
+
+class SolvedFrames:
+    """The frames that a search sees: all of them, or representative ones where they are streamed.
+
+    Parameters
+    ----------
+    problem : Problem
+    measure : {"rmse", "max"}
+        Which error the search bounds.
+    clock : Clock
+        Serves the progress of the first walk over streamed frames.
+
+    Attributes
+    ----------
+    sequences : list of MeshSequence
+    data : Trajectories
+    given : Given
+        In the solver's space, of these frames.
+    scan : Scan or None
+        None where all frames are in memory.
+    """
+
+    def __init__(self, problem: Problem, measure: Measure, clock: Clock) -> None:
+        self.problem, self.measure = problem, measure
+        self.sequences, given = problem.sequences, problem.given
+        importance = problem.frame_importance
+        self.scan: Scan | None = None
+        self.executor: Executor | None = None
+        if needs_streaming(self.sequences):
+            self.executor = executor_for(self.sequences)
+            self.scan = scan_of(problem, clock, self.executor)
+            chosen = self.scan.chosen
+            self.sequences = [subset(self.sequences, chosen, executor=self.executor)]
+            importance, given = self.scan.importance(importance), given.of_frames(chosen)
+        self.data = problem.gather(self.sequences, importance).compressed(problem.bones)
+        self.given = given.inside(self.data)
+
+    def squared(self, rmse: float) -> float:
+        """Squared error of all vertices and frames in the solver's space."""
+        return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
+
+    def error(self, model: Model, measure: Measure | None = None) -> float:
+        """Error of a model on these frames, in the mesh's units."""
+        measure = measure or self.measure
+        if self.scan is not None and measure == "rmse":
+            # representative frames count as often as there are frames like them
+            return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
+        rest, transforms = self.data.to_world(model.rest, model.transforms)
+        return _error(measure, self.sequences, rest, model.indices, model.weights, transforms)
+
+    def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
+        """Error of a skinning of all frames."""
+        parts = (s.rest, s.indices, s.weights, s.transforms)
+        measure = measure or self.measure
+        return _error(measure, self.problem.sequences, *parts, executor=self.executor)
+
+    def skinning(self, model: Model) -> Skinning:
+        """The skinning of a model of these frames."""
+        return _trimmed(skinning_of(self.problem, self.data, model, self.sequences))
+
+    def skinning_of_all(
+        self,
+        model: Model,
+        *,
+        passes: int,
+        entering: int = ENTERING,
+        on_progress: Callable[[], bool],
+    ) -> Skinning:
+        """The skinning of all frames: where they are streamed, after passes over all of them.
+
+        Parameters
+        ----------
+        model : Model
+            Of the frames that the search sees.
+        passes : int
+            At most; they end when one gains little.
+        entering : int
+            Bones that may enter a vertex's support in a pass.
+        on_progress : callable
+            Called within a pass; the pass that is under way is the last one if it returns True.
+        """
+        if self.scan is None:
+            return self.skinning(model)
+        problem, last, stop = self.problem, math.inf, False
+        frames = AllFrames(
+            problem.sequences,
+            self.scan,
+            self.data,
+            model,
+            fixed=problem.fixed,
+            given=Given(),
+            importance=problem.frame_importance,
+            executor=self.executor,
+        )
+
+        def within(_: float) -> None:
+            nonlocal stop
+            stop = stop or on_progress()
+
+        for _ in range(passes):
+            value = frames.pass_over(entering=entering, on_progress=within)
+            if stop or not value < (1 - GAIN) * last:
+                break
+            last = value
+        return _trimmed(skinning_of(problem, frames.alignment, frames.model))
+
+    def bytes(self, model: Model) -> int:
+        """Bytes of a model with a key at every one of all frames."""
+        stored, frames = size(self.skinning(model)), self.data.n_frames
+        return stored.total + stored.keys // frames * (self.problem.n_frames - frames)
+
+
+def _error(measure: Measure, sequences: list[MeshSequence], *parts: Any, **executor: Any) -> float:
+    if measure == "max":
+        return largest_error(sequences, *parts, **executor)
+    count = sum(len(s) for s in sequences) * sequences[0].n_vertices
+    return math.sqrt(float(squared_error(sequences, *parts, **executor).sum()) / count)
+
+
+def _trimmed(skinning: Skinning) -> Skinning:
+    """With no more influences than the vertex of most has."""
+    return skinning.prune(int(np.count_nonzero(skinning.weights, axis=1).max()))

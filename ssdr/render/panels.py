@@ -1,0 +1,221 @@
+"""Panels: frames in several styles, with one camera, one lighting and one scale of the error."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from ..errors import InputError
+from .palette import heat, linear_from_srgb, srgb_from_linear
+from .parts import NEUTRAL
+from .raster import block_mean
+from .scene import Scene, Style, Unit, number
+from .skeleton import draw_bones
+from .studio import Stage
+from .view import View
+
+__all__ = ["INK", "QUIET", "Panels", "as_many", "checked_frames", "draw_scale"]
+
+Float = NDArray[np.float64]
+INK, QUIET = "#20242c", "#6b7280"
+_SAMPLES = 2  # per pixel along each axis
+_EVEN = 0.45  # share of the light without direction on colours that are read
+_GHOST = 0.55  # opacity of a surface that shows its bones
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Panels:
+    """Scenes and styles (rows of a sheet, panels of a film) and the frames in which to draw them.
+
+    Attributes
+    ----------
+    rows : tuple of (Scene, Style)
+    frames : tuple of int
+    view : View
+    top : float
+        Error that gets the last colour.
+    exceeded : bool
+        Whether a larger error occurs.
+    """
+
+    rows: tuple[tuple[Scene, Style], ...]
+    frames: tuple[int, ...]
+    view: View
+    top: float
+    exceeded: bool
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        styles: Sequence[Style | None],
+        frames: Sequence[int],
+        size: tuple[int, int] | None,
+        *,
+        with_reference: bool = True,
+        top: float | None = None,
+        **look: Any,
+    ) -> Panels:
+        """Check the arguments of a figure.
+
+        Parameters
+        ----------
+        scene : Scene
+        styles : sequence of Style
+            None stands for weights, or plain where there are no bones.
+        frames : sequence of int
+        size : (int, int) or None
+            Of a panel, in pixels.
+        with_reference : bool
+            Whether the reference, if there is one, is the first row.
+        top : float, optional
+            Error that gets the last colour; by default a round number that few errors exceed.
+        **look
+            Of :meth:`View.of`.
+        """
+        rows = [(scene, _checked_style(style, scene)) for style in styles]
+        if with_reference and scene.reference is not None:
+            parts = scene.parts if scene.has_parts else ()
+            rows.insert(0, (Scene.of(scene.reference, None, parts), "plain"))
+        order = checked_frames(frames, scene.subject.n_frames)
+        view = View.of(scene, order, size, **look)
+        exceeded = False
+        if any(style == "error" for _, style in rows):
+            high, largest = scene.error_range(order)
+            top = top or _round_up(high)
+            exceeded = largest > top
+        return cls(tuple(rows), tuple(order), view, top or 1.0, exceeded)
+
+    @property
+    def scene(self) -> Scene:
+        """The subject, beside its reference or alone."""
+        return self.rows[-1][0]
+
+    @property
+    def with_error(self) -> bool:
+        """Whether a row shows the error."""
+        return any(style == "error" for _, style in self.rows)
+
+    def draw(self, frame: int) -> list[Image.Image]:
+        """Every row's picture of a frame."""
+        stages: dict[int, Stage] = {}  # shared by all rows of a scene
+        pictures = []
+        for scene, style in self.rows:
+            if id(scene) not in stages:
+                stages[id(scene)] = self._stage(scene, frame)
+            stage = stages[id(scene)]
+            even = _EVEN if style in ("weights", "error") else 0.0
+            opacity = _GHOST if style == "bones" else 1.0
+            picture = stage.draw(self._colors(scene, style, frame), even, opacity)
+            if style == "bones":
+                camera, shift = self.view.camera, self.view.shift[frame]
+                draw_bones(picture, stage.nearness, camera, scene, frame, shift)
+            pixels = 255 * srgb_from_linear(block_mean(picture, _SAMPLES))
+            pictures.append(Image.fromarray(pixels.round().astype(np.uint8)))
+        return pictures
+
+    def _stage(self, scene: Scene, frame: int) -> Stage:
+        size = (self.view.size[0] * _SAMPLES, self.view.size[1] * _SAMPLES)
+        points = scene.visible(frame) - self.view.shift[frame]
+        if not len(scene.faces):
+            return Stage.of_cloud(self.view.camera, size, points, scene.ball_radius)
+        return Stage.of_mesh(self.view.camera, size, points, scene.faces, self.view.ground)
+
+    def _colors(self, scene: Scene, style: Style, frame: int) -> Float:
+        """Linear RGB of each vertex, ``(V, 3)``."""
+        if style == "weights":
+            return scene.weight_colors
+        colors = np.zeros((len(scene.measured), 3))
+        for part in scene.parts:
+            colors[part.vertices] = linear_from_srgb(NEUTRAL if style == "error" else part.color)
+        if style == "error":
+            colors[scene.measured] = heat(scene.errors(frame)[scene.measured] / self.top)
+        return colors
+
+
+def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
+    """Texts, one for each thing; InputError if their numbers differ."""
+    if isinstance(texts, str) or len(texts) != len(things):
+        raise InputError(name, f"{len(things)} texts", texts)
+    return [str(t) for t in texts]
+
+
+def checked_frames(frames: Any, n_frames: int) -> list[int]:
+    """Indices of frames, negative ones counted from the end."""
+    order = [int(t) for t in frames]
+    if not order:
+        raise InputError("frames", "at least one frame", "none")
+    for t in order:
+        if not -n_frames <= t < n_frames:
+            raise InputError("frames", f"indices from 0 to {n_frames - 1}", t)
+    return [t % n_frames for t in order]
+
+
+def _checked_style(style: Style | None, scene: Scene) -> Style:
+    if style is None:
+        return "weights" if scene.has_bones else "plain"
+    if style not in get_args(Style):
+        raise InputError("style", f"one of {', '.join(get_args(Style))}", repr(style))
+    if style in ("weights", "bones") and not scene.has_bones:
+        raise InputError("style", "plain or error for a sequence, which has no bones", repr(style))
+    if style == "error" and scene.reference is None:
+        raise InputError("reference", "a MeshSequence to measure the error against", None)
+    return style
+
+
+def _round_up(value: float) -> float:
+    """The next 1, 1.5, 2, 3, 4, 5, 6 or 8 times a power of ten."""
+    if not value > 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(s * power for s in (1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15) if s * power >= value * 0.999)
+
+
+def draw_scale(
+    page: Image.Image,
+    panels: Panels,
+    unit: Unit,
+    bar: tuple[int, int, int],
+    scale: float,
+    font: Any,
+    ticks: str = "lmmmr",
+) -> float:
+    """Draw the colours of the error from left to right, and what they mean above.
+
+    Parameters
+    ----------
+    page : PIL.Image.Image
+        Updated.
+    panels : Panels
+    unit : (str, float)
+    bar : (int, int, int)
+        Left, top and width.
+    scale : float
+        Pixels per unit of design.
+    font
+    ticks : str
+        Horizontal anchor of the text at each tick.
+
+    Returns
+    -------
+    float
+        Height of the bar.
+    """
+    left, y, width = bar
+    height = round(16 * scale)
+    colors = (255 * srgb_from_linear(heat(np.linspace(0, 1, width)))).round().astype(np.uint8)
+    page.paste(Image.fromarray(np.tile(colors, (height, 1, 1))), (left, y))
+    draw = ImageDraw.Draw(page)
+    draw.rectangle((left, y, left + width - 1, y + height - 1), outline="#c4c9d2")
+    for share, anchor in zip(np.linspace(0, 1, len(ticks)), ticks, strict=True):
+        x = left + (width - 1) * share
+        text = f"{'> ' if share == 1 and panels.exceeded else ''}{number(panels.top * share, unit)}"
+        draw.line((x, y - 4 * scale, x, y), fill=QUIET)
+        draw.text((x, y - 6 * scale), text, INK, font, anchor + "s")
+    return height

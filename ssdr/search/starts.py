@@ -1,0 +1,163 @@
+"""The stages that make a first model: from motion, from parts of a model, or from a whole one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..solver.alternation import alternate, bone_step, vertex_step
+from ..solver.gauss_newton import fit_motion
+from ..solver.initialization import fit_patches, single_bone_errors, start_model
+from ..solver.model import Model
+from ..solver.trajectories import Array
+from .run import Run, Stage
+
+__all__ = ["QuickStart", "Spread", "Start", "StartFromModel"]
+
+# Frames of a quick start where there are twice as many or more, and alternations on them: 64
+# frames tell which bones there are, and 16 alternations place them.
+_FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
+# Where bones of a frame start from those of another frame: Gauss–Seidel sweeps, and leaps of all
+# bones together, since sweeps alone carry a bone far only in many rounds.
+_FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Start(Stage):
+    """Bones from motion, or from what the caller gave, and their first weights.
+
+    Attributes
+    ----------
+    factor : float
+        Bones to start with, relative to those asked for; a merge removes the excess.
+    influences : int or None
+        Influences of the start; None: those asked for.
+    """
+
+    phase: ClassVar[str] = "start"
+    cost: float = 8
+    factor: float = 1.0
+    influences: int | None = None
+
+    def apply(self, run: Run) -> Iterator[None]:
+        run.model = self._model(run)
+        vertex_step(run.data, run.model, fixed=run.fixed)
+        yield
+
+    def _model(self, run: Run, *, quick: bool = False) -> Model:
+        data, given = run.data, run.present_parts
+        influences = self.influences or run.influences
+        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
+        bones = given.transforms
+        if given.indices is not None and given.weights is not None:
+            if bones is None:
+                bones = _patches_of_weights(run, rest, given.indices)
+            return Model.with_weights(bones.copy(), rest, given.indices, given.weights, influences)
+        if bones is not None and bones.shape[1] == run.bones:
+            every = np.arange(data.n_vertices)
+            cost, positions = single_bone_errors(data, given.rest, bones, every)
+            label = cost.argmin(axis=1)
+            if positions is not None:
+                rest = np.ascontiguousarray(positions[every, :, label])
+            return Model.start(bones.copy(), rest, label, influences)
+        count = min(data.n_vertices, max(run.bones, round(run.bones * self.factor)))
+        kind = run.fixed.bone_model
+        return start_model(data, rest, count, influences, run.rng, bones, kind, quick=quick)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class QuickStart(Start):
+    """A start that is soon made: settled on 64 frames where there are many, then on all."""
+
+    phase: ClassVar[str] = "quick"
+
+    def apply(self, run: Run) -> Iterator[None]:
+        data, given = run.data, run.given
+        if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
+            run.model = self._model(run, quick=True)
+            vertex_step(data, run.model, fixed=run.fixed)
+            yield
+            return
+        chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
+        few = data.select_frames(chosen)
+        rest = data.frame(given.rest_frame) if given.rest is None else given.rest
+        influences, kind = self.influences or run.influences, run.fixed.bone_model
+        model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
+        vertex_step(few, model, fixed=run.fixed)
+        alternate(few, model, _FEW_ALTERNATIONS, run.fixed)
+        between = 0.5 * (chosen[1:] + chosen[:-1])
+        nearest = np.searchsorted(between, np.arange(data.n_frames))
+        model.transforms = np.ascontiguousarray(model.transforms[nearest])
+        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed)
+        vertex_step(data, model, fixed=run.fixed)
+        run.model = model
+        yield
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class StartFromModel(Stage):
+    """A whole model that the caller gave, unchanged where its transforms are of these frames.
+
+    They are not where each bone's own fit to the vertices that it moves most has less error: then
+    the bones are fitted to the weights, and attached to their joints anew.
+    """
+
+    phase: ClassVar[str] = "start"
+    cost: float = 8
+
+    def apply(self, run: Run) -> Iterator[None]:
+        data, given = run.data, run.given
+        assert given.rest is not None
+        assert given.indices is not None
+        own = self._model(run, _patches_of_weights(run, given.rest, given.indices))
+        model = own if given.transforms is None else self._model(run, given.transforms.copy())
+        tree = given.tree if run.rigid_joints else None
+        if own is model or own.weighted_error(data) < model.weighted_error(data):
+            model = own
+            fit_motion(data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+            _measure_error(run, model)
+            tree = None if tree is None else dataclasses.replace(tree, rigid=False)
+            run.given = dataclasses.replace(given, transforms=None)
+        model.tree = tree
+        run.model = model
+        yield
+
+    def _model(self, run: Run, bones: Array) -> Model:
+        given = run.given
+        assert given.rest is not None
+        assert given.indices is not None
+        assert given.weights is not None
+        parts = (given.rest, given.indices, given.weights)
+        model = Model.with_weights(bones, *parts, run.influences)
+        _measure_error(run, model)
+        return model
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Spread(Stage):
+    """Fit the bones of frames that start with those of other frames; measure the error."""
+
+    phase: ClassVar[str] = "spread"
+    cost: float = 12
+
+    def apply(self, run: Run) -> Iterator[None]:
+        model = run.present
+        fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+        _measure_error(run, model)
+        yield
+
+
+def _patches_of_weights(run: Run, rest: Array, indices: NDArray[np.int32]) -> Array:
+    """Each bone's own fit to the vertices that it moves most."""
+    label, kind = indices[:, 0].astype(np.intp), run.fixed.bone_model
+    return fit_patches(run.data, rest, label, run.bones, kind)
+
+
+def _measure_error(run: Run, model: Model) -> None:
+    """Set the error of every vertex; nothing moves."""
+    every = np.ones(run.data.n_vertices, dtype=bool)
+    vertex_step(run.data, model, fixed=dataclasses.replace(run.fixed, rest=True, weights=every))

@@ -1,0 +1,181 @@
+"""Affine transforms of all bones by one linear solve, and bounds that keep them invertible.
+
+With weights and rest pose given, the error of a frame is a quadratic in the stacked transforms
+whose matrix U is the same for every frame and axis: one Cholesky factor serves them all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ..kernels.bones import LARGEST, SMALLEST, SPECK
+from ..parallel import chunk_bounds, run_chunks, serial_blas
+from ..rigid import nearest_rotation
+from .moments import stack_blocks
+from .trajectories import Array, stack_transforms, unstack_transforms
+
+__all__ = [
+    "PATCH_RIDGE",
+    "admissible",
+    "leap_rigid",
+    "ridge_blocks",
+    "solve_affine",
+    "stack_diagonal",
+]
+
+# Strengths of the ridge: for patches of few vertices, which may lie in a plane, for a step of the
+# alternation, and for a leap.
+PATCH_RIDGE, _RIDGE, _LEAP_RIDGE = 0.1, 1e-4, 1e-3
+_LEAPS = 2  # rounds of a leap
+_SWEEPS = 2  # Gauss–Seidel passes over the bones: more take longer and converge further
+_HALVINGS = 10  # most halvings of an inadmissible move; if it still is inadmissible, the bone stays
+
+
+def admissible(old: Array, new: Array) -> NDArray[np.bool_]:
+    """Whether bones (..., 3, 4) may go from old to new: not reflected, flat or too large.
+
+    A bone that is flatter or larger than the bounds may not go further beyond them.
+    """
+    a, b = old[..., :3], new[..., :3]
+    upright = np.linalg.det(b) >= np.minimum(np.linalg.det(a), SMALLEST**3)
+    size, most = (b * b).sum(axis=(-2, -1)), 3 * LARGEST**2
+    return np.asarray(upright & (size <= np.maximum((a * a).sum(axis=(-2, -1)), most)))
+
+
+def ridge_blocks(u: Array, ridge: float) -> Array:
+    """Metrics (B, 4, 4) of a change δM = [δL, δT] of each bone, for a ridge penalty.
+
+    The penalty is Σ_i w_i² · ridge · (spread |δL|² + |δM c̃|²): c is the centroid of the vertices
+    that the bone moves, spread their mean squared extent in a direction.  It is small against the
+    error in every direction that the vertices determine, and decides only the others.
+    """
+    n = len(u)
+    own = u[np.arange(n), np.arange(n)]
+    mass = np.maximum(own[:, 3, 3], 1e-12 * max(float(own[:, 3, 3].max()), 1e-300))
+    centre = own[:, :, 3] / mass[:, None]
+    centre[:, 3] = 1.0
+    spread = np.einsum("jcc->j", own[:, :3, :3]) / mass - (centre[:, :3] ** 2).sum(axis=1)
+    out = ridge * centre[:, :, None] * centre[:, None, :]
+    out[:, :3, :3] += (ridge * np.maximum(spread, 0.0) / 3 + SPECK)[:, None, None] * np.eye(3)
+    return np.asarray(out * mass[:, None, None])
+
+
+def stack_diagonal(blocks: Array) -> Array:
+    """Blocks (B, 4, 4) on the diagonal of a matrix (4B, 4B), as :func:`stack_blocks`."""
+    n = len(blocks)
+    full = np.zeros((n, n, 4, 4))
+    full[np.arange(n), np.arange(n)] = blocks
+    return stack_blocks(full)
+
+
+def solve_affine(
+    transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_], *, ridge: float = _RIDGE
+) -> None:
+    """Fit affine transforms (F, B, 3, 4) to all frames by least squares (in place).
+
+    No frame's error rises.  A ridge towards the present transforms decides what vertices leave
+    open that lie in a plane or on a line or are too few.  Where a bone would become inadmissible,
+    the bones of its frame are solved one by one, each going as far towards its optimum as it may.
+
+    Parameters
+    ----------
+    u : (B, B, 4, 4) array
+    c : (F, 3, 4, B) array
+        Both as :func:`~ssdr.solver.moments.bone_sums` returns them.
+    locked : (B,) bool array
+    ridge : float
+        Strength of the ridge, as in :func:`ridge_blocks`.
+    """
+    free = np.tile(~locked, 4)
+    if not free.any():
+        return
+    flat = stack_blocks(u)
+    metric = flat + stack_diagonal(ridge_blocks(u, ridge))
+    old = stack_transforms(transforms)
+    with serial_blas():
+        slope = c.reshape(old.shape) - old @ flat
+        found = _optimum(metric[np.ix_(free, free)], old, slope, free)
+    bad = ~admissible(transforms, found).all(axis=1)
+    transforms[~bad] = found[~bad]
+    if bad.any():
+        some = np.ascontiguousarray(transforms[bad])
+        _sweep_admissible(some, flat, metric, c[bad], locked)
+        transforms[bad] = some
+
+
+def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
+    """Move rigid bones to the rotations nearest to the affine optimum, where that pays (in place).
+
+    Gauss–Seidel sweeps take many rounds to carry a bone far together with its neighbours; a leap
+    moves all bones of a frame at once.  A frame whose error would rise stays.  Parameters are
+    those of :func:`solve_affine`.
+    """
+    n_frames, n_bones = transforms.shape[:2]
+    free = np.tile(~locked, 4)
+    if not free.any():
+        return
+    index = np.arange(n_bones)
+    flat = stack_blocks(u)
+    metric = (flat + stack_diagonal(ridge_blocks(u, _LEAP_RIDGE)))[np.ix_(free, free)]
+    mass = np.maximum(u[index, index, 3, 3], 1e-300)
+    centre = u[index, index, :3, 3] / mass[:, None]
+
+    def work(_: int, i: int, k: int) -> None:
+        for _round in range(_LEAPS):
+            old, target = stack_transforms(transforms[i:k]), c[i:k].reshape(-1, 4 * n_bones)
+            product = old @ flat
+            found = _optimum(metric, old, target - product, free)
+            near = transforms[i:k].copy()
+            rotation = nearest_rotation(found[:, ~locked, :, :3])
+            moved = found[:, ~locked] - np.pad(rotation, [(0, 0), (0, 0), (0, 0), (0, 1)])
+            shift = np.einsum("tjab,jb->tja", moved[..., :3], centre[~locked]) + moved[..., 3]
+            near[:, ~locked] = np.concatenate([rotation, shift[..., None]], axis=-1)
+            new = stack_transforms(near)
+            before = (old * (product - 2 * target)).reshape(k - i, -1).sum(axis=1)
+            after = (new * (new @ flat - 2 * target)).reshape(k - i, -1).sum(axis=1)
+            better = after < before
+            transforms[i:k][better] = near[better]
+
+    with serial_blas():
+        run_chunks(work, chunk_bounds(n_frames, 32))
+
+
+def _optimum(metric: Array, old: Array, slope: Array, free: NDArray[np.bool_]) -> Array:
+    """Least-squares transforms (F, B, 3, 4) from stacked ones, in the free columns."""
+    new = old.copy()
+    new[:, free] += _solved(metric, slope[:, free].T).T
+    return unstack_transforms(new, old.shape[1] // 4)
+
+
+def _solved(metric: Array, slope: Array) -> Array:
+    try:
+        return np.asarray(cho_solve(cho_factor(metric, lower=True), slope))
+    except np.linalg.LinAlgError:
+        # rounding at bones very far away has made the matrix indefinite
+        return np.asarray(np.linalg.pinv(metric, hermitian=True) @ slope)
+
+
+def _sweep_admissible(
+    transforms: Array, flat: Array, metric: Array, c: Array, locked: NDArray[np.bool_]
+) -> None:
+    """Solve bone by bone (in place), each as far towards its optimum as is admissible."""
+    n_frames, n_bones = transforms.shape[:2]
+    stacked = stack_transforms(transforms).reshape(n_frames, 3, 4 * n_bones)
+    target = c.reshape(stacked.shape)
+    for _ in range(_SWEEPS):
+        for j in np.flatnonzero(~locked):
+            mine = np.arange(4) * n_bones + j
+            slope = target[..., mine] - stacked @ flat[:, mine]
+            step = _solved(metric[np.ix_(mine, mine)], slope.reshape(-1, 4).T).T
+            step = step.reshape(n_frames, 3, 4)
+            now = stacked[..., mine]
+            for _ in range(_HALVINGS):
+                moved = now + step
+                over = ~admissible(now, moved)
+                if not over.any():
+                    break
+                step[over] *= 0.5
+            stacked[..., mine] = np.where(over[:, None, None], now, moved)
+    transforms[:] = unstack_transforms(stacked, n_bones)

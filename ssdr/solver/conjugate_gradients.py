@@ -1,0 +1,129 @@
+"""Preconditioned conjugate gradients that hand their directions on to the next, similar system.
+
+References
+----------
+Morales and Nocedal, "Automatic preconditioning by limited memory quasi-Newton updating", 2000.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from ..parallel import chunk_bounds, run_chunks
+from .trajectories import Array
+
+__all__ = ["Operator", "Recycled", "conjugate_gradients"]
+
+Operator = Callable[[Array], Array]  # a linear map of arrays of one shape
+
+_CONVERGED = 1e-10  # squared residual rᵀ P r, relative to the first, that ends the iteration
+_NUMBERS = 1 << 21  # most numbers of all kept directions, and as many of their images
+_COLUMNS = 1 << 14  # columns of both on which a thread works at once
+
+
+def conjugate_gradients(
+    apply: Operator,
+    rhs: Array,
+    precondition: Operator,
+    *,
+    steps: int,
+    recycled: Recycled | None = None,
+) -> tuple[Array, Array, Recycled | None]:
+    """Solve A x = b for a symmetric positive definite matrix A, from x = 0.
+
+    Parameters
+    ----------
+    apply : callable
+        A times an array.
+    rhs : array
+        b.
+    precondition : callable
+        An approximate inverse of A, symmetric positive definite, times an array.
+    steps : int
+        Most products with A.
+    recycled : Recycled, optional
+        Directions of an earlier, similar system.
+
+    Returns
+    -------
+    x, residual : arrays
+        The residual b − A x as the iteration carries it.
+    recycled : Recycled or None
+        Directions for the next system.
+    """
+    if recycled is not None:
+        precondition = recycled.update(precondition)
+    x, residual = np.zeros_like(rhs), rhs.copy()
+    z = precondition(residual)
+    direction = z.copy()
+    rho = first = float(np.vdot(residual, z))
+    pairs: list[tuple[Array, Array]] = []
+    for _ in range(steps):
+        if not rho > _CONVERGED * first:
+            break
+        image = apply(direction)
+        curvature = float(np.vdot(direction, image))
+        if not curvature > 0:
+            break
+        pairs.append((direction, image))
+        alpha = rho / curvature
+        x += alpha * direction
+        residual -= alpha * image
+        z = precondition(residual)
+        rho, last = float(np.vdot(residual, z)), rho
+        direction = z + (rho / last) * direction
+    return x, residual, Recycled.of(pairs) or recycled
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Recycled:
+    """Conjugate directions s with their images y = A s, scaled to sᵀ y = 1.
+
+    Consecutive Gauss–Newton steps solve nearly the same system.  With V = I − Σ y sᵀ the next
+    solve is preconditioned by Vᵀ P V + Σ s sᵀ in place of P, which is A⁻¹ on the span of the
+    directions and positive definite wherever P is.
+
+    Attributes
+    ----------
+    directions, images : (m, n) float64
+    """
+
+    directions: Array
+    images: Array
+
+    @staticmethod
+    def of(pairs: list[tuple[Array, Array]]) -> Recycled | None:
+        """The first pairs (direction, image) of a solve that fit the memory; None if none do."""
+        few = pairs[: _NUMBERS // max(1, pairs[0][0].size)] if pairs else []
+        if not few:
+            return None
+        directions, images = (np.empty((len(few), few[0][0].size)) for _ in range(2))
+        for k, (direction, image) in enumerate(few):
+            scale = 1.0 / np.sqrt(np.vdot(direction, image))
+            directions[k], images[k] = scale * direction.ravel(), scale * image.ravel()
+        return Recycled(directions, images)
+
+    def update(self, precondition: Operator) -> Operator:
+        """Vᵀ P V + Σ s sᵀ, from P."""
+        s, y = self.directions, self.images
+        pieces = chunk_bounds(s.shape[1], _COLUMNS)
+
+        def products(rows: Array, x: Array) -> Array:
+            parts = run_chunks(lambda _, i, k: rows[:, i:k] @ x[i:k], pieces)
+            return np.asarray(np.sum(parts, axis=0))
+
+        def plus(x: Array, factors: Array, rows: Array) -> Array:
+            out = np.empty_like(x)
+            run_chunks(lambda _, i, k: np.add(x[i:k], factors @ rows[:, i:k], out=out[i:k]), pieces)
+            return out
+
+        def updated(r: Array) -> Array:
+            flat = r.ravel()
+            share = products(s, flat)
+            z = precondition(plus(flat, -share, y).reshape(r.shape)).ravel()
+            return plus(z, share - products(y, z), s).reshape(r.shape)
+
+        return updated

@@ -1,0 +1,49 @@
+"""The gauge of bones that stretch: which of all equal rest poses a model has."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from .model import Fixed, Model
+from .trajectories import Array
+
+__all__ = ["normalise_gauge"]
+
+
+def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
+    """Give bones a mean stretch of 1 (in place); no vertex moves in any frame.
+
+    p → A p, L → L A⁻¹ changes nothing for the bones and vertices of a part that
+    shares none with the rest of the mesh.  A, about the part's centroid, is the
+    root of the mean LᵀL over its bones and frames (its mean size only, for scaled
+    rotations), so that the rest pose has the mean size and proportions of the motion.
+    """
+    if fixed.bone_model == "rigid" or fixed.rest or fixed.bones is not None:
+        return
+    n_bones = model.n_bones
+    used = model.weights > 0
+    first = np.broadcast_to(model.indices[:, :1], used.shape)[used]
+    links = coo_array((np.ones(len(first)), (first, model.indices[used])), shape=(n_bones, n_bones))
+    count, part = connected_components(links, directed=False)
+    share = importance[:, None] * model.weights
+    mass = np.bincount(model.indices.ravel(), weights=share.ravel(), minlength=n_bones)
+    linear, shift = model.transforms[..., :3], model.transforms[..., 3]
+    stretch = np.einsum("tjca,tjcb->jab", linear, linear) / len(linear)
+    for k in range(count):
+        bones, mine = part == k, part[model.indices[:, 0]] == k
+        if not mass[bones].sum() > 0:
+            continue
+        mean = np.einsum("j,jab->ab", mass[bones] / mass[bones].sum(), stretch[bones])
+        if fixed.bone_model == "similarity":
+            mean = np.eye(3) * np.trace(mean) / 3
+        values, vectors = np.linalg.eigh(mean)
+        root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+        shape, back = (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+        centre = model.rest[mine].mean(axis=0)
+        old = linear[:, bones]
+        new = old @ back
+        shift[:, bones] += (old - new) @ centre
+        linear[:, bones] = new
+        model.rest[mine] = (model.rest[mine] - centre) @ shape.T + centre

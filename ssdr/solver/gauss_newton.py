@@ -1,0 +1,177 @@
+"""Gauss–Newton on the bones, with weights and rest pose projected out.
+
+The objective becomes φ(M) = min over weights and rest pose.  In unknowns x that move the bones (see
+:mod:`~ssdr.solver.tangents`), a step solves
+
+    [Jᵀ (H_mm − H_mv H_vv⁻¹ H_vm) J + λD] x = −Jᵀ ∇φ
+
+by conjugate gradients: m are the stacked transforms, v the vertices' unknowns, J is the image of a
+tangent, λ the damping.
+
+References
+----------
+Golub and Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems
+whose variables separate", 1973; Ruhe and Wedin, "Algorithms for separable nonlinear least squares
+problems", 1980 (the approximation that drops second derivatives).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ..parallel import serial_blas
+from .alternation import bone_step
+from .conjugate_gradients import Recycled, conjugate_gradients
+from .model import FREE, Fixed, Model
+from .objective import Objective
+from .tangents import AffineTangent, ChainTangent, RigidTangent, SimilarityTangent, Tangent
+from .trajectories import Array, Trajectories
+from .vertex_elimination import ReducedSystem
+from .vertex_newton import optimise_vertices
+
+__all__ = ["GaussNewton", "fit_motion", "tangent_of"]
+
+_DAMPING = 1e-3  # λ of the first step
+_STEPPED = ("transforms", "rest", "indices", "weights", "error")  # arrays that a step changes
+# Steps on bones with joints that stand for a leap of free bones, and the relative gain of a step
+# below which no further one is taken.
+_STEPS_OF_A_LEAP, _LEAST_GAIN = 3, 1e-3
+
+
+class GaussNewton:
+    """Gauss–Newton steps on one model, each of all bones, weights and the rest pose.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+        Accepted steps change it in place; what else changes it makes this object invalid.
+    fixed : Fixed
+    damping : float, optional
+        λ of an earlier object for this very model, to go on exactly where that one stopped.  By
+        default the vertices are optimised first.
+    recycled : Recycled, optional
+        Conjugate directions of the last step of that object.
+
+    Attributes
+    ----------
+    value : float
+        Objective of the model.
+    damping : float
+    recycled : Recycled or None
+    """
+
+    def __init__(
+        self,
+        data: Trajectories,
+        model: Model,
+        *,
+        fixed: Fixed = FREE,
+        damping: float | None = None,
+        recycled: Recycled | None = None,
+    ) -> None:
+        self.data, self.model, self.fixed = data, model, fixed
+        self.tangent, self.objective = tangent_of(data, model, fixed), Objective(fixed)
+        self.damping = _DAMPING if damping is None else damping
+        self.recycled = recycled
+        # with a damping, the vertices are optimised already and need only be factored
+        first = {"entering": 3, "rounds": 2} if damping is None else {"entering": -1, "rounds": 0}
+        self._vertices = optimise_vertices(data, model, fixed=fixed, **first)
+        self._system: ReducedSystem | None = None
+        self.value = self.objective.value(data, model)
+
+    @serial_blas()
+    def step(self, *, entering: int = 0) -> bool:
+        """Take one step; True if it was accepted.  The objective never rises.
+
+        Parameters
+        ----------
+        entering : int
+            Number of bones that may enter the influences of each vertex.
+        """
+        data, model, system = self.data, self.model, self._reduced()
+        x, predicted = self._solve(system)
+        trial = dataclasses.replace(model, **{k: getattr(model, k).copy() for k in _STEPPED})
+        system.move_vertices(trial, self.tangent.image(x))
+        self.tangent.move(trial, x)
+        vertices = optimise_vertices(data, trial, fixed=self.fixed, entering=entering, rounds=2)
+        value = self.objective.value(data, trial)
+        if not value <= self.value:
+            self.damping = min(self.damping * 8.0, 1e6)
+            return False
+        ratio = (self.value - value) / predicted if predicted > 0 else 1.0
+        if ratio > 0.7:
+            self.damping = max(self.damping / 5.0, 1e-8)
+        elif ratio < 0.25:
+            self.damping *= 3.0
+        for name in (*_STEPPED, "tree"):
+            setattr(model, name, getattr(trial, name))
+        self._vertices, self._system, self.value = vertices, None, value
+        return True
+
+    def _reduced(self) -> ReducedSystem:
+        """The normal equations at the model, which rejected steps leave as they are."""
+        if self._system is None:
+            self._system = ReducedSystem(
+                self.data, self.model, self.fixed, self._vertices, self.tangent.precision
+            )
+        return self._system
+
+    def _solve(self, system: ReducedSystem) -> tuple[Array, float]:
+        """The damped step, and the decrease of the objective that the quadratic model predicts."""
+        tangent = self.tangent
+        penalty = self.objective.joint_penalty(self.data, self.model, tangent.joints)
+        tangent.penalty = penalty
+        rhs = -tangent.pullback(system.gradient)
+        tangent.joint_part(rhs)[:] -= penalty.stiffness * penalty.offsets
+        precondition, damp = tangent.precondition(system.u, self.damping)
+
+        def apply(x: Array) -> Array:
+            out = tangent.pullback(system.times(tangent.image(x)))
+            out += damp(x)
+            tangent.joint_part(out)[:] += penalty.stiffness * tangent.joint_part(x)
+            return out
+
+        x, residual, self.recycled = conjugate_gradients(
+            apply, rhs, precondition, steps=tangent.conjugate_steps, recycled=self.recycled
+        )
+        # the undamped quadratic falls by 2·rhs·x − xᵀAx, with A x = rhs − residual − λDx
+        undamped = rhs - residual - damp(x)
+        return x, penalty.factor * float(2.0 * np.vdot(rhs, x) - np.vdot(x, undamped))
+
+
+def tangent_of(data: Trajectories, model: Model, fixed: Fixed) -> Tangent:
+    """The tangent of the bone model, or of the chain where the model has a tree."""
+    if model.tree is not None:
+        return ChainTangent(data, model, fixed)
+    kinds: dict[str, type[Tangent]] = {
+        "rigid": RigidTangent,
+        "similarity": SimilarityTangent,
+        "affine": AffineTangent,
+    }
+    return kinds[fixed.bone_model](data, model, fixed)
+
+
+def fit_motion(data: Trajectories, model: Model, *, fixed: Fixed, sweeps: int, leaps: int) -> None:
+    """Fit the transforms of every frame under the model's weights and rest pose (in place).
+
+    Bones of a tree turn about their joints, which stay, and roots move freely.
+
+    Parameters
+    ----------
+    sweeps, leaps : int
+        Of free bones, as in :func:`~ssdr.solver.alternation.bone_step`; a leap stands for some
+        Gauss–Newton steps of bones with joints.
+    """
+    if model.tree is None:
+        bone_step(data, model, sweeps=sweeps, fixed=fixed, leaps=leaps)
+        return
+    every = np.ones(data.n_vertices, dtype=bool)
+    as_is = dataclasses.replace(fixed, rest=True, weights=every, joints=True)
+    newton = GaussNewton(data, model, fixed=as_is)
+    for _ in range(_STEPS_OF_A_LEAP * leaps):
+        before = newton.value
+        if newton.step() and newton.value > (1 - _LEAST_GAIN) * before:
+            break

@@ -1,0 +1,191 @@
+"""Bones of a tree with rigid joints: local rotations, translations of the roots, and the joints."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ...hierarchy.tree import Tree
+from ...kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
+from ...parallel import chunk_bounds, run_chunks
+from ..conjugate_gradients import Operator
+from ..dense import inverse_of
+from ..model import FREE, Fixed, Model
+from ..objective import JointPenalty
+from ..trajectories import Array, Trajectories
+from .rigid import RigidTangent
+from .tangent import Tangent
+
+__all__ = ["ChainTangent"]
+
+_GROUP = 12  # fewest frames that share a factor of the preconditioner
+_MEMORY = 64 << 20  # most bytes of these factors, unless there are few
+_FEW = 8
+_DAMPED = 1e-9  # damping, relative to the diagonal, of unknowns that nothing else determines
+_ROUNDING = 1e-12
+# Smallest entries of the damping's diagonal, relative to the largest: of frames, and of joints.
+_LEAST = 1e-12, 1e-9
+
+
+class ChainTangent(Tangent):
+    """x of ω of every bone and τ of every root, frame by frame, then δc of every joint.
+
+    ω and τ are in the bone's own axes; all frames share the δc.  Every bone but the roots follows
+    its joint.  The model's tree must be rigid.
+    """
+
+    conjugate_steps = 30  # more than for free bones, since a joint moves its whole subtree
+
+    def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
+        super().__init__(data, model)
+        self._bones = RigidTangent(data, model)
+        self._bones.precision = self.precision  # long chains need it
+        tree = self.tree
+        assert tree.rigid
+        self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
+        self.joints = tree.non_roots[:0] if fixed.joints else tree.non_roots
+        self.penalty = JointPenalty.none(len(self.joints))
+        # bones that keep their rotation relative to the parent, so that ω follows the parent's
+        self._tied = fixed.kept_rotations(tree)
+
+    @property
+    def tree(self) -> Tree:
+        """The model's tree at present."""
+        assert self.model.tree is not None
+        return self.model.tree
+
+    def image(self, x: Array) -> Array:
+        m = self.model.transforms
+        tangents = np.empty((*m.shape[:2], 6))
+        chain_image(m, *self._chain(), *self._unpacked(x), tangents, 0, len(m))
+        return self._bones.image(tangents)
+
+    def pullback(self, gradient: Array) -> Array:
+        m = self.model.transforms
+        n_frames, n_bones = m.shape[:2]
+        turns, shifts = np.empty((n_frames, n_bones, 3)), np.empty((n_frames, n_bones, 3))
+        moved, tangents = np.zeros((n_bones, 3)), self._bones.pullback(gradient)
+        chain_pullback(m, *self._chain(), tangents, turns, shifts, moved, 0, n_frames)
+        for j, k, turn in self._tied[::-1]:
+            turns[:, k] += np.einsum("tba,ta->tb", turn, turns[:, j])
+            turns[:, j] = 0.0
+        out = self.zeros()
+        frames, joints = self.parts(out)
+        frames[:, : 3 * n_bones] = turns.reshape(n_frames, -1)
+        frames[:, 3 * n_bones :] = shifts[:, self._roots].reshape(n_frames, -1)
+        joints[:] = moved[self.joints]
+        return out
+
+    def move(self, model: Model, x: Array) -> None:
+        """Move the joints, then turn every bone by exp(ω) and put it on its joint."""
+        turns, shifts, moved = self._unpacked(x)
+        m, points = model.transforms, self.tree.points + moved
+        model.tree = dataclasses.replace(self.tree, points=points)
+
+        def work(_: int, i: int, k: int) -> None:
+            chain_move(
+                m[i:k], self._order, self._parents, points, turns[i:k], shifts[i:k], 0, k - i
+            )
+
+        run_chunks(work, self.chunks)
+
+    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+        """The inverse of H + λD averaged over groups of frames, and λD.
+
+        The unknowns of the frames are eliminated exactly; joints see all frames.
+        """
+        m = self.model.transforms
+        n_frames, n_bones = m.shape[:2]
+        weight, size = self.data.frame_scale**2, 6 * n_bones
+        most = max(_FEW, _MEMORY // (8 * size**2))
+        groups = chunk_bounds(n_frames, max(_GROUP, -(-n_frames // most)))
+        slot = np.arange(size).reshape(n_bones, 6)
+        inner = np.concatenate([slot[:, :3].ravel(), slot[self._roots, 3:].ravel()])
+        outer = slot[self.joints, 3:].ravel()
+        tied = np.array([3 * j + d for j, _, _ in self._tied for d in range(3)], dtype=np.intp)
+
+        def matrix(_: int, i: int, k: int) -> Array:
+            out = np.zeros((n_bones, 6, n_bones, 6))
+            chain_matrix(m, *self._chain(), u, weight, out, i, k)
+            return out.reshape(size, size)
+
+        matrices = run_chunks(matrix, groups)
+        diagonal = np.sum([m.diagonal() for m in matrices], axis=0)
+        own, own_joints = (
+            np.maximum(d, max(least * float(d.max(initial=0.0)), 1e-300))
+            for d, least in zip((diagonal[inner] / n_frames, diagonal[outer]), _LEAST, strict=True)
+        )
+        damped = damping + _DAMPED
+
+        def factor(g: int, _i: int, _k: int) -> tuple[Array, Array, Array]:
+            count, full = groups[g][1] - groups[g][0], matrices[g]
+            block = full[np.ix_(inner, inner)] / count
+            block[np.diag_indices(len(inner))] += damped * own
+            side = full[np.ix_(inner, outer)] / count
+            block[tied], block[:, tied], side[tied] = 0.0, 0.0, 0.0
+            block[tied, tied] = own[tied]
+            inverse = inverse_of(block)
+            answer = inverse @ side
+            left = full[np.ix_(outer, outer)] - count * (side.T @ answer)
+            return inverse, answer, left
+
+        factors = run_chunks(factor, chunk_bounds(len(groups), 1))
+        schur = np.sum([left for _, _, left in factors], axis=0)
+        # where moving a joint moves nothing, elimination leaves rounding
+        schur[np.diag_indices(len(outer))] += damped * own_joints + _ROUNDING * n_frames * float(
+            own.max()
+        )
+        schur[np.diag_indices(len(outer))] += np.repeat(self.penalty.stiffness, 3)
+        lower = cho_factor(schur, lower=True) if len(outer) else None
+
+        def precondition(r: Array) -> Array:
+            out = np.empty_like(r)
+            (frames, joints), (to_frames, to_joints) = self.parts(r), self.parts(out)
+            right = joints.ravel().copy()
+            for (i, k), (inverse, answer, _) in zip(groups, factors, strict=True):
+                to_frames[i:k] = frames[i:k] @ inverse
+                right -= frames[i:k].sum(axis=0) @ answer
+            if lower is not None:
+                moved = cho_solve(lower, right)
+                to_joints[:] = moved.reshape(-1, 3)
+                for (i, k), (_, answer, _) in zip(groups, factors, strict=True):
+                    to_frames[i:k] -= answer @ moved
+            return out
+
+        scale = self.zeros()
+        of_frames, of_joints = self.parts(scale)
+        of_frames[:], of_joints[:] = damping * own, damping * own_joints.reshape(-1, 3)
+        return precondition, lambda x: scale * x
+
+    def joint_part(self, x: Array) -> Array:
+        return self.parts(x)[1]
+
+    def parts(self, x: Array) -> tuple[Array, Array]:
+        """Views of the unknowns of the frames (F, 3B + 3R) and of the joints (J, 3)."""
+        n_frames, n_bones = self.model.transforms.shape[:2]
+        size = 3 * (n_bones + len(self._roots))
+        return x[: n_frames * size].reshape(n_frames, size), x[n_frames * size :].reshape(-1, 3)
+
+    def zeros(self) -> Array:
+        """Unknowns that move nothing."""
+        n_frames, n_bones = self.model.transforms.shape[:2]
+        return np.zeros(3 * (n_frames * (n_bones + len(self._roots)) + len(self.joints)))
+
+    def _unpacked(self, x: Array) -> tuple[Array, Array, Array]:
+        """ω (F, B, 3), τ (F, B, 3) and δc (B, 3)."""
+        n_frames, n_bones = self.model.transforms.shape[:2]
+        frames, joints = self.parts(x)
+        turns = np.ascontiguousarray(frames[:, : 3 * n_bones]).reshape(n_frames, n_bones, 3)
+        shifts, moved = np.zeros((n_frames, n_bones, 3)), np.zeros((n_bones, 3))
+        shifts[:, self._roots] = frames[:, 3 * n_bones :].reshape(n_frames, -1, 3)
+        moved[self.joints] = joints
+        for j, k, turn in self._tied:
+            turns[:, j] = np.einsum("tba,tb->ta", turn, turns[:, k])
+        return turns, shifts, moved
+
+    def _chain(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Bones with parents first, parents, and joints, as the kernels take them."""
+        return self._order, self._parents, self.tree.points

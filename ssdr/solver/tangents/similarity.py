@@ -1,0 +1,69 @@
+"""Bones that also grow: a rotation, a translation and a relative change of size of each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...kernels.bones import LARGEST, SMALLEST
+from ..conjugate_gradients import Operator
+from ..model import FREE, Fixed, Model
+from ..trajectories import Array, Trajectories
+from .rigid import GENERATORS, RigidTangent, precondition_by_groups
+from .tangent import Tangent
+
+__all__ = ["SimilarityTangent"]
+
+# the generator of σ, which adds σ p to the change of p
+_GROWTH = np.concatenate([np.eye(3), np.zeros((1, 3))])[:, :, None]
+
+
+class SimilarityTangent(Tangent):
+    """x (F, B, 7) of (ω, τ, σ): δM = M [[ω]× + σI, τ; 0 0]."""
+
+    generators = np.concatenate([GENERATORS, _GROWTH], axis=2)
+
+    def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
+        super().__init__(data, model, fixed)
+        self._rigid = RigidTangent(data, model, fixed)
+
+    def image(self, x: Array) -> Array:
+        scale = self.data.frame_scale
+        m = np.ascontiguousarray(self.model.transforms.transpose(0, 2, 3, 1))
+        x = np.ascontiguousarray((x * scale[:, None, None]).transpose(2, 0, 1))[:, :, None]
+        out = np.empty_like(m)
+        out[:, :, 3] = 0.0
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            out[:, :, d] = m[:, :, e] * x[f] - m[:, :, f] * x[e] + m[:, :, d] * x[6]
+            out[:, :, 3] += m[:, :, d] * x[3 + d]
+        return out.reshape(-1, 4 * m.shape[3])
+
+    def pullback(self, gradient: Array) -> Array:
+        scale = self.data.frame_scale
+        m = np.ascontiguousarray(self.model.transforms.transpose(0, 2, 3, 1))
+        g = gradient.reshape(m.shape)
+        out = np.empty((7, len(m), m.shape[3]))
+        out[6] = 0.0
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            out[d] = (m[:, :, f] * g[:, :, e] - m[:, :, e] * g[:, :, f]).sum(axis=1)
+            out[3 + d] = (m[:, :, d] * g[:, :, 3]).sum(axis=1)
+            out[6] += (m[:, :, d] * g[:, :, d]).sum(axis=1)
+        back = np.ascontiguousarray((out * scale[:, None]).transpose(1, 2, 0))
+        back[:, self.locked] = 0.0
+        return back
+
+    def move(self, model: Model, x: Array) -> None:
+        """M ← M exp(x), within the sizes that bones may have."""
+        self._rigid.move(model, np.ascontiguousarray(x[..., :6]))
+        m = model.transforms
+        size = np.linalg.norm(m[..., 0], axis=-1)
+        grown = size * np.exp(np.clip(x[..., 6], -1.0, 1.0))
+        grown = np.clip(grown, np.minimum(size, SMALLEST), np.maximum(size, LARGEST))
+        grown[:, self.locked] = size[:, self.locked]
+        m[..., :3] *= (grown / size)[..., None, None]
+
+    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+        return precondition_by_groups(
+            self.data, self.model, self.generators, self.locked, u, damping
+        )

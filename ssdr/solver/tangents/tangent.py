@@ -1,0 +1,78 @@
+"""What a Gauss–Newton step needs of the unknowns that move the bones."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...parallel import chunk_bounds
+from ..conjugate_gradients import Operator
+from ..model import FREE, Fixed, Model
+from ..objective import JointPenalty
+from ..trajectories import Array, Trajectories
+
+__all__ = ["Tangent"]
+
+_TRANSFORMS = 4096  # fewest transforms of a task: fewer are not worth a thread
+
+
+class Tangent(ABC):
+    """Unknowns x that move the bones of a model, as a first-order change and as a step.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+        Methods read the transforms that it has when they are called.
+    fixed : Fixed
+        The unknowns of locked bones are 0.
+
+    Attributes
+    ----------
+    precision : type
+        Of images, and so of products with the Schur complement.
+    conjugate_steps : int
+        Most products with the Schur complement a step.
+    joints : (J,) int array
+        Bones whose joints are unknowns, too.
+    penalty : JointPenalty
+        On these joints at the present model.
+    """
+
+    precision: type[np.floating[Any]] = np.float64
+    conjugate_steps = 12
+    joints: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+    penalty: JointPenalty = JointPenalty.none(0)
+
+    def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
+        self.data, self.model = data, model
+        self.locked = fixed.locked(model.n_bones)
+        frames = max(-(-_TRANSFORMS // model.n_bones), -(-data.n_frames // 16))
+        self.chunks = chunk_bounds(data.n_frames, frames)
+
+    @abstractmethod
+    def image(self, x: Array) -> Array:
+        """Change (3F, 4B) of the stacked transforms, to first order."""
+
+    @abstractmethod
+    def pullback(self, gradient: Array) -> Array:
+        """Gradient in the unknowns from one (3F, 4B) in the stacked transforms: imageᵀ."""
+
+    @abstractmethod
+    def move(self, model: Model, x: Array) -> None:
+        """Move the bones of a copy of the model (in place) by a step."""
+
+    @abstractmethod
+    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
+        """An approximate inverse of H + λD, and λD, for blocks u (B, B, 4, 4) and λ = `damping`.
+
+        H is the Gauss–Newton matrix of the unknowns with weights and rest pose held, D the scale
+        of its diagonal.
+        """
+
+    def joint_part(self, x: Array) -> Array:
+        """View (J, 3) of the unknowns that move joints."""
+        return x.reshape(-1)[:0].reshape(0, 3)

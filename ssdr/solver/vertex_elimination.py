@@ -1,0 +1,198 @@
+"""Normal equations of the bones with weights and rest pose eliminated, as a Schur complement.
+
+A vertex's unknowns meet those of no other vertex: H_vv is one small block each, whose inverse the
+vertex step leaves behind.  What remains is (H_mm − H_mv H_vv⁻¹ H_vm) in the stacked transforms.
+Products with it take sums over frames, (4B, 4B), and over vertices, and never an array of
+vertices × frames.
+
+References
+----------
+Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1 (the same structure).
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernels.schur import apply_vertex_step, schur_vertices
+from ..parallel import chunk_bounds, run_chunks
+from .dense import cross_product, product
+from .model import CHUNK, Fixed, Model
+from .moments import bone_sums, stack_blocks
+from .trajectories import Array, Trajectories
+from .vertex_newton import VertexSystem
+
+__all__ = ["ReducedSystem"]
+
+# most tasks: each has its own (B, B, 4, 4) sums, which take memory, while fewer use fewer cores
+_TASKS = 8
+
+
+class _Groups(NamedTuple):
+    """Vertices in the order of their groups, as the kernel takes them."""
+
+    start: NDArray[np.intp]  # (G + 1,) first vertex of each group
+    bones: NDArray[np.intp]  # (G, K) of each group, ascending, padded with B
+    sizes: NDArray[np.intp]  # (G,) how many they are
+    slot: NDArray[np.intp]  # (V, K) column of the model's weights of each bone of the group
+    rest: Array
+    weights: Array  # (V, K) of the bones of the group
+    importance: Array
+    free: NDArray[np.bool_]
+    inverse: Array
+    gradient: Array
+
+
+class ReducedSystem:
+    """Normal equations of a model's transforms, its vertices eliminated.
+
+    Vertices are ordered by the set of bones that move them.  One block of the sums over frames
+    serves all vertices of a set, and products read memory from front to back.
+
+    Parameters
+    ----------
+    data : Trajectories
+    model : Model
+        As :func:`~ssdr.solver.vertex_newton.optimise_vertices` left it.
+    fixed : Fixed
+    vertices : VertexSystem
+        What it returned.
+    precision : type
+        Of products; the gradient is float64.
+
+    Attributes
+    ----------
+    u : (B, B, 4, 4) float64
+        Σ_i w_j w_k p̃ p̃ᵀ: H_mm of every row of every frame, but for the frame's importance.
+    gradient : (3F, 4B) float64
+        Half gradient of the objective in the stacked transforms, of the best vertices.
+    """
+
+    def __init__(
+        self,
+        data: Trajectories,
+        model: Model,
+        fixed: Fixed,
+        vertices: VertexSystem,
+        precision: type[np.floating[Any]],
+    ) -> None:
+        self.n_bones = n_bones = model.n_bones
+        self.keep, self.move_rest = fixed.keep_weights(data.n_vertices), not fixed.rest
+        n = data.n_vertices
+        self._tasks = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
+        self._order, self._groups = _group(data, model, self.keep, vertices, precision)
+        self.u, c = bone_sums(data, model.indices, model.weights, model.rest, n_bones)
+        stacked, u = vertices.stacked, stack_blocks(self.u)
+        c *= data.frame_scale[:, None, None, None]
+        _, answer = self._eliminate(np.zeros_like(u), 1.0)
+        self.gradient = product(stacked, u - answer) - c.reshape(stacked.shape)
+        self.stacked, self.u_flat = (x.astype(precision, copy=False) for x in (stacked, u))
+
+    def times(self, change: Array) -> Array:
+        """The Schur complement times a change of the stacked transforms (3F, 4B)."""
+        _, answer = self._eliminate(cross_product(self.stacked, change), 0.0)
+        answer = answer.astype(change.dtype, copy=False)
+        return product(change, self.u_flat) - product(self.stacked, answer)
+
+    def vertex_step(self, change: Array) -> Array:
+        """The best step (V, D) of the vertices under a change of the transforms, negated."""
+        grouped, _ = self._eliminate(cross_product(self.stacked, change), 1.0)
+        step = np.empty(grouped.shape)
+        step[self._order] = grouped
+        return step
+
+    def move_vertices(self, model: Model, change: Array) -> None:
+        """Take that step in weights and rest pose of a copy of the model (in place)."""
+        step = self.vertex_step(change)
+
+        def work(_: int, i: int, k: int) -> None:
+            apply_vertex_step(
+                step[i:k],
+                1.0,
+                model.rest[i:k],
+                model.indices[i:k],
+                model.weights[i:k],
+                self.keep[i:k],
+                self.move_rest,
+                0,
+                k - i,
+            )
+
+        run_chunks(work, self._tasks)
+
+    def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
+        """The vertices' step under a change of the transforms, and what it adds to the sums.
+
+        Parameters
+        ----------
+        cross : (4B, 4B) array
+            Stacked transforms, transposed, times their change.
+        share : float
+            Of the vertices' own gradient that the step answers, too: 0 or 1.
+
+        Returns
+        -------
+        step : (V, D) array
+            H_vv⁻¹ (H_vm δM + share · gradient), in the order of the groups.
+        answer : (4B, 4B) array
+            Stacked transforms times this is H_mv times the step.
+        """
+        n_bones, groups = self.n_bones, self._groups
+        step = np.empty_like(groups.gradient)
+        table = np.ascontiguousarray(
+            cross.reshape(4, n_bones, 4, n_bones).transpose(3, 1, 2, 0), dtype=step.dtype
+        )
+
+        def work(_: int, i: int, k: int) -> Array:
+            total = np.zeros((n_bones, n_bones, 4, 4))
+            schur_vertices(table, *groups, share, step, total, self.move_rest, i, k)
+            return total
+
+        cuts = np.searchsorted(groups.start, [0, *(k for _, k in self._tasks)])
+        parts = run_chunks(work, list(itertools.pairwise(cuts.tolist())))
+        total = parts[0]
+        for part in parts[1:]:
+            total += part
+        return step, np.ascontiguousarray(total.transpose(3, 1, 2, 0)).reshape(cross.shape)
+
+
+def _group(
+    data: Trajectories,
+    model: Model,
+    keep: NDArray[np.bool_],
+    vertices: VertexSystem,
+    precision: type[np.floating[Any]],
+) -> tuple[NDArray[np.intp], _Groups]:
+    """Order (V,) of the vertices by their sets of bones, and the groups."""
+    n_bones = model.n_bones
+    bones = np.where(model.weights > 0, model.indices, n_bones)
+    slot = bones.argsort(axis=1, kind="stable")
+    bones = np.take_along_axis(bones, slot, axis=1)
+    # sets may share a code: they then alternate, which makes more groups but no error
+    code = np.zeros(len(bones), dtype=np.uint64)
+    for column in bones.T:
+        code = code * np.uint64(n_bones + 1) + column.astype(np.uint64)
+    order = code.argsort(kind="stable")
+    bones, slot = bones[order], slot[order]
+    first = np.flatnonzero(np.append(True, (bones[1:] != bones[:-1]).any(axis=1)))
+    largest = np.finfo(precision).max
+
+    def real(x: Array) -> Array:
+        return x if x.dtype == precision else np.clip(x, -largest, largest).astype(precision)
+
+    return order, _Groups(
+        start=np.append(first, len(bones)),
+        bones=bones[first],
+        sizes=(bones[first] < n_bones).sum(axis=1),
+        slot=slot,
+        rest=real(model.rest[order]),
+        weights=real(np.take_along_axis(model.weights[order], slot, axis=1)),
+        importance=real(data.importance[order]),
+        free=~keep[order],
+        inverse=real(vertices.inverse[order]),
+        gradient=real(vertices.gradient[order]),
+    )

@@ -1,0 +1,87 @@
+"""What a decomposition may be given to begin from: parts of a model, and a skeleton."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from .skinning import Skinning
+
+__all__ = ["JointKind", "Skeleton", "Start"]
+
+JointKind = Literal["rigid", "loose"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Start:
+    """Parts of a model to begin from, and what of them stays.
+
+    A whole model of which nothing stays, such as a checkpoint, is handed over as a
+    :class:`Skinning` instead.
+
+    Parameters
+    ----------
+    rest : (V, 3) array, optional
+        Rest pose; stays as it is.
+    rest_frame : int
+        Frame at which the rest pose starts where `rest` is not given.
+    indices, weights : (V, K) arrays, optional
+        Skin weights; they stay at `locked_vertices`.
+    locked_vertices : mask or indices, optional
+        All vertices by default.
+    transforms : (F, B0, 3, 4) array, optional
+        Bones, at most as many as asked for; `locked_bones` stay.
+    locked_bones : mask or indices, optional
+        All B0 bones by default.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> start = ssdr.Start(rest=dancer.vertices[0])
+    >>> result = ssdr.decompose(dancer, bones=4, effort="fast", start=start)
+    >>> np.allclose(result.skinning.rest, dancer.vertices[0])
+    True
+    """
+
+    rest: Any = None
+    rest_frame: int = 0
+    indices: Any = None
+    weights: Any = None
+    locked_vertices: Any = None
+    transforms: Any = None
+    locked_bones: Any = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A skeleton whose bones, parents and names stay, while weights and motion are found.
+
+    Parameters
+    ----------
+    skinning : Skinning
+        A model with a hierarchy, such as :func:`load_skinning` reads.  If it moves another mesh,
+        its joints are taken to lie in the rest frame and its weights are not used.
+    joints : {"rigid", "loose"}
+        Each joint is one point under its bone and the parent in every frame, or may come apart.
+    extra_bones : int or mapping
+        Number of bones to add to the skeleton, placed where the error is largest, or how many
+        below which bone, by name: ``{"chest": 2, "hips": 1}``.
+    locked_joints : sequence of str
+        Joints whose rotation relative to their parent stays what the skeleton says: in each frame,
+        where it has as many as the sequence, else in its one pose.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> rig = ssdr.decompose(dancer, bones=4, effort="fast", rig="rigid").skinning
+    >>> again = ssdr.decompose(dancer, effort="fast", rig=ssdr.Skeleton(rig, extra_bones=1))
+    >>> again.skinning.n_bones, again.skinning.bone_names[:4] == rig.bone_names
+    (5, True)
+    """
+
+    skinning: Skinning
+    _: dataclasses.KW_ONLY
+    joints: JointKind = "rigid"
+    extra_bones: int | Mapping[str, int] = 0
+    locked_joints: Sequence[str] = ()

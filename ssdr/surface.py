@@ -1,0 +1,97 @@
+"""What a mesh carries beside its shape: texture coordinates, normals and materials."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+
+__all__ = ["Material", "Surface", "check_surface"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Material:
+    """What a surface looks like, in the terms of glTF's metallic-roughness model.
+
+    Attributes
+    ----------
+    name : str
+    base_color : tuple of 4 float
+        Linear RGBA in [0, 1].
+    metallic, roughness : float
+    double_sided : bool
+    texture : bytes or None
+        The encoded base colour image, carried untouched.
+    texture_type : str
+        Its MIME type, ``image/png`` or ``image/jpeg``.
+
+    Examples
+    --------
+    >>> red = ssdr.Material(name="red", base_color=(1, 0, 0, 1))
+    >>> red.name, red.texture is None
+    ('red', True)
+    """
+
+    name: str = "material"
+    base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+    metallic: float = 0.0
+    roughness: float = 0.9
+    double_sided: bool = False
+    texture: bytes | None = None
+    texture_type: str = "image/png"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """What a mesh carries besides its shape, per corner of a triangle.
+
+    Kept per corner, it survives welding: a seam is where two corners at one
+    vertex differ.
+
+    Attributes
+    ----------
+    uv : (T, 3, 2) float32 or None
+        Texture coordinates, v upward (as in OBJ and USD; glTF flips it).
+    normals : (T, 3, 3) float32 or None
+        Unit normals in the file's reference frame; where corners of one vertex
+        differ there is a hard edge.
+    material_index : (T,) int32 or None
+        Index into `materials`; None means that all triangles use the first.
+    materials : tuple of Material
+
+    Examples
+    --------
+    >>> uv = np.array([[[0, 0], [1, 0], [0, 1]]], np.float32)
+    >>> surface = ssdr.Surface(uv=uv)
+    >>> ssdr.MeshSequence(np.zeros((2, 3, 3)), [[0, 1, 2]], surface=surface).surface.uv.shape
+    (1, 3, 2)
+    """
+
+    uv: NDArray[np.float32] | None = None
+    normals: NDArray[np.float32] | None = None
+    material_index: NDArray[np.int32] | None = None
+    materials: tuple[Material, ...] = ()
+
+
+def check_surface(surface: Surface, n_faces: int) -> Surface:
+    if not isinstance(surface, Surface):
+        raise InputError("surface", "a Surface or None", type(surface).__name__)
+    for field, tail in (("uv", (3, 2)), ("normals", (3, 3)), ("material_index", ())):
+        array = getattr(surface, field)
+        if array is not None and np.shape(array) != (n_faces, *tail):
+            raise InputError(
+                f"surface.{field}", f"shape {(n_faces, *tail)}", f"shape {np.shape(array)}"
+            )
+    index = surface.material_index
+    if index is not None and len(index):
+        count = max(1, len(surface.materials))
+        if index.min() < 0 or index.max() >= count:
+            raise InputError(
+                "surface.material_index",
+                f"indices from 0 to {count - 1}",
+                f"{index.min()} to {index.max()}",
+            )
+    return surface

@@ -1,0 +1,102 @@
+"""Every script says how it is used, and measures its smallest case."""
+
+from __future__ import annotations
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import common
+from benchmarks.speed import revisions
+from benchmarks.speed.long_sequences import true_error
+from benchmarks.speed.skirt import BLOCK, Skirt
+
+FOLDER = common.ROOT / "benchmarks"
+SCRIPTS = [
+    path.relative_to(FOLDER).as_posix()
+    for path in sorted(FOLDER.rglob("*.py"))
+    if "__main__" in path.read_text("utf-8")
+]
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_a_script_says_how_it_is_used(
+    script: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if script.startswith("garment"):
+        pytest.importorskip("torch")
+    monkeypatch.setattr(sys, "argv", [script, "--help"])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(FOLDER / script), run_name="__main__")
+    assert end.value.code == 0
+    assert "usage: " in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("script", "case", "key"),
+    [
+        ("accuracy/errors.py", "recovery chain-6 fast", "E"),
+        ("accuracy/parsimony.py", "static mesh", "error / tolerance"),
+        ("accuracy/skeletons.py", "exact tree-8", "joint error, median"),
+        ("interchange/programs.py", "tube.glb in ssdr", "vertices"),
+        ("robustness/stability.py", "one thread and two", "passed"),
+        ("speed/first_call.py", "import ssdr", "process"),
+        ("speed/laplacian.py", "scipy 4", "residual"),
+    ],
+)
+def test_a_script_measures_and_keeps(script: str, case: str, key: str, tmp_path: Path) -> None:
+    out = tmp_path / "rows.json"
+    options = ["--only", case, "--out", str(out), "--images", str(tmp_path)]
+    if script == "accuracy/skeletons.py":
+        options += ["--set", "effort=fast"]
+    command = [sys.executable, str(FOLDER / script), *options]
+    for _ in range(2):  # the second finds the row and measures nothing
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+        (row,) = common.read_rows(out).values()
+        assert key in row
+        assert row["machine"]["gemm_1"] > 0
+    assert "| case |" in done.stdout
+
+
+def test_pages_show_the_results() -> None:
+    script = FOLDER / "tools" / "pages.py"
+    done = subprocess.run([sys.executable, str(script), "--check"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_revisions_are_paired(tmp_path: Path) -> None:
+    before = {"E": 2.0, "bytes": 0} | dict.fromkeys(("cpu", "wall", "import", "kernels"), 1.0)
+    before |= {"bones found": 5}
+    row = revisions.summary([[before, before | {"E": 3.0}], [before, before | {"E": 1.0}]])
+    assert row["E"] == {"before": 2.0, "after": 2.0, "ratio": 1.0, "least": 0.5, "most": 1.5}
+    assert row["bytes"]["ratio"] == 1.0
+    assert "bones" not in revisions.line(row)
+    home = revisions.copied(str(common.ROOT), tmp_path)
+    assert (home / "ssdr" / "__init__.py").is_file()
+
+
+def test_a_skirt_is_written_in_pieces_and_far_from_its_skinning_by_the_floor(
+    tmp_path: Path,
+) -> None:
+    skirt, path = Skirt(vertices=60, columns=4, influences=2), tmp_path / "skirt.npy"
+    first = skirt.write(path, BLOCK, 2 * BLOCK)
+    floor = skirt.write(path, 2 * BLOCK, 2 * BLOCK)
+    frames = np.load(path)
+    np.testing.assert_array_equal(frames[BLOCK:], skirt.block(BLOCK, BLOCK)[0])
+    true = common.reskin(
+        skirt.rest, skirt.indices, skirt.weights, skirt.transforms(np.arange(2 * BLOCK))
+    )
+    assert np.sqrt(((frames - true) ** 2).sum(axis=2).mean()) == pytest.approx(floor, rel=1e-5)
+    assert first == pytest.approx(floor, rel=0.2)
+
+    class Model:
+        rest, indices, weights = skirt.rest, skirt.indices, skirt.weights
+        transforms = skirt.transforms(np.arange(2 * BLOCK))
+
+    assert true_error(frames, Model, range(2 * BLOCK)) == pytest.approx(floor, rel=1e-5)

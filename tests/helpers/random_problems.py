@@ -1,0 +1,266 @@
+"""Random small problems, degenerate ones among them, and what is wrong with their results."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import warnings
+from typing import Any
+
+import numpy as np
+
+import ssdr
+from helpers import motions
+from helpers.measures import largest_of, rmse_of
+from helpers.stability import invalid
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Drawn:
+    """A call: frames of shots, options of ``decompose`` or ``smallest``, fields of a Start.
+
+    `stop` is the fraction of the work after which the call is made again from its model.
+    """
+
+    frames: np.ndarray
+    faces: np.ndarray | None
+    shots: list[int]
+    options: dict[str, Any]
+    parts: dict[str, Any]
+    stop: float
+    threads: int
+    motion: str = ""
+
+    def solve(self, **more: Any) -> ssdr.Decomposition:
+        cuts = itertools.pairwise(self.shots)
+        shots = [ssdr.MeshSequence(self.frames[a:b], self.faces) for a, b in cuts]
+        call = ssdr.smallest if "tolerance" in self.options else ssdr.decompose
+        start = {"start": ssdr.Start(**self.parts)} if self.parts else {}
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
+            return call(shots, **(self.options | start | more))
+
+
+def check(seed: int) -> tuple[str, list[str]]:
+    """The kind of motion of a problem, and all that is wrong with its results."""
+    drawn = draw(seed)
+    try:
+        ssdr.set_threads(drawn.threads)
+        result = drawn.solve()
+        wrong = faults(result, drawn)
+        if drawn.stop and not drawn.parts and "tolerance" not in drawn.options:
+            wrong += [f"taken up: {fault}" for fault in taken_up(drawn)]
+    finally:
+        ssdr.set_threads(None)
+    return drawn.motion, [f"{seed}: {fault}" for fault in wrong]
+
+
+def taken_up(drawn: Drawn) -> list[str]:
+    """What is wrong where a run is stopped and another goes on from its model."""
+    enough = {"callback": lambda p: p.fraction >= drawn.stop and np.isfinite(p.rmse)}
+    part = drawn.solve(**enough)
+    again = drawn.solve(start=part.skinning, bones=None)
+    wrong = faults(part, drawn, ended=False) + faults(again, drawn, ended=False)
+    plain = not {"vertex_importance", "frame_importance", "smoothness"} & set(drawn.options)
+    if plain and again.rmse > part.rmse * (1 + 1e-12) + 1e-13 * size_of(drawn, part):
+        wrong.append(f"rmse {again.rmse:.6g} after {part.rmse:.6g}")
+    return wrong
+
+
+def size_of(drawn: Drawn, result: ssdr.Decomposition) -> float:
+    """What rounding may do depends on everything that is added up."""
+    s, frames = result.skinning, drawn.frames.astype(np.float64)
+    return float(max(np.abs(a).max() for a in (frames, s.rest, s.transforms[..., 3])))
+
+
+def faults(result: ssdr.Decomposition, drawn: Drawn, *, ended: bool = True) -> list[str]:
+    """What is wrong with a result, by plain NumPy; its error counts only if the run ended."""
+    options, parts, s = drawn.options, drawn.parts, result.skinning
+    frames = np.array(drawn.frames, dtype=np.float64)
+    searched = "tolerance" in options
+    bones = s.n_bones if searched else options["bones"]
+    wrong = [w for w in [invalid(s, frames, bones, options.get("influences", 4))] if w]
+    if searched and not 1 <= bones <= options["bones"]:
+        wrong.append(f"{bones} bones, at most {options['bones']} were asked for")
+    if wrong:
+        return wrong
+    rmse, size = rmse_of(s, frames), size_of(drawn, result)
+    if not abs(rmse - result.rmse) <= 1e-6 * rmse + 1e-12 * size:
+        wrong.append(f"says rmse {result.rmse:.6g}, is {rmse:.6g}")
+    errors = [record.rmse for record in result.history]
+    # a search tells of models of several sizes; with smoothness the penalty may fall instead
+    if "smoothness" not in options and not searched and (np.diff(errors) > 0).any():
+        wrong.append("history rises")
+    if errors[-1] != result.rmse:
+        wrong.append("history does not end at the result")
+    if searched:
+        found = result.parsimony
+        worst = largest_of(s, frames) if options["measure"] == "max" else rmse
+        if found.held and worst > found.tolerance * (1 + 1e-6) + 1e-12 * size:
+            wrong.append("the tolerance is not held")
+        return wrong
+    if "transforms" in parts:
+        count = parts["transforms"].shape[1]
+        locked = np.asarray(parts.get("locked_bones", np.arange(count)), dtype=int)
+        moved = np.abs(s.transforms[:, locked] - parts["transforms"][:, locked])
+        if moved.size and moved.max() > 1e-7 * max(size, 1.0):
+            wrong.append("locked bones moved")
+    elif ended and rmse > 1.001 * (bound := one_motion(frames, drawn)) + 1e-7 * size:
+        wrong.append(f"rmse {rmse:.6g}, one motion for all has {bound:.6g}")
+    if "rest" in parts and np.abs(s.rest - parts["rest"]).max() > 1e-9 * size:
+        wrong.append("the given rest pose moved")
+    if "weights" in parts:
+        kept = parts.get("locked_vertices", np.ones(len(s.rest), dtype=bool))
+        given = motions.model(s.rest, parts["indices"], parts["weights"], bones=bones)
+        if kept.any() and np.abs(s.dense_weights() - given.dense_weights())[kept].max() > 1e-9:
+            wrong.append("locked weights changed")
+    return wrong
+
+
+def one_motion(frames: np.ndarray, drawn: Drawn) -> float:
+    """RMSE of the best rigid motion of the whole mesh, which every model contains.
+
+    Where importances or a penalty weigh the two differently they are not compared; an affine bone
+    that must not turn inside out may stop at a wall that a rigid one never meets.
+    """
+    weighed = {"vertex_importance", "frame_importance", "smoothness", "time_limit"}
+    if weighed & set(drawn.options) or drawn.options["bone_model"] == "affine":
+        return np.inf
+    rest = drawn.parts.get("rest", frames[drawn.parts.get("rest_frame", 0)])
+    found = ssdr.kabsch(np.broadcast_to(rest, frames.shape), frames)
+    every = np.zeros((len(rest), 1), dtype=int)
+    return rmse_of(motions.model(rest, every, np.ones((len(rest), 1)), found[:, None]), frames)
+
+
+def draw(seed: int) -> Drawn:
+    rng = np.random.default_rng(seed)
+    small = rng.random() < 0.9
+    v = int(np.exp(rng.uniform(0, np.log(90)))) if small else int(rng.integers(90, 1100))
+    f = int(np.exp(rng.uniform(0, np.log(40))))
+    frames, motion = _move(rng, _shape(rng, v), f)
+    frames = _disturbed(rng, frames)
+    faces = None
+    if rng.random() < 0.6:
+        faces = rng.integers(0, v, (int(rng.integers(1, 2 * v + 2)), 3)).astype(np.int32)
+    options, parts = _options(rng, frames, faces)
+    cuts = rng.integers(0, f, 2).tolist() if rng.random() < 0.1 else []
+    return Drawn(
+        frames,
+        faces,
+        sorted({0, f, *cuts}),
+        options,
+        parts,
+        stop=float(rng.random()) if rng.random() < 0.3 else 0.0,
+        threads=2 if rng.random() < 0.1 else 1,
+        motion=motion,
+    )
+
+
+def _shape(rng: np.random.Generator, v: int) -> np.ndarray:
+    kinds = ("plane", "line", "nearly a line", "point", "copies", "clusters", "ball", "ball")
+    shape, p = rng.choice(kinds), rng.standard_normal((v, 3))
+    if shape == "plane":
+        p[:, rng.integers(3)] = 0
+    elif shape in ("line", "nearly a line"):
+        p = p[:, :1] * rng.standard_normal(3)
+        p += 1e-9 * (shape != "line") * rng.standard_normal((v, 3))
+    elif shape == "point":
+        p[:] = p[0]
+    elif shape == "copies":
+        p = p[rng.integers(0, max(1, v // 5), v)]
+    elif shape == "clusters":
+        p += 30 * rng.standard_normal((4, 3))[rng.integers(0, 4, v)]
+    return p
+
+
+def _move(rng: np.random.Generator, rest: np.ndarray, f: int) -> tuple[np.ndarray, str]:
+    kinds = ("bodies", "blend", "blend and noise", "waves", "noise", "one body", "still")
+    motion = str(rng.choice(kinds, p=[0.2, 0.25, 0.2, 0.15, 0.1, 0.05, 0.05]))
+    if motion == "noise":
+        return rng.standard_normal((f, len(rest), 3)), motion
+    if motion == "still":
+        return np.repeat(rest[None], f, axis=0), motion
+    if motion == "waves":
+        t = np.arange(f)[:, None, None]
+        return rest + np.sin(0.5 * t + rest @ rng.standard_normal((3, 3))), motion
+    b = 1 if motion == "one body" else int(rng.integers(1, 9))
+    moves = motions.motions(rng, f, b, turn=float(rng.choice([1e-4, 0.3, 1.0, 3.0])))
+    indices, weights = motions.weights_of(rng, len(rest), b, 1 if motion == "bodies" else 4)
+    frames = motions.blend(rest, indices, weights, moves)
+    if motion == "blend and noise":
+        frames += 10 ** rng.uniform(-6, -0.5) * rng.standard_normal(frames.shape)
+    return frames, motion
+
+
+def _disturbed(rng: np.random.Generator, frames: np.ndarray) -> np.ndarray:
+    f, v = frames.shape[:2]
+    t, i = int(rng.integers(f)), int(rng.integers(v))
+    if rng.random() < 0.08:
+        frames[t:] *= [-1, 1, 1]
+    if rng.random() < 0.06:  # a frame far away
+        frames[t] += 10 ** rng.uniform(2, 6) * rng.standard_normal(3)
+    if rng.random() < 0.05:
+        frames[t] = frames[t, i]
+    if rng.random() < 0.06:  # a vertex far away
+        frames[:, i] += 10 ** rng.uniform(1, 5)
+    if rng.random() < 0.05:  # a vertex that jumps
+        frames[t, i] += 10 ** rng.uniform(0, 4)
+    if rng.random() < 0.06:
+        frames[t:] = frames[t]
+    if rng.random() < 0.1:
+        frames += 10 ** rng.uniform(0, 6) * rng.standard_normal(3)
+    if rng.random() < 0.12:
+        frames *= 10.0 ** rng.uniform(-9, 9)
+    kinds = ("f8", "f4", "f2", ">f8", "column order", "every other")
+    kind = rng.choice(kinds, p=[0.5, 0.3, 0.03, 0.05, 0.06, 0.06])
+    if kind == "column order":
+        return np.asfortranarray(frames)
+    if kind == "every other":
+        return np.repeat(frames, 2, axis=1)[:, ::2]
+    return frames.astype("f4" if kind == "f2" and np.abs(frames).max() > 6e4 else kind)
+
+
+def _options(
+    rng: np.random.Generator, frames: np.ndarray, faces: np.ndarray | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    f, v = frames.shape[:2]
+    bones = min(v, int(rng.integers(1, 15)) if rng.random() < 0.9 else 40)
+    options: dict[str, Any] = {
+        "bones": bones,
+        "influences": int(rng.choice([1, 2, 3, 4, 4, 4, 4, 5, 8, 13, 20])),
+        "bone_model": str(rng.choice(["rigid", "similarity", "affine"], p=[0.6, 0.2, 0.2])),
+        "effort": str(rng.choice(["fast", "balanced"], p=[0.7, 0.3])),
+        "rng": int(rng.integers(1000)),
+    }
+    parts: dict[str, Any] = {"rest_frame": int(rng.integers(f))} if rng.random() < 0.5 else {}
+    if rng.random() < 0.1:
+        options |= {"effort": "best", "time_limit": float(10 ** rng.uniform(-3, 0))}
+    if rng.random() < 0.15:
+        counts = rng.random(v) * (rng.random(v) < rng.choice([0.5, 1.0]))
+        counts[rng.integers(v)] = 1.0
+        options["vertex_importance"] = counts
+    if rng.random() < 0.1:
+        options["frame_importance"] = 10 ** rng.uniform(-2, 2, f)
+    size = float(np.abs(frames.astype(np.float64)).max()) or 1.0
+    if rng.random() < 0.15:
+        first = np.array(frames[int(rng.integers(f))], dtype=np.float64)
+        parts["rest"] = first if rng.random() < 0.7 else size * rng.standard_normal((v, 3))
+    if rng.random() < 0.08:
+        if "vertex_importance" in options:  # what counts for less is refused there
+            options["vertex_importance"] = np.maximum(options["vertex_importance"], 1e-3)
+        share = str(rng.choice(["0.01%", "0.3%", "2%", "30%"]))
+        options |= {"tolerance": share, "measure": str(rng.choice(["rmse", "max"]))}
+        return options | {"bones": min(bones, 8), "effort": "fast"}, parts
+    if rng.random() < 0.1:
+        most = min(options["influences"], 4)
+        parts["indices"], parts["weights"] = motions.weights_of(rng, v, bones, most)
+        if rng.random() < 0.5:
+            parts["locked_vertices"] = rng.random(v) < 0.4
+    if rng.random() < 0.1:
+        count = bones if "weights" in parts else int(rng.integers(1, bones + 1))
+        parts["transforms"] = motions.motions(rng, f, count, shift=0.5 * size)
+        if rng.random() < 0.5:
+            parts["locked_bones"] = np.flatnonzero(rng.random(count) < 0.5)
+    if faces is not None and rng.random() < 0.12:
+        options["smoothness"] = size * float(10 ** rng.uniform(-6, 0))
+    return options, parts

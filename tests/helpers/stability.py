@@ -1,0 +1,226 @@
+"""The stability suite: how a case is solved, and what of its result is checked from outside."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import ssdr
+from helpers.measures import bits_on_threads, longest_silence, played, pooled, rmse_of
+from helpers.stretches import check_kind
+
+SEEDS = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """Arguments of one call and the size that its error is measured by."""
+
+    frames: Any
+    size: float
+    faces: Any = None
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def positions(self) -> np.ndarray:
+        """All frames (F, V, 3) in float64."""
+        parts = self.frames if isinstance(self.frames, list) else [self.frames]
+        arrays = [getattr(part, "vertices", part) for part in parts]
+        return np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays])
+
+    def solve(self, seeds: int = 1) -> ssdr.Decomposition:
+        """The best of so many seeds."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
+            results = [
+                ssdr.decompose(self.frames, self.faces, rng=seed, **({"bones": 4} | self.options))
+                for seed in range(seeds)
+            ]
+        return min(results, key=lambda result: result.rmse)
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A disturbed problem.
+
+    `refused` names the argument of the expected error.  Otherwise the relative
+    error must be at most ``factor`` times that of `undisturbed`, which may be known (0
+    where there is none: the data is exact), plus ``slack``, which is what the storage loses.
+    Of two problems that are compared the best of three seeds counts: rounding alone
+    can lead a single run to the minimum next door.  `check` is for what is no
+    matter of the error: it returns what is wrong.
+    """
+
+    name: str
+    disturbed: Callable[[], Problem]
+    undisturbed: Callable[[], Problem | float] | None = None
+    refused: str | None = None
+    factor: float = 1.1
+    slack: float = 1e-9
+    only_valid: bool = False
+    check: Callable[[Problem], str] | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Cases of one kind, by the number that the design gives them.
+
+    `catches` is what a solver does that fails here.
+    """
+
+    number: int
+    title: str
+    catches: str
+    cases: list[Case]
+
+
+MEMORY = """
+import sys
+from helpers.stability import memory_used
+from helpers.stability_cases import large
+import ssdr
+ssdr.decompose([[[0.0, 0, 0]] * 3] * 3, bones=1)
+vertices, frames = int(sys.argv[1]), int(sys.argv[2])
+problem = large(vertices, frames)
+before = memory_used("VmRSS")
+found = ssdr.decompose(problem.frames, **problem.options)
+assert found.rmse < 0.05 * problem.size, found.rmse
+print((memory_used("VmHWM") - before) / (24 * vertices * frames), memory_used("VmHWM") - before)
+"""
+MOST_MEMORY = 6.0  # times the positions in float64
+
+
+def memory_used(what: str) -> float:
+    """Bytes of this process, now (VmRSS) or at most (VmHWM)."""
+    with open("/proc/self/status") as file:
+        line = next(line for line in file if line.startswith(what))
+    return 1024 * float(line.split()[1])
+
+
+def memory(problem: Problem) -> str:
+    """A process of its own, since the most that a process ever used cannot be reset."""
+    n_frames, n = np.asarray(problem.frames).shape[:2]
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", MEMORY, str(n), str(n_frames)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p or "." for p in sys.path)},
+    )
+    if done.returncode:
+        return done.stderr.strip().splitlines()[-1]
+    times, used = (float(x) for x in done.stdout.split())
+    fits = times < MOST_MEMORY or used < 2**28
+    return "" if fits else f"{times:.1f} times the positions in float64"
+
+
+def same_bits(problem: Problem) -> str:
+    return "" if len(bits_on_threads(problem.solve)) == 1 else "other bits"
+
+
+def taken_up(problem: Problem) -> str:
+    """Stopped half way, a run goes on from its checkpoint and ends no higher."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.npz"
+        stop = {"callback": lambda p: p.fraction >= 0.5, "checkpoint": path}
+        part = dataclasses.replace(problem, options=problem.options | stop).solve()
+        if part.stop_reason != "cancelled":
+            return f"did not stop: {part.stop_reason}"
+        start = {"start": ssdr.load_skinning(path)}
+        again = dataclasses.replace(problem, options=problem.options | start).solve()
+    return "" if again.rmse <= rmse_of(start["start"], problem.positions()) else "a higher error"
+
+
+def goes_on(problem: Problem) -> str:
+    """Another thread sleeps and wakes while the solver runs; how late, at worst."""
+    problem.solve()  # kernels are ready
+    seconds, wait = longest_silence(problem.solve)
+    return "" if wait < 0.5 * seconds else f"waited {wait:.2f} of {seconds:.2f} s"
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """What came of a case; `bound` is what its relative error must not exceed."""
+
+    case: str
+    outcome: str
+    figure: float | None = None
+    undisturbed: float | None = None
+    bound: float | None = None
+
+    @property
+    def passed(self) -> bool:
+        if self.outcome != "solved":
+            return self.outcome.startswith("refused: ")
+        return self.bound is None or bool(self.figure is not None and self.figure <= self.bound)
+
+
+@functools.cache
+def _figure(make: Callable[[], Problem | float]) -> float:
+    problem = make()
+    if isinstance(problem, float):
+        return problem
+    return problem.solve(SEEDS).rmse / problem.size
+
+
+def run(case: Case) -> Outcome:
+    """Solve a case; every model that comes back is checked from outside."""
+    problem = case.disturbed()
+    if case.check is not None:
+        fault = case.check(problem)
+        return Outcome(case.name, f"FAILED: {fault}" if fault else "solved")
+    try:
+        result = problem.solve(1 if case.undisturbed is None else SEEDS)
+    except ssdr.InputError as error:
+        if error.argument != case.refused:
+            return Outcome(case.name, f"WRONG ERROR: {error}")
+        return Outcome(case.name, f"refused: {error}")
+    if case.refused is not None:
+        return Outcome(case.name, "NOT REFUSED")
+    frames = problem.positions()
+    fault = invalid(result.skinning, frames, problem.options.get("bones", 4))
+    errors = [record.rmse for record in result.history]
+    if not fault and not problem.options.get("smoothness") and (np.diff(errors) > 0).any():
+        fault = "the error rises"
+    if fault:
+        return Outcome(case.name, f"INVALID: {fault}")
+    figure = pooled(played(result.skinning), frames) / problem.size
+    reported = result.rmse / problem.size
+    if abs(figure - reported) > 1e-4 * figure + 1e-9:
+        return Outcome(case.name, f"INVALID: says {reported:.3g}, is {figure:.3g}", figure)
+    before = 0.0 if case.undisturbed is None else _figure(case.undisturbed)
+    bound = None if case.only_valid else float(case.factor * before + case.slack)
+    return Outcome(case.name, "solved", figure, before, bound)
+
+
+def invalid(s: ssdr.Skinning, frames: np.ndarray, bones: int, influences: int = 4) -> str:
+    """What is wrong with a model, or an empty text."""
+    tests = {
+        "number of bones": s.transforms.shape == (len(frames), bones, 3, 4),
+        "rest pose": s.rest.shape == frames.shape[1:] and bool(np.isfinite(s.rest).all()),
+        "transforms": bool(np.isfinite(s.transforms).all()),
+        "rotations": _of_kind(s),
+        "weights": bool(s.weights.min() >= 0)
+        and bool(np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6),
+        "indices": bool(s.indices.min() >= 0) and bool(s.indices.max() < bones),
+        "number of influences": s.indices.shape == s.weights.shape == (len(s.rest), influences),
+    }
+    return ", ".join(name for name, good in tests.items() if not good)
+
+
+def _of_kind(s: ssdr.Skinning) -> bool:
+    try:
+        check_kind(s.transforms, s.bone_model)
+    except AssertionError:
+        return False
+    return True

@@ -1,0 +1,62 @@
+"""`ssdr compare`: measures, welded models, files in other units."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import ssdr
+
+QUICK = ("--no-sted", "--no-hausdorff")
+
+
+def test_measures(run, done, clip, wave, tmp_path):
+    moved = dataclasses.replace(wave, vertices=wave.vertices + np.float32([0, 0, 0.5]))
+    ssdr.save(moved, tmp_path / "b.npz")
+    assert done("compare", clip, tmp_path / "b.npz", "--no-sted")["rmse"] == pytest.approx(0.5)
+    code, out, _ = run("compare", clip, tmp_path / "b.npz", *QUICK)
+    assert code == 0
+    assert "0.5" in out
+
+
+def test_a_welded_model_is_spread_back(done, refused, seam, tmp_path):
+    welded, _ = seam.weld()
+    ssdr.save(seam, tmp_path / "a.npz")
+    ssdr.save(welded, tmp_path / "b.npz")
+    for pair in (("a.npz", "b.npz"), ("b.npz", "a.npz")):
+        assert done("compare", *(tmp_path / p for p in pair))["rmse"] == 0
+    ssdr.save(ssdr.MeshSequence(seam.vertices[:, :7]), tmp_path / "c.npz")
+    assert "--weld" in refused("compare", tmp_path / "a.npz", tmp_path / "c.npz")
+
+
+@pytest.fixture
+def pair(wave, tmp_path):
+    ssdr.save(wave, tmp_path / "metres.npz")
+    large = dataclasses.replace(wave, vertices=wave.vertices * np.float32(100))
+    ssdr.save(large, tmp_path / "centimetres.npz")
+    return tmp_path / "metres.npz", tmp_path / "centimetres.npz"
+
+
+def test_metres_and_centimetres_get_a_hint(done, pair, wave, tmp_path):
+    metres, centimetres = pair
+    (hint,) = done("compare", metres, centimetres, *QUICK)["warnings"]
+    assert "the diagonal of B is about 100 times that of A" in hint
+    scale = ("--read", "B:scale=0.01")
+    assert " ".join(scale) + " brings B to A" in hint
+    found = done("compare", metres, centimetres, *scale, *QUICK)
+    assert found["warnings"] == []
+    assert found["rmse"] == pytest.approx(0, abs=1e-6)
+    (hint,) = done("compare", centimetres, metres, *QUICK)["warnings"]
+    assert "the diagonal of A is about 100 times that of B" in hint
+    assert "B:scale=100 brings" in hint
+    # A mesh of another size is no mesh in another unit.
+    other = dataclasses.replace(wave, vertices=wave.vertices * np.float32(30))
+    ssdr.save(other, tmp_path / "other.npz")
+    assert done("compare", metres, tmp_path / "other.npz", *QUICK)["warnings"] == []
+
+
+def test_a_scale_that_is_none_is_refused(refused, pair):
+    for wrong in ("0", "-1", "NaN", "Infinity", '"2"'):
+        assert "scale: expected" in refused("compare", *pair, "--read", f"scale={wrong}")

@@ -1,0 +1,92 @@
+"""`ssdr decompose`: arguments, outputs, table and JSON, going on from a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import ssdr
+from helpers.command import fake_decompose, model_of
+
+
+def test_outputs_and_json(faked, done, clip, wave, tmp_path):
+    outputs = [tmp_path / "a.npz", tmp_path / "b.pc2", tmp_path / "w.csv"]
+    picture = tmp_path / "sheet.png"
+    document = done(
+        "decompose", clip, *(f for o in outputs for f in ("-o", o)), "--bones", 3, "-k", 2,
+        "--picture", picture, "--checkpoint", tmp_path / "c.npz", "--time-limit", 9, "--seed", 5,
+        "--effort", "fast", "--smoothness", 0.1,
+    )  # fmt: skip
+    assert (document["bones"], document["influences"], document["rmse"]) == (3, 2, 0.25)
+    assert document["E"] == pytest.approx(250 / np.sqrt(3))
+    assert document["rmse_percent"] == pytest.approx(25 / wave.diagonal())
+    assert document["stop_reason"] == "converged"
+    assert document["total_seconds"] >= document["load_seconds"] + document["save_seconds"]
+    assert [o["path"] for o in document["outputs"]] == [str(o) for o in outputs]
+    assert all(o["bytes"] == Path(o["path"]).stat().st_size for o in document["outputs"])
+    assert fake_decompose.options == {
+        "effort": "fast",
+        "bone_model": "rigid",
+        "rig": None,
+        "start": None,
+        "rng": 5,
+        "time_limit": 9.0,
+        "smoothness": 0.1,
+        "checkpoint": tmp_path / "c.npz",
+    }
+    assert ssdr.load_skinning(outputs[0]).n_bones == 3
+    with Image.open(picture) as image:
+        assert image.width == 1600
+
+
+def test_table(faked, run, clip, tmp_path):
+    code, out, err = run("decompose", clip, "-o", tmp_path / "a.npz", "-b", 2)
+    assert (code, err) == (0, "")
+    for text in ("RMSE", "% of the diagonal", "E ", "the search converged", "a.npz", "2 bones"):
+        assert text in out
+    quiet = ("decompose", clip, "-o", tmp_path / "b.npz", "-b", 2, "--quiet")
+    assert run(*quiet) == (0, "", "")
+
+
+def test_weld_travels_to_the_model(faked, done, seam, tmp_path):
+    ssdr.save(seam, tmp_path / "seam.npz")
+    out = tmp_path / "a.npz"
+    done("decompose", tmp_path / "seam.npz", "-o", out, "-b", 1, "--weld")
+    model = ssdr.load_skinning(out)
+    assert model.n_vertices == 15
+    assert len(model.vertex_map) == seam.n_vertices
+
+
+def test_start(faked, done, refused, clip, wave, tmp_path):
+    """A model, a mesh whose first frame is the rest pose, or a frame."""
+    model, out = tmp_path / "model.npz", tmp_path / "out.npz"
+    ssdr.save(model_of(wave), model)
+    line = ("decompose", clip, "-b", 2, "-o", out, "--force", "--start")
+    done(*line, model)
+    assert fake_decompose.options["start"].n_bones == 2
+    done(*line, clip)
+    np.testing.assert_array_equal(fake_decompose.options["start"].rest, wave.vertices[0])
+    done(*line, 3)
+    assert fake_decompose.options["start"].rest_frame == 3
+    assert "no such file" in refused(*line, tmp_path / "none.npz")
+    # A run that was killed goes on from its checkpoint, and saves to it.
+    done(*line, model, "--checkpoint", model)
+    assert "--force overwrites" in refused(
+        "decompose", clip, "-b", 2, "-o", tmp_path / "b.npz", "--checkpoint", model
+    )
+
+
+@pytest.mark.slow
+def test_the_solver_goes_on_from_its_output(done, tmp_path):
+    out = tmp_path / "a.npz"
+    line = ("decompose", "sample:dancer_small", "-o", out, "-b", 6, "-e", "fast")
+    first = done(*line)
+    again = done(*line, "--start", out, "--force", "--time-limit", 1)
+    assert again["rmse"] <= first["rmse"] * (1 + 1e-6)
+    sequence, model = ssdr.samples.load("dancer_small"), ssdr.load_skinning(out)
+    gap = model.skin().astype(np.float64) - sequence.vertices
+    rmse = np.sqrt((gap**2).sum() / gap[..., 0].size)
+    assert again["rmse"] == pytest.approx(rmse, rel=1e-3)

@@ -1,0 +1,168 @@
+"""Outputs that are checked before the work, and a model that survives outputs that fail."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+import ssdr
+from helpers.blender import no_blender
+from helpers.command import fake_decompose
+from helpers.disks import fill, small_files
+from ssdr.cli.format_options import write_options
+
+
+def test_bad_outputs_are_found_before_a_file_is_read(refused, never, clip, tmp_path, monkeypatch):
+    monkeypatch.setattr("ssdr.io.load", never)
+    taken = tmp_path / "taken.npz"
+    taken.write_bytes(b"precious")
+    good, long = tmp_path / "good.npz", "n" * 252
+    for arguments, text in (
+        (["-o", tmp_path / "a.xyz"], "known suffix"),
+        (["-o", tmp_path / "a.abc"], "can be written"),
+        (["-o", tmp_path / "a.glb", "--write", "gbl:up=z"], "suffix of a format"),
+        (["-o", tmp_path / "no" / "a.npz"], "folder that exists"),
+        (["-o", taken], "--force overwrites"),
+        (["-o", clip, "--force"], "no input"),
+        (["-o", good, "-o", good], "no other output"),
+        (["-o", good, "--write", "red"], "KEY=VALUE"),
+        (["-o", good, "--picture", taken], "not the name of a picture"),
+        (["-o", good, "--checkpoint", tmp_path / "state.txt"], "ending in .npz"),
+        (["-o", good, "--checkpoint", taken], "--force overwrites"),
+        (["-o", good, "--checkpoint", tmp_path / "." / "good.npz"], "no other output"),
+        (["-o", tmp_path / f"{long}.npz"], "File name too long"),
+        (["-o", good, "--checkpoint", tmp_path / f"{long}.npz"], "File name too long"),
+        (["-o", good, "--picture", tmp_path / f"{long}.png"], "File name too long"),
+    ):
+        code = 3 if "picture" in text else 2
+        err = refused("decompose", clip, "-b", 2, *arguments, code=code)
+        assert text in err
+        assert len(err.strip().splitlines()) == 1
+    assert taken.read_bytes() == b"precious"
+    assert not good.exists()
+
+
+def test_what_a_format_refuses_is_refused_before_the_work(refused, never, clip, tmp_path):
+    for arguments, text in (
+        (["-o", tmp_path / "x.obj"], "one number such as %04d in the name"),
+        (["-o", tmp_path / "x.glb", "--write", "up=q"], "up: expected"),
+        (["-o", tmp_path / "x.glb", "--write", "influences=0"], "influences: expected"),
+        (["-o", tmp_path / "x.pc2", "--write", "unweld=true"], "unweld: expected"),
+        (["-o", tmp_path / "x.npz", "--write", "colour=red"], "colour"),
+        (["-o", tmp_path / "x.glb", "-b", 9, "-k", 9], "at most 8"),
+        (["-o", tmp_path / "x.glb", "--bone-model", "affine"], "shear"),
+    ):
+        assert text in refused("decompose", clip, "-b", 2, *arguments)
+    assert [p.name for p in tmp_path.iterdir()] == ["clip.npz"]
+
+
+def test_a_missing_package_is_named_before_the_work(refused, clip, tmp_path, monkeypatch):
+    no_blender(monkeypatch, tmp_path)
+    err = refused("decompose", clip, "-b", 2, "-o", tmp_path / "a.fbx", code=4)
+    assert "environment of its own" in err
+
+
+def test_a_folder_that_takes_no_file_is_refused(refused, never, clip, tmp_path, monkeypatch):
+    """Permissions do not tell, say where no inodes are left."""
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "touch", full)
+    err = refused("decompose", clip, "-b", 2, "-o", tmp_path / "a.npz")
+    assert "--output: expected a file in a folder that can be written to" in err
+    assert "(No space left on device)" in err
+
+
+def test_a_file_beside_the_output_is_not_overwritten(refused, clip, tmp_path):
+    for name, beside in (("a.gltf", "a.bin"), ("b.npy", "b.faces.npy")):
+        (tmp_path / beside).write_bytes(b"precious")
+        err = refused("decompose", clip, "-b", 2, "-o", tmp_path / name)
+        assert f"{tmp_path / beside}, which exists" in err
+        assert (tmp_path / beside).read_bytes() == b"precious"
+
+
+def test_options_of_outputs():
+    pairs = ["a=1", "glb:b=x", ".npz:c=true"]
+    assert write_options(pairs, Path("m.GLB")) == {"a": 1, "b": "x"}
+    assert write_options(pairs, Path("m.npz")) == {"a": 1, "c": True}
+
+
+@pytest.fixture
+def full(tmp_path, monkeypatch):
+    """A folder on a full disk; the folder for temporary files is beside it."""
+    (tmp_path / "full").mkdir()
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    fill(tmp_path / "full", monkeypatch)
+    return tmp_path / "full"
+
+
+@pytest.mark.usefixtures("faked")
+def test_a_full_disk_sends_the_model_to_another_folder(run, clip, full, monkeypatch):
+    line = ("decompose", clip, "-b", 2, "-o", full / "a.glb")
+    code, out, err = run(*line)
+    assert (code, out) == (1, "")
+    place = full.parent / "temporary" / "a.rescued.npz"
+    assert ssdr.load_skinning(place).n_bones == 2
+    lines = err.splitlines()
+    assert lines[0] == f"ssdr: warning: the model is kept in {place}"
+    assert lines[1] == f"ssdr: error: {full / 'a.glb'}: No space left on device"
+    assert list(full.iterdir()) == []
+    code, out, _ = run(*line, "--json")
+    document = json.loads(out)
+    assert (code, document["exit_code"]) == (1, 1)
+    assert document["warnings"] != [f"the model is kept in {place}"]  # which is not overwritten
+    fill(full.parent / "temporary", monkeypatch)
+    assert "the model is lost" in run(*line)[2]
+
+
+@pytest.mark.usefixtures("faked")
+def test_an_output_that_fails_does_not_keep_the_others_from_being_written(run, clip, full):
+    good = full.parent / "good.npz"
+    code, _, err = run("decompose", clip, "-b", 2, "-o", full / "a.glb", "-o", good)
+    assert code == 1
+    assert ssdr.load_skinning(good).n_bones == 2
+    assert err == f"ssdr: error: {full / 'a.glb'}: No space left on device\n"
+    # A table of weights is no model.
+    weights = full.parent / "w.csv"
+    code, _, err = run("decompose", clip, "-b", 2, "-o", full / "a.glb", "-o", weights)
+    assert weights.exists()
+    assert "the model is kept in" in err
+
+
+@pytest.mark.usefixtures("faked")
+def test_what_a_format_refuses_after_the_work_is_kept_beside_it(run, clip, tmp_path, monkeypatch):
+    monkeypatch.setattr("ssdr.cli.fitting.try_format", lambda *_: None)
+    code, _, err = run("decompose", clip, "-b", 2, "-o", tmp_path / "a.glb", "--write", "up=q")
+    assert code == 2
+    assert f"the model is kept in {tmp_path / 'a.rescued.npz'}" in err
+
+
+@pytest.mark.usefixtures("faked")
+def test_a_folder_that_goes_during_the_work(run, clip, tmp_path, monkeypatch):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def decompose(*args, **options):
+        gone.rmdir()
+        return fake_decompose(*args, **options)
+
+    monkeypatch.setitem(vars(ssdr), "decompose", decompose)
+    code, _, err = run("decompose", clip, "-b", 2, "-o", gone / "a.npz")
+    assert code == 2
+    assert f"the model is kept in {tmp_path / 'a.rescued.npz'}" in err
+
+
+@pytest.mark.usefixtures("faked")
+def test_files_that_may_not_grow(run, clip, tmp_path):
+    """What the system says of a full quota comes from the write itself."""
+    with small_files(500):
+        code, _, err = run("decompose", clip, "-b", 2, "-o", tmp_path / "a.npz")
+    assert code == 1
+    assert f"ssdr: error: {tmp_path / 'a.npz'}: File too large" in err

@@ -1,0 +1,242 @@
+"""``decompose(..., rig="rigid")`` and ``"loose"``: what they promise, where trees fail."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions, trees
+from helpers.measures import bits, bits_on_threads, check, diagonal, rmse_of
+from ssdr.errors import InputError
+
+_RIG = {"rig": "rigid", "effort": "fast"}
+
+
+@functools.cache
+def _made() -> trees.Skeleton:
+    return trees.skeleton(6, 40, seed=3)
+
+
+@functools.cache
+def _solved() -> ssdr.Decomposition:
+    return ssdr.decompose(_made().frames, bones=6, influences=2, rig="rigid")
+
+
+def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influences: int = 4):
+    """What holds for every rigid hierarchy."""
+    check(result, frames, bones, influences)
+    model = result.skinning
+    size = max(diagonal(frames), float(np.abs(frames).max()), 1e-12)
+    assert model.joint_gaps().max() <= 1e-6 * size
+    assert model.parents.shape == (bones,)
+    assert model.joint_positions.shape == (bones, 3)
+    local = model.local_transforms()
+    roots = np.flatnonzero(model.parents < 0)
+    posed = model.pose(local[..., :3], local[..., 3][:, roots])
+    np.testing.assert_allclose(posed.skin(), model.skin(), atol=1e-6 * size)
+    return model
+
+
+def test_a_made_skeleton_is_found() -> None:
+    made, result = _made(), _solved()
+    model = _check(result, made.frames, 6, 2)
+    assert result.rmse < 2e-3 * diagonal(made.frames)
+    place = trees.matched(model, made)
+    theirs = {frozenset(int(place[k]) for k in edge) for edge in trees.edges(made.parents)}
+    assert trees.edges(model.parents) == theirs
+    for child in np.flatnonzero(made.parents >= 0):
+        a, b = int(place[child]), int(place[made.parents[child]])
+        joint = model.joint_positions[a if model.parents[a] == b else b]
+        # the rest pose is the model's own: compare where the joint is in the frames
+        there = np.einsum("tij,j->ti", model.transforms[:, a, :, :3], joint)
+        there += model.transforms[:, a, :, 3]
+        truth = np.einsum("tij,j->ti", made.transforms[:, child, :, :3], made.points[child])
+        truth += made.transforms[:, child, :, 3]
+        away = np.linalg.norm(there - truth, axis=1).mean()
+        assert away < 0.02 * diagonal(made.frames)
+
+
+def test_joints_are_named() -> None:
+    assert _solved().skinning.joint_names == tuple(f"joint_{k}" for k in range(6))
+
+
+def test_same_seed_same_bits_whatever_the_threads() -> None:
+    trees_found = set()
+
+    def solve() -> ssdr.Decomposition:
+        result = ssdr.decompose(_made().frames, bones=6, influences=2, rig="rigid")
+        s = result.skinning
+        trees_found.add((s.parents.tobytes(), s.joint_positions.tobytes()))
+        return result
+
+    assert bits_on_threads(solve) == {bits(_solved())}
+    assert len(trees_found) == 1
+
+
+def test_a_loose_tree_leaves_the_flat_result_as_it_is() -> None:
+    options = {"bones": 6, "influences": 2}
+    flat = ssdr.decompose(_made().frames, **options)
+    loose = ssdr.decompose(_made().frames, **options, rig="loose")
+    assert bits(flat) == bits(loose)
+    model = loose.skinning
+    assert flat.skinning.parents is None
+    assert (model.parents < 0).sum() == 1
+    gaps = model.joint_gaps()
+    assert gaps.max() > 0
+    # no other parent that keeps the tree a tree has less translation
+    squares = (gaps**2).sum(axis=0)
+    m = model.transforms.astype(float)
+    for child in np.flatnonzero(model.parents >= 0):
+        below = {int(child)}
+        for k in range(6):
+            at = k
+            while at >= 0:
+                if at in below:
+                    below.add(k)
+                at = int(model.parents[at])
+        for other in set(range(6)) - below:
+            apart = m[:, child] - m[:, other]
+            rows, right = apart[..., :3].reshape(-1, 3), -apart[..., 3].ravel()
+            best = np.linalg.lstsq(rows, right)[0]
+            assert ((rows @ best - right) ** 2).sum() >= 0.99 * squares[child] - 1e-9
+
+
+# --- where methods fail --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bones", [1, 3])
+@pytest.mark.parametrize("part", ["static", "one rigid part"])
+def test_what_one_bone_explains(part: str, bones: int) -> None:
+    frames = motions.chain(bones=1, frames=8).frames
+    frames = frames if part == "one rigid part" else np.repeat(frames[:1], 6, axis=0)
+    with pytest.warns(ssdr.SsdrWarning, match="could each go") if bones > 1 else nullcontext():
+        result = ssdr.decompose(frames, bones=bones, **_RIG)
+    _check(result, frames, bones)
+    assert result.rmse < 1e-6 * diagonal(frames)
+
+
+@pytest.mark.filterwarnings("ignore::ssdr.SsdrWarning")
+def test_one_bone_is_a_root() -> None:
+    frames = motions.chain(bones=3, frames=8).frames
+    assert _check(ssdr.decompose(frames, bones=1, **_RIG), frames, 1).parents.tolist() == [-1]
+
+
+def test_parts_that_never_touch_move_apart() -> None:
+    boxes = motions.boxes(2, frames=12)
+    result = ssdr.decompose(boxes.frames, bones=2, **_RIG)
+    _check(result, boxes.frames, 2)
+    assert result.rmse < 1e-3 * diagonal(boxes.frames)
+
+
+@pytest.mark.filterwarnings("ignore:.*could each go")  # five bones do, but for rounding
+def test_a_closed_chain() -> None:
+    """Two hands that hold each other: a tree cuts the circle somewhere and stays near."""
+    rig = motions.chain(bones=6, frames=20)
+    angle = 2 * np.pi * (rig.rest[:, 0] - rig.rest[:, 0].min()) / np.ptp(rig.rest[:, 0])
+    ring = np.stack([np.cos(angle), np.sin(angle), 0.2 * rig.rest[:, 2]], axis=1)
+    sway = 0.3 * np.sin(np.linspace(0, 6, 20))[:, None]
+    frames = np.repeat(ring[None], 20, axis=0)
+    frames[..., 2] += sway * np.cos(2 * angle) + 0.1 * sway * np.cos(3 * angle + 4 * sway)
+    frames[..., 0] *= 1 + 0.5 * sway
+    result = ssdr.decompose(frames, bones=6, **_RIG)
+    _check(result, frames, 6)
+    assert result.rmse < 0.03 * diagonal(frames)
+
+
+def test_a_tentacle() -> None:
+    rig = motions.chain(bones=12, frames=30, rows=60)
+    result = ssdr.decompose(rig.frames, bones=8, **_RIG)
+    model = _check(result, rig.frames, 8)
+    children = np.bincount(model.parents[model.parents >= 0], minlength=8)
+    assert children.max() <= 2
+    assert result.rmse < 0.02 * diagonal(rig.frames)
+
+
+def test_a_ball_that_squashes() -> None:
+    points = np.random.default_rng(0).normal(size=(120, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    squash = 1 + 0.4 * np.sin(np.linspace(0, 6, 16))
+    frames = np.stack([points * [1 / np.sqrt(s), s, 1 / np.sqrt(s)] for s in squash])
+    result = ssdr.decompose(frames, bones=5, **_RIG)
+    _check(result, frames, 5)
+
+
+def test_a_frame_that_teleports() -> None:
+    frames = _made().frames.copy()
+    frames[20:] += 50.0
+    result = ssdr.decompose(frames, bones=6, influences=2, **_RIG)
+    _check(result, frames, 6, 2)
+    assert result.rmse < 0.05 * diagonal(_made().frames)
+
+
+def test_mirrored_frames_keep_proper_rotations() -> None:
+    frames = _made().frames.copy()
+    frames[20:, :, 0] *= -1
+    _check(ssdr.decompose(frames, bones=4, influences=2, **_RIG), frames, 4, 2)
+
+
+def test_more_joints_than_vertices_is_refused() -> None:
+    with pytest.raises(InputError, match="bones"):
+        ssdr.decompose(np.random.default_rng(0).normal(size=(4, 5, 3)), bones=6, **_RIG)
+
+
+def test_as_many_joints_as_vertices() -> None:
+    frames = np.random.default_rng(0).normal(size=(4, 5, 3))
+    _check(ssdr.decompose(frames, bones=5, **_RIG), frames, 5, 4)
+
+
+def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
+    made, size = _made(), diagonal(_made().frames)
+    result = ssdr.smallest(made.frames, influences=2, tolerance=2e-4 * size, **_RIG)
+    model, report = result.skinning, result.parsimony
+    assert report is not None
+    assert report.held
+    assert rmse_of(model, made.frames) <= 2e-4 * size
+    assert 6 <= model.n_bones <= 8
+    assert (model.parents < 0).sum() <= 2  # sticks that hardly touch may count as parts
+    assert model.joint_gaps().max() < 1e-6 * size
+    assert "keyframes" in {pruning.what for pruning in report.prunings}
+    ssdr.save(model, tmp_path / "rig.glb")
+    back = ssdr.load_skinning(tmp_path / "rig.glb")
+    assert np.array_equal(back.parents, model.parents)
+    assert rmse_of(back, made.frames) <= 2.1e-4 * size
+
+
+def test_a_tolerance_of_the_largest_error() -> None:
+    made, size = _made(), diagonal(_made().frames)
+    call = {"influences": 2, "tolerance": 0.02 * size, "measure": "max"}
+    result = ssdr.smallest(made.frames, **call, **_RIG)
+    assert result.parsimony.held
+    assert result.skinning.joint_gaps().max() < 1e-6 * size
+
+
+def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
+    frames = _made().frames
+    options = {"influences": 2, "tolerance": 0.01 * diagonal(frames), "effort": "fast"}
+    loose, flat = (ssdr.smallest(frames, rig=rig, **options) for rig in ("loose", None))
+    assert loose.parsimony.bones == flat.parsimony.bones
+    assert loose.parsimony.held
+    assert loose.skinning.parents is not None
+
+
+def test_renumbered_vertices_give_the_same_tree() -> None:
+    made = _made()
+    order = np.random.default_rng(1).permutation(len(made.rest))
+    options = {"bones": 6, "influences": 2, "rig": "rigid"}
+    other = ssdr.decompose(made.frames[:, order], **options).skinning
+    back = dataclasses.replace(
+        made, rest=made.rest[order], indices=made.indices[order], weights=made.weights[order]
+    )
+    here, there = trees.matched(_solved().skinning, made), trees.matched(other, back)
+
+    def named(model, place):
+        rank = np.argsort(place)
+        return {frozenset(int(rank[k]) for k in edge) for edge in trees.edges(model.parents)}
+
+    assert named(_solved().skinning, here) == named(other, there)

@@ -1,0 +1,166 @@
+"""What ``ssdr.decompose`` refuses, and by which name."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions, trees
+from helpers.measures import frames, rig
+
+TWO = np.tile(np.eye(3, 4), (15, 2, 1, 1))
+EACH_ONE = {"indices": np.zeros((84, 1), int), "weights": np.ones((84, 1))}
+
+
+def far(size: float) -> np.ndarray:
+    """Bones that are as far away as this."""
+    return np.tile(np.c_[np.eye(3), np.full(3, size)], (15, 2, 1, 1))
+
+
+REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
+    "no bones": ("bones", {"bones": 0}),
+    "bones of no number": ("bones", {"bones": None}),
+    "more bones than vertices": ("bones", {"bones": 85}),
+    "bones as text": ("bones", {"bones": "5"}),
+    "no influences": ("influences", {"influences": 0}),
+    "unknown effort": ("effort", {"effort": "heroic"}),
+    "efforts": ("effort", {"effort": np.array(["fast", "best"])}),
+    "positions beyond squares": ("vertices", {"sequence": 1e200 * frames()}),
+    "an extent below squares": ("vertices", {"sequence": 1e-200 * frames()}),
+    "an extent of subnormals": ("vertices", {"sequence": 1e-310 * frames()}),
+    "unknown bone model": ("bone_model", {"bone_model": "soft"}),
+    "unknown rig": ("rig", {"rig": "tree"}),
+    "a rig that is true": ("rig", {"rig": True}),
+    "rigs": ("rig", {"rig": np.array(["rigid", "loose"])}),
+    "no time": ("time_limit", {"time_limit": 0.0}),
+    "time NaN": ("time_limit", {"time_limit": float("nan")}),
+    "time as text": ("time_limit", {"time_limit": "10"}),
+    "time that is true": ("time_limit", {"time_limit": True}),
+    "smoothness as text": ("smoothness", {"smoothness": "0.1"}),
+    "smoothness below 0": ("smoothness", {"smoothness": -1}),
+    "smoothness NaN": ("smoothness", {"smoothness": float("nan")}),
+    "smoothness without faces": ("smoothness", {"smoothness": 1.0, "faces": None}),
+    "a file's name": ("vertices", {"sequence": "walk.npz"}),
+    "shots as arrays": ("sequence", {"sequence": [np.zeros((3, 84, 3)), np.zeros((5, 84, 3))]}),
+    "importance below 0": ("vertex_importance", {"vertex_importance": -np.ones(84)}),
+    "importance all 0": ("vertex_importance", {"vertex_importance": np.zeros(84)}),
+    "importance of others": ("vertex_importance", {"vertex_importance": np.ones(83)}),
+    "a frame of no importance": ("frame_importance", {"frame_importance": np.arange(15.0)}),
+    "no seed": ("rng", {"rng": None}),
+    "faces twice": ("faces", {"sequence": ssdr.MeshSequence(np.zeros((2, 84, 3)))}),
+    "a callback that is none": ("callback", {"callback": 3}),
+}
+REFUSED_PARTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "a frame that is true": ("rest_frame", {"rest_frame": True}),
+    "half a frame": ("rest_frame", {"rest_frame": 2.5}),
+    "rest frame out of range": ("rest_frame", {"rest_frame": 15}),
+    "indices alone": ("weights", {"indices": np.zeros((84, 1), int)}),
+    "weights alone": ("indices", {"weights": np.ones((84, 1))}),
+    "indices out of range": ("indices", EACH_ONE | {"indices": np.full((84, 1), 4)}),
+    "indices beyond 32 bits": ("indices", EACH_ONE | {"indices": np.full((84, 1), 2**32)}),
+    "ragged indices": ("indices", EACH_ONE | {"indices": 83 * [[0]] + [[0, 1]]}),
+    "too many influences": (
+        "weights", {"indices": np.tile(np.arange(4), (84, 1)), "weights": np.full((84, 4), 0.25)},
+    ),
+    "a bone twice": (
+        "indices", {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)},
+    ),
+    "locked vertices alone": ("locked_vertices", {"locked_vertices": [0]}),
+    "ragged locked vertices": ("locked_vertices", EACH_ONE | {"locked_vertices": [[1], [1, 2]]}),
+    "locked bones alone": ("locked_bones", {"locked_bones": [0]}),
+    "ragged locked bones": ("locked_bones", {"transforms": TWO, "locked_bones": [[0], [0, 1]]}),
+    "a bone that is not there": ("locked_bones", {"transforms": TWO, "locked_bones": [2]}),
+    "too many given bones": ("transforms", {"transforms": np.tile(np.eye(3, 4), (15, 5, 1, 1))}),
+    "bones of other frames": ("transforms", {"transforms": np.tile(np.eye(3, 4), (9, 2, 1, 1))}),
+    "bones that scale": ("transforms", {"transforms": 2 * TWO}),
+    "bones that mirror": ("transforms", {"transforms": -TWO}),
+    "bones beyond squares": ("transforms", {"transforms": far(1e155)}),
+    "bones beyond squares of the mesh": (
+        "transforms", {"sequence": 1e-60 * frames(), "transforms": far(1e95)},
+    ),
+    "rest of another mesh": ("rest", {"rest": np.zeros((83, 3))}),
+    "complex rest": ("rest", {"rest": np.zeros((84, 3), complex)}),
+    "rest NaN": ("rest", {"rest": np.full((84, 3), np.nan)}),
+    "rest beyond squares": ("rest", {"rest": np.full((84, 3), 1e155)}),
+    "rest beyond squares of the mesh": (
+        "rest", {"sequence": 1e-60 * frames(), "rest": np.full((84, 3), 1e95)},
+    ),
+}  # fmt: skip
+
+
+@functools.cache
+def made() -> trees.Skeleton:
+    return trees.skeleton(6, 15, seed=3, around=14)
+
+
+@functools.cache
+def skeleton() -> ssdr.Skinning:
+    return made().skinning(bone_names=NAMES)
+
+
+NAMES = ("hips", "spine", "arm", "leg", "hand", "foot")
+WEIGHTS = {"indices": np.zeros((84, 1), int), "weights": np.ones((84, 1))}
+REFUSED_RIGS: dict[str, tuple[str, dict[str, Any]]] = {
+    "an affine tree": ("bone_model", {"rig": "rigid", "bone_model": "affine"}),
+    "growing bones that hang": ("bone_model", {"rig": "loose", "bone_model": "similarity"}),
+    "a smooth tree": ("smoothness", {"rig": "rigid", "smoothness": 0.1}),
+    "a tree of given bones": ("start.transforms", {"rig": "rigid", "transforms": TWO}),
+    "a tree of given weights": ("start.weights", {"rig": "rigid"} | WEIGHTS),
+}
+REFUSED_SKELETONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "no model": ("rig.skinning", {"skinning": np.zeros((6, 3))}),
+    "no hierarchy": (
+        "rig.skinning",
+        {"skinning": motions.model(np.zeros((84, 3)))},
+    ),
+    "joints of another kind": ("rig.joints", {"joints": "none"}),
+    "more bones than it has": ("bones", {"bones": 7}),
+    "more bones beside extra ones": ("bones", {"extra_bones": {"hand": 1}, "bones": 6}),
+    "fewer than no extra bones": ("rig.extra_bones", {"extra_bones": -1}),
+    "half an extra bone": ("rig.extra_bones", {"extra_bones": 1.5}),
+    "extra bones beyond memory": ("rig.extra_bones", {"extra_bones": 10**12}),
+    "extra bones below nothing": ("rig.extra_bones", {"extra_bones": {"tail": 1}}),
+    "fewer than none by name": ("rig.extra_bones", {"extra_bones": {"hand": -1}}),
+    "loose extra bones": ("rig.extra_bones", {"joints": "loose", "extra_bones": 2}),
+    "extra bones beside weights": ("rig.extra_bones", {"extra_bones": 1} | WEIGHTS),
+    "a locked root": ("rig.locked_joints", {"locked_joints": ["hips"]}),
+    "a locked joint of no skeleton": ("rig.locked_joints", {"locked_joints": ["tail"]}),
+    "a name for names": ("rig.locked_joints", {"locked_joints": "hand"}),
+    "a number for names": ("rig.locked_joints", {"locked_joints": 4}),
+    "loose locked joints": ("rig.locked_joints", {"locked_joints": ["hand"], "joints": "loose"}),
+    "bones beside a skeleton": ("start.transforms", {"transforms": np.tile(TWO, (1, 3, 1, 1))}),
+    "an affine skeleton": ("bone_model", {"bone_model": "affine"}),
+    "a smooth skeleton": ("smoothness", {"smoothness": 0.1}),
+}
+
+
+@pytest.mark.parametrize("case", [*REFUSED, *REFUSED_PARTS, *REFUSED_RIGS, *REFUSED_SKELETONS])
+def test_refuses(case: str) -> None:
+    """By the argument's name as the caller wrote it, before anything is computed."""
+    calls: list[object] = []
+    call = {"sequence": frames(), "faces": rig().faces, "callback": calls.append}
+    argument, change = (REFUSED | REFUSED_PARTS | REFUSED_RIGS | REFUSED_SKELETONS)[case]
+    change = {"bones": 4} | change
+    if case in REFUSED_PARTS:
+        argument, change["influences"] = f"start.{argument}", 3
+    if case in REFUSED_SKELETONS:
+        call["sequence"] = made().frames
+        change = {"skinning": skeleton(), "bones": None} | REFUSED_SKELETONS[case][1]
+        parts = {name: change.pop(name) for name in RIG if name in change}
+        change["rig"] = ssdr.Skeleton(parts.pop("skinning"), **parts)
+    parts = {name: change.pop(name) for name in PARTS if name in change}
+    if parts:
+        change["start"] = ssdr.Start(**parts)
+    with pytest.raises(ssdr.InputError, match="expected") as caught:
+        ssdr.decompose(**(call | change))
+    assert caught.value.argument == argument
+    assert not calls
+
+
+PARTS = [field.name for field in dataclasses.fields(ssdr.Start)]
+RIG = [field.name for field in dataclasses.fields(ssdr.Skeleton) if field.name != "_"]

@@ -1,0 +1,258 @@
+"""``decompose(..., start=...)``: a model to go on from, and parts of one."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssdr
+from helpers import motions, stretches, trees
+from helpers.measures import check, diagonal, frames, played, rig, rmse_of
+from ssdr.drivers import scan
+from ssdr.errors import InputError
+
+Solve = Callable[..., ssdr.Decomposition]
+
+# a model to go on from
+
+
+@functools.cache
+def made() -> trees.Skeleton:
+    return trees.skeleton(6, 40, seed=3)
+
+
+@functools.cache
+def skeleton() -> ssdr.Skinning:
+    return made().skinning(bone_names=tuple("abcdef"))
+
+
+def hasty(solve: Solve) -> ssdr.Skinning:
+    """The model of a call that is stopped at the first polish that makes one."""
+    polished = {"callback": lambda p: p.phase == "polish" and np.isfinite(p.rmse)}
+    return solve(effort="balanced", **polished).skinning
+
+
+def moving(kind: str) -> np.ndarray:
+    if kind in ("rigid rig", "skeleton", "locked joints"):
+        wave = 0.02 * np.sin(4 * made().frames[..., [1, 2, 0]])
+        return made().frames + wave
+    if kind in stretches.KINDS:
+        return motions.wobble(stretches.rig(kind), 0.05)
+    return motions.rippled() if kind == "streamed" else frames()
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "free": {"bones": 5},
+    "two influences": {"bones": 5, "influences": 2},
+    "loose": {"bones": 5, "rig": "loose"},
+    "rigid rig": {"bones": 6, "influences": 2, "rig": "rigid"},
+    "skeleton": {"influences": 2, "rig": ssdr.Skeleton(skeleton(), extra_bones=1)},
+    "locked joints": {"influences": 2, "rig": ssdr.Skeleton(skeleton(), locked_joints=["c"])},
+    "similarity": {"bones": 4, "bone_model": "similarity"},
+    "affine": {"bones": 4, "bone_model": "affine"},
+    "streamed": {"bones": 4},
+    "smooth": {"bones": 5, "smoothness": 0.05, "faces": rig().faces},
+}
+
+
+@pytest.mark.parametrize("effort", ["fast", "balanced"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_model_is_never_left_for_a_worse_one(
+    kind: str, effort: str, tiny_memory: Callable[[], None]
+) -> None:
+    """An early one and a finished one."""
+    if kind == "streamed":
+        tiny_memory()
+    array = moving(kind)
+    solve = functools.partial(ssdr.decompose, array, **KINDS[kind])
+    early = hasty(solve)
+    for start in (early, solve(effort=effort).skinning):
+        result = solve(effort=effort, start=start)
+        model = result.skinning
+        check(result, array, start.n_bones, KINDS[kind].get("influences", 4))
+        if kind != "smooth":  # where error and penalty together may not rise
+            assert result.rmse <= rmse_of(start, array) * (1 + 1e-12)
+        if start is early:
+            assert result.rmse < rmse_of(start, array)
+        assert model.bone_model == start.bone_model
+        assert (model.parents is None) == (start.parents is None)
+        if kind in ("rigid rig", "skeleton", "locked joints"):
+            assert model.joint_gaps().max() < 1e-9 * diagonal(array)
+        if kind in ("skeleton", "locked joints"):
+            assert np.array_equal(model.parents, start.parents)
+            assert model.joint_names[:6] == skeleton().joint_names
+        if kind == "locked joints":
+            turns = model.local_transforms()[:, 2, :, :3]
+            np.testing.assert_allclose(turns, np.eye(3) + 0 * turns, atol=1e-9)
+
+
+@pytest.fixture
+def tiny_memory(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From the call on, frames count as too large to be held at once."""
+
+    def shrink() -> None:
+        for name, value in (("_IN_MEMORY", 1), ("_FEWEST", 40), ("_MOST", 40)):
+            monkeypatch.setattr(scan, name, value)
+
+    return shrink
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"bone_model": "affine"}, {"rig": "loose"}, {"influences": 7}, {"bones": 5}],
+    ids=str,
+)
+def test_the_best_there_is_comes_back_in_the_form_that_was_asked_for(
+    options: dict[str, Any],
+) -> None:
+    exact = rig()
+    named = dataclasses.replace(exact.skinning, bone_names=tuple("vwxyz"), name="old", fps=60)
+    sequence = ssdr.MeshSequence(exact.frames, exact.faces, 30, name="new")
+    result = ssdr.decompose(sequence, start=named, effort="fast", **options)
+    model = check(result, exact.frames, 5, options.get("influences", 4)).skinning
+    assert result.rmse < 1e-15 * diagonal(exact.frames)
+    np.testing.assert_array_equal(model.rest, exact.rest)
+    np.testing.assert_allclose(model.transforms, exact.transforms, rtol=0, atol=1e-13)
+    assert model.bone_model == options.get("bone_model", "rigid")
+    assert (model.parents is not None) == ("rig" in options)
+    assert model.clips == (ssdr.Clip("new", 0, 15, 30.0),)
+
+
+@pytest.mark.parametrize("same_length", [True, False])
+@pytest.mark.parametrize("hung", [False, True])
+@pytest.mark.parametrize("streamed", [False, True])
+def test_bones_of_a_model_of_other_frames_are_fitted_to_its_weights(
+    same_length: bool, hung: bool, streamed: bool, tiny_memory: Callable[[], None]
+) -> None:
+    """Also where both have as many frames: then its transforms are far off."""
+    if streamed:
+        tiny_memory()
+    # one skeleton in two motions: random turns are the same whatever the length
+    few = np.arange(0, 120, 1 if same_length else 2)
+    other = made_of_other_motion()
+    array = trees.skeleton(6, 120, seed=3).frames
+    start = other.skinning(transforms=other.transforms[few])
+    fitted = ssdr.fit_bones(array, start)
+    start = start if hung else dataclasses.replace(start, parents=None, joint_positions=None)
+    options = {"influences": 2, "effort": "fast", "rig": "rigid" if hung else None}
+    result = ssdr.decompose(array, start=start, **options)
+    check(result, array, 6, 2)
+    size = diagonal(array)
+    assert rmse_of(dataclasses.replace(start, transforms=other.transforms), array) > 0.05 * size
+    assert result.rmse <= fitted.rmse + 1e-9 * size
+    if hung:
+        assert np.array_equal(result.skinning.parents, start.parents)
+        assert result.skinning.joint_gaps().max() < 1e-9 * size
+
+
+@functools.cache
+def made_of_other_motion() -> trees.Skeleton:
+    slow = trees.skeleton(6, 120, seed=3)
+    return dataclasses.replace(slow, transforms=slow.transforms[::-1])
+
+
+def test_where_importances_count_the_weighted_error_does_not_rise() -> None:
+    heavy = np.where(np.arange(84) < 42, 20.0, 1.0)
+    options = {"bones": 3, "vertex_importance": heavy, "effort": "fast"}
+
+    def weighted(model: ssdr.Skinning) -> float:
+        return float((((played(model) - frames()) ** 2).sum(axis=2) @ heavy).sum())
+
+    first = ssdr.decompose(frames(), **options).skinning
+    again = ssdr.decompose(frames(), start=first, **options).skinning
+    assert weighted(again) <= weighted(first)
+
+
+def test_a_rig_from_a_file_of_single_precision_is_taken_up(tmp_path: Path) -> None:
+    """There joints come apart by rounding."""
+    array = moving("rigid rig")
+    options = {"influences": 2, "rig": "rigid", "effort": "fast"}
+    first = ssdr.decompose(array, bones=6, **options).skinning
+    ssdr.save(first, tmp_path / "rig.glb")
+    start = ssdr.load_skinning(tmp_path / "rig.glb")
+    assert start.joint_gaps().max() > 0
+    result = ssdr.decompose(array, start=start, **options)
+    assert result.rmse <= rmse_of(start, array) * (1 + 1e-6)
+    assert np.array_equal(result.skinning.parents, start.parents)
+    assert result.skinning.joint_gaps().max() < 1e-9 * diagonal(array)
+
+
+def test_the_start_is_left_alone() -> None:
+    start = ssdr.decompose(frames(), bones=4, effort="fast").skinning
+    names = ("rest", "indices", "weights", "transforms")
+    before = [getattr(start, name).copy() for name in names]
+    ssdr.decompose(frames(), start=start, effort="fast")
+    for name, array in zip(names, before, strict=True):
+        assert np.array_equal(getattr(start, name), array), name
+
+
+def still(n: int = 84, bones: int = 4, **parts: Any) -> ssdr.Skinning:
+    arrays = {"transforms": np.tile(np.eye(3, 4), (15, bones, 1, 1))} | parts
+    return motions.model(np.zeros((n, 3)), **arrays)
+
+
+def other_parents() -> ssdr.Skinning:
+    return dataclasses.replace(skeleton(), parents=[-1, 0, 0, 0, 0, 0])
+
+
+REFUSED: dict[str, tuple[str, Callable[[], dict[str, Any]]]] = {
+    "a file's name": ("start", lambda: {"start": "model.npz"}),
+    "a result": ("start", lambda: {"start": ssdr.decompose(frames(), bones=1, effort="fast")}),
+    "another mesh": ("start", lambda: {"start": still(83)}),
+    "more bones": ("bones", lambda: {"start": still(), "bones": 5}),
+    "bones that are true": ("bones", lambda: {"start": still(bones=1), "bones": True}),
+    "more bones than vertices": ("start", lambda: {"start": still(bones=85)}),
+    "too many influences": (
+        "start.weights",
+        lambda: {
+            "start": still(indices=np.tile([0, 1, 2], (84, 1)), weights=np.full((84, 3), 1 / 3)),
+            "influences": 2,
+        },
+    ),
+    "a bone twice": (
+        "start.indices",
+        lambda: {"start": still(indices=np.zeros((84, 2), int), weights=np.full((84, 2), 0.5))},
+    ),
+    "bones that grow": (
+        "start.transforms",
+        lambda: {
+            "start": still(
+                transforms=np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), bone_model="affine"
+            )
+        },
+    ),
+    "far away": ("start.rest", lambda: {"start": motions.model(np.full((84, 3), 1e155))}),
+    "a skeleton of other bones": (
+        "start", lambda: {"start": still(), "rig": ssdr.Skeleton(skeleton())},
+    ),
+    "another skeleton": (
+        "start",
+        lambda: {
+            "sequence": made().frames, "start": skeleton(), "rig": ssdr.Skeleton(other_parents())
+        },
+    ),
+    "bones beside a skeleton": (
+        "start",
+        lambda: {
+            "sequence": made().frames,
+            "start": dataclasses.replace(skeleton(), parents=None, joint_positions=None),
+            "rig": ssdr.Skeleton(skeleton()),
+        },
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refuses(case: str) -> None:
+    argument, make = REFUSED[case]
+    calls: list[object] = []
+    with pytest.raises(InputError, match="expected") as caught:
+        ssdr.decompose(**({"sequence": frames()} | make()), callback=calls.append)
+    assert caught.value.argument == argument
+    assert not calls
