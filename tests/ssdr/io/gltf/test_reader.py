@@ -28,6 +28,7 @@ def rebuild(source, target, change):
 def hand_made(tmp_path, document, *arrays):
     """A .gltf of an accessor for each array, in the order given; integers are normalised."""
     made = Made()
+    made.json = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": []}
     for values in map(np.asarray, arrays):
         made.put(values, normalized=values.dtype.kind != "f" and values.ndim > 1)
     made.json.update(document)
