@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..sequence import Surface
 from ..skinning import Skinning
+from ..surface import Surface
 
 __all__ = ["Up", "check_up", "turn_skinning_up", "turn_surface_up", "turn_up"]
 

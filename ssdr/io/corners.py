@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..sequence import Surface
+from ..surface import Surface
 
 __all__ = [
     "Corners",

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from ..clips import Clip, in_order, unique_names
 from ..errors import FormatError, InputError
 from ..lbs import skin
-from ..sequence import Material, MeshSequence, Surface
+from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
+from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .corners import corner_normals
 

@@ -5,7 +5,17 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import pytest
+
+from ssdr.errors import SsdrError
 from ssdr.io.blender import command
+
+try:
+    command("")
+    _WHY_NOT = ""
+except SsdrError as error:
+    _WHY_NOT = str(error)
+needs_blender = pytest.mark.skipif(bool(_WHY_NOT), reason=_WHY_NOT)
 
 _HEAD = """
 import os, sys
@@ -77,12 +87,17 @@ os._exit(0)
 """
 
 
+def run_blender(script: Path, code: str, *arguments: Path) -> str:
+    """Run code in Blender; what it prints."""
+    script.write_text(code + _TAIL, encoding="utf-8")
+    words = command(script, *map(str, arguments))
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout
+
+
 def export(path: Path, code: str) -> Path:
     """Run a scene's code in Blender; its ``save()`` writes the FBX file at `path`."""
-    script = path.with_suffix(".scene.py")
-    script.write_text(_HEAD + code + _TAIL, encoding="utf-8")
-    done = subprocess.run(
-        command(script, str(path)), capture_output=True, text=True, timeout=300, check=False
-    )
-    assert path.is_file(), done.stderr[-2000:]
+    run_blender(path.with_suffix(".scene.py"), _HEAD + code, path)
+    assert path.is_file()
     return path

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.motions import grid as triangles
 
-_CODES = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
+_CODES = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121, "int16": 5122}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 
 

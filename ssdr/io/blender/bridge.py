@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from ...clips import Clip, in_order, one_rate, pick, readable
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
-from ...sequence import Material, MeshSequence, Surface
+from ...sequence import MeshSequence
 from ...skinning import Skinning
+from ...surface import Material, Surface
 from ..atomic import atomic_path
 from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
 from ..budget import MOST_BYTES

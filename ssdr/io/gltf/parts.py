@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
-from ...sequence import Material
+from ...surface import Material
 from ..corners import unit
 from ..scene import Bones, Looks, Shape
 from .animation import Nodes

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...hierarchy.bone_ends import limb_axes, limb_ends
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
-from ...sequence import Material, Surface
 from ...skinning import Skinning
+from ...surface import Material, Surface
 from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
 from ..registry import SaveReport

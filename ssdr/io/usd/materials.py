@@ -12,7 +12,7 @@ from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
 from ...clips import unique_names
 from ...errors import FormatError
-from ...sequence import Material, Surface
+from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..references import find_inside
 from ..scene import Looks

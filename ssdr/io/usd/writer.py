@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from ...errors import InputError, is_real
-from ...sequence import MeshSequence, Surface
+from ...sequence import MeshSequence
 from ...skinning import Skinning
+from ...surface import Surface
 from ..atomic import atomic_path
 from ..axes import Up, check_up
 from ..corners import corner_normals

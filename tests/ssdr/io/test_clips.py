@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import struct
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 import ssdr
+from helpers.glb import opened, values_of
 from helpers.rig_model import largest_distance, tube
 from ssdr import Clip
 
@@ -28,32 +28,17 @@ def model_of(clips=CLIPS, **options):
     return dataclasses.replace(tube(**options), clips=clips)
 
 
-def read_glb(path):
-    data = path.read_bytes()
-    size = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + size]), data[28 + size :]
-
-
-def accessor(document, binary, index):
-    item = document["accessors"][index]
-    view = document["bufferViews"][item["bufferView"]]
-    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[item["type"]]
-    kind = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[item["componentType"]]
-    found = np.frombuffer(binary, kind, item["count"] * width, view["byteOffset"])
-    return found.reshape(-1, width).astype(np.float64)
-
-
 def play(path, name, seconds):
     """World vertices of a .glb at times of one animation, by plain loops; and their numbers."""
-    document, binary = read_glb(path)
+    document, binary = opened(path)
     (clip,) = [a for a in document["animations"] if a.get("name") == name]
     (node,) = [n for n in document["nodes"] if "skin" in n]
     skin = document["skins"][node["skin"]]
-    inverse = accessor(document, binary, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
+    inverse = values_of(document, binary, skin["inverseBindMatrices"]).reshape(-1, 4, 4)
     where = document["meshes"][node["mesh"]]["primitives"][0]["attributes"]
-    points = accessor(document, binary, where["POSITION"])
-    indices = accessor(document, binary, where["JOINTS_0"]).astype(int)
-    weights = accessor(document, binary, where["WEIGHTS_0"])
+    points = values_of(document, binary, where["POSITION"])
+    indices = values_of(document, binary, where["JOINTS_0"]).astype(int)
+    weights = values_of(document, binary, where["WEIGHTS_0"])
     frames = []
     for second in seconds:
         pose = {
@@ -66,8 +51,8 @@ def play(path, name, seconds):
         }
         for channel in clip["channels"]:
             sampler = clip["samplers"][channel["sampler"]]
-            times = accessor(document, binary, sampler["input"])[:, 0]
-            values = accessor(document, binary, sampler["output"])
+            times = values_of(document, binary, sampler["input"])[:, 0]
+            values = values_of(document, binary, sampler["output"])
             at = np.clip(second, times[0], times[-1])
             target = channel["target"]
             if len(times) == 1:
@@ -87,7 +72,7 @@ def play(path, name, seconds):
             share = np.where(indices == k, weights, 0).sum(axis=1)
             posed += share[:, None] * (points @ full[:3, :3].T + full[:3, 3])
         frames.append(posed)
-    return np.array(frames), accessor(document, binary, where["_VERTEX"])[:, 0].astype(int)
+    return np.array(frames), values_of(document, binary, where["_VERTEX"])[:, 0].astype(int)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -148,7 +133,7 @@ def test_each_clip_is_an_animation_of_gltf_that_starts_at_0_s(tmp_path):
     keys[[0, 4, 12, 19]] = True
     for model in (model_of(), dataclasses.replace(model_of(), keyframes=keys)):
         ssdr.save(model, tmp_path / "a.glb")
-        document, binary = read_glb(tmp_path / "a.glb")
+        document, binary = opened(tmp_path / "a.glb")
         names = [a["name"] for a in document["animations"]]
         assert names == ["walk", "jump/high", "death"]
         assert document["meshes"][0]["name"] == document["scenes"][0]["name"] == "tube"
@@ -156,7 +141,7 @@ def test_each_clip_is_an_animation_of_gltf_that_starts_at_0_s(tmp_path):
             stated = {"fps": clip.fps, "frames": clip.n_frames}
             assert animation["extras"]["ssdr"] == stated
             for sampler in animation["samplers"]:
-                times = accessor(document, binary, sampler["input"])[:, 0]
+                times = values_of(document, binary, sampler["input"])[:, 0]
                 assert times[0] == 0
                 assert times[-1] == np.float32((clip.n_frames - 1) / clip.fps)
                 if model.keyframes is None:

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 
 import ssdr
+from helpers.blender_scene import needs_blender, run_blender
 from helpers.rig_model import largest_distance, tube
 from ssdr.io.axes import turn_up
-from ssdr.io.blender import bridge, command
-
-try:
-    command("")
-except ssdr.SsdrError as error:
-    WHY_NOT = str(error)
-else:
-    WHY_NOT = ""
-
-needs_blender = pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)
+from ssdr.io.blender import bridge
 
 
 def imported(path, fps=24.0):
@@ -29,6 +20,13 @@ def imported(path, fps=24.0):
     job = {"action": "read", "path": str(path), "fps": fps, "resample": False, "max_bytes": 1 << 30}
     arrays = bridge.run(job)
     return turn_up(arrays["vertices"], "z", "y"), arrays
+
+
+def assert_twins(ours, theirs):
+    """Every vertex of either must have its twin in the other, whatever their order."""
+    gap = np.linalg.norm(ours[:, :, None] - theirs[:, None], axis=-1).max(axis=0)
+    assert gap.min(axis=1).max() < 3e-6
+    assert gap.min(axis=0).max() < 3e-6
 
 
 @needs_blender
@@ -72,12 +70,7 @@ def test_fbx_round_trip(tmp_path, up):
     assert report.influences == 4
     back = ssdr.load(tmp_path / "a.fbx", up=up)
     assert (back.n_frames, back.fps) == (7, 24)
-    truth = model.skin()
-    # Seams are split in the file: every vertex of either must have its twin in the other.
-    ours, theirs = truth.transpose(1, 0, 2), back.vertices.transpose(1, 0, 2)
-    gap = np.sqrt(((ours[:, None] - theirs[None]) ** 2).sum(axis=-1)).max(axis=-1)
-    assert gap.min(axis=1).max() < 3e-6
-    assert gap.min(axis=0).max() < 3e-6
+    assert_twins(model.skin(), back.vertices)
     assert len(back.faces) == len(model.faces)
     assert back.surface.materials[0].texture == model.surface.materials[0].texture
     assert ssdr.load(tmp_path / "a.fbx", fps=48).n_frames == 13
@@ -88,24 +81,18 @@ def test_fbx_round_trip(tmp_path, up):
 def test_alembic_of_blender(tmp_path):
     model = tube(frames=5)
     ssdr.save(model, tmp_path / "a.glb")
-    script = (
+    code = (
         "import bpy, os, sys\n"
         "bpy.ops.wm.read_factory_settings(use_empty=True)\n"
         "bpy.ops.import_scene.gltf(filepath=sys.argv[-2])\n"
         "scene = bpy.context.scene\n"
         "scene.frame_start, scene.frame_end = 0, 4\n"
         "bpy.ops.wm.alembic_export(filepath=sys.argv[-1], start=0, end=4, flatten=True)\n"
-        "os._exit(0)\n"  # some releases of bpy crash when they are torn down
     )
-    (tmp_path / "export.py").write_text(script)
-    words = command(tmp_path / "export.py", str(tmp_path / "a.glb"), str(tmp_path / "a.abc"))
-    subprocess.run(words, check=True, capture_output=True, timeout=300)
+    run_blender(tmp_path / "export.py", code, tmp_path / "a.glb", tmp_path / "a.abc")
     back = ssdr.load(tmp_path / "a.abc")
     assert (back.n_frames, back.fps) == (5, 24)
-    truth = model.skin()
-    gap = np.sqrt(((truth[:, :, None] - back.vertices[:, None]) ** 2).sum(axis=-1)).max(axis=0)
-    assert gap.min(axis=1).max() < 3e-6
-    assert gap.min(axis=0).max() < 3e-6
+    assert_twins(model.skin(), back.vertices)
     assert back.surface.uv is not None
 
 
@@ -129,31 +116,6 @@ def test_mislabelled_files_never_reach_blender(tmp_path):
 
 def test_bpy_never_enters_this_process():
     assert "bpy" not in sys.modules
-
-
-@needs_blender
-@pytest.mark.slow
-def test_each_clip_is_a_take_of_fbx(tmp_path):
-    clips = (
-        ssdr.Clip("walk", 0, 9, 24.0),
-        ssdr.Clip("jump/high", 9, 19, 24.0),
-        ssdr.Clip("death", 19, 20, 24.0),
-    )
-    model, path = dataclasses.replace(tube(), clips=clips), tmp_path / "a.fbx"
-    report = ssdr.save(model, path)
-    assert report.max_error < 1e-6 * 6
-    assert ssdr.list_clips(path) == clips
-    numbers = np.unique(np.round(model.rest, 4), axis=0, return_index=True)[1]
-    for k, clip in enumerate(clips):
-        one = ssdr.load(path, clip=clip.name)
-        assert (one.clip, one.fps, len(one)) == (clip.name, 24.0, clip.n_frames)
-        truth = model.skin(clip.frames)[:, numbers]
-        gap = np.linalg.norm(one.vertices[0][None] - truth[0][:, None], axis=2)
-        assert largest_distance(one.vertices[:, gap.argmin(axis=1)], truth) < 1e-6 * 6
-        assert ssdr.load(path, clip=k).clip == clip.name
-    for wrong in ("run", 3, -1, True):
-        with pytest.raises(ssdr.InputError, match=r"clip: expected"):
-            ssdr.load(path, clip=wrong)
 
 
 def test_fbx_refuses_mixed_rates_by_name(tmp_path):

@@ -11,20 +11,12 @@ import pytest
 from scipy.spatial import cKDTree
 
 import ssdr
-from helpers.blender_scene import export
+from helpers.blender_scene import export, needs_blender
 from helpers.rig_model import checker, largest_distance, tube
 from ssdr import cli
-from ssdr.io.blender import command
 from ssdr.io.rig import build_rig, quantise
 
-try:
-    command("")
-except ssdr.SsdrError as error:
-    WHY_NOT = str(error)
-else:
-    WHY_NOT = ""
-
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)]
+pytestmark = [pytest.mark.slow, needs_blender]
 
 
 def as_blender_shows(path, **options):
@@ -123,29 +115,23 @@ def test_any_frame_rate_of_our_own(tmp_path, fps):
     assert largest_distance(back.skin(), model.skin()) < 1e-6 * 6
 
 
-def test_several_meshes_share_the_bones_of_their_armature(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
+ALONE = "bake_anim_use_all_actions=False, bake_anim_use_nla_strips=False"
+# code of each scene, the bones that are read, and what else is expected of the model
+SCENES = {
+    "meshes share the bones of their armature": (
         """
 r = rig(place=(1, 2, 0.5), scale=(2, 2, 2))
 strip("a", r, place=(0.5, 0, 0))
 strip("b", r, place=(-1, 0, 0.1))
-bpy.data.objects["b"].hide_viewport = False
 turn(r, "wave", (0, 1, 2))
 save()
 """,
-    )
-    model = as_blender_shows(path)
-    assert model.names() == ("bone_0", "bone_1", "bone_2")
-    assert model.n_vertices == 36
-    assert len(model.surface.normals) == len(model.faces)
-    assert model.name == "a"  # of the file: no mesh is the only one
-    assert model.n_frames == 9
-
-
-def test_nodes_with_uneven_scale(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
+        "bone_0 bone_1 bone_2",
+        lambda m: (
+            (m.n_vertices, len(m.surface.normals), m.name, m.n_frames) == (36, len(m.faces), "a", 9)
+        ),  # called as the file: no mesh is the only one
+    ),
+    "nodes with uneven scale": (
         """
 r = rig(scale=(1, 2, 0.5))
 mesh = strip("a", r)
@@ -154,56 +140,98 @@ mesh.rotation_euler = (0.3, 0.2, 0.1)
 turn(r, "wave", (0, 1, 2), scale=(1.1, 0.9, 1.2))
 save()
 """,
-    )
-    assert as_blender_shows(path).bone_model == "affine"
-
-
-def test_bones_without_weights_and_vertices_without_bones(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
+        "bone_0 bone_1 bone_2",
+        lambda m: m.bone_model == "affine",
+    ),
+    "a bone more carries what no bone moves": (
         """
 r = rig(bones=4)
 strip("sheet", r, weights=lambda z, b: float(z > 0.5 and b in (0, 2)) / 4)
 turn(r, "wave", (0, 1, 2, 3))
 save()
 """,
-    )
-    model = as_blender_shows(path)
-    # One bone more: it carries what no bone moves.
-    assert model.names() == ("bone_0", "bone_1", "bone_2", "bone_3", "sheet")
-    assert set(model.indices[model.weights > 0]) == {0, 2, 4}
-    np.testing.assert_allclose(model.weights.sum(axis=1), 1, atol=1e-6)
-
-
-def test_more_than_four_influences(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
+        "bone_0 bone_1 bone_2 bone_3 sheet",
+        lambda m: (
+            set(m.indices[m.weights > 0]) == {0, 2, 4}
+            and np.abs(m.weights.sum(axis=1) - 1).max() < 1e-6
+        ),
+    ),
+    "more than four influences": (
         """
 r = rig(bones=6)
 strip("a", r, weights=lambda z, b: 1.0 / (1 + abs(z - 0.5 * b)))
 turn(r, "wave", range(6), angle=0.2)
 save()
 """,
-    )
-    assert as_blender_shows(path).n_influences == 6
-
-
-def test_the_last_bone_of_a_chain_moves(tmp_path):
-    # Blender can be told to drop it, and was: its vertices then followed the bone before.
-    path = export(
-        tmp_path / "a.fbx",
+        "bone_0 bone_1 bone_2 bone_3 bone_4 bone_5",
+        lambda m: m.n_influences == 6,
+    ),
+    # Blender can be told to drop it; its vertices then follow the bone before.
+    "the last bone of a chain moves": (
         """
 r = rig(bones=2)
 strip("a", r, weights=lambda z, b: float((z > 1.5) == (b == 1)))
 turn(r, "wave", (1,))
 save()
 """,
-    )
-    model = as_blender_shows(path)
-    moved = np.ptp(model.skin(), axis=0).max(axis=1)
-    top = model.rest[:, 1] > 1.5
-    assert moved[top].min() > 0.1
-    assert moved[~top].max() < 1e-5
+        "bone_0 bone_1",
+        lambda m: (
+            np.ptp(m.skin(), axis=0).max(axis=1)[m.rest[:, 1] > 1.5].min() > 0.1
+            and np.ptp(m.skin(), axis=0).max(axis=1)[m.rest[:, 1] <= 1.5].max() < 1e-5
+        ),
+    ),
+    "without a skin each mesh is a bone": (
+        f"""
+for k, name in enumerate(("box", "lid")):
+    item = strip(name, None, place=(k, 0, 0))
+    for frame in (0, 3, 6):
+        item.rotation_euler = (0, 0.2 * frame * k, 0)
+        item.location[2] = 0.1 * frame
+        item.keyframe_insert("rotation_euler", frame=frame)
+        item.keyframe_insert("location", frame=frame)
+save({ALONE})
+""",
+        "box lid",
+        lambda m: (m.n_influences, m.bone_model) == (1, "rigid"),
+    ),
+    "hidden meshes and balls that draw bones are left out": (
+        """
+r = rig()
+strip("a", r)
+strip("hidden", r).hide_viewport = True
+bpy.ops.mesh.primitive_ico_sphere_add()
+bpy.ops.mesh.primitive_ico_sphere_add()
+bpy.context.object.parent = r
+turn(r, "wave", (0, 1))
+save()
+""",
+        "Icosphere.001 bone_0 bone_1 bone_2",
+        lambda m: m.n_vertices == 42 + 18,
+    ),
+    "a mesh beside an armature that walks away": (
+        f"""
+r = rig()
+strip("a", r)
+strip("b", None, place=(2, 0, 0))
+r.animation_data_create()
+turn(r, "wave", (0, 1))
+for frame in (0, 8):
+    r.location = (0.1 * frame, 0, 0)
+    r.keyframe_insert("location", frame=frame)
+save({ALONE})
+""",
+        "bone_0 bone_1 bone_2 b",
+        lambda m: m.n_frames == 9,
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SCENES)
+def test_scenes_are_read_as_blender_shows_them(tmp_path, case):
+    code, names, holds = SCENES[case]
+    model = as_blender_shows(export(tmp_path / "a.fbx", code))
+    assert model.names() == tuple(names.split())
+    assert holds(model)
 
 
 TWO_TAKES = """
@@ -270,25 +298,6 @@ def test_takes_whose_names_blender_cuts_to_one_are_not_mixed_up(tmp_path):
         assert [(c.name, c.n_frames) for c in clips] == [("first", 9), ("second", 6)]
 
 
-def test_a_file_without_a_skin_is_a_bone_for_each_mesh(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
-        """
-for k, name in enumerate(("box", "lid")):
-    item = strip(name, None, place=(k, 0, 0))
-    for frame in (0, 3, 6):
-        item.rotation_euler = (0, 0.2 * frame * k, 0)
-        item.location[2] = 0.1 * frame
-        item.keyframe_insert("rotation_euler", frame=frame)
-        item.keyframe_insert("location", frame=frame)
-save(bake_anim_use_all_actions=False, bake_anim_use_nla_strips=False)
-""",
-    )
-    model = as_blender_shows(path)
-    assert model.names() == ("box", "lid")
-    assert (model.n_influences, model.bone_model) == (1, "rigid")
-
-
 def test_units_are_metres(tmp_path):
     code = "r = rig()\nstrip('a', r)\nturn(r, 'wave', (0, 1))\n"
     models = []
@@ -301,25 +310,6 @@ def test_units_are_metres(tmp_path):
         np.testing.assert_allclose(np.ptp(model.rest, axis=0), [0.6, 3, 0.4], atol=1e-6)
     z_up = export(tmp_path / "z.fbx", code + "save(axis_forward='Y', axis_up='Z')")
     np.testing.assert_allclose(as_blender_shows(z_up).skin(), models[0].skin(), atol=1e-5)
-
-
-def test_hidden_meshes_and_balls_that_draw_bones_are_left_out(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
-        """
-r = rig()
-strip("a", r)
-strip("hidden", r).hide_viewport = True
-bpy.ops.mesh.primitive_ico_sphere_add()
-bpy.ops.mesh.primitive_ico_sphere_add()
-bpy.context.object.parent = r
-turn(r, "wave", (0, 1))
-save()
-""",
-    )
-    model = as_blender_shows(path)
-    assert model.names() == ("Icosphere.001", "bone_0", "bone_1", "bone_2")
-    assert model.n_vertices == 42 + 18
 
 
 def test_what_is_not_read_is_listed(tmp_path, capsys):
@@ -370,25 +360,6 @@ save(path_mode="RELATIVE")
         assert ("lies outside its folder" in caplog.text) is not read
         path.unlink()
         picture.unlink()
-
-
-def test_a_mesh_that_leaves_its_armature(tmp_path):
-    path = export(
-        tmp_path / "a.fbx",
-        """
-r = rig()
-strip("a", r)
-strip("b", None, place=(2, 0, 0))
-r.animation_data_create()
-turn(r, "wave", (0, 1))
-for frame in (0, 8):
-    r.location = (0.1 * frame, 0, 0)
-    r.keyframe_insert("location", frame=frame)
-save(bake_anim_use_all_actions=False, bake_anim_use_nla_strips=False)
-""",
-    )
-    model = as_blender_shows(path)
-    assert model.names() == ("bone_0", "bone_1", "bone_2", "b")
 
 
 FOREIGN = """

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import struct
 import sys
 
 import numpy as np
 import pytest
 
 import ssdr
+from helpers.glb import opened, packed, values_of
 from helpers.rig_model import tube
 from ssdr import FormatError, MissingDependencyError
 from ssdr.io.gltf.compression import decode_view
-
-KINDS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 @pytest.fixture
@@ -26,43 +22,26 @@ def plain(tmp_path):
     return path
 
 
-def opened(path):
-    data = path.read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    return json.loads(data[20 : 20 + length]), data[28 + length :]
-
-
-def packed(path, document, blobs):
+def joined(path, document, blobs):
     """A .glb of these buffer views, one behind the other."""
     binary = b""
     for item, blob in zip(document["bufferViews"], blobs, strict=True):
         item["byteOffset"], item["byteLength"] = len(binary), len(blob)
         binary += blob + b"\0" * (-len(blob) % 4)
     document["buffers"] = [{"byteLength": len(binary)}]
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    path.write_bytes(
-        struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(binary), len(text), b"JSON")
-        + text
-        + struct.pack("<I4s", len(binary), b"BIN\0")
-        + binary
-    )
-    return path
+    return packed(path, document, binary)
 
 
-def values_of(document, binary, number):
-    item = document["accessors"][number]
-    view = document["bufferViews"][item["bufferView"]]
-    kind, width = np.dtype(KINDS[item["componentType"]]), WIDTHS[item["type"]]
-    start = view.get("byteOffset", 0) + item.get("byteOffset", 0)
-    step = view.get("byteStride", kind.itemsize * width)
-    return np.ndarray((item["count"], width), kind, binary, start, (step, kind.itemsize)).copy()
+def split(path):
+    """JSON, bytes, and the bytes of each buffer view of a .glb."""
+    document, binary = opened(path)
+    views = document["bufferViews"]
+    return document, binary, [binary[v["byteOffset"] :][: v["byteLength"]] for v in views]
 
 
 def with_draco(source, target, *, change=None):
     draco = pytest.importorskip("DracoPy", reason="DracoPy is not installed")
-    document, binary = opened(source)
-    blobs = [binary[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    document, binary, blobs = split(source)
     (primitive,) = document["meshes"][0]["primitives"]
     names = primitive["attributes"]
     # Draco would change the order of vertices and faces otherwise, and round positions.
@@ -88,13 +67,12 @@ def with_draco(source, target, *, change=None):
     blobs.append(data)
     if change:
         change(document, blobs)
-    return packed(target, document, blobs)
+    return joined(target, document, blobs)
 
 
 def with_meshopt(source, target, *, change=None, name="EXT_meshopt_compression"):
     library = pytest.importorskip("meshoptimizer", reason="meshoptimizer is not installed")
-    document, binary = opened(source)
-    blobs = [binary[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    document, binary, blobs = split(source)
     (primitive,) = document["meshes"][0]["primitives"]
     count = document["accessors"][primitive["attributes"]["POSITION"]]["count"]
     for number in [*primitive["attributes"].values(), primitive["indices"]]:
@@ -126,7 +104,7 @@ def with_meshopt(source, target, *, change=None, name="EXT_meshopt_compression")
         offset += len(blob) + -len(blob) % 4
     if change:
         change(document, blobs)
-    return packed(target, document, blobs)
+    return joined(target, document, blobs)
 
 
 @pytest.mark.parametrize("compress", [with_draco, with_meshopt])
@@ -207,8 +185,7 @@ def test_draco_that_states_another_size_is_refused(plain, tmp_path):
 
 
 def test_what_is_there_without_compression_too_needs_no_library(plain, tmp_path, monkeypatch):
-    document, binary = opened(plain)
-    blobs = [binary[v.get("byteOffset", 0) :][: v["byteLength"]] for v in document["bufferViews"]]
+    document, _, blobs = split(plain)
     document["meshes"][0]["primitives"][0]["extensions"] = {
         "KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {}}
     }
@@ -216,5 +193,5 @@ def test_what_is_there_without_compression_too_needs_no_library(plain, tmp_path,
     document["extensionsUsed"] = ["KHR_draco_mesh_compression", "EXT_meshopt_compression"]
     monkeypatch.setitem(sys.modules, "DracoPy", None)
     monkeypatch.setitem(sys.modules, "meshoptimizer", None)
-    both = packed(tmp_path / "both.glb", document, blobs)
+    both = joined(tmp_path / "both.glb", document, blobs)
     np.testing.assert_array_equal(ssdr.load(both).vertices, ssdr.load(plain).vertices)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import os
-import re
-import struct
 
 import numpy as np
 import pytest
@@ -16,60 +13,32 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import ssdr
-from helpers.gltf_asset import make_asset
+from helpers.glb import opened, packed
+from helpers.gltf_asset import Made, make_asset
 from helpers.rig_model import tube
 
 
 def rebuild(source, target, change):
     """Write a .glb anew after `change` has edited its JSON (and perhaps its buffer)."""
-    data = source.read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + length])
-    binary = bytearray(data[20 + length + 8 :])
+    document, binary = opened(source)
     change(document, binary)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    total = 28 + len(text) + len(binary)
-    target.write_bytes(
-        struct.pack("<4sIII4s", b"glTF", 2, total, len(text), b"JSON")
-        + text
-        + struct.pack("<I4s", len(binary), b"BIN\0")
-        + bytes(binary)
-    )
-    return target
+    return packed(target, document, binary)
 
 
-def hand_made(tmp_path, document, **arrays):
-    """A .gltf of an accessor for each array: (values, type), in the order given."""
-    kinds = {"float32": 5126, "uint16": 5123, "uint8": 5121, "int16": 5122, "int8": 5120}
-    blob = b""
-    document.update(accessors=[], bufferViews=[], asset={"version": "2.0"})
-    for values, kind in arrays.values():
-        values = np.asarray(values)
-        document["bufferViews"].append(
-            {"buffer": 0, "byteOffset": len(blob), "byteLength": values.nbytes}
-        )
-        document["accessors"].append(
-            {
-                "bufferView": len(document["bufferViews"]) - 1,
-                "componentType": kinds[values.dtype.name],
-                "count": len(values),
-                "type": kind,
-                "normalized": values.dtype.kind != "f" and kind != "SCALAR",
-            }
-        )
-        blob += values.tobytes() + b"\0" * (-values.nbytes % 4)
-    uri = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
-    document["buffers"] = [{"byteLength": len(blob), "uri": uri}]
-    path = tmp_path / "made.gltf"
-    path.write_text(json.dumps(document))
-    return path
+def hand_made(tmp_path, document, *arrays):
+    """A .gltf of an accessor for each array, in the order given; integers are normalised."""
+    made = Made()
+    made.json = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": []}
+    for values in map(np.asarray, arrays):
+        made.put(values, normalized=values.dtype.kind != "f" and values.ndim > 1)
+    made.json.update(document)
+    return made.save(tmp_path / "made.gltf")
 
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
 
 
-def channel_file(tmp_path, how, values, path="translation", kind="VEC3", **node):
+def channel_file(tmp_path, how, values, path="translation", **node):
     document = {
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -84,13 +53,7 @@ def channel_file(tmp_path, how, values, path="translation", kind="VEC3", **node)
         ],
     }
     times = np.array([0, 0.5, 1], dtype=np.float32)
-    return hand_made(
-        tmp_path,
-        document,
-        p=(TRIANGLE, "VEC3"),
-        t=(times, "SCALAR"),
-        v=(np.asarray(values, dtype=np.float32), kind),
-    )
+    return hand_made(tmp_path, document, TRIANGLE, times, np.asarray(values, dtype=np.float32))
 
 
 def test_interpolations(tmp_path):
@@ -114,7 +77,7 @@ def test_interpolations(tmp_path):
 def test_rotation_takes_the_short_way(tmp_path):
     turn = Rotation.from_rotvec(np.deg2rad([[0, 0, 0], [0, 0, 80], [0, 0, 160]])).as_quat()
     turn[1] *= -1
-    sequence = ssdr.load(channel_file(tmp_path, "LINEAR", turn, "rotation", "VEC4"), fps=8)
+    sequence = ssdr.load(channel_file(tmp_path, "LINEAR", turn, "rotation"), fps=8)
     angle = np.deg2rad(np.arange(9) * 20)
     np.testing.assert_allclose(sequence.vertices[:, 1, 0], np.cos(angle), atol=1e-6)
     np.testing.assert_allclose(sequence.vertices[:, 1, 1], np.sin(angle), atol=1e-6)
@@ -134,11 +97,11 @@ def test_morph_targets_sparse_and_integers(tmp_path):
     path = hand_made(
         tmp_path,
         document,
-        p=((TRIANGLE * 32767).astype(np.int16), "VEC3"),
-        t=(np.array([0, 0.5, 1], dtype=np.float32), "SCALAR"),
-        w=(np.array([0, 1, 0.5], dtype=np.float32), "SCALAR"),
-        d=(np.array([[0, 0, 1]], dtype=np.float32), "VEC3"),
-        i=(np.array([2], dtype=np.uint8), "SCALAR"),
+        (TRIANGLE * 32767).astype(np.int16),
+        np.array([0, 0.5, 1], dtype=np.float32),
+        np.array([0, 1, 0.5], dtype=np.float32),
+        np.array([[0, 0, 1]], dtype=np.float32),
+        np.array([2], dtype=np.uint8),
     )
     data = json.loads(path.read_text())
     values, where = data["accessors"][3].pop("bufferView"), data["accessors"].pop()["bufferView"]
@@ -169,7 +132,7 @@ def test_strips_fans_points(tmp_path, mode, faces):
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}],
     }
     square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], dtype=np.float32)
-    sequence = ssdr.load(hand_made(tmp_path, document, p=(square, "VEC3")))
+    sequence = ssdr.load(hand_made(tmp_path, document, square))
     one = np.array(faces, dtype=int).reshape(-1, 3)
     np.testing.assert_array_equal(sequence.faces, np.concatenate([one, one + 4]))
     np.testing.assert_array_equal(

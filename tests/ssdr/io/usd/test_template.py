@@ -99,7 +99,7 @@ def model_for(sequence):
     sequence = ssdr.MeshSequence(
         sequence.vertices, sequence.faces, sequence.fps, name=sequence.name, clip=sequence.clip
     )
-    return ssdr.decompose(sequence, bones=4, effort="fast").skinning
+    return ssdr.initialize(sequence, bones=4)
 
 
 @pytest.mark.parametrize("ending", ["usda", "usdc"])

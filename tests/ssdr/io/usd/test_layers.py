@@ -1,0 +1,141 @@
+"""Layers that a stage opens: of its folder, files, and nested no deeper than usd-core holds."""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+
+import pytest
+
+import ssdr
+from helpers.rig_model import tube
+
+pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
+
+CLIPS = 'clips = {{\n dictionary default = {{\n {}\n string primPath = "/a"\n }}\n }}'
+OUTSIDE = {
+    "reference": "references = @../out.usda@",
+    "payload": "payload = @../out.usda@",
+    "with arguments": "references = @../out.usda:SDF_FORMAT_ARGS:a=b@",
+    "in a package": "references = @../out.usdz[a.usda]@",
+    "value clips": CLIPS.format("asset[] assetPaths = [@./in.usda@, @../out.usda@]"),
+    "a pattern of value clips": CLIPS.format('string templateAssetPath = "../out.###.usda"'),
+    "a manifest": CLIPS.format("asset manifestAssetPath = @../out.usda@"),
+    "a link": "references = @./link.usda@",
+    "an endless device": "references = @./zero.usda@",
+}
+UNREADABLE = {
+    "a pipe": ("payload = @./pipe.usda@", "a device, a pipe or a socket"),
+    "a pipe among value clips": (
+        CLIPS.format('string templateAssetPath = "./pipe.##.usda"'),
+        "a device, a pipe or a socket",
+    ),
+    "a package": ("references = @./packed.usdz@", "packed.usdz is a package"),
+    "a deep layer": ("references = @./deep.usda@", "deep.usda is nested 2000 deep"),
+    "a deep value clip": (
+        CLIPS.format("asset[] assetPaths = [@./deep.usda@]"),
+        "deep.usda is nested 2000 deep",
+    ),
+}
+INNER = '#usda 1.0\ndef Xform "a" {\n}\n'
+
+
+@pytest.fixture
+def stage(tmp_path):
+    """A function that writes a stage in a folder of traps, one prim with the given metadata."""
+    inner = tmp_path / "model"
+    inner.mkdir()
+    ssdr.save(tube(frames=2, rings=3, sides=3), inner / "a.usda")
+    (tmp_path / "out.usda").write_text(INNER)
+    (inner / "in.usda").write_text(INNER)
+    (inner / "deep.usda").write_text("#usda 1.0\n" + 'def "a" {\n' * 2000 + "}\n" * 2000)
+    (inner / "link.usda").symlink_to(tmp_path / "out.usda")
+    (inner / "zero.usda").symlink_to("/dev/zero")
+    with zipfile.ZipFile(inner / "packed.usdz", "w") as package:
+        package.writestr("a.usda", INNER)
+
+    def write(metadata):
+        with (inner / "a.usda").open("a") as stream:
+            stream.write(f'def "more" (\n{metadata}\n) {{}}\n')
+        return inner / "a.usda"
+
+    return write
+
+
+@pytest.mark.parametrize("case", OUTSIDE)
+def test_layers_outside_the_folder_are_refused(stage, case):
+    path = stage(OUTSIDE[case])
+    for read in (ssdr.load, ssdr.list_clips, lambda p: ssdr.io.copy(p, p.with_name("b.usdc"))):
+        with pytest.raises(ssdr.FormatError, match="lies outside its folder"):
+            read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+@pytest.mark.parametrize("case", UNREADABLE)
+def test_layers_that_are_no_files_or_too_deep_are_refused(stage, case):
+    metadata, message = UNREADABLE[case]
+    path = stage(metadata)
+    for name in ("pipe.usda", "pipe.01.usda"):
+        os.mkfifo(path.with_name(name))
+    with pytest.raises(ssdr.FormatError, match=message):
+        ssdr.load(path)
+
+
+@pytest.mark.parametrize(
+    "metadata",
+    [
+        "references = @./in.usda@",
+        CLIPS.format("asset[] assetPaths = [@./in.usda@]"),
+        "active = true",
+    ],
+)
+def test_layers_of_the_folder_are_read(stage, metadata):
+    assert ssdr.load(stage(metadata)).n_vertices == 11
+
+
+@pytest.mark.parametrize(
+    ("opening", "closing"),
+    [
+        ("dictionary a = {\n", "}\n"),
+        ('def Xform "a" {\n', "}\n"),
+        ("double b = (", ")"),
+        ('def Xform "a" { # }\n', "}\n"),
+        ('def Xform "a" { /* } */\n', "}\n"),
+        ('def Xform "a" { string s = "}"\n', "}\n"),
+        ('def Xform "a" { string s = """ } " """\n', "}\n"),
+        ("def Xform \"a\" { string s = '\\'}'\n", "}\n"),
+        ('def Xform "a" { asset s = @}@\n', "}\n"),
+        ('def Xform "a" { asset s = @@@}\\@@@}@@@\n', "}\n"),
+        ("rel a = <" + "/A.r[", "]"),
+    ],
+)
+def test_text_that_is_nested_too_deeply_is_refused(tmp_path, opening, closing):
+    """usd-core ends the process, whatever hides the closing brackets from a naive count."""
+    path = tmp_path / "a.usda"
+    path.write_text("#usda 1.0\n" + opening * 100_000 + closing * 100_000)
+    with pytest.raises(ssdr.FormatError, match=r"a\.usda is nested \d+ deep"):
+        ssdr.load(path)
+
+
+def test_brackets_in_text_count_for_nothing(tmp_path):
+    path = tmp_path / "a.usda"
+    ssdr.save(tube(frames=2), path)
+    hidden = 'def "more" { string s = "' + "(" * 2000 + '" # ' + "{" * 2000 + "\n}\n"
+    path.write_text(path.read_text() + hidden)
+    assert ssdr.load(path).n_vertices == 254
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in folders here")
+@pytest.mark.parametrize("name", ["pipe.png", "zero.png", "n" * 100_000 + ".png", "../secret.png"])
+def test_textures_that_are_no_files_of_the_folder_are_left_out(tmp_path, caplog, name):
+    inner = tmp_path / "model"
+    inner.mkdir()
+    (tmp_path / "secret.png").write_bytes(b"\x89PNG secret")
+    os.mkfifo(inner / "pipe.png")
+    (inner / "zero.png").symlink_to("/dev/zero")
+    ssdr.save(tube(frames=2), inner / "a.usda")
+    text = re.sub(r"@\./[^@]*png@", f"@./{name}@", (inner / "a.usda").read_text())
+    (inner / "a.usda").write_text(text)
+    assert ssdr.load(inner / "a.usda").surface.materials[0].texture is None
+    assert "texture" in caplog.text
