@@ -19,12 +19,11 @@ def test_what_a_plane_leaves_open_stays_rigid() -> None:
     truth = motions.motions(rng, 6, 2)
     truth[..., 0] *= 1.5
     frames = motions.blend(rest, indices, np.ones((30, 1)), truth)
-    fit = ssdr.fit_bones(
-        frames, rest=rest, indices=indices, weights=np.ones((30, 1)), bone_model="affine"
-    )
+    model = ssdr.Skinning(rest, indices, np.ones((30, 1)), truth, bone_model="affine")
+    fit = ssdr.fit_bones(frames, model)
     assert fit.rmse < 1e-6
-    np.testing.assert_allclose(fit.transforms[..., :2], truth[..., :2], atol=1e-5)
-    across = fit.transforms[..., 2]
+    np.testing.assert_allclose(fit.skinning.transforms[..., :2], truth[..., :2], atol=1e-5)
+    across = fit.skinning.transforms[..., 2]
     assert 0.5 < np.linalg.norm(across, axis=-1).min() <= np.linalg.norm(across, axis=-1).max() < 2
     assert (np.einsum("tja,tja->tj", across, truth[..., 2]) > 0).all()
 

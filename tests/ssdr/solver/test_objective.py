@@ -137,7 +137,7 @@ def test_a_hinge_has_its_joint_where_skin_meets() -> None:
     rig = motions.chain(0, bones=2, frames=16)
     frames = motions.wobble(rig, 0.003)
     frames[..., 1] = rig.frames[..., 1]
-    model = ssdr.decompose(frames, bones=2, hierarchy="rigid", effort="balanced").skinning
+    model = ssdr.decompose(frames, bones=2, rig="rigid", effort="balanced").skinning
     child = int(np.flatnonzero(model.parents >= 0)[0])
     both = model.dense_weights().prod(axis=1)
     meet = both @ model.rest / both.sum()
