@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ def outcome_of(
     skinning = skinning_of(problem, alignment, model)
     rmse = rmse_of(skinning)
     if problem.start is not None and _is_an_answer(problem, problem.start):
-        start = _start_as_result(problem, alignment)
+        start = _start_as_result(problem, skinning)
         before = rmse_of(start)
         if before < rmse:
             skinning, rmse = start, before
@@ -135,18 +136,19 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     return plain and rigid and frames and problem.smoothness == 0
 
 
-def _start_as_result(problem: Problem, alignment: Alignment) -> Skinning:
-    """The model that a call starts from, with what its result has beside rest pose and bones."""
-    given, inner = problem.given, problem.given.inside(alignment)
-    assert inner.rest is not None
-    assert inner.indices is not None
-    assert inner.weights is not None
-    assert inner.transforms is not None
-    parts = (inner.rest, inner.indices, inner.weights, problem.influences)
-    model = Model.with_weights(inner.transforms, *parts)
-    model.tree = inner.tree
-    skinning = skinning_of(problem, alignment, model)
-    return dataclasses.replace(skinning, rest=given.rest, transforms=given.transforms)
+def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
+    """The model that a call starts from, with what the one that was found has beside its parts."""
+    given, k = problem.given, problem.influences
+    assert given.indices is not None
+    assert given.weights is not None
+    indices, weights = (
+        np.pad(a[:, :k], [(0, 0), (0, max(0, k - a.shape[1]))])
+        for a in (given.indices, given.weights)
+    )
+    parts: dict[str, Any] = {"rest": given.rest, "transforms": given.transforms}
+    if found.parents is not None and given.tree is not None:
+        parts |= {"parents": given.tree.parents, "joint_positions": given.tree.points}
+    return dataclasses.replace(found, indices=indices, weights=weights, **parts)
 
 
 def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
