@@ -30,12 +30,21 @@ class Builder:
     ----------
     document : Document, optional
         A file whose JSON and bytes are taken over; compressed views become plain ones.
+
+    Attributes
+    ----------
+    json : dict
+    blocks : list of bytes
+        Of each view, by the number in its field "buffer" until the file is written.
+    lost, notes : list of str
+        What of the document cannot be kept, and what else the user should know.
     """
 
     def __init__(self, document: Document | None = None) -> None:
         self.document = document
+        self.notes: list[str] = []
+        self.lost: list[str] = []
         self.json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "ssdr"}, "scene": 0}
-        # bytes of each view by the number in its field "buffer", until the file is written
         self.blocks: list[memoryview | bytes] = []
         if document is not None:
             self.json = copy.deepcopy(document.json)

@@ -16,19 +16,18 @@ from .builder import ARRAY, Builder
 __all__ = ["add_animation", "add_skin", "add_weights", "skeleton_nodes"]
 
 
-def add_weights(
-    builder: Builder, indices: NDArray[np.int32], stored: NDArray[Any], n_bones: int
-) -> dict[str, int]:
-    """Attributes of skin weights (V, K), four influences in each."""
-    narrow = np.uint8 if n_bones <= 256 else np.uint16
-    pad = ((0, 0), (0, -stored.shape[1] % 4))
-    joints, weights = np.pad(indices.astype(narrow), pad), np.pad(stored, pad)
+def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
+    """Attributes of skin weights, four influences in each; `vertex` (N,) are the rig's vertices."""
+    narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
+    pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
+    joints = np.pad(rig.indices[vertex].astype(narrow), pad)
+    weights = np.pad(rig.weights[vertex], pad)
     attributes = {}
     for k in range(joints.shape[1] // 4):
         four = slice(4 * k, 4 * k + 4)
         attributes[f"JOINTS_{k}"] = builder.accessor(joints[:, four], "VEC4", target=ARRAY)
         attributes[f"WEIGHTS_{k}"] = builder.accessor(
-            weights[:, four], "VEC4", target=ARRAY, normalized=stored.dtype.kind == "u"
+            weights[:, four], "VEC4", target=ARRAY, normalized=weights.dtype.kind == "u"
         )
     return attributes
 

@@ -15,7 +15,7 @@ from ...clips import pick
 from ...errors import FormatError
 from ...skinning import Skinning
 from ..atomic import atomic_path
-from ..corners import carry_normals
+from ..corners import Deformation
 from ..registry import SaveReport, reading
 from ..rig import Rig
 from ..scene import check_kept, match_template
@@ -178,7 +178,7 @@ def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.IsIndexed():
         primvar.BlockIndices()
-    new = carry_normals(old, index, mesh.faces, source, points)
+    new = Deformation(index, mesh.faces, source, points).carry_normals(old)
     _set(prim.GetAttribute(attribute.GetName()), new)
 
 
