@@ -82,7 +82,7 @@ def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[
             what
             for what, there in {
                 "names and number of the meshes": len({part.node for part in parts}) > 1,
-                "orientations of the joints": any(part.has_axes(document) for part in parts),
+                "orientations of the joints": any(part.has_axes for part in parts),
                 "cameras": document.items("cameras"),
                 "scenes but the first": len(scenes) > 1,
                 "lights": lights,

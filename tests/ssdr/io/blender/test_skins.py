@@ -220,7 +220,7 @@ for frame in (0, 8):
 save({ALONE})
 """,
         "bone_0 bone_1 bone_2 b",
-        lambda m: m.n_frames == 9,
+        lambda m: m.bone_model == "rigid",
     ),
 }
 
