@@ -1,4 +1,4 @@
-"""The skeleton that engines play: joints, keys, stored weights, and what storing them costs.
+"""Skeletons as engines play them: joints, keys, stored weights, and the error of storing them.
 
 With a hierarchy, its joints and local transforms are stored. A bone without one has no joint of
 its own; it gets one at the centroid of what it moves, so that an engine that interpolates
@@ -172,7 +172,7 @@ class Rig:
         return math.sqrt(total / (count * len(rest))), math.sqrt(largest)
 
     def report(self, model: Skinning, **fields: Any) -> SaveReport:
-        """Errors and influences of what is stored, in a report with further `fields`."""
+        """A report with the errors and influences of what is stored, and further `fields`."""
         rmse, largest = self.error(model)
         return SaveReport(
             influences=self.indices.shape[1],
@@ -289,7 +289,7 @@ def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
-    """Keys (F, B): every frame, or the keyframes with the ends of each of several clips."""
+    """Keys (F, B): every frame, or the keyframes and the ends of several clips."""
     if skinning.keyframes is None:
         return np.ones(skinning.transforms.shape[:2], dtype=bool)
     keys: NDArray[np.bool_] = skinning.keyframes.copy()
@@ -343,7 +343,7 @@ def quantise(
 
 
 def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
-    """Weights that a reader gets from those that are stored."""
+    """Weights as float64 from those that are stored."""
     steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
     return np.asarray(stored / np.float64(steps))
 

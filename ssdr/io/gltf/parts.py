@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class PrimitiveGroup:
-    """The primitives of a node's mesh that share their vertices: a `ScenePart`.
+    """Primitives of a node's mesh that share their vertices, as a `ScenePart`.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class PrimitiveGroup:
     nodes : Nodes
     node, mesh : int
     primitives : dict
-        By their numbers in the mesh.
+        Primitives by their indices in the mesh.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class PrimitiveGroup:
     targets : (M, V, 3) float64
         Displacements of the morph targets.
     label : (N,) int
-        The vertex here for each of the file's.
+        Index of the vertex that each vertex of the file became.
     skin : int or None
     material : (T,) int
         -1 where a triangle has none.
@@ -153,10 +153,12 @@ class PrimitiveGroup:
     def _close_seams(
         self, compared: list[NDArray[Any]]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Undo the splitting of vertices by the writer: representative of each, and its label.
+        """Merge vertices that the writer has split at seams.
 
-        An attribute numbers the model's vertices. Vertices of one number are merged if nobody has
-        edited the file, so that they agree in all arrays `compared`.
+        An attribute numbers the model's vertices. Vertices of one number are merged if all of them
+        agree in the arrays `compared`: else somebody has edited the file.
+
+        Returns the file's vertex that stands for each merged one, and the label of each vertex.
         """
         same = np.arange(len(compared[0]))
         mark = self._attribute("_VERTEX", "SCALAR")
@@ -213,12 +215,12 @@ class PrimitiveGroup:
 
     @property
     def has_axes(self) -> bool:
-        """Whether joints of the rest pose are turned against the axes of the world."""
+        """Whether joints are rotated relative to the axes of the world in the rest pose."""
         return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
 
 def check_meshes(document: Document, meshes: Any) -> list[str] | None:
-    """Names of meshes as a list.
+    """Names of chosen meshes as a list; None for all meshes.
 
     Raises
     ------
@@ -297,7 +299,7 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
-    """Triangles (T, 3) of a primitive over the file's `count` vertices; none of points."""
+    """Triangles (T, 3) of a primitive over the file's `count` vertices; empty for points."""
     index = np.arange(count)
     if "indices" in primitive:
         found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
@@ -324,7 +326,7 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
 
 
 def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
-    """The UVs that the first textured material of some primitives uses."""
+    """Name of the UVs that the first textured material of some primitives uses."""
     for number in [primitive["material"] for primitive in group if "material" in primitive]:
         look = document.items("materials")[number].get("pbrMetallicRoughness", {})
         if "texCoord" in look.get("baseColorTexture", {}):

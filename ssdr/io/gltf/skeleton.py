@@ -1,4 +1,4 @@
-"""A rig as glTF has it: nodes of the joints, a skin, animations, attributes of skin weights."""
+"""A rig in glTF: nodes of the joints, a skin, animations, attributes of skin weights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["add_animation", "add_skin", "add_weights", "skeleton_nodes"]
 
 
 def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
-    """Attributes of skin weights, four influences in each; `vertex` (N,) are the rig's vertices."""
+    """Attributes of skin weights for vertices (N,) of the rig, four influences in each."""
     narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
     pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
     joints = np.pad(rig.indices[vertex].astype(narrow), pad)
@@ -33,7 +33,7 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
 
 
 def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
-    """The node of a skeleton, number `first` of the file, and those of its joints after it."""
+    """Nodes of a skeleton, which will be node `first` of the file, and of its joints after it."""
     parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
     for bone, name in enumerate(rig.names):

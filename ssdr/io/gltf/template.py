@@ -1,7 +1,7 @@
-"""A skinning put into the glTF file that its mesh came from: all else stays as it is there.
+"""A model written into the glTF file that its mesh came from; all else in the file is kept.
 
 The file is read again when it is written, so that a model carries nothing of it. Replaced are the
-attributes that skinning needs, and the skins, joints and keys that moved the model's meshes alone.
+attributes that skinning needs, and the skins, joints and keys that moved only the model's meshes.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ _CONTENT = {"mesh", "camera", "extensions"}  # what a node has that does not ser
 
 
 def template_problem(path: Path) -> str:
-    """Why a file that can be read cannot be a template; empty where it can."""
+    """Reason why a readable file cannot be a template; empty if it can."""
     with reading(path):
         compressed = DRACO in Document(path).items("extensionsUsed")
     return "its geometry is compressed with Draco" if compressed else ""
 
 
 class Template:
-    """A file in which a model takes the place of the meshes that it was made from.
+    """A glTF file in which a model replaces the meshes that it was made from.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Template:
         wanted = check_meshes(document, meshes)
         with reading(path):
             animations = read_animations(document)
-            # Whether a node mirrors its mesh is asked in the clip that was read first.
+            # Whether a node mirrors its mesh is asked in the model's first clip.
             named = [one for one in animations if one.name == model.clips[0].name]
             self.world = Nodes(document, (named or animations)[0])
             self.parts = read_parts(document, self.world, wanted)
@@ -102,7 +102,7 @@ class Template:
             self._remove_old(rig)
 
     def _put_meshes(self, rig: Rig) -> None:
-        """Rest pose, normals and skin weights of each part."""
+        """Replace rest pose, normals and skin weights of each part."""
         nodes, meshes = self.json["nodes"], self.json["meshes"]
         uses = collections.Counter(node.get("mesh") for node in nodes)
         for node in sorted(self.replaced):
@@ -159,7 +159,7 @@ class Template:
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:
-        """Remove what a mesh no longer has: weights and names of morph targets, and lines."""
+        """Remove weights and names of morph targets from a mesh, and lines, which no skin moves."""
         solid = [p for p in mesh["primitives"] if p.get("mode", 4) not in _LINES]
         if len(solid) < len(mesh["primitives"]):
             self.builder.lost.append(f"lines of the mesh {mesh.get('name') or f'of node {node}'}")
@@ -226,7 +226,7 @@ class Template:
             self.json.setdefault("animations", []).extend(added)
 
     def _remove_old(self, rig: Rig) -> None:
-        """Remove what served the replaced meshes alone."""
+        """Remove what served only the replaced meshes."""
         json, original = self.json, self.document.json
         skins = used(original, "skins") - used(json, "skins")
         joints = self._unneeded_nodes(skins)
@@ -250,7 +250,7 @@ class Template:
         remove(json, "bufferViews", views - used(json, "bufferViews"))
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Joints of the old `skins`, and nodes that hold nothing else."""
+        """Joints of the old `skins`, and nodes that hold nothing but such joints."""
         nodes, listed = self.json["nodes"], self.json["skins"]
         old = {joint for k in skins for joint in listed[k]["joints"]} | self.left
         kept = [skin for k, skin in enumerate(listed) if k not in skins]
@@ -272,7 +272,7 @@ class Template:
         return going
 
     def _remove_channels(self, joints: set[int], kept_clips: set[int]) -> None:
-        """Remove the keys of morph targets and nodes that moved the replaced meshes alone."""
+        """Remove the keys of morph targets and nodes that moved only the replaced meshes."""
         animations = self.json.get("animations", [])
         idle = joints | self._idle_nodes()
         left = []

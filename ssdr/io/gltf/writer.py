@@ -108,10 +108,10 @@ def write_along_bones(
     up: Up = "y",
     name: str | None = None,
 ) -> tuple[SaveReport, dict[str, float]]:
-    """Write a model with a hierarchy whose joints have their y axis along their bone.
+    """Write a model with a hierarchy, the y axis of each joint along its bone.
 
-    Programs that draw bones along an axis of their own, Blender among them, then draw them from
-    joint to joint.
+    Programs that draw bones along an axis of the joint, such as Blender, then draw them from joint
+    to joint.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def write_along_bones(
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """The same rig whose joints have the orientations `axes` (B, 3, 3) in the rest pose."""
+    """The same rig with orientations `axes` (B, 3, 3) of its joints in the rest pose."""
     assert rig.parents is not None
     parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
     turn = matrix_from_quaternion(rig.rotations.astype(np.float64))

@@ -127,5 +127,5 @@ def bind(
 
 
 def identifier(name: str) -> str:
-    """A name as USD's prims may have it."""
+    """A name that a prim may have."""
     return str(Tf.MakeValidIdentifier(readable(name)))

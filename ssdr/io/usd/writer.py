@@ -42,7 +42,7 @@ def write_skinning(
     clip_names: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> SaveReport:
-    """Write a UsdSkel character: skeleton, an animation a clip, skin weights, surface.
+    """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
     The first clip is bound; its rate is the stage's, on whose time codes the others have their
     own.
