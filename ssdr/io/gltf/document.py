@@ -122,15 +122,17 @@ class Document:
             raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
         return value
 
+    def number(self, value: Any, what: str) -> float:
+        if type(value) not in (int, float):
+            raise self.error(f"{what} is {repr(value)[:200]}, not a number")
+        return float(value)
+
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
         """A field that is a list of as many numbers as the default has."""
         values = item.get(key, default)
         if len(values) != len(default):
             raise self.error(f"{key} has {len(values)} numbers, not {len(default)}")
-        for value in values:
-            if type(value) not in (int, float):
-                raise self.error(f"{key} is {repr(value)[:200]}, not a number")
-        return np.array(values, dtype=np.float64)
+        return np.array([self.number(value, key) for value in values], dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
         """Bytes behind a data URI, or of a file in the glTF's own folder."""

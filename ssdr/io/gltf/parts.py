@@ -347,8 +347,6 @@ def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
 def _material(document: Document, item: dict[str, Any]) -> Material:
     look = item.get("pbrMetallicRoughness", {})
     r, g, b, a = document.numbers(look, "baseColorFactor", [1.0] * 4).tolist()
-    factors = {"factors": [look.get("metallicFactor", 1.0), look.get("roughnessFactor", 1.0)]}
-    metallic, roughness = document.numbers(factors, "factors", [1.0, 1.0]).tolist()
     texture, kind = None, "image/png"
     if "baseColorTexture" in look:
         reference = look["baseColorTexture"]
@@ -365,8 +363,8 @@ def _material(document: Document, item: dict[str, Any]) -> Material:
     return Material(
         name=str(item.get("name", "material")),
         base_color=(r, g, b, a),
-        metallic=metallic,
-        roughness=roughness,
+        metallic=document.number(look.get("metallicFactor", 1.0), "metallicFactor"),
+        roughness=document.number(look.get("roughnessFactor", 1.0), "roughnessFactor"),
         double_sided=bool(item.get("doubleSided", False)),
         texture=texture,
         texture_type=kind,
