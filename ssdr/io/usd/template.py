@@ -208,7 +208,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
         for number, clip in enumerate(found):
             if number not in kept and clip.animation is not None:
                 stage.RemovePrim(clip.animation)
-        if 0 not in kept and found[0].animation is not None:
+        if kept and 0 not in kept and found[0].animation is not None:
             binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(found[0].skeleton))
             binding.CreateAnimationSourceRel().SetTargets([found[min(kept)].animation])
         stage.GetRootLayer().Save()
@@ -225,7 +225,7 @@ def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
     old, new = reader.path.parent.resolve(), target.parent.resolve()
 
     def moved(asset: str) -> str:
-        if not asset or "://" in asset or os.path.isabs(asset) or not (old / asset).exists():
+        if not asset or os.path.isabs(asset) or not os.path.exists(old / asset):
             return asset  # what a resolver finds elsewhere
         return Path(os.path.relpath(old / asset, new)).as_posix()
 
