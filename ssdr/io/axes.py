@@ -1,4 +1,4 @@
-"""Which axis points up, in a file and in a model."""
+"""Up axes of files and models, and turns from one to the other."""
 
 from __future__ import annotations
 

@@ -12,8 +12,7 @@ from ..surface import Surface
 
 __all__ = [
     "Corners",
-    "carry_normals",
-    "carry_tangents",
+    "Deformation",
     "corner_normals",
     "split_corners",
     "unit",
@@ -116,70 +115,52 @@ def corner_normals(
     return unit(sums[group], np.repeat(face, 3, axis=0)).reshape(-1, 3, 3).astype(np.float32)
 
 
-def carry_normals(
-    normals: NDArray[np.float64],
-    holder: NDArray[np.integer],
-    faces: NDArray[np.integer],
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-) -> NDArray[np.float32]:
-    """Normals of a mesh in another pose, as smooth or hard as they were set.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Deformation:
+    """A mesh in two poses, which carries normals and tangents from the one to the other.
 
-    Each triangle that meets in a normal transforms it by the cofactors of its deformation; the
-    mean is weighted by the angle there. Where the mesh has moved rigidly, this is that motion.
-
-    Parameters
+    Attributes
     ----------
-    normals : (N, 3) array
-        In the pose `source`.
     holder : (T, 3) int array
-        Index of the normal at each corner.
+        Index of the normal or tangent at each corner.
     faces : (T, 3) int array
-    source, target : (V, 3) arrays
+    source, target : (V, 3) float64 arrays
         Vertices in both poses.
-
-    Returns
-    -------
-    (N, 3) float32
-        Unit normals; those of no usable triangle stay as they are.
     """
-    carried = _carry(normals, holder, faces, source, target, cofactors=True)
-    return carried.astype(np.float32)
 
+    holder: NDArray[np.integer]
+    faces: NDArray[np.integer]
+    source: NDArray[np.float64]
+    target: NDArray[np.float64]
 
-def carry_tangents(
-    tangents: NDArray[np.float64],
-    normals: NDArray[np.floating],
-    holder: NDArray[np.integer],
-    faces: NDArray[np.integer],
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-) -> NDArray[np.float32]:
-    """Tangents ``(N, 4)`` in another pose, perpendicular to its `normals`; signs stay."""
-    moved = _carry(tangents[:, :3], holder, faces, source, target, cofactors=False)
-    flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
-    return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
+    def carry_normals(self, normals: NDArray[np.float64]) -> NDArray[np.float32]:
+        """Unit normals ``(N, 3)`` in the target pose, as smooth or hard as they were set.
 
+        Each triangle that meets in a normal transforms it by the cofactors of its deformation; the
+        mean is weighted by the angle there. Where the mesh has moved rigidly, this is that motion.
+        Normals of no usable triangle stay as they are.
+        """
+        return self._carry(normals, cofactors=True).astype(np.float32)
 
-def _carry(
-    vectors: NDArray[np.float64],
-    holder: NDArray[np.integer],
-    faces: NDArray[np.integer],
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    *,
-    cofactors: bool,
-) -> NDArray[np.float64]:
-    before, usable = _triangle_frames(source[faces])
-    after, also = _triangle_frames(target[faces])
-    usable &= also
-    before[~usable] = after[~usable] = np.eye(3)
-    gradient = after @ np.linalg.inv(before)
-    if cofactors:
-        gradient = np.swapaxes(np.linalg.inv(gradient), -1, -2)
-    moved = unit(np.einsum("tij,tcj->tci", gradient, vectors[holder]), np.zeros(3))
-    moved *= (usable[:, None] * _angles(target[faces]))[..., None]
-    return unit(_sums(moved, holder.reshape(-1), len(vectors)), vectors, 1e-9)
+    def carry_tangents(
+        self, tangents: NDArray[np.float64], normals: NDArray[np.floating]
+    ) -> NDArray[np.float32]:
+        """Tangents ``(N, 4)`` in the target pose, perpendicular to its `normals`; signs stay."""
+        moved = self._carry(tangents[:, :3], cofactors=False)
+        flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
+        return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
+
+    def _carry(self, vectors: NDArray[np.float64], *, cofactors: bool) -> NDArray[np.float64]:
+        before, usable = _triangle_frames(self.source[self.faces])
+        after, also = _triangle_frames(self.target[self.faces])
+        usable &= also
+        before[~usable] = after[~usable] = np.eye(3)
+        gradient = after @ np.linalg.inv(before)
+        if cofactors:
+            gradient = np.swapaxes(np.linalg.inv(gradient), -1, -2)
+        moved = unit(np.einsum("tij,tcj->tci", gradient, vectors[self.holder]), np.zeros(3))
+        moved *= (usable[:, None] * _angles(self.target[self.faces]))[..., None]
+        return unit(_sums(moved, self.holder.reshape(-1), len(vectors)), vectors, 1e-9)
 
 
 def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

@@ -1,4 +1,4 @@
-"""The skeleton that engines play: joints, keys, stored weights, and what storing them costs.
+"""Skeletons as engines play them: joints, keys, stored weights, and the error of storing them.
 
 With a hierarchy, its joints and local transforms are stored. A bone without one has no joint of
 its own; it gets one at the centroid of what it moves, so that an engine that interpolates
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, unique_names
-from ..errors import InputError, check_choice, is_whole
+from ..errors import InputError, check_choice
 from ..hierarchy.transforms import (
     from_frames,
     rest_diagonal,
@@ -37,6 +37,7 @@ __all__ = [
     "frame_rate",
     "interpolate_quaternions",
     "quantise",
+    "weight_values",
 ]
 
 WeightStorage = Literal["float32", "uint16", "uint8"]
@@ -57,8 +58,8 @@ class Rig:
     ----------
     rest : (V, 3) float32
     indices : (V, K) int32
-    weights : (V, K) float64
-        Descending, no bone twice, summing to 1.
+    weights : (V, K) float32, uint16 or uint8
+        As stored, in steps of 1/65535 or 1/255 where they are integers; descending, no bone twice.
     centers : (B, 3) float32
         Joints in the rest pose.
     rotations : (F, B, 4) float32
@@ -84,7 +85,7 @@ class Rig:
 
     rest: NDArray[np.float32]
     indices: NDArray[np.int32]
-    weights: NDArray[np.float64]
+    weights: NDArray[Any]
     centers: NDArray[np.float32]
     rotations: NDArray[np.float32]
     translations: NDArray[np.float32]
@@ -150,7 +151,7 @@ class Rig:
             shows there. The path of a turning vertex is curved and the mean lies on its chord, so
             a part of this number is the motion itself; it falls with the square of the frame time.
         """
-        rest = self.rest.astype(np.float64)
+        rest, weights = self.rest.astype(np.float64), weight_values(self.weights)
         count = self.n_frames - len(self.clips) if between else self.n_frames
         if count < 1:
             return None, None
@@ -161,7 +162,7 @@ class Rig:
             for first in range(clip.start, stop, step):
                 last = min(first + step, stop)
                 times = np.arange(first, last, dtype=np.float64) + 0.5 * between
-                stored = skin(rest, self.indices, self.weights, self.matrices(times))
+                stored = skin(rest, self.indices, weights, self.matrices(times))
                 truth = model.skin(slice(first, last + between), dtype=np.float64)
                 if between:
                     truth = (truth[1:] + truth[:-1]) / 2
@@ -171,7 +172,7 @@ class Rig:
         return math.sqrt(total / (count * len(rest))), math.sqrt(largest)
 
     def report(self, model: Skinning, **fields: Any) -> SaveReport:
-        """Errors and influences of what is stored, in a report with further `fields`."""
+        """A report with the errors and influences of what is stored, and further `fields`."""
         rmse, largest = self.error(model)
         return SaveReport(
             influences=self.indices.shape[1],
@@ -182,7 +183,13 @@ class Rig:
         )
 
 
-def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | None = None) -> Rig:
+def build_rig(
+    skinning: Skinning,
+    *,
+    influences: int | None = None,
+    most: int | None = None,
+    storage: WeightStorage = "float32",
+) -> Rig:
     """A skeleton with joints of the hierarchy, else at the centroids of what bones move.
 
     Parameters
@@ -192,6 +199,8 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
         How many of the largest weights of a vertex to keep.
     most : int, optional
         How many the format can hold.
+    storage : {"float32", "uint16", "uint8"}
+        How weights are stored.
 
     Raises
     ------
@@ -199,9 +208,9 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
         If there are more influences than `most`, a bone is not a scaled rotation, or numbers are
         too large for float32.
     """
-    if influences is not None and not (is_whole(influences) and influences >= 1):
-        raise InputError("influences", "an integer >= 1", repr(influences))
-    indices, weights = _sorted_weights(skinning, influences)
+    if influences is not None:
+        skinning = skinning.prune(influences)
+    indices, weights = quantise(*_sorted_weights(skinning), storage)
     if most is not None and indices.shape[1] > most:
         raise InputError(
             "influences",
@@ -250,21 +259,15 @@ def build_rig(skinning: Skinning, *, influences: int | None = None, most: int | 
     )
 
 
-def _sorted_weights(
-    skinning: Skinning, influences: int | None
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     matrix = skinning.sparse_weights().astype(np.float64)
     row = np.repeat(np.arange(skinning.n_vertices), np.diff(matrix.indptr))
     order = np.lexsort((matrix.indices, -matrix.data, row))
     place = np.arange(len(row)) - matrix.indptr[row]
     width = int(np.diff(matrix.indptr).max())
-    if influences is not None:
-        width = min(width, int(influences))
-    keep = place < width
     indices = np.zeros((skinning.n_vertices, width), dtype=np.int32)
     weights = np.zeros(indices.shape)
-    indices[row[keep], place[keep]] = matrix.indices[order][keep]
-    weights[row[keep], place[keep]] = matrix.data[order][keep]
+    indices[row, place], weights[row, place] = matrix.indices[order], matrix.data[order]
     return indices, weights / weights.sum(axis=1, keepdims=True)
 
 
@@ -286,7 +289,7 @@ def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
-    """Keys (F, B): every frame, or the keyframes with the ends of each of several clips."""
+    """Keys (F, B): every frame, or the keyframes and the ends of several clips."""
     if skinning.keyframes is None:
         return np.ones(skinning.transforms.shape[:2], dtype=bool)
     keys: NDArray[np.bool_] = skinning.keyframes.copy()
@@ -309,7 +312,7 @@ def interpolate_quaternions(
 
 def quantise(
     indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
-) -> tuple[NDArray[np.int32], NDArray[Any], NDArray[np.float64]]:
+) -> tuple[NDArray[np.int32], NDArray[Any]]:
     """Weights as stored, summing to exactly 1 in their own steps.
 
     Returns
@@ -317,8 +320,6 @@ def quantise(
     indices : (V, K) int32
         0 where the stored weight is 0, as glTF asks.
     stored : (V, K) float32, uint16 or uint8
-    values : (V, K) float64
-        What a reader gets back.
 
     Raises
     ------
@@ -326,11 +327,9 @@ def quantise(
         If `storage` is unknown.
     """
     check_choice(storage, "weights", WeightStorage)
-    stored: NDArray[Any]
+    stored: NDArray[Any] = weights.astype(np.float32)
     if storage == "float32":
-        stored = weights.astype(np.float32)
         stored[:, 0] = 1.0 - stored[:, 1:].sum(axis=1, dtype=np.float64)
-        values = stored.astype(np.float64)
     else:
         steps = np.iinfo(storage).max
         scaled = weights * steps
@@ -340,8 +339,13 @@ def quantise(
         rank = np.argsort(order, axis=1, kind="stable")
         whole += rank < np.rint(steps - whole.sum(axis=1))[:, None]
         stored = whole.astype(storage)
-        values = whole / steps
-    return np.where(stored > 0, indices, 0).astype(np.int32), stored, values
+    return np.where(stored > 0, indices, 0).astype(np.int32), stored
+
+
+def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
+    """Weights as float64 from those that are stored."""
+    steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
+    return np.asarray(stored / np.float64(steps))
 
 
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:

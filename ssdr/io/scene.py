@@ -1,4 +1,4 @@
-"""The meshes of a scene as one sequence or skinning: what glTF, USD and FBX have in common."""
+"""Meshes of a scene joined into one sequence or skinning, for glTF, USD and FBX."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more ta
 
 
 class SceneBudget:
-    """Memory that a scene file may ask for in all: 1000 times its size, but at least 1 GiB.
+    """Total memory that a scene file may ask for: 1000 times its size, at least 1 GiB.
 
     A scene states counts, frames and copies of meshes that need no data of their own, so a small
     file can ask for any amount of memory.
@@ -60,12 +60,12 @@ class SceneBudget:
         self.grow(n_bytes)
 
     def grow(self, n_bytes: int) -> None:
-        """Allow more, for another file of that size."""
+        """Raise the limit for another file of that size."""
         if self._fixed is None:
             self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
 
     def spend(self, n_bytes: float, what: str) -> None:
-        """Add memory that reading on takes; refuse what goes over the limit.
+        """Count memory that reading on takes, and refuse more than the limit.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class Looks:
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
-    """First vertex of each part where they follow each other, and the number of all vertices."""
+    """Index of each part's first vertex in the joined arrays, and the number of all vertices."""
     return np.cumsum([0, *(len(part.indices) for part in parts)])
 
 
@@ -175,7 +175,7 @@ def join_sequence(
     looks: Looks,
     name: str,
 ) -> MeshSequence:
-    """One sequence of all parts, skinned.
+    """A sequence of the skinned vertices of all parts.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def join_skinning(
     looks: Looks,
     name: str,
 ) -> Skinning:
-    """One skinning of all parts.
+    """A skinning of all parts together.
 
     Parameters
     ----------
@@ -276,7 +276,7 @@ def make_skinning(
     bones: Bones,
     **fields: Any,
 ) -> Skinning:
-    """A skinning with these bones, of the narrowest bone model; flat where no bone has a parent."""
+    """A skinning of the narrowest bone model; it has a hierarchy if some bone has a parent."""
     tree = bool((bones.parents >= 0).any())
     return Skinning(
         rest,
@@ -305,7 +305,7 @@ def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
 def match_template(
     parts: Sequence[ScenePart], model: Skinning, path: Path
 ) -> list[NDArray[np.integer]]:
-    """The model's vertex for each vertex of each part of a template.
+    """Index of the model's vertex for each vertex of each part of a template.
 
     Raises
     ------
@@ -325,7 +325,7 @@ def match_template(
 
 
 def check_kept(lost: Sequence[str], strict: bool) -> None:
-    """Refuse to lose something of a template where `strict`.
+    """Refuse to lose contents of a template if `strict`.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Alembic and FBX through Blender, which runs in a process of its own.
 
 ``bpy`` prints, keeps one global scene and pins an old NumPy; none of that reaches the user's
-process or environment. `finder` finds Blender.
+process or environment.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def list_clips(
 
 
 def left_out(path: Path, *, time_limit: float = 600.0) -> tuple[str, ...]:
-    """What a file has and a sequence or skinning that is read from it has not."""
+    """Contents of a file that are lost when it is read as a sequence or skinning."""
     return tuple(json.loads(str(_ask_blender("list", path, None, time_limit)["left_out"])))
 
 
@@ -177,7 +177,7 @@ def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
-    """The name of the file's only mesh, else of the file."""
+    """Name of the file's only mesh, else of the file."""
     return readable(arrays["title"]) if "title" in arrays else path.stem
 
 
@@ -212,7 +212,7 @@ def _ask_blender(
     max_bytes: int | None = None,
     **job: Any,
 ) -> dict[str, NDArray[Any]]:
-    """Have ``script.py`` read a file; what it fails with is the file's error."""
+    """Arrays that ``script.py`` reads from a file; its failures become FormatErrors."""
     _check_limit(time_limit)
     command(_SCRIPT)  # whether there is a Blender comes before what may be wrong with the file
     suffix = path.suffix.lower()

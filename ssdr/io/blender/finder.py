@@ -1,7 +1,7 @@
-"""Where Blender is: named by a variable, a Python module, or a program on the PATH.
+"""Lookup of Blender: a program or a Python that a variable names, ``bpy``, or the PATH.
 
-``bpy`` pins an old NumPy, so nothing here asks for it beside ``ssdr``: the place
-for it is an environment of its own, at `environment`, which is found by itself.
+``bpy`` pins an old NumPy and would downgrade that of ``ssdr``, so it belongs into an environment
+of its own; one at `environment` is found without being named.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["command", "environment"]
 
 
 def environment() -> Path:
-    """The folder of Blender's own Python environment, whether it exists or not.
+    """Folder for a Python environment with ``bpy``, whether it exists or not.
 
     ``ssdr/blender`` in the user's cache: ``$XDG_CACHE_HOME`` or ``~/.cache``,
     ``~/Library/Caches`` on macOS, ``%LOCALAPPDATA%`` on Windows.
@@ -34,9 +34,9 @@ def environment() -> Path:
 
 
 def command(script: Path | str, *arguments: str) -> list[str]:
-    """The command that runs a script with ``bpy``, found without importing it.
+    """Command that runs a script with ``bpy``, found without importing it.
 
-    The first of these that is there: the program that ``SSDR_BLENDER`` names, the
+    The first of these that exists: the program that ``SSDR_BLENDER`` names, the
     Python that ``SSDR_BLENDER_PYTHON`` names, ``bpy`` beside this package, the
     environment at `environment`, ``blender`` on the PATH.
 
@@ -44,7 +44,7 @@ def command(script: Path | str, *arguments: str) -> list[str]:
     ----------
     script : Path or str
     arguments : str
-        What the script gets: the last of its ``sys.argv``.
+        Passed to the script, as the last of its ``sys.argv``.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def _scripts(folder: Path) -> Path:
 
 
 def _python_of(folder: Path) -> str | None:
-    """The Python of an environment, if ``bpy`` was installed into it."""
+    """Python of an environment if ``bpy`` is installed in it."""
     places = [*folder.glob("lib/python*/site-packages/bpy"), folder / "Lib/site-packages/bpy"]
     installed = any(place.is_dir() for place in places)
     return shutil.which("python", path=_scripts(folder)) if installed else None

@@ -1,7 +1,7 @@
 """Run as ``python script.py job.json`` or ``blender --python script.py -- job.json``.
 
-It needs NumPy and Blender alone, not the package. What it finds goes into an archive of arrays,
-what goes wrong to stderr.
+It needs NumPy and Blender alone, not the package. It writes an archive of arrays, and errors to
+stderr.
 """
 
 import importlib
@@ -44,7 +44,7 @@ def load(path: str, fps: float, **options: Any) -> None:
 
 
 def edit(item: Any, change: Any) -> None:
-    """Change each bone of an armature at rest."""
+    """Apply a function to each bone of an armature in edit mode."""
     hidden, item.hide_viewport = item.hide_viewport, False
     bpy.context.view_layer.objects.active = item
     bpy.ops.object.mode_set(mode="EDIT")
@@ -68,7 +68,7 @@ def meshes() -> list[Any]:
 
 
 def is_bone_shape(item: Any) -> bool:
-    """Whether it is the ball by which Blender's glTF importer draws bones, and then exports."""
+    """Whether a mesh is the ball that Blender's glTF importer adds to draw bones."""
     held = item.parent or item.modifiers or item.constraints
     alone = not (held or item.animation_data or item.material_slots)
     return item.name.startswith("Icosphere") and len(item.data.vertices) == 42 and alone
@@ -104,7 +104,7 @@ class Vertices:
 
 
 def read(job: dict[str, Any]) -> None:
-    """Do "list", "read" or "read skinning": the takes of a file, vertices of one, skins of all."""
+    """Write the takes of a file ("list"), vertices of one ("read") or skins of all."""
     load(job["path"], job["fps"])
     items, found = meshes(), takes.listed(job["path"])
     names = [name for name, _ in found]
@@ -150,14 +150,14 @@ def read(job: dict[str, Any]) -> None:
 
 
 def vertex_numbers(items: list[Any]) -> Any:
-    """The package's number of each vertex, an attribute that its glTF carries."""
+    """Number of each vertex in the package's model, an attribute of its glTF files."""
     attributes = [item.data.attributes["_VERTEX"].data for item in items]
     found = [surfaces.values(data, "value", np.float32) for data in attributes]
     return np.concatenate(found).astype(np.int64)
 
 
 def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
-    """Give an armature a strip for each clip: the exporter makes a take of that name of each."""
+    """Give an armature a named strip for each clip, from which the exporter makes takes."""
     motion = item.animation_data
     motion.action = None
     # What the importer calls its actions differs between releases, its tracks do not.
@@ -176,10 +176,10 @@ def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
 
 
 def sew(item: Any) -> None:
-    """Merge the vertices that glTF needed for each normal and UV into the package's.
+    """Merge the copies of vertices that glTF needs for different normals and UVs.
 
-    Normals and UVs become those of the corners, as FBX has them. Blender keeps one triangle on the
-    same three vertices, so that others there get copies of them.
+    Normals and UVs become those of corners, as in FBX. Blender keeps only one triangle on the same
+    three vertices, so further triangles there get copies of the vertices.
     """
     old, values = item.data, surfaces.values
     numbers, first, place = np.unique(
@@ -220,7 +220,7 @@ def sew(item: Any) -> None:
 
 
 def copies(faces: Any) -> Any:
-    """How many triangles before each are on the same three vertices."""
+    """Number of earlier triangles on the same three vertices, for each triangle."""
     rows = np.sort(faces, axis=1)
     order = np.lexsort(rows.T)
     sorted_rows, number = rows[order], np.arange(len(rows))

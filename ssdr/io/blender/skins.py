@@ -28,7 +28,7 @@ def world_points(item: Any, graph: Any) -> tuple[Any, Any]:
 
 
 class Skin:
-    """One mesh and what moves it."""
+    """A mesh, its armature and its motion."""
 
     def __init__(self, item: Any) -> None:
         self.item = item
@@ -66,7 +66,7 @@ class Skin:
             self.seats.append(np.linalg.inv(armature_places[self.armature.name]) @ place)
 
     def influences(self, names: list[str]) -> tuple[Any, Any]:
-        """Bones ``(V, K)`` and weights; bone ``len(names)`` for what none of them moves."""
+        """Bones and weights ``(V, K)``; bone ``len(names)`` for vertices that no bone moves."""
         number = {name: k for k, name in enumerate(names)}
         bone = {g.index: number[g.name] for g in self.item.vertex_groups if g.name in number}
         rows = []
@@ -88,7 +88,7 @@ class Skin:
 
 
 class Armature:
-    """One armature and the bones of it that its meshes name."""
+    """An armature, and those of its bones that meshes name."""
 
     def __init__(self, item: Any, named: set[str]) -> None:
         self.item = item
@@ -100,7 +100,7 @@ class Armature:
         self.poses: list[Any] = []
 
     def _parent(self, bone: Any) -> int:
-        """Number of the nearest bone above that counts, -1 where there is none."""
+        """Index of the nearest ancestor among the named bones, -1 without one."""
         above = bone.parent
         while above is not None and above.name not in self.names:
             above = above.parent
@@ -121,8 +121,8 @@ class SkinnedMeshes:
 
     Blender moves a vertex p of a mesh that stands at O by A · Σ w P R⁻¹ · A⁻¹ O p, where the
     armature stands at A and a bone at P in its space, at R at rest. With the rest pose O₀ p in
-    world space, a bone's transform is A P R⁻¹ · A⁻¹ O O₀⁻¹. Where the mesh goes with its armature
-    the second factor is A₀⁻¹ in all frames, and meshes share the bones.
+    world space, a bone's transform is A P R⁻¹ · A⁻¹ O O₀⁻¹. If the mesh follows its armature, the
+    second factor is A₀⁻¹ in all frames, and meshes share the bones.
     """
 
     what = "transforms"
@@ -162,7 +162,7 @@ class SkinnedMeshes:
             skin.sample(graph, places)
 
     def _seat(self, skin: Skin) -> Any:
-        """A⁻¹ O O₀⁻¹ of all frames; one for all where the mesh goes with its armature."""
+        """A⁻¹ O O₀⁻¹ in every frame, or once if the mesh follows its armature."""
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
         seats = np.array(skin.seats)
         size = np.abs(skin.rest).max() + 1e-30

@@ -1,4 +1,4 @@
-"""Faces, UVs, normals and materials as Blender has them, and what is not read of a scene.
+"""Faces, UVs, normals and materials as Blender has them, and contents of a scene that are not read.
 
 It runs inside Blender beside ``script.py`` and, like it, needs NumPy and Blender alone.
 """
@@ -79,7 +79,7 @@ def describe(material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]
 
 
 def picture(image: Any, arrays: dict[str, Any], path: str) -> bytes:
-    """The encoded bytes of an image, if they are packed or in the folder of the file."""
+    """Encoded bytes of an image that is packed or lies in the folder of the file; else empty."""
     if image.packed_file:
         return bytes(image.packed_file.data)
     file = os.path.realpath(bpy.path.abspath(image.filepath))
@@ -93,7 +93,7 @@ def picture(image: Any, arrays: dict[str, Any], path: str) -> bytes:
 
 
 def left_out(items: list[Any]) -> list[str]:
-    """What the scene has and a sequence or skinning that is read from it has not."""
+    """Contents of the scene that are lost when it is read as a sequence or skinning."""
     materials = {slot.material for item in items for slot in item.material_slots} - {None}
     kinds = {item.type for item in bpy.context.scene.objects}
     found = {

@@ -1,4 +1,4 @@
-"""Takes of a file that Blender has loaded: what acts on what, at which frames and how fast.
+"""Takes of a file that Blender has loaded: objects and their actions, frames and rates.
 
 It runs inside Blender beside ``script.py`` and, like it, needs NumPy and Blender alone.
 """
@@ -28,7 +28,7 @@ class Timeline:
     fps: float
 
     def go(self, frame: int) -> Any:
-        """Show a frame; the evaluated scene."""
+        """Show a frame and return the evaluated scene."""
         time = self.first + frame * self.step
         whole = math.floor(time + 1e-6)
         part = min(max(time - whole, 0.0), 0.999999)
@@ -37,7 +37,7 @@ class Timeline:
 
 
 def set_rate(fps: float) -> None:
-    """Set frames per second of the scene: Blender divides an integer by a float32."""
+    """Set frames per second of the scene, which Blender stores as an integer over a float32."""
     render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
     if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
         render.fps, render.fps_base = ratio.numerator, ratio.denominator
@@ -47,7 +47,7 @@ def set_rate(fps: float) -> None:
 
 
 def stated_rate() -> float:
-    """Frames per second of the scene, without what float32 made of them."""
+    """Frames per second of the scene, without the rounding of float32."""
     render = bpy.context.scene.render
     rate = float(render.fps / render.fps_base)
     simple = (round(rate, 3), round(rate * 1.001) / 1.001)  # the latter those of television
@@ -55,7 +55,7 @@ def stated_rate() -> float:
 
 
 def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
-    """Let the actions of a take act, or nothing where there are no takes; where to sample."""
+    """Assign the actions of a take, if there are takes; the frames at which to sample it."""
     for item, action in pairs or []:
         item.animation_data.action = action
     scene, rate = bpy.context.scene, stated_rate()
@@ -81,7 +81,7 @@ def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
 
 
 def rate_of(seconds: Any, stated: float) -> float:
-    """The rate on whose frames all keys lie: that of the file, of the closest keys, a usual one."""
+    """Rate on whose frames all keys lie: the file's, that of the closest keys, or a usual one."""
     gaps = np.diff(seconds)
     closest = [round(1 / float(gaps.min()), 3)] if len(gaps) else []
     for rate in (stated, *closest, *_USUAL):
@@ -92,7 +92,7 @@ def rate_of(seconds: Any, stated: float) -> float:
 
 
 def key_frames(pairs: Pairs) -> Any:
-    """Frames of Blender's timeline at which there are keys, each once."""
+    """Frames of Blender's timeline that have keys, each once."""
     found = [np.zeros(0, dtype=np.float32)]
     for action in {action for _, action in pairs if action}:
         bags = [action]
@@ -109,7 +109,7 @@ def key_frames(pairs: Pairs) -> Any:
 
 
 def pose() -> list[tuple[Any, Any]]:
-    """Where everything stands while nothing acts on it; a take need not move all of it."""
+    """Transforms and values without any action, as a take need not move everything."""
     found: list[tuple[Any, Any]] = [(o, o.matrix_basis.copy()) for o in bpy.data.objects]
     for item in bpy.data.objects:
         if item.type == "ARMATURE":
@@ -125,12 +125,12 @@ def restore(values: list[tuple[Any, Any]]) -> None:
 
 
 def cut(name: str, most: int = _LONGEST_NAME) -> str:
-    """A name as long as Blender's may be."""
+    """A name, cut to the length that Blender allows."""
     return name.encode()[:most].decode("utf-8", "ignore")
 
 
 def listed(path: str) -> list[tuple[str, Pairs]]:
-    """The takes of an FBX or glTF file that was loaded: names, and what acts on what."""
+    """Takes of a loaded FBX or glTF file: their names, and pairs of objects and actions."""
     moved = [o for o in (*bpy.data.objects, *bpy.data.shape_keys) if o.animation_data]
     tracks: dict[str, Pairs] = {}
     if path.lower().endswith((".glb", ".gltf")):
@@ -182,7 +182,7 @@ def stacks(path: str) -> list[tuple[str, str]]:
 
 
 def clustered(path: str) -> set[str]:
-    """Names of the bones that a skin of an FBX file counts as its own, weights or none."""
+    """Names of the bones that a skin of an FBX file lists, with or without weights."""
     objects, links = parts_of(path)
     models = {e.props[0]: called(e) for e in objects if e.id == b"Model"}
     clusters = {e.props[0] for e in objects if e.id == b"Deformer" and e.props[-1] == b"Cluster"}

@@ -86,12 +86,12 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
     rate = fps or frame_rate(stamps) or 24.0
     count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
     if "fps" in stated and "frames" in stated:
-        own = float(document.numbers({"fps": [stated["fps"]]}, "fps", [24.0])[0])
+        own = document.number(stated["fps"], "fps")
         if own <= 0:
             raise document.error(f"fps is {own}")
         if fps in (None, own):
             rate, count = own, document.integer(stated, "frames", f"the clip {name}")
-            first = float(document.numbers({"start": [stated.get("start", 0)]}, "start", [0.0])[0])
+            first = document.number(stated.get("start", 0.0), "start")
     document.budget.spend(8 * count, f"{count} frames at {rate:g} per second")
     return Animation(name, rate, first + np.arange(count) / rate, channels)
 

@@ -1,4 +1,4 @@
-"""A glTF document that grows, and how it becomes a file."""
+"""glTF documents that are built up from accessors and written."""
 
 from __future__ import annotations
 
@@ -24,18 +24,27 @@ ARRAY, ELEMENTS = 34962, 34963
 
 
 class Builder:
-    """JSON and buffer views: none, or those of a file that is read, and what is added to them.
+    """A glTF document to which accessors are added: an empty one, or a copy of one that was read.
 
     Parameters
     ----------
     document : Document, optional
         A file whose JSON and bytes are taken over; compressed views become plain ones.
+
+    Attributes
+    ----------
+    json : dict
+    blocks : list of bytes
+        Of each view, by the number in its field "buffer" until the file is written.
+    lost, notes : list of str
+        What of the document cannot be kept, and what else the user should know.
     """
 
     def __init__(self, document: Document | None = None) -> None:
         self.document = document
+        self.notes: list[str] = []
+        self.lost: list[str] = []
         self.json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "ssdr"}, "scene": 0}
-        # bytes of each view by the number in its field "buffer", until the file is written
         self.blocks: list[memoryview | bytes] = []
         if document is not None:
             self.json = copy.deepcopy(document.json)
@@ -53,7 +62,7 @@ class Builder:
             self.json.setdefault(key, [])
 
     def view(self, data: bytes, **fields: Any) -> int:
-        """Add a buffer view; its number."""
+        """Add a buffer view and return its number."""
         views: list[Any] = self.json["bufferViews"]
         views.append({"buffer": len(self.blocks), **fields})
         self.blocks.append(data)
@@ -68,7 +77,7 @@ class Builder:
         normalized: bool = False,
         bounds: bool = False,
     ) -> int:
-        """Add an accessor over a view of its own; its number."""
+        """Add an accessor with a view of its own and return its number."""
         fields = {} if target is None else {"target": target}
         item: dict[str, Any] = {
             "bufferView": self.view(np.ascontiguousarray(array).tobytes(), **fields),
@@ -88,7 +97,7 @@ class Builder:
         return len(accessors) - 1
 
     def save(self, path: Path) -> int:
-        """Write the file, and the ``.bin`` of a ``.gltf``; the number of bytes.
+        """Write the file, with the ``.bin`` of a ``.gltf``, and return the number of bytes.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """Draco and meshopt: glTF's compressed geometry, decoded by the libraries of two extras.
 
-Both libraries are told what the file's JSON states, and what they give back is compared with it:
-a file that states one size and holds another is refused.
+Both libraries are told what the file's JSON states, and their results are compared with it: a file
+that states one size and holds another is refused.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def decode_mesh(data: bytes, path: Path) -> tuple[dict[int, NDArray[Any]], NDArr
 def decode_view(
     data: bytes, count: int, stride: int, mode: str, filter_: str, path: Path
 ) -> memoryview:
-    """The `count` elements of `stride` bytes of a buffer view that meshopt has compressed.
+    """Bytes of a buffer view compressed with meshopt: `count` elements of `stride` bytes.
 
     Raises
     ------

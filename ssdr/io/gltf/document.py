@@ -39,8 +39,8 @@ _READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 class Document:
     """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed.
 
-    Its lists are lists of objects and its numbers of items are those of items that are there, so
-    that both may be used unchecked; other fields may be anything.
+    Its lists of items hold objects, and indices of items are in range, so that both may be used
+    unchecked; other fields may hold anything.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Document:
         return value
 
     def _json_chunk(self, data: bytes) -> bytes:
-        """The JSON of a ``.glb``; its binary chunk is kept."""
+        """JSON of a ``.glb``, whose binary chunk is kept for its buffer."""
         if len(data) < 20:
             raise self.error(f"truncated: {len(data)} bytes")
         version, total, length, kind = struct.unpack_from("<III4s", data, 4)
@@ -111,7 +111,7 @@ class Document:
         return data[20 : 20 + length]
 
     def items(self, kind: str) -> list[Any]:
-        """The nodes, meshes, ... of the file."""
+        """Items of one kind: nodes, meshes, accessors, ..."""
         found: list[Any] = self.json.get(kind, [])
         return found
 
@@ -122,15 +122,17 @@ class Document:
             raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
         return value
 
+    def number(self, value: Any, what: str) -> float:
+        if type(value) not in (int, float):
+            raise self.error(f"{what} is {repr(value)[:200]}, not a number")
+        return float(value)
+
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
         """A field that is a list of as many numbers as the default has."""
         values = item.get(key, default)
         if len(values) != len(default):
             raise self.error(f"{key} has {len(values)} numbers, not {len(default)}")
-        for value in values:
-            if type(value) not in (int, float):
-                raise self.error(f"{key} is {repr(value)[:200]}, not a number")
-        return np.array(values, dtype=np.float64)
+        return np.array([self.number(value, key) for value in values], dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
         """Bytes behind a data URI, or of a file in the glTF's own folder."""
@@ -252,7 +254,7 @@ class Document:
         return values[:, 0] if width == 1 else values
 
     def replace(self, index: int, values: NDArray[Any], what: str) -> None:
-        """Set the numbers of an accessor that another part of the file holds."""
+        """Set the numbers of an accessor whose data stand elsewhere in the file."""
         if index in self._decoded and not np.array_equal(self._decoded[index], values):
             raise self.error(f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values

@@ -1,4 +1,4 @@
-"""Numbers by which items of a glTF document refer to each other: checked, listed, renumbered."""
+"""Indices by which items of a glTF document refer to each other: check, find, remove."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 __all__ = ["check_numbers", "remove", "unknown_extensions", "used"]
 
-# Every place that holds the number of an item; * stands for each entry of a list or object.
+# Every place that holds the index of an item; * stands for each entry of a list or object.
 _PLACES = {
     "scenes": "scene",
     "nodes": """scenes/*/nodes/* nodes/*/children/* skins/*/joints/* skins/*/skeleton
@@ -33,7 +33,7 @@ _KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_com
 
 
 def check_numbers(json: dict[str, Any]) -> str:
-    """What is wrong with the lists of a document or its numbers; empty where nothing is."""
+    """Problem with the lists of a document or the indices in it; empty if there is none."""
     for kind in _PLACES:
         items = json.get(kind, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
@@ -47,13 +47,13 @@ def check_numbers(json: dict[str, Any]) -> str:
 
 
 def unknown_extensions(json: dict[str, Any]) -> list[str]:
-    """Extensions that may refer to items by number, so that none must be renumbered."""
+    """Extensions that may refer to items by index, so that no item may be renumbered."""
     known = tuple(_KNOWN.split())
     return [str(e) for e in json.get("extensionsUsed", []) if not str(e).startswith(known)]
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """The lists or objects at the end of a path, each with the index or key of a number in it."""
+    """Each list or object at the end of a path, with the place in it that holds an index."""
     found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":
         found = range(len(item)) if isinstance(item, list) else list(item)
@@ -70,7 +70,7 @@ def _references(json: dict[str, Any], kind: str) -> Iterator[tuple[Any, Any]]:
 
 
 def used(json: dict[str, Any], kind: str) -> set[int]:
-    """Numbers of the items that something refers to."""
+    """Indices of the items that something refers to."""
     return {holder[key] for holder, key in _references(json, kind)}
 
 

@@ -23,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class PrimitiveGroup:
-    """The primitives of a node's mesh that share their vertices: a `ScenePart`.
+    """Primitives of a node's mesh that share their vertices, as a `ScenePart`.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class PrimitiveGroup:
     nodes : Nodes
     node, mesh : int
     primitives : dict
-        By their numbers in the mesh.
+        Primitives by their indices in the mesh.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class PrimitiveGroup:
     targets : (M, V, 3) float64
         Displacements of the morph targets.
     label : (N,) int
-        The vertex here for each of the file's.
+        Index of the vertex that each vertex of the file became.
     skin : int or None
     material : (T,) int
         -1 where a triangle has none.
@@ -70,6 +70,7 @@ class PrimitiveGroup:
             raise document.error(f"a morph target of other vertices than {count}")
         self.skin = nodes.items[node].get("skin")
         self.skeleton = ("node", node) if self.skin is None else ("skin", self.skin)
+        self._joints, self._inverse = self._read_skin()
         indices, weights = self._influences(count)
         blocks = [triangles(document, primitive, count) for primitive in group]
         faces = np.concatenate(blocks)
@@ -104,12 +105,28 @@ class PrimitiveGroup:
             raise self.document.error(f"{len(values)} {name} for {count} vertices")
         return values
 
+    def _read_skin(self) -> tuple[list[int], NDArray[np.float64]]:
+        """Joints (nodes) and inverse bind matrices (B, 4, 4); the mesh itself without a skin."""
+        if self.skin is None:
+            return [self.node], np.eye(4)[None]
+        item = self.document.items("skins")[self.skin]
+        joints = list(item["joints"])
+        if not joints:
+            raise self.document.error(f"skin {self.skin} has no joints")
+        if "inverseBindMatrices" not in item:
+            return joints, np.tile(np.eye(4), (len(joints), 1, 1))
+        flat = self.document.accessor(item["inverseBindMatrices"], "MAT4", "inverseBindMatrices")
+        if len(flat) < len(joints):
+            message = f"{len(flat)} inverse bind matrices for {len(joints)} joints"
+            raise self.document.error(message)
+        return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
+
     def _influences(self, count: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
         """Indices (V, K) and weights (V, K) of the skin; those of one bone without a skin."""
         document = self.document
         if self.skin is None:
             return np.zeros((count, 1), dtype=np.int32), np.ones((count, 1))
-        n_joints = len(_skin(document, self.skin)[0])
+        n_joints = len(self._joints)
         sets = [k for k in range(64) if f"JOINTS_{k}" in self._attributes]
         if not sets:
             raise document.error("a skinned mesh has no JOINTS_0")
@@ -136,10 +153,12 @@ class PrimitiveGroup:
     def _close_seams(
         self, compared: list[NDArray[Any]]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Undo the splitting of vertices by the writer: representative of each, and its label.
+        """Merge vertices that the writer has split at seams.
 
-        An attribute numbers the model's vertices. Vertices of one number are merged if nobody has
-        edited the file, so that they agree in all arrays `compared`.
+        An attribute numbers the model's vertices. Vertices of one number are merged if all of them
+        agree in the arrays `compared`: else somebody has edited the file.
+
+        Returns the file's vertex that stands for each merged one, and the label of each vertex.
         """
         same = np.arange(len(compared[0]))
         mark = self._attribute("_VERTEX", "SCALAR")
@@ -175,44 +194,33 @@ class PrimitiveGroup:
 
     def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
         """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose."""
-        count = len(nodes.animation.times)
-        if self.skin is None:
-            return np.broadcast_to(nodes.matrices(self.node)[:, None, :3], (count, 1, 3, 4))
-        joints, inverse = _skin(nodes.document, self.skin)
-        nodes.document.budget.spend(
-            96 * count * len(joints), f"{len(joints)} joints over {count} frames"
-        )
-        result = np.empty((count, len(joints), 3, 4))
-        for k, joint in enumerate(joints):
-            result[:, k] = (nodes.matrices(joint) @ inverse[k])[:, :3]
+        shape = len(nodes.animation.times), len(self._joints)
+        self.document.budget.spend(96 * shape[0] * shape[1], "{} frames of {} bones".format(*shape))
+        result = np.empty((*shape, 3, 4))
+        for k, joint in enumerate(self._joints):
+            result[:, k] = (nodes.matrices(joint) @ self._inverse[k])[:, :3]
         return result
 
-    def bones(self, worlds: Sequence[Nodes]) -> Bones:
-        """Bones over the frames of all clips; a mesh without a skin is one bone, a root."""
-        nodes, document = worlds[0], worlds[0].document
-        transforms = np.concatenate([self.transforms(one) for one in worlds])
-        if self.skin is None:
-            name = str(nodes.items[self.node].get("name", f"node_{self.node}"))
-            return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
-        joints, inverse = _skin(document, self.skin)
+    def bones(self, clips: Sequence[Nodes]) -> Bones:
+        """Bones over the frames of all clips."""
+        nodes, joints = clips[0], self._joints
         number = {joint: k for k, joint in enumerate(joints)}
         parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
         # a joint of size 0 in the rest pose is nowhere
-        usable = np.abs(np.linalg.det(inverse[:, :3, :3])) > 1e-30
-        bind = np.linalg.inv(np.where(usable[:, None, None], inverse, np.eye(4)))
+        usable = np.abs(np.linalg.det(self._inverse[:, :3, :3])) > 1e-30
+        bind = np.linalg.inv(np.where(usable[:, None, None], self._inverse, np.eye(4)))
         names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
-        return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
+        moved = np.concatenate([self.transforms(one) for one in clips])
+        return Bones(names, np.array(parents), bind[:, :3, 3], moved)
 
-    def has_axes(self, document: Document) -> bool:
-        """Whether joints of the rest pose are turned against the axes of the world."""
-        if self.skin is None:
-            return False
-        linear = _skin(document, self.skin)[1][:, :3, :3]
-        return bool(np.abs(linear - np.eye(3)).max() > 1e-6)
+    @property
+    def has_axes(self) -> bool:
+        """Whether joints are rotated relative to the axes of the world in the rest pose."""
+        return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
 
 def check_meshes(document: Document, meshes: Any) -> list[str] | None:
-    """Names of meshes as a list.
+    """Names of chosen meshes as a list; None for all meshes.
 
     Raises
     ------
@@ -249,7 +257,9 @@ def read_parts(
     parts: list[PrimitiveGroup] = []
     for number in nodes.shown:
         node = nodes.items[number]
-        if "mesh" not in node or (meshes and not _names_of(document, node) & set(meshes)):
+        if "mesh" not in node:
+            continue
+        if meshes is not None and not _names_of(document, node) & set(meshes):
             continue
         groups: dict[str, dict[int, dict[str, Any]]] = {}
         for place, primitive in enumerate(document.items("meshes")[node["mesh"]]["primitives"]):
@@ -289,7 +299,7 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
-    """Triangles (T, 3) of a primitive over the file's `count` vertices; none of points."""
+    """Triangles (T, 3) of a primitive over the file's `count` vertices; empty for points."""
     index = np.arange(count)
     if "indices" in primitive:
         found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
@@ -315,22 +325,8 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
     return strip
 
 
-def _skin(document: Document, index: int) -> tuple[list[int], NDArray[np.float64]]:
-    """Joints of a skin and their inverse bind matrices (B, 4, 4)."""
-    item = document.items("skins")[index]
-    joints = list(item["joints"])
-    if not joints:
-        raise document.error(f"skin {index} has no joints")
-    if "inverseBindMatrices" not in item:
-        return joints, np.tile(np.eye(4), (len(joints), 1, 1))
-    flat = document.accessor(item["inverseBindMatrices"], "MAT4", "inverseBindMatrices")
-    if len(flat) < len(joints):
-        raise document.error(f"{len(flat)} inverse bind matrices for {len(joints)} joints")
-    return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
-
-
 def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
-    """The UVs that the first textured material of some primitives uses."""
+    """Name of the UVs that the first textured material of some primitives uses."""
     for number in [primitive["material"] for primitive in group if "material" in primitive]:
         look = document.items("materials")[number].get("pbrMetallicRoughness", {})
         if "texCoord" in look.get("baseColorTexture", {}):
@@ -351,8 +347,6 @@ def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
 def _material(document: Document, item: dict[str, Any]) -> Material:
     look = item.get("pbrMetallicRoughness", {})
     r, g, b, a = document.numbers(look, "baseColorFactor", [1.0] * 4).tolist()
-    factors = {"factors": [look.get("metallicFactor", 1.0), look.get("roughnessFactor", 1.0)]}
-    metallic, roughness = document.numbers(factors, "factors", [1.0, 1.0]).tolist()
     texture, kind = None, "image/png"
     if "baseColorTexture" in look:
         reference = look["baseColorTexture"]
@@ -369,8 +363,8 @@ def _material(document: Document, item: dict[str, Any]) -> Material:
     return Material(
         name=str(item.get("name", "material")),
         base_color=(r, g, b, a),
-        metallic=metallic,
-        roughness=roughness,
+        metallic=document.number(look.get("metallicFactor", 1.0), "metallicFactor"),
+        roughness=document.number(look.get("roughnessFactor", 1.0), "roughnessFactor"),
         double_sided=bool(item.get("doubleSided", False)),
         texture=texture,
         texture_type=kind,

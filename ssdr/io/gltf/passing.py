@@ -1,4 +1,4 @@
-"""A glTF file passed on whole, and what of it a model does not hold."""
+"""glTF files written again as they are, and contents that reading loses."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _keep_clips(json: dict[str, Any], kept: set[int]) -> None:
 
 
 def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[str, ...]:
-    """What the file has and a sequence or skinning that is read from it has not."""
+    """Contents of a file that are lost when it is read as a sequence or skinning."""
     with reading(path):
         document = Document(path)
     wanted = check_meshes(document, meshes)
@@ -82,7 +82,7 @@ def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[
             what
             for what, there in {
                 "names and number of the meshes": len({part.node for part in parts}) > 1,
-                "orientations of the joints": any(part.has_axes(document) for part in parts),
+                "orientations of the joints": any(part.has_axes for part in parts),
                 "cameras": document.items("cameras"),
                 "scenes but the first": len(scenes) > 1,
                 "lights": lights,
@@ -116,7 +116,7 @@ def _of_material(material: dict[str, Any]) -> list[str]:
 
 
 def _has_extras(value: Any) -> bool:
-    """Whether there are extras that this package has not written."""
+    """Whether a document has extras other than those of this package."""
     if isinstance(value, dict):
         extras = value.get("extras", {})
         if not (isinstance(extras, dict) and extras.keys() <= {"ssdr"}):

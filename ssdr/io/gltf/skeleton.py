@@ -1,4 +1,4 @@
-"""A rig as glTF has it: nodes of the joints, a skin, animations, attributes of skin weights."""
+"""A rig in glTF: nodes of the joints, a skin, animations, attributes of skin weights."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from .builder import ARRAY, Builder
 __all__ = ["add_animation", "add_skin", "add_weights", "skeleton_nodes"]
 
 
-def add_weights(
-    builder: Builder, indices: NDArray[np.int32], stored: NDArray[Any], n_bones: int
-) -> dict[str, int]:
-    """Attributes of skin weights (V, K), four influences in each."""
-    narrow = np.uint8 if n_bones <= 256 else np.uint16
-    pad = ((0, 0), (0, -stored.shape[1] % 4))
-    joints, weights = np.pad(indices.astype(narrow), pad), np.pad(stored, pad)
+def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
+    """Attributes of skin weights for vertices (N,) of the rig, four influences in each."""
+    narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
+    pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
+    joints = np.pad(rig.indices[vertex].astype(narrow), pad)
+    weights = np.pad(rig.weights[vertex], pad)
     attributes = {}
     for k in range(joints.shape[1] // 4):
         four = slice(4 * k, 4 * k + 4)
         attributes[f"JOINTS_{k}"] = builder.accessor(joints[:, four], "VEC4", target=ARRAY)
         attributes[f"WEIGHTS_{k}"] = builder.accessor(
-            weights[:, four], "VEC4", target=ARRAY, normalized=stored.dtype.kind == "u"
+            weights[:, four], "VEC4", target=ARRAY, normalized=weights.dtype.kind == "u"
         )
     return attributes
 
 
 def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
-    """The node of a skeleton, number `first` of the file, and those of its joints after it."""
+    """Nodes of a skeleton, which will be node `first` of the file, and of its joints after it."""
     parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
     for bone, name in enumerate(rig.names):

@@ -1,7 +1,7 @@
-"""A skinning put into the glTF file that its mesh came from: all else stays as it is there.
+"""A model written into the glTF file that its mesh came from; all else in the file is kept.
 
 The file is read again when it is written, so that a model carries nothing of it. Replaced are the
-attributes that skinning needs, and the skins, joints and keys that moved the model's meshes alone.
+attributes that skinning needs, and the skins, joints and keys that moved only the model's meshes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...skinning import Skinning
-from ..corners import carry_normals, carry_tangents
+from ..corners import Deformation
 from ..registry import reading
 from ..rig import Rig
 from ..scene import match_template
@@ -36,14 +36,14 @@ _CONTENT = {"mesh", "camera", "extensions"}  # what a node has that does not ser
 
 
 def template_problem(path: Path) -> str:
-    """Why a file that can be read cannot be a template; empty where it can."""
+    """Reason why a readable file cannot be a template; empty if it can."""
     with reading(path):
         compressed = DRACO in Document(path).items("extensionsUsed")
     return "its geometry is compressed with Draco" if compressed else ""
 
 
 class Template:
-    """A file in which a model takes the place of the meshes that it was made from.
+    """A glTF file in which a model replaces the meshes that it was made from.
 
     Parameters
     ----------
@@ -58,8 +58,6 @@ class Template:
     ----------
     builder : Builder
         The file as it will be written.
-    lost, notes : list of str
-        What cannot be kept, and what else the user should know.
 
     Raises
     ------
@@ -79,7 +77,7 @@ class Template:
         wanted = check_meshes(document, meshes)
         with reading(path):
             animations = read_animations(document)
-            # Whether a node mirrors its mesh is asked in the clip that was read first.
+            # Whether a node mirrors its mesh is asked in the model's first clip.
             named = [one for one in animations if one.name == model.clips[0].name]
             self.world = Nodes(document, (named or animations)[0])
             self.parts = read_parts(document, self.world, wanted)
@@ -94,19 +92,17 @@ class Template:
         }
         self.renamed = bool(clip_names)
         self.left: set[int] = set()  # nodes whose mesh has got a node of its own
-        self.lost: list[str] = []
-        self.notes: list[str] = []
 
-    def put(self, rig: Rig, stored: NDArray[Any], title: str) -> None:
-        """Replace the meshes by a rig whose skin weights are `stored`."""
+    def put(self, rig: Rig, title: str) -> None:
+        """Replace the meshes by a rig."""
         with reading(self.document.path):
-            self._put_meshes(rig, stored)
+            self._put_meshes(rig)
             first = self._put_skeleton(rig, title)
             self._put_clips(rig, title, first)
             self._remove_old(rig)
 
-    def _put_meshes(self, rig: Rig, stored: NDArray[Any]) -> None:
-        """Rest pose, normals and skin weights of each part."""
+    def _put_meshes(self, rig: Rig) -> None:
+        """Replace rest pose, normals and skin weights of each part."""
         nodes, meshes = self.json["nodes"], self.json["meshes"]
         uses = collections.Counter(node.get("mesh") for node in nodes)
         for node in sorted(self.replaced):
@@ -118,7 +114,7 @@ class Template:
         for part, vertices in zip(self.parts, self.vertices, strict=True):
             index = vertices[part.label]
             attributes = self._carried_attributes(part, rig.rest[index])
-            attributes |= add_weights(self.builder, rig.indices[index], stored[index], rig.n_bones)
+            attributes |= add_weights(self.builder, rig, index)
             for place, old in part.primitives.items():
                 primitive = meshes[nodes[part.node]["mesh"]]["primitives"][place]
                 primitive["attributes"] = dict(attributes)
@@ -149,24 +145,24 @@ class Template:
         kept["POSITION"] = builder.accessor(rest, "VEC3", target=ARRAY, bounds=True)
         source = document.accessor(old["POSITION"], "VEC3", "POSITION")
         faces = np.concatenate([triangles(document, one, len(rest)) for one in group])
-        poses = faces, faces, source, rest.astype(np.float64)
+        deformation = Deformation(faces, faces, source, rest.astype(np.float64))
         if "NORMAL" in old:
             normals = document.accessor(old["NORMAL"], "VEC3", "NORMAL")
-            normals = carry_normals(normals, *poses)
+            normals = deformation.carry_normals(normals)
             kept["NORMAL"] = builder.accessor(normals, "VEC3", target=ARRAY)
             if "TANGENT" in old:
                 tangents = document.accessor(old["TANGENT"], "VEC4", "TANGENT")
                 if self._mirrors(part):
                     tangents[:, 3] *= -1
-                tangents = carry_tangents(tangents, normals, *poses)
+                tangents = deformation.carry_tangents(tangents, normals)
                 kept["TANGENT"] = builder.accessor(tangents, "VEC4", target=ARRAY)
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:
-        """Remove what a mesh no longer has: weights and names of morph targets, and lines."""
+        """Remove weights and names of morph targets from a mesh, and lines, which no skin moves."""
         solid = [p for p in mesh["primitives"] if p.get("mode", 4) not in _LINES]
         if len(solid) < len(mesh["primitives"]):
-            self.lost.append(f"lines of the mesh {mesh.get('name') or f'of node {node}'}")
+            self.builder.lost.append(f"lines of the mesh {mesh.get('name') or f'of node {node}'}")
             mesh["primitives"] = solid
         mesh.pop("weights", None)
         self.json["nodes"][node].pop("weights", None)
@@ -207,7 +203,7 @@ class Template:
                 scene["nodes"].append(len(nodes) - 1)
         del holder["mesh"], holder["skin"]
         self.left.add(node)
-        self.notes.append(f"the mesh of node {node} left a transform that mirrors it")
+        self.builder.notes.append(f"the mesh of node {node} left a transform that mirrors it")
 
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
         """Add the keys of each clip to the file's animation of that name, or a new animation."""
@@ -230,7 +226,7 @@ class Template:
             self.json.setdefault("animations", []).extend(added)
 
     def _remove_old(self, rig: Rig) -> None:
-        """Remove what served the replaced meshes alone."""
+        """Remove what served only the replaced meshes."""
         json, original = self.json, self.document.json
         skins = used(original, "skins") - used(json, "skins")
         joints = self._unneeded_nodes(skins)
@@ -239,13 +235,13 @@ class Template:
         )
         opaque = unknown_extensions(json)
         if opaque:
-            self.notes.append(
+            self.builder.notes.append(
                 f"old joints and bytes are kept, as {', '.join(opaque)} may refer to them"
             )
             return
         extras = [k for k in joints - self.left if "extras" in json["nodes"][k]]
         if extras:
-            self.lost.append(f"extras of {len(extras)} joints of the old skin")
+            self.builder.lost.append(f"extras of {len(extras)} joints of the old skin")
         accessors, views = used(original, "accessors"), used(original, "bufferViews")
         remove(json, "skins", skins)
         remove(json, "nodes", joints)
@@ -254,7 +250,7 @@ class Template:
         remove(json, "bufferViews", views - used(json, "bufferViews"))
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Joints of the old `skins`, and nodes that hold nothing else."""
+        """Joints of the old `skins`, and nodes that hold nothing but such joints."""
         nodes, listed = self.json["nodes"], self.json["skins"]
         old = {joint for k in skins for joint in listed[k]["joints"]} | self.left
         kept = [skin for k, skin in enumerate(listed) if k not in skins]
@@ -270,13 +266,13 @@ class Template:
                 going.add(node)
         stuck = old - going - needed
         if stuck:
-            self.notes.append(
+            self.builder.notes.append(
                 f"{len(stuck)} joints of the old skin are kept as nodes, as others hang on them"
             )
         return going
 
     def _remove_channels(self, joints: set[int], kept_clips: set[int]) -> None:
-        """Remove the keys of morph targets and nodes that moved the replaced meshes alone."""
+        """Remove the keys of morph targets and nodes that moved only the replaced meshes."""
         animations = self.json.get("animations", [])
         idle = joints | self._idle_nodes()
         left = []
@@ -295,7 +291,7 @@ class Template:
                 continue
             if number < len(self.document.items("animations")) and number not in kept_clips:
                 name = animation_names(self.document)[number]
-                self.lost.append(f"the clip {name}, which the model does not have")
+                self.builder.lost.append(f"the clip {name}, which the model does not have")
             if channels:
                 needed = sorted({channel["sampler"] for channel in channels})
                 animation["samplers"] = [animation["samplers"][k] for k in needed]

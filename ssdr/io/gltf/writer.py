@@ -19,7 +19,7 @@ from ...surface import Material, Surface
 from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
 from ..registry import SaveReport
-from ..rig import Rig, WeightStorage, build_rig, quantise
+from ..rig import Rig, WeightStorage, build_rig
 from ..scene import check_kept
 from .builder import ARRAY, ELEMENTS, Builder
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
@@ -86,19 +86,18 @@ def write_skinning(
     """
     check_up(up)
     model = turn_skinning_up(skinning, up, "y")
-    rig = build_rig(model, influences=influences, most=8)
+    rig = build_rig(model, influences=influences, most=8, storage=weights)
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
     title = name or skinning.name or path.stem
     if template is None:
-        return _save_rig(model, rig, path, title, weights)
+        return _save_rig(model, rig, path, title)
     if up != "y":
         raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
-    rig, stored = _stored(rig, weights)
     old = Template(Path(template), skinning, meshes, clip_names or {})
-    old.put(rig, stored, title)
-    check_kept(old.lost, strict)
-    return _report(model, rig, path, old.builder, old.notes, old.lost)
+    old.put(rig, title)
+    check_kept(old.builder.lost, strict)
+    return _report(model, rig, path, old.builder)
 
 
 def write_along_bones(
@@ -109,10 +108,10 @@ def write_along_bones(
     up: Up = "y",
     name: str | None = None,
 ) -> tuple[SaveReport, dict[str, float]]:
-    """Write a model with a hierarchy whose joints have their y axis along their bone.
+    """Write a model with a hierarchy, the y axis of each joint along its bone.
 
-    Programs that draw bones along an axis of their own, Blender among them, then draw them from
-    joint to joint.
+    Programs that draw bones along an axis of the joint, such as Blender, then draw them from joint
+    to joint.
 
     Parameters
     ----------
@@ -138,7 +137,7 @@ def write_along_bones(
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """The same rig whose joints have the orientations `axes` (B, 3, 3) in the rest pose."""
+    """The same rig with orientations `axes` (B, 3, 3) of its joints in the rest pose."""
     assert rig.parents is not None
     parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
     turn = matrix_from_quaternion(rig.rotations.astype(np.float64))
@@ -156,22 +155,19 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
     )
 
 
-def _save_rig(
-    model: Skinning, rig: Rig, path: Path, title: str, weights: WeightStorage = "float32"
-) -> SaveReport:
+def _save_rig(model: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
     """Write a file of the model alone."""
-    rig, stored = _stored(rig, weights)
-    notes = ["glTF takes the unit for metres"]
     builder = Builder()
+    builder.notes.append("glTF takes the unit for metres")
     json = builder.json
     surface = model.surface
     normals = corner_normals(rig.rest, model.faces, surface) if len(model.faces) else None
     uv = None if surface is None else surface.uv
     corners = split_corners(model.faces, model.n_vertices, uv, normals)
-    attributes = _attributes(builder, rig, corners, stored)
+    attributes = _attributes(builder, rig, corners)
     primitives = [{"attributes": attributes, "mode": 0}]
     if len(corners.faces):
-        primitives = _primitives(builder, surface or Surface(), corners, attributes, notes)
+        primitives = _primitives(builder, surface or Surface(), corners, attributes)
     json["meshes"] = [{"name": title, "primitives": primitives}]
     # The mesh stands at the top of the scene: glTF ignores the transform of a
     # skinned mesh's node, and importers disagree about its parents.
@@ -183,33 +179,19 @@ def _save_rig(
         add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, 1)
         for clip in rig.clips
     ]
-    return _report(model, rig, path, builder, notes)
+    return _report(model, rig, path, builder)
 
 
-def _stored(rig: Rig, storage: WeightStorage) -> tuple[Rig, NDArray[Any]]:
-    """The rig with its weights as they are read back, and the numbers that are stored."""
-    indices, stored, values = quantise(rig.indices, rig.weights, storage)
-    return dataclasses.replace(rig, indices=indices, weights=values), stored
-
-
-def _report(
-    model: Skinning,
-    rig: Rig,
-    path: Path,
-    builder: Builder,
-    notes: list[str],
-    lost: Sequence[str] = (),
-) -> SaveReport:
+def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveReport:
     """Write the file and report what storing costs."""
-    size = builder.save(path)
+    size, notes = builder.save(path), builder.notes
     if rig.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
-    return rig.report(model, path=path, bytes=size, note="; ".join(notes), lost=tuple(lost))
+    lost = tuple(builder.lost)
+    return rig.report(model, path=path, bytes=size, note="; ".join(notes), lost=lost)
 
 
-def _attributes(
-    builder: Builder, rig: Rig, corners: Corners, stored: NDArray[Any]
-) -> dict[str, int]:
+def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
     def put(array: NDArray[Any], kind: str, **fields: Any) -> int:
         return builder.accessor(array, kind, target=ARRAY, **fields)
 
@@ -220,7 +202,7 @@ def _attributes(
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
-    attributes |= add_weights(builder, rig.indices[vertex], stored[vertex], rig.n_bones)
+    attributes |= add_weights(builder, rig, vertex)
     # The model's vertex of each, so that seams can be closed on reading; float32, as attributes
     # may not be uint32, is exact up to 2^24.
     if len(rig.rest) <= 1 << 24:
@@ -229,16 +211,12 @@ def _attributes(
 
 
 def _primitives(
-    builder: Builder,
-    surface: Surface,
-    corners: Corners,
-    attributes: dict[str, int],
-    notes: list[str],
+    builder: Builder, surface: Surface, corners: Corners, attributes: dict[str, int]
 ) -> list[dict[str, Any]]:
     """A primitive for the triangles of each material."""
     # glTF's own default is bare metal, which is black wherever there is nothing to reflect
     materials = surface.materials or (Material(),)
-    builder.json["materials"] = [_material(builder, m, notes) for m in materials]
+    builder.json["materials"] = [_material(builder, m) for m in materials]
     index = surface.material_index
     if index is None:
         index = np.zeros(len(corners.faces), dtype=np.int32)
@@ -251,7 +229,7 @@ def _primitives(
     return result
 
 
-def _material(builder: Builder, material: Material, notes: list[str]) -> dict[str, Any]:
+def _material(builder: Builder, material: Material) -> dict[str, Any]:
     look: dict[str, Any] = {
         "baseColorFactor": [float(c) for c in material.base_color],
         "metallicFactor": float(material.metallic),
@@ -266,7 +244,7 @@ def _material(builder: Builder, material: Material, notes: list[str]) -> dict[st
         view = builder.view(material.texture)
         images.append({"bufferView": view, "mimeType": kind, "name": material.name})
     elif material.texture is not None:
-        notes.append(
+        builder.notes.append(
             f"the texture of {material.name} is left out: glTF holds PNG and JPEG, not {kind}"
         )
     item: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": look}

@@ -1,4 +1,4 @@
-"""USD's preview materials: read as the package has them, and written."""
+"""Preview materials of USD, read and written."""
 
 from __future__ import annotations
 

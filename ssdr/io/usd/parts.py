@@ -22,7 +22,7 @@ _FIRST = Usd.TimeCode.EarliestTime()
 
 
 class MeshPrim:
-    """A mesh and what moves it, a `ScenePart`; polygons are cut into fans of triangles.
+    """A mesh prim and what moves it, as a `ScenePart`; polygons are cut into fans of triangles.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class MeshPrim:
         self.skeleton = place, tuple(self._order), self._bind.tobytes()
 
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
-        """Matrices (B, 4, 4) of the bones, for column vectors, from those of all joints."""
+        """Matrices (B, 4, 4) of this mesh's bones from those of all joints, for column vectors."""
         if not transforms or len(transforms) != len(self.joints.GetJointOrder()):
             raise self._fail("its skeleton has no usable bind or rest transforms")
         frames = np.array(transforms, dtype=np.float64).reshape(-1, 4, 4)
@@ -198,7 +198,7 @@ class MeshPrim:
 
     @property
     def has_axes(self) -> bool:
-        """Whether joints of the bind pose are turned against the axes of the points."""
+        """Whether joints are rotated relative to the axes of the points in the bind pose."""
         if self.joints is None:
             return False
         return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)

@@ -128,7 +128,7 @@ class StageReader:
     def sample(
         self, clip: StageClip, fps: float | None = None
     ) -> tuple[Clip, list[MeshPrim], NDArray[np.float64]]:
-        """A clip, the visible meshes while it is bound, and the time codes of its frames.
+        """A clip, the meshes that are visible while it is bound, and the time codes of its frames.
 
         Raises
         ------

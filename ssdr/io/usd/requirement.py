@@ -1,4 +1,4 @@
-"""usd-core, on which all modules of this folder stand: what to install where it is missing."""
+"""Check for usd-core, which every module of this folder needs."""
 
 from ..registry import require
 

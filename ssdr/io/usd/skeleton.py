@@ -105,7 +105,7 @@ def _put_keys(
 def bind(
     prim: Any,
     indices: NDArray[np.int32],
-    weights: NDArray[np.float64],
+    weights: NDArray[np.float32],
     skeleton: Any,
     bind_transform: Any,
     tokens: Sequence[str] | None,
@@ -118,7 +118,7 @@ def bind(
     width = indices.shape[1]
     binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(indices.reshape(-1)))
     binding.CreateJointWeightsPrimvar(False, width).Set(
-        Vt.FloatArray.FromNumpy(weights.astype(np.float32).reshape(-1))
+        Vt.FloatArray.FromNumpy(weights.reshape(-1))
     )
     binding.CreateSkeletonRel().SetTargets([skeleton])
     if tokens is not None:
@@ -127,5 +127,5 @@ def bind(
 
 
 def identifier(name: str) -> str:
-    """A name as USD's prims may have it."""
+    """A name that a prim may have."""
     return str(Tf.MakeValidIdentifier(readable(name)))

@@ -1,4 +1,4 @@
-"""Opening a stage: layers are checked before USD opens them."""
+"""Opening of stages, whose layers are checked before USD opens them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..registry import refuse_device
 __all__ = ["open_stage", "system_errors"]
 
 _DEEPEST = 1000  # levels of nested text; usd-core ends the process at some tens of thousands
-# What is no structure of a text layer: strings, asset paths and comments, closed or not.
+# Strings, asset paths and comments of a text layer, closed or not: brackets in them do not nest.
 _QUOTED = re.compile(
     rb'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*"?'
     rb"|'''(?:\\.|[^\\])*?(?:'''|\Z)|'(?:\\.|[^'\\\n])*'?"
@@ -34,7 +34,7 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
-    """The stage as the file holds it now.
+    """Open a stage as its file holds it now.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def _check_nesting(file: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def system_errors(path: Path) -> Iterator[None]:
-    """Have the errors that USD raises where it cannot write be the OSError behind them."""
+    """Raise the errors of USD about writing as the OSError behind them."""
     try:
         yield
     except Tf.ErrorException as error:

@@ -1,4 +1,4 @@
-"""A USD file passed on whole or with a new skin, and what of it a model does not hold."""
+"""USD files written again, as they are or with a new skin, and contents that reading loses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...clips import pick
 from ...errors import FormatError
 from ...skinning import Skinning
 from ..atomic import atomic_path
-from ..corners import carry_normals
+from ..corners import Deformation
 from ..registry import SaveReport, reading
 from ..rig import Rig
 from ..scene import check_kept, match_template
@@ -32,7 +32,7 @@ _FIRST = Usd.TimeCode.EarliestTime()
 
 
 def template_problem(path: Path) -> str:
-    """Why a file that can be read cannot be a template; empty where it can."""
+    """Reason why a readable file cannot be a template; empty if it can."""
     with reading(path):
         reader = StageReader(path)
         return _problem([mesh.prim for mesh in reader.sample(reader.clips[0])[1]])
@@ -53,7 +53,7 @@ def put(
     clip_names: Mapping[str, str],
     strict: bool,
 ) -> list[str]:
-    """Write the template to `temporary` with the model's skin; what is lost.
+    """Write the template to `temporary` with the model's skin, and return what is lost.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def put(
 
 
 def _scope(prims: list[Any]) -> Any:
-    """The nearest prim above all of them that is, or can become, a SkelRoot; None without one."""
+    """The lowest common ancestor of prims that is or can become a SkelRoot; None without one."""
     common = prims[0].GetPath().GetParentPath()
     for prim in prims[1:]:
         common = common.GetCommonPrefix(prim.GetPath().GetParentPath())
@@ -141,7 +141,7 @@ def _remove_skeletons(stage: Any, meshes: list[MeshPrim], animations: list[Any])
 
 
 def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
-    """Replace the points of a mesh by a rest pose in the world; the matrix of the mesh there."""
+    """Replace the points of a mesh by a rest pose in the world, and return the mesh's matrix."""
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
         world = Gf.Matrix4d(1.0)
@@ -178,7 +178,7 @@ def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.IsIndexed():
         primvar.BlockIndices()
-    new = carry_normals(old, index, mesh.faces, source, points)
+    new = Deformation(index, mesh.faces, source, points).carry_normals(old)
     _set(prim.GetAttribute(attribute.GetName()), new)
 
 
@@ -208,7 +208,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
         for number, clip in enumerate(found):
             if number not in kept and clip.animation is not None:
                 stage.RemovePrim(clip.animation)
-        if 0 not in kept and found[0].animation is not None:
+        if kept and 0 not in kept and found[0].animation is not None:
             binding = UsdSkel.BindingAPI(stage.GetPrimAtPath(found[0].skeleton))
             binding.CreateAnimationSourceRel().SetTargets([found[min(kept)].animation])
         stage.GetRootLayer().Save()
@@ -216,7 +216,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
 
 
 def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
-    """A stage of `temporary` with the content of the stage that was read.
+    """A stage of `temporary` with the contents of the stage that was read.
 
     Files that it names are found again from where `target` will be.
     """
@@ -225,7 +225,7 @@ def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
     old, new = reader.path.parent.resolve(), target.parent.resolve()
 
     def moved(asset: str) -> str:
-        if not asset or "://" in asset or os.path.isabs(asset) or not (old / asset).exists():
+        if not asset or os.path.isabs(asset) or not os.path.exists(old / asset):
             return asset  # what a resolver finds elsewhere
         return Path(os.path.relpath(old / asset, new)).as_posix()
 
@@ -235,7 +235,7 @@ def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
 
 
 def left_out(path: Path) -> tuple[str, ...]:
-    """What the file has and a sequence or skinning that is read from it has not."""
+    """Contents of a file that are lost when it is read as a sequence or skinning."""
     found: dict[str, None] = {}
     with reading(path):
         reader = StageReader(path)

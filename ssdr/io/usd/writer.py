@@ -17,7 +17,6 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from ...errors import InputError, is_real
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ...surface import Surface
 from ..atomic import atomic_path
 from ..axes import Up, check_up
 from ..corners import corner_normals
@@ -43,7 +42,7 @@ def write_skinning(
     clip_names: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> SaveReport:
-    """Write a UsdSkel character: skeleton, an animation a clip, skin weights, surface.
+    """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
     The first clip is bound; its rate is the stage's, on whose time codes the others have their
     own.
@@ -93,7 +92,6 @@ def write_skinning(
         rig,
         keys=together,
         scales=None if rig.scales is None else rig.scales.astype(np.float16).astype(np.float32),
-        weights=rig.weights.astype(np.float32).astype(float),
     )
     first = rig.clips[0]
     lost: list[str] = []
@@ -109,7 +107,7 @@ def write_skinning(
             stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
             skeleton = top.AppendChild("Skeleton")
             tokens = put_skeleton(stage, skeleton, rig, skinning.name, first.fps)
-            mesh = _define_mesh(stage, top, skinning.faces, skinning.surface, path, notes)
+            mesh = _define_mesh(stage, top, skinning, path, notes)
             mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(rig.rest))
             mesh.CreateExtentAttr(_extent(rig.rest))
             if len(skinning.faces):
@@ -142,7 +140,7 @@ def write_sequence(
     with _new_stage(path, sequence.fps, sequence.n_frames, up, meters_per_unit) as stage:
         top = Sdf.Path("/" + identifier(name or sequence.name or path.stem))
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, top).GetPrim())
-        mesh = _define_mesh(stage, top, sequence.faces, sequence.surface, path, notes)
+        mesh = _define_mesh(stage, top, sequence, path, notes)
         if sequence.surface is not None and sequence.surface.normals is not None:
             notes.append("normals, of the first frame alone, are not kept")
         points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
@@ -185,14 +183,10 @@ def _new_stage(
 
 
 def _define_mesh(
-    stage: Any,
-    top: Any,
-    faces: NDArray[np.int32],
-    surface: Surface | None,
-    path: Path,
-    notes: list[str],
+    stage: Any, top: Any, thing: MeshSequence | Skinning, path: Path, notes: list[str]
 ) -> Any:
     """A mesh below `top` with its triangles, UVs and materials."""
+    faces, surface = thing.faces, thing.surface
     mesh = UsdGeom.Mesh.Define(stage, top.AppendChild("Mesh"))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(faces), 3, dtype=np.int32)))

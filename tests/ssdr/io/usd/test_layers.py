@@ -138,4 +138,5 @@ def test_textures_that_are_no_files_of_the_folder_are_left_out(tmp_path, caplog,
     text = re.sub(r"@\./[^@]*png@", f"@./{name}@", (inner / "a.usda").read_text())
     (inner / "a.usda").write_text(text)
     assert ssdr.load(inner / "a.usda").surface.materials[0].texture is None
+    ssdr.io.copy(inner / "a.usda", tmp_path / "b.usdc")
     assert "texture" in caplog.text
