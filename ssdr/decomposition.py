@@ -10,9 +10,9 @@ import numpy as np
 
 from .checks import BoneModel
 from .drivers import in_memory, streamed
+from .drivers.efforts import Effort
 from .drivers.problem import check_problem
 from .drivers.scan import needs_streaming
-from .drivers.schedule import Effort
 from .errors import SsdrWarning
 from .result import Decomposition
 from .search.progress import Callback

@@ -26,8 +26,9 @@ from ..solver.model import Fixed
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
+from .efforts import Effort
 from .given_parts import check_skeleton, check_start, extra_parents, on_skeleton
-from .schedule import Effort, RigKind
+from .schedule import RigKind
 
 __all__ = ["Problem", "check_problem"]
 

@@ -1,4 +1,4 @@
-"""Which stages in which order: one builder, and one table of numbers for the three efforts.
+"""Which stages in which order: one builder, with the numbers of :mod:`.efforts`.
 
     fast       a first model, soon; excess bones, merged and moved about on a sample; polish
     balanced   the same; then relax and polish
@@ -9,7 +9,6 @@ A schedule reads from the first line to the last.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Literal
 
 from ..checks import BoneModel
@@ -36,108 +35,22 @@ from ..search.stages import (
     Search,
 )
 from ..search.starts import QuickStart, Spread, Start, StartFromModel
+from .efforts import (
+    MANY_BONES,
+    NUMBERS,
+    STARTS_OF_MANY_BONES,
+    TREE_ROUNDS,
+    TRIALS_OF_A_REBUILD,
+    TRIALS_OF_A_START,
+    TRIALS_OF_A_TREE,
+    Effort,
+    rebuilds,
+    starts_within_a_tenth,
+)
 
-__all__ = ["Effort", "RigKind", "merged_start", "schedule_for", "settling_schedule"]
+__all__ = ["RigKind", "merged_start", "schedule_for", "settling_schedule"]
 
-Effort = Literal["fast", "balanced", "best"]
 RigKind = Literal["none", "loose", "rigid"]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Numbers:
-    """What an effort spends.
-
-    Attributes
-    ----------
-    polish : int
-        Last polish steps where bones or weights were handed over.
-    settle : int
-        Polish steps of a streamed model that is carried over to more frames.
-    smooth : int
-        Most alternations under a smoothness penalty.
-    trees : int
-        Starts of a tree of which the lowest is continued.
-    limbs : int
-        Starts on a skeleton without weights.
-    weight_trials : int
-        Trials of a search that leaves the tree of a skeleton as it is.
-    rounds : int
-        Times that the weights on a skeleton are relaxed and searched.
-    """
-
-    polish: int
-    settle: int
-    smooth: int
-    trees: int
-    limbs: int
-    weight_trials: int
-    rounds: int
-
-
-NUMBERS: dict[Effort, Numbers] = {
-    "fast": Numbers(polish=10, settle=6, smooth=20, trees=1, limbs=1, weight_trials=0, rounds=0),
-    "balanced": Numbers(
-        polish=40, settle=20, smooth=100, trees=3, limbs=1, weight_trials=4, rounds=1
-    ),
-    "best": Numbers(
-        polish=120, settle=60, smooth=400, trees=6, limbs=4, weight_trials=16, rounds=3
-    ),
-}
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Rebuilds:
-    """How much "best" searches, by the size of the problem in vertices × frames × bones.
-
-    Attributes
-    ----------
-    trials : int
-        Of the search of a start, and of the last one.
-    before, after : int
-        How often the best model is rebuilt before and after the merged start.
-    trees : int
-        Starts of a tree from which free bones begin, too.
-    tree_searches : int
-        Searches of the lowest of several trees.
-    """
-
-    trials: int
-    before: int
-    after: int
-    trees: int
-    tree_searches: int
-
-
-# Chosen on a dozen sequences.  Where a rebuild takes seconds the first model is rebuilt six times
-# before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
-# problems have four rebuilds in place of six, for the time that they take.
-_SMALL, _LARGE = 2e6, 1e7
-_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
-_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
-_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
-_TRIALS_OF_A_REBUILD = 6
-# From so many bones on, alternations alone put many of them in better places, and some starts end
-# where no rebuild helps: so there are several, with few trials each.
-_MANY_BONES, _STARTS, _TRIALS_OF_A_START = 24, 3, 4
-# The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
-# to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
-_TREE_ROUNDS, _TRIALS_OF_A_TREE = 6, 12
-
-
-# Seconds of a start: of any, and for each vertex × frame × bone.
-_START_SECONDS, _SECONDS_OF_A_NUMBER = 0.02, 1e-6
-
-
-def _starts_within_a_tenth(size: float) -> int:
-    """How many starts of a small problem take about a tenth of a second."""
-    each = _START_SECONDS + _SECONDS_OF_A_NUMBER * size
-    return int(0.1 / each)
-
-
-def _rebuilds(size: float) -> Rebuilds:
-    if size >= _LARGE:
-        return _REBUILDS_LARGE
-    return _REBUILDS if size >= _SMALL else _REBUILDS_SMALL
 
 
 # --- pieces --------------------------------------------------------------------------------------
@@ -206,29 +119,30 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     its own start.  Which start leads further shows only in the end.
     """
     rigid_start = merged_start(12, 6, rigid=True)
+    count = starts_within_a_tenth(size)
     if effort == "fast" and stretching:
-        return (
-            *FIRST_MODEL, *merged_start(6, 4), *rigid_start, ReturnToBest(), Polish(steps=6)
-        )  # fmt: skip
-    more = _starts_within_a_tenth(size) * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
+        more = count * (*rigid_start, MoveBones(rigid=True), Polish(steps=8))
+        starts = (*merged_start(6, 4), *rigid_start, *more)
+        return (*FIRST_MODEL, *starts, ReturnToBest(), Polish(steps=6))
+    more = count * (*merged_start(12, 6), MoveBones(), Polish(steps=8))
     placed: Schedule = (*PLACED, *more, ReturnToBest(), Polish(steps=6)) if more else PLACED
     if effort == "fast":
         return placed
     from_rigid = (*rigid_start, Polish(steps=8), *RELAXED) if stretching else ()
     if effort == "balanced":
         return (*placed, *RELAXED, *from_rigid)
-    n = _rebuilds(size)
-    many = bones >= _MANY_BONES
+    n = rebuilds(size)
+    many = bones >= MANY_BONES
     first: Schedule = searched(n.trials)
     if many:
         moved = (Start(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
-        first = _STARTS * (*moved, *searched(_TRIALS_OF_A_START))
-    rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, _TRIALS_OF_A_REBUILD)))
+        first = STARTS_OF_MANY_BONES * (*moved, *searched(TRIALS_OF_A_START))
+    rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, TRIALS_OF_A_REBUILD)))
     # where the animation comes from a skeleton, a tree leads to a model that free bones miss
     tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
     from_tree: Schedule = (
         Lowest(starts=n.trees * (tree,)),
-        FreeBones(attached=RELAXED_TREE, freed=searched(_TRIALS_OF_A_START)),
+        FreeBones(attached=RELAXED_TREE, freed=searched(TRIALS_OF_A_START)),
     )
     return (
         *FIRST_MODEL,
@@ -239,7 +153,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         # on small smooth motions, such as a beam's, the other starts end far above this one
         *merged_start(12, 6),
         MoveBones(),
-        *searched(_TRIALS_OF_A_START if many else n.trials),
+        *searched(TRIALS_OF_A_START if many else n.trials),
         *(() if n.before else from_rigid),
         *n.after * rebuild,
         *last_search(n.trials),
@@ -303,11 +217,11 @@ def tree_of_bones(effort: Effort, size: float) -> Schedule:
     if effort == "balanced":
         return (*first, *RELAXED_TREE, search, LAST_OF_TREES)
     more = (*lowest(trees, start), *RELAXED_TREE, search)
-    longer = SearchTrees(steps=_TRIALS_OF_A_TREE, patience=_TRIALS_OF_A_TREE)
+    longer = SearchTrees(steps=TRIALS_OF_A_TREE, patience=TRIALS_OF_A_TREE)
     again = (ReturnToBest(), *RELAXED_TREE, longer)
-    searches = _rebuilds(size).tree_searches - 1
+    searches = rebuilds(size).tree_searches - 1
     return (
-        *first, *RELAXED_TREE, search, *searches * more, *_TREE_ROUNDS * again, ReturnToBest(),
+        *first, *RELAXED_TREE, search, *searches * more, *TREE_ROUNDS * again, ReturnToBest(),
         LAST_OF_TREES,
     )  # fmt: skip
 
@@ -350,22 +264,22 @@ def from_model(
     effort: Effort, size: float, *, rigid: bool, keeps_tree: bool, smoothed: bool
 ) -> Schedule:
     """Continue from a whole model, such as a checkpoint."""
-    n = _rebuilds(size)
+    n = rebuilds(size)
     if smoothed:
         return (StartFromModel(), Compress(), Alternate(steps=NUMBERS[effort].smooth))
     if rigid:
         start: Schedule = (StartFromModel(), Compress(), AttachUnattached())
         searcher = SearchWeights if keeps_tree else SearchTrees
-        search = searcher(steps=_TRIALS_OF_A_TREE, patience=_TRIALS_OF_A_TREE)
+        search = searcher(steps=TRIALS_OF_A_TREE, patience=TRIALS_OF_A_TREE)
         again = (ReturnToBest(), *RELAXED_TREE, search)
-        count = {"fast": 0, "balanced": 1, "best": _TREE_ROUNDS}[effort]
+        count = {"fast": 0, "balanced": 1, "best": TREE_ROUNDS}[effort]
         return (*start, *count * again, ReturnToBest(), LAST_OF_TREES)
     start = (StartFromModel(), Compress())
     if effort == "fast":
         return (*start, Polish(steps=6))
     if effort == "balanced":
         return (*start, Polish(steps=8), *RELAXED, ReturnToBest(), Polish(steps=20, gain=0.01))
-    rebuild = (ReturnToBest(), AddAndMerge(), *searched(_TRIALS_OF_A_REBUILD))
+    rebuild = (ReturnToBest(), AddAndMerge(), *searched(TRIALS_OF_A_REBUILD))
     return (*start, *searched(n.trials), *n.after * rebuild, *last_search(n.trials))
 
 

@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from ..checks import check_squarable
+from ..drivers.efforts import Effort
 from ..drivers.problem import Problem
-from ..drivers.schedule import Effort
 from ..drivers.streamed import PASSES, SCANNED
 from ..errors import Cancelled
 from ..joints.stages import AttachUnattached
@@ -51,6 +52,7 @@ class Driver:
         self.frames = frames = SolvedFrames(problem, measure, self.clock)
         self.fraction = 0.0 if frames.scan is None else SCANNED
         data = frames.data
+        check_squarable(data.centre, "vertices")
         largest = max(float(np.abs(data.centre).max()), data.scale)
         # what no model misses bounds nothing, and its square need not be a number
         most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)

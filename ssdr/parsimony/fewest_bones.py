@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from ..drivers.schedule import Effort
+from ..drivers.efforts import Effort
 from ..search.stages import Polish
 from .ladder import Ladder
 

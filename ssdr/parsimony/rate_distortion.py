@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import check_whole
+from ..drivers.efforts import Effort
 from ..drivers.problem import check_problem
-from ..drivers.schedule import Effort
 from ..errors import Cancelled
 from ..search.moves import add_bone
 from ..search.progress import Callback, Clock, ProgressReport

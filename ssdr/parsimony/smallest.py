@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..checks import BoneModel, check_whole, parse_tolerance
+from ..drivers.efforts import Effort
 from ..drivers.problem import Problem, check_problem
-from ..drivers.schedule import Effort
 from ..errors import InputError, SsdrWarning, check_choice
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences

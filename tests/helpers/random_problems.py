@@ -79,7 +79,8 @@ def faults(result: ssdr.Decomposition, drawn: Drawn, *, ended: bool = True) -> l
     frames = np.array(drawn.frames, dtype=np.float64)
     searched = "tolerance" in options
     bones = s.n_bones if searched else options["bones"]
-    wrong = [w for w in [invalid(s, frames, bones, options.get("influences", 4))] if w]
+    influences = min(s.n_influences, options["influences"]) if searched else options["influences"]
+    wrong = [w for w in [invalid(s, frames, bones, influences)] if w]
     if searched and not 1 <= bones <= options["bones"]:
         wrong.append(f"{bones} bones, at most {options['bones']} were asked for")
     if wrong:

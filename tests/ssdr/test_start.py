@@ -201,58 +201,34 @@ def other_parents() -> ssdr.Skinning:
     return dataclasses.replace(skeleton(), parents=[-1, 0, 0, 0, 0, 0])
 
 
-REFUSED: dict[str, tuple[str, Callable[[], dict[str, Any]]]] = {
-    "a file's name": ("start", lambda: {"start": "model.npz"}),
-    "a result": ("start", lambda: {"start": ssdr.decompose(frames(), bones=1, effort="fast")}),
-    "another mesh": ("start", lambda: {"start": still(83)}),
-    "more bones": ("bones", lambda: {"start": still(), "bones": 5}),
-    "bones that are true": ("bones", lambda: {"start": still(bones=1), "bones": True}),
-    "more bones than vertices": ("start", lambda: {"start": still(bones=85)}),
-    "too many influences": (
-        "start.weights",
-        lambda: {
-            "start": still(indices=np.tile([0, 1, 2], (84, 1)), weights=np.full((84, 3), 1 / 3)),
-            "influences": 2,
-        },
-    ),
-    "a bone twice": (
-        "start.indices",
-        lambda: {"start": still(indices=np.zeros((84, 2), int), weights=np.full((84, 2), 0.5))},
-    ),
-    "bones that grow": (
-        "start.transforms",
-        lambda: {
-            "start": still(
-                transforms=np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), bone_model="affine"
-            )
-        },
-    ),
-    "far away": ("start.rest", lambda: {"start": motions.model(np.full((84, 3), 1e155))}),
-    "a skeleton of other bones": (
-        "start", lambda: {"start": still(), "rig": ssdr.Skeleton(skeleton())},
-    ),
-    "another skeleton": (
-        "start",
-        lambda: {
-            "sequence": made().frames, "start": skeleton(), "rig": ssdr.Skeleton(other_parents())
-        },
-    ),
-    "bones beside a skeleton": (
-        "start",
-        lambda: {
-            "sequence": made().frames,
-            "start": dataclasses.replace(skeleton(), parents=None, joint_positions=None),
-            "rig": ssdr.Skeleton(skeleton()),
-        },
-    ),
-}  # fmt: skip
+TWICE = {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)}
+THREE = {"indices": np.tile([0, 1, 2], (84, 1)), "weights": np.full((84, 3), 1 / 3)}
+GROWN = {"transforms": np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), "bone_model": "affine"}
+ON = {"sequence": made().frames, "rig": ssdr.Skeleton(skeleton())}
+FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
+RESULT = ssdr.Decomposition(still(), 0.0, "converged", (), np.zeros(2, int), 0.0)
+REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
+    "a file's name": ("start", {"start": "model.npz"}),
+    "a result": ("start", {"start": RESULT}),
+    "another mesh": ("start", {"start": still(83)}),
+    "more bones": ("bones", {"start": still(), "bones": 5}),
+    "bones that are true": ("bones", {"start": still(bones=1), "bones": True}),
+    "more bones than vertices": ("start", {"start": still(bones=85)}),
+    "too many influences": ("start.weights", {"start": still(**THREE), "influences": 2}),
+    "a bone twice": ("start.indices", {"start": still(**TWICE)}),
+    "bones that grow": ("start.transforms", {"start": still(**GROWN)}),
+    "far away": ("start.rest", {"start": motions.model(np.full((84, 3), 1e155))}),
+    "other bones than the skeleton's": ("start", {"start": still(), "rig": ON["rig"]}),
+    "another skeleton's": ("start", ON | {"start": other_parents()}),
+    "no skeleton's": ("start", ON | {"start": FLAT}),
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_refuses(case: str) -> None:
-    argument, make = REFUSED[case]
+    argument, change = REFUSED[case]
     calls: list[object] = []
     with pytest.raises(InputError, match="expected") as caught:
-        ssdr.decompose(**({"sequence": frames()} | make()), callback=calls.append)
+        ssdr.decompose(**({"sequence": frames()} | change), callback=calls.append)
     assert caught.value.argument == argument
     assert not calls
