@@ -289,12 +289,6 @@ BLOCKS: dict[str, list[str | Callable[[], str]]] = {
         "sequence, bones": SEQUENCE, "solver": "{name}", "threads": "{threads}",
         "bones in the result": "{bones found}", "E": "{E:.3f}",
     })],
-    "revisions": [Table(lambda: rows("revisions"), {
-        "sequence, bones": SEQUENCE, "seconds": "{wall[before]:.1f} → {wall[after]:.1f}",
-        "ratio": "{wall[ratio]:.2f} ({wall[least]:.2f} to {wall[most]:.2f})",
-        "E": "{E[before]:.3f} → {E[after]:.3f}",
-        "ratio of E": "{E[ratio]:.3f} ({E[least]:.3f} to {E[most]:.3f})",
-    })],
     "sizes": [Table(tables.size_rows, {
         "sequence, bones": SEQUENCE, "K": "{influences}", "KiB": "{KiB:.0f}", "E": "{E:.3f}",
         "E stored": "{E8:.3f}", "E of PCA at these bytes": "{PCA:.3f}",
