@@ -1,4 +1,4 @@
-"""Body and cloth as one mesh of two materials, and what stands beside them in pictures."""
+"""Body and cloth as one mesh of two colours, and what stands beside them in pictures."""
 
 from __future__ import annotations
 
