@@ -63,6 +63,12 @@ RELAXED: Schedule = (Relax(polish_steps=4, cost=30), Polish(steps=40, gain=0.01)
 RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
 ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
 LAST_OF_TREES = Polish(steps=40, gain=0.002)
+# from the best tree so far, again and again
+TREES_SEARCHED: Schedule = TREE_ROUNDS * (
+    ReturnToBest(),
+    *RELAXED_TREE,
+    SearchTrees(steps=TRIALS_OF_A_TREE, patience=TRIALS_OF_A_TREE),
+)
 
 
 def merged_start(
@@ -141,8 +147,10 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     # where the animation comes from a skeleton, a tree leads to a model that free bones miss
     tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
     from_tree: Schedule = (
-        Lowest(starts=n.trees * (tree,)),
-        FreeBones(attached=RELAXED_TREE, freed=searched(TRIALS_OF_A_START)),
+        *lowest(n.trees, tree),
+        FreeBones(
+            attached=RELAXED_TREE, searched=TREES_SEARCHED, freed=searched(TRIALS_OF_A_START)
+        ),
     )
     return (
         *FIRST_MODEL,
@@ -217,11 +225,9 @@ def tree_of_bones(effort: Effort, size: float) -> Schedule:
     if effort == "balanced":
         return (*first, *RELAXED_TREE, search, LAST_OF_TREES)
     more = (*lowest(trees, start), *RELAXED_TREE, search)
-    longer = SearchTrees(steps=TRIALS_OF_A_TREE, patience=TRIALS_OF_A_TREE)
-    again = (ReturnToBest(), *RELAXED_TREE, longer)
     searches = rebuilds(size).tree_searches - 1
     return (
-        *first, *RELAXED_TREE, search, *searches * more, *TREE_ROUNDS * again, ReturnToBest(),
+        *first, *RELAXED_TREE, search, *searches * more, *TREES_SEARCHED, ReturnToBest(),
         LAST_OF_TREES,
     )  # fmt: skip
 

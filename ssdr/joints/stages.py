@@ -77,17 +77,19 @@ class FreeBones(Stage):
     """Improve a tree that promises a better model, drop it, and improve the freed bones.
 
     A tree whose objective is more than four times the best one is dropped at once, and the best
-    model is returned to.
+    model is returned to.  One that ends below all free bones tells that the animation comes from
+    a skeleton: then better trees are searched.
 
     Attributes
     ----------
-    attached, freed : Schedule
-        Stages before and after.
+    attached, searched, freed : Schedule
+        Stages on the tree, on a tree that is the best model, and on the freed bones.
     """
 
     phase: ClassVar[str] = "free bones"
     cost: float = 0.0
     attached: Schedule
+    searched: Schedule
     freed: Schedule
 
     @property
@@ -95,11 +97,15 @@ class FreeBones(Stage):
         return sum(stage.work for stage in (*self.attached, *self.freed))
 
     def apply(self, run: Run) -> Iterator[None]:
-        if run.value(run.present) > _PROMISING * run.best_value:
+        best = run.best_value
+        if run.value(run.present) > _PROMISING * best:
             run.model = run.best_model.with_restarted_support()
             return
         for stage in self.attached:
             yield from run.steps_of(stage)
+        if run.value(run.present) < best:
+            for stage in self.searched:
+                yield from run.steps_of(stage)
         run.model = dataclasses.replace(run.present.copy(), tree=None)
         for stage in self.freed:
             yield from run.steps_of(stage)
