@@ -94,7 +94,7 @@ class Rebuilds:
 # problems have four rebuilds in place of six, for the time that they take.
 _SMALL, _LARGE = 2e6, 1e7
 _REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
-_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=6, tree_searches=4)
+_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
 _REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
 TRIALS_OF_A_REBUILD = 6
 # From so many bones on, alternations alone put many of them in better places, and some starts end
