@@ -47,7 +47,7 @@ def begin(
     if schedule is None:
         schedule = schedule_for(
             problem.effort,
-            bone_model=problem.fixed.bone_model,
+            bone_model=problem.locked.bone_model,
             bones=problem.bones,
             given=given,
             placed=problem.placed,
@@ -61,7 +61,7 @@ def begin(
         bones=problem.bones,
         influences=min(problem.influences, problem.bones),
         rng=problem.rng,
-        fixed=problem.fixed,
+        locked=problem.locked,
         given=given,
         smoothness=smoothness,
         clock=clock,

@@ -22,7 +22,7 @@ from ..search.given import Given
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
-from ..solver.model import Fixed
+from ..solver.model import Locked
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
@@ -50,7 +50,7 @@ class Problem:
     rig : {"none", "loose", "rigid"}
     names : tuple of str
         Names of the bones of a skeleton that was handed over.
-    fixed : Fixed
+    locked : Locked
         What stays as it is, and what bones may do.
     given : Given
         In the input's space, of all frames.
@@ -73,7 +73,7 @@ class Problem:
     effort: Effort
     rig: RigKind
     names: tuple[str, ...]
-    fixed: Fixed
+    locked: Locked
     given: Given
     start: Skinning | None
     smoothness: float
@@ -112,7 +112,7 @@ class Problem:
     @property
     def placed(self) -> bool:
         """True if weights or all bones are locked, so that no bone has to find its place."""
-        every = self.fixed.locked(self.bones).all() if self.fixed.bones is not None else False
+        every = self.locked.bone_mask(self.bones).all() if self.locked.bones is not None else False
         return self.given.locked_vertices is not None or bool(every)
 
     def without_transforms(self) -> Problem:
@@ -187,10 +187,10 @@ def check_problem(
         effort=effort,
         rig=kind,
         names=names,
-        fixed=Fixed(
+        locked=Locked(
             rest=kept_rest,
             weights=given.locked_vertices,
-            bones=given.fixed_bones,
+            bones=given.leading_locked_bones,
             bone_model=bone_model,
             joints=skeleton and kept_rest,
             near_skin=kind == "rigid" and not skeleton,

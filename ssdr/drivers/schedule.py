@@ -34,7 +34,7 @@ from ..search.stages import (
     Relax,
     Search,
 )
-from ..search.starts import QuickStart, Spread, Start, StartFromModel
+from ..search.starts import QuickStart, Spread, StartFromModel, StartFromMotion
 from .efforts import (
     MANY_BONES,
     NUMBERS,
@@ -78,7 +78,7 @@ def merged_start(
     `before` and `after` are the most alternations on either side of the merge.
     """
     return (
-        Start(factor=factor, rigid=rigid, influences=influences),
+        StartFromMotion(factor=factor, rigid=rigid, influences=influences),
         Alternate(steps=before, rigid=rigid),
         Merge(rigid=rigid),
         Alternate(steps=after, rigid=rigid),
@@ -135,7 +135,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     many = bones >= MANY_BONES
     first: Schedule = searched(n.trials)
     if many:
-        moved = (Start(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
+        moved = (StartFromMotion(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
         first = STARTS_OF_MANY_BONES * (*moved, *searched(TRIALS_OF_A_START))
     rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, TRIALS_OF_A_REBUILD)))
     # where the animation comes from a skeleton, a tree leads to a model that free bones miss
@@ -173,7 +173,7 @@ def last_search(trials: int) -> Schedule:
 def nothing_to_place(effort: Effort) -> Schedule:
     """Weights or all bones are locked: one start, then down to the nearest minimum."""
     last = Polish(steps=NUMBERS[effort].polish, gain=1e-3)
-    return (Compress(), Start(), Alternate(steps=10), last)
+    return (Compress(), StartFromMotion(), Alternate(steps=10), last)
 
 
 def smooth(effort: Effort, *, placed: bool) -> Schedule:
@@ -184,7 +184,7 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
     """
     settle = Alternate(steps=NUMBERS[effort].smooth)
     if placed:
-        return (Compress(), Start(), Alternate(steps=10), settle)
+        return (Compress(), StartFromMotion(), Alternate(steps=10), settle)
     if effort == "fast":
         start = (*FIRST_MODEL, *merged_start(6, 4), ReturnToBest(), settle)
         return (*start, Polish(steps=6), settle)

@@ -132,22 +132,22 @@ def _settling(
     run = begin(problem, data, given, first.clock, schedule)
     run.iteration = first.iteration
     ratio = first.data.scale / data.scale
-    run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.fixed)
+    run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.locked)
     return run
 
 
 def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
     """The model of a run on some frames, ready for passes over all of them."""
-    fixed = problem.fixed
+    locked = problem.locked
     if run.smoothness is not None:
         # a pass knows nothing of the penalty: weights stay as the run left them
-        fixed = dataclasses.replace(fixed, weights=np.ones(run.whole.n_vertices, dtype=bool))
+        locked = dataclasses.replace(locked, weights=np.ones(run.whole.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
         chosen,
         run.whole,
         run.best_model,
-        fixed=fixed,
+        locked=locked,
         given=problem.given.inside(chosen.alignment),
         importance=problem.frame_importance,
         executor=executor,

@@ -12,7 +12,7 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import gather
 from ..solver.vertex_newton import optimise_vertices
@@ -78,18 +78,18 @@ def fit_weights(
     assert bones is not None
     cost, _ = single_bone_errors(data, inner, bones, np.arange(n))
     model = Model.start(bones, inner, cost.argmin(axis=1), min(k, world.shape[1]))
-    fixed = Fixed(rest=True)
+    locked = Locked(rest=True)
     faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
     check_smoothness(smoothness, faces)
     smooth = WeightSmoothness.build(data, faces, smoothness)
     if smooth is None:
-        vertex_step(data, model, fixed=fixed)
+        vertex_step(data, model, locked=locked)
         # the K largest are not always the K best: exchange bones wherever that pays
-        optimise_vertices(data, model, fixed=fixed)
+        optimise_vertices(data, model, locked=locked)
     else:
         for _ in range(iterations):
             pull, stiff = smooth.terms(model)
-            vertex_step(data, model, fixed=fixed, pull=pull, stiff=stiff)
+            vertex_step(data, model, locked=locked, pull=pull, stiff=stiff)
     squared = model.error * data.scale**2
     padded = model.with_influences(k)
     return Fit(

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bones import quaternion_matrix
+from .bones import turn_bone
 from .policy import kernel
 
 
 @kernel
-def chain_image(transforms, order, parents, points, turns, shifts, moved, out, first, last):
-    """Tangents (ω, τ) of all bones in frames first..last under a change of the unknowns.
+def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
+    """Tangents (ω, τ) of all bones under a change of the unknowns.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     order       (B,)          int64    bones, parents before children, in
@@ -29,7 +29,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out, f
     """
     n_bones = len(parents)
     a = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for i in range(n_bones):
             j = order[i]
             k = parents[j]
@@ -58,7 +58,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out, f
 
 
 @kernel
-def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, first, last):
+def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
     """Transpose of :func:`chain_image`; g is overwritten.
 
     g       (F, B, 6)  float64  gradient in the tangents, in
@@ -68,7 +68,7 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, 
     """
     n_bones = len(parents)
     a = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for i in range(n_bones - 1, -1, -1):
             j = order[i]
             k = parents[j]
@@ -102,8 +102,8 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, 
 
 
 @kernel
-def chain_matrix(transforms, order, parents, points, u, scale, out, first, last):
-    """Add the Gauss–Newton matrices of frames first..last in the unknowns of the tree.
+def chain_matrix(transforms, order, parents, points, u, scale, out):
+    """Add the Gauss–Newton matrices in the unknowns of the tree.
 
     u      (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     scale  (F,)          float64  importance of each frame, in
@@ -115,7 +115,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
     r = np.empty((3, 3))
     turn = np.empty((3, 3))
     old = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for j in range(n_bones):
             for k in range(j, n_bones):
                 v = u[j, k]
@@ -217,7 +217,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
 
 
 @kernel
-def chain_move(transforms, order, parents, points, turns, shifts, first, last):
+def chain_move(transforms, order, parents, points, turns, shifts):
     """Rotate every bone by exp(ω), translate the roots and restore the joints of the others.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
@@ -226,24 +226,16 @@ def chain_move(transforms, order, parents, points, turns, shifts, first, last):
     n_bones = len(parents)
     turn = np.empty((3, 3))
     old = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for i in range(n_bones):
             j = order[i]
             k = parents[j]
             m = transforms[t, j]
-            quaternion_matrix(
-                1.0, 0.5 * turns[t, j, 0], 0.5 * turns[t, j, 1], 0.5 * turns[t, j, 2], turn
-            )
-            for c in range(3):
-                if k < 0:
+            if k < 0:
+                for c in range(3):
                     for d in range(3):
                         m[c, 3] += m[c, d] * shifts[t, j, d]
-                for d in range(3):
-                    old[d] = m[c, d]
-                for d in range(3):
-                    m[c, d] = 0.0
-                    for e in range(3):
-                        m[c, d] += old[e] * turn[e, d]
+            turn_bone(m, turns[t, j, 0], turns[t, j, 1], turns[t, j, 2], turn, old)
             if k >= 0:
                 p = points[j]
                 n = transforms[t, k]

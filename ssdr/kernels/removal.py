@@ -10,8 +10,8 @@ from .vertices import hessian_row, monomials, pulled
 
 
 @kernel
-def removal_cost(y, gram, rest, support, share, count, importance, cost, first, last):
-    """Add, for each bone, the rise of the error of vertices first..last if it were removed.
+def removal_cost(y, gram, rest, support, share, count, importance, cost):
+    """Add, for each bone, the rise of the error if it were removed.
 
     y           (V, 4, B)   float64  Σ_t v_i^t M_j^tᵀ, in
     gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
@@ -34,7 +34,7 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost, first, 
     b = np.empty(n_slots)
     diagonal = np.empty(n_bones)
     f_all = np.empty(n_bones)
-    for i in range(first, last):
+    for i in range(len(rest)):
         p = rest[i]
         n = count[i]
         monomials(p, m)

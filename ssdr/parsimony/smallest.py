@@ -153,8 +153,8 @@ def smallest(
     length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
     compile_seconds = compile_kernels()
     # where the motion leaves a joint open, its place is free
-    fixed = dataclasses.replace(problem.fixed, near_skin=False)
-    driver = Driver(dataclasses.replace(problem, bones=most, fixed=fixed), length, measure)
+    locked = dataclasses.replace(problem.locked, near_skin=False)
+    driver = Driver(dataclasses.replace(problem, bones=most, locked=locked), length, measure)
     result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
     problem.save(lambda: result.skinning, last=True)
     for note in result.warnings:

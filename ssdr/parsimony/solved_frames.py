@@ -116,7 +116,7 @@ class SolvedFrames:
             self.scan,
             self.data,
             model,
-            fixed=problem.fixed,
+            locked=problem.locked,
             given=Given(),
             importance=problem.frame_importance,
             executor=self.executor,

@@ -64,7 +64,7 @@ class Given:
     rotations: Array | None = None
 
     @property
-    def fixed_bones(self) -> NDArray[np.bool_] | None:
+    def leading_locked_bones(self) -> NDArray[np.bool_] | None:
         """`locked_bones` up to the last that is locked; None where none is."""
         if self.locked_bones is None or not self.locked_bones.any():
             return None

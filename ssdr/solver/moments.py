@@ -82,17 +82,9 @@ def bone_sums(
     def work(_: int, i: int, k: int) -> tuple[Array, Array]:
         u = np.zeros((n_bones, n_bones, 10))
         az = np.zeros((4, n_bones, r))
-        bone_moments(
-            indices[i:k],
-            weights[i:k],
-            rest[i:k],
-            data.importance[i:k],
-            data.z[i:k],
-            u,
-            az,
-            0,
-            k - i,
-        )
+        some = slice(i, k)
+        points = rest[some], data.importance[some], data.z[some]
+        bone_moments(indices[some], weights[some], *points, u, az)
         return u, az
 
     parts = run_chunks(work, bounds)

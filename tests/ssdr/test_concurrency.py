@@ -28,7 +28,7 @@ def test_a_kernel_releases_the_lock_of_python() -> None:
 
     def sweep(count: int) -> float:
         began = time.perf_counter()
-        sweep_bones(transforms, c, u, start, neighbour, locked, False, count, 0, 1)
+        sweep_bones(transforms, c, u, start, neighbour, locked, False, count)
         return time.perf_counter() - began
 
     sweep(1)

@@ -67,19 +67,19 @@ def test_steps_descend_and_leave_what_is_fixed(tiny: Tiny) -> None:
     m = model.transforms * tiny.data.frame_scale[:, None, None, None]
     want = naive.squared_error(scaled, model.rest, model.indices, model.weights, m)
     np.testing.assert_allclose(model.error, want, rtol=1e-8, atol=1e-12)
-    keep = tiny.fixed.keep_weights(tiny.n)
+    keep = tiny.locked.vertex_mask(tiny.n)
     assert np.array_equal(model.weights[keep], before.weights[keep])
     assert np.array_equal(model.indices[keep], before.indices[keep])
     assert model.weights.min() >= 0
     assert np.abs(model.weights.sum(axis=1) - 1).max() < 1e-12
-    if tiny.fixed.rest:
+    if tiny.locked.rest:
         assert np.array_equal(model.rest, before.rest)
-    locked = tiny.fixed.locked(tiny.bones)
+    locked = tiny.locked.bone_mask(tiny.bones)
     assert np.array_equal(model.transforms[:, locked], before.transforms[:, locked])
-    check_kind(model.transforms, tiny.fixed.bone_model)
+    check_kind(model.transforms, tiny.locked.bone_model)
     if model.tree is not None:
         assert joint_gaps(model.transforms, model.tree.parents, model.tree.points).max() < 1e-13
-        if tiny.fixed.joints:
+        if tiny.locked.joints:
             assert np.array_equal(model.tree.points, before.tree.points)
 
 
