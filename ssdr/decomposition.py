@@ -130,7 +130,7 @@ def decompose(
     driver = streamed if needs_streaming(problem.sequences) else in_memory
     compile_seconds = compile_kernels()
     outcome = driver.solve(problem)
-    problem.save(lambda: outcome.skinning, last=True)
+    problem.checkpoint.offer(lambda: outcome.skinning, now=True)
     for note in outcome.warnings:
         warnings.warn(note, SsdrWarning, stacklevel=2)
     return Decomposition(

@@ -21,7 +21,8 @@ class Checkpoint:
 
     Parameters
     ----------
-    path : str or Path
+    path : str, Path or None
+        None: nothing is written.
 
     Raises
     ------
@@ -30,19 +31,22 @@ class Checkpoint:
     """
 
     def __init__(self, path: Any) -> None:
+        self._last = time.monotonic()
+        self.path: Path | None = None
+        if path is None:
+            return
         if not isinstance(path, (str, Path)):
             raise InputError("checkpoint", "the path of an .npz, or None", type(path).__name__)
         self.path = Path(path)
         if self.path.suffix != ".npz" or not self.path.parent.is_dir() or self.path.is_dir():
             raise InputError("checkpoint", "a name ending in .npz in a folder that exists", path)
-        self._last = time.monotonic()
 
     def offer(self, skinning: Callable[[], Skinning], *, now: bool = False) -> None:
         """Write the model if the last write is a minute ago, or `now`.
 
         A full disk or a folder that is gone does not end a run of hours: it warns.
         """
-        if not now and time.monotonic() - self._last < _SECONDS:
+        if self.path is None or (not now and time.monotonic() - self._last < _SECONDS):
             return
         from ..io.arrays.npz import write_skinning
 

@@ -6,19 +6,21 @@ Sizes are in vertices × frames × bones.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Literal
 
 __all__ = [
     "MANY_BONES",
     "NUMBERS",
+    "REBUILDS",
+    "SECONDS_OF_A_NUMBER",
     "STARTS_OF_MANY_BONES",
+    "START_SECONDS",
     "TREE_ROUNDS",
     "TRIALS_OF_A_REBUILD",
     "TRIALS_OF_A_START",
     "TRIALS_OF_A_TREE",
     "Effort",
-    "rebuilds",
-    "starts_within_a_tenth",
 ]
 
 Effort = Literal["fast", "balanced", "best"]
@@ -92,10 +94,11 @@ class Rebuilds:
 # Chosen on a dozen sequences.  Where a rebuild takes seconds the first model is rebuilt six times
 # before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
 # problems have four rebuilds in place of six, for the time that they take.
-_SMALL, _LARGE = 2e6, 1e7
-_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
-_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
-_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
+REBUILDS = (  # each up to a size
+    (2e6, Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)),
+    (1e7, Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)),
+    (math.inf, Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)),
+)
 TRIALS_OF_A_REBUILD = 6
 # From so many bones on, alternations alone put many of them in better places, and some starts end
 # where no rebuild helps: so there are several, with few trials each.
@@ -103,19 +106,5 @@ MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4
 # The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
 # to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
 TREE_ROUNDS, TRIALS_OF_A_TREE = 6, 12
-
-
 # Seconds of a start: of any, and for each vertex × frame × bone.
-_START_SECONDS, _SECONDS_OF_A_NUMBER = 0.02, 1e-6
-
-
-def starts_within_a_tenth(size: float) -> int:
-    """How many starts of a small problem take about a tenth of a second."""
-    each = _START_SECONDS + _SECONDS_OF_A_NUMBER * size
-    return int(0.1 / each)
-
-
-def rebuilds(size: float) -> Rebuilds:
-    if size >= _LARGE:
-        return _REBUILDS_LARGE
-    return _REBUILDS if size >= _SMALL else _REBUILDS_SMALL
+START_SECONDS, SECONDS_OF_A_NUMBER = 0.02, 1e-6

@@ -28,7 +28,9 @@ def solve(problem: Problem) -> Outcome:
     del data  # what a compressed run needs no longer is freed
     reason = run.make_steps(
         ProgressReport(problem.callback, clock, problem.time_limit),
-        save=lambda: problem.save(lambda: skinning_of(problem, run.whole, run.best_model)),
+        save=lambda: problem.checkpoint.offer(
+            lambda: skinning_of(problem, run.whole, run.best_model)
+        ),
     )
     return outcome_of(
         problem, run.whole, run.best_model, run.records, reason=reason, idle=run.idle_bones

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,7 @@ class Problem:
     time_limit : float or None
         Seconds.
     callback : callable or None
-    checkpoint : Checkpoint or None
+    checkpoint : Checkpoint
     """
 
     sequences: list[MeshSequence]
@@ -82,7 +82,7 @@ class Problem:
     rng: np.random.Generator
     time_limit: float | None
     callback: Callback | None
-    checkpoint: Checkpoint | None
+    checkpoint: Checkpoint
 
     @property
     def n_frames(self) -> int:
@@ -114,15 +114,6 @@ class Problem:
         """True if weights or all bones are locked, so that no bone has to find its place."""
         every = self.locked.bone_mask(self.bones).all() if self.locked.bones is not None else False
         return self.given.locked_vertices is not None or bool(every)
-
-    def without_transforms(self) -> Problem:
-        """The same without transforms to start from."""
-        return dataclasses.replace(self, given=dataclasses.replace(self.given, transforms=None))
-
-    def save(self, skinning: Callable[[], Skinning], *, last: bool = False) -> None:
-        """Offer the best model so far to the checkpoint, where there is one."""
-        if self.checkpoint is not None:
-            self.checkpoint.offer(skinning, now=last)
 
 
 def check_problem(
@@ -204,7 +195,7 @@ def check_problem(
         rng=check_rng(rng),
         time_limit=time_limit,
         callback=callback,
-        checkpoint=None if checkpoint is None else Checkpoint(checkpoint),
+        checkpoint=Checkpoint(checkpoint),
     )
 
 

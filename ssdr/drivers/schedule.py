@@ -38,14 +38,16 @@ from ..search.starts import QuickStart, Spread, StartFromModel, StartFromMotion
 from .efforts import (
     MANY_BONES,
     NUMBERS,
+    REBUILDS,
+    SECONDS_OF_A_NUMBER,
+    START_SECONDS,
     STARTS_OF_MANY_BONES,
     TREE_ROUNDS,
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
     TRIALS_OF_A_TREE,
     Effort,
-    rebuilds,
-    starts_within_a_tenth,
+    Rebuilds,
 )
 
 __all__ = ["RigKind", "merged_start", "schedule_for", "settling_schedule"]
@@ -112,6 +114,11 @@ def lowest(count: int, start: Schedule) -> Schedule:
 # --- free bones ----------------------------------------------------------------------------------
 
 
+def rebuilds(size: float) -> Rebuilds:
+    """What "best" spends on a problem of a size."""
+    return next(numbers for bound, numbers in REBUILDS if size < bound)
+
+
 def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
     """Bones that hang on nothing; `stretching`: also started from rigid ones.
 
@@ -119,7 +126,8 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     its own start.  Which start leads further shows only in the end.
     """
     rigid_start = merged_start(12, 6, rigid=True)
-    count = starts_within_a_tenth(size)
+    # where a start of a small problem is soon made, as many as a tenth of a second allows
+    count = int(0.1 / (START_SECONDS + SECONDS_OF_A_NUMBER * size))
     if effort == "fast" and stretching:
         more = count * (*rigid_start, MoveBones(rigid=True), Polish(steps=8))
         starts = (*merged_start(6, 4), *rigid_start, *more)

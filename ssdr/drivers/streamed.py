@@ -60,7 +60,10 @@ def solve(problem: Problem) -> Outcome:
     del data  # what a compressed run needs no longer is freed
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
     # transforms of a model to go on from may turn out to be of other frames
-    later = problem if run.given.transforms is not None else problem.without_transforms()
+    given_later = problem.given
+    if run.given.transforms is None:
+        given_later = dataclasses.replace(given_later, transforms=None)
+    later = dataclasses.replace(problem, given=given_later)
     chosen = few
     if more is not None and reason not in ("cancelled", "time limit"):
         chosen = more
@@ -117,7 +120,7 @@ def _make_steps(
         return skinning_of(problem, run.whole, run.best_model, [sequence])
 
     report = ProgressReport(problem.callback, run.clock, problem.time_limit)
-    return run.make_steps(report, save=lambda: problem.save(model), part=part)
+    return run.make_steps(report, save=lambda: problem.checkpoint.offer(model), part=part)
 
 
 def _settling(
@@ -187,7 +190,7 @@ def _passes(
         step = run.iteration + len(passes) + 1
         passes.append((step, run.clock.elapsed, value, "all frames"))
         small, last = value > (1 - GAIN) * last, value
-        problem.save(model)
+        problem.checkpoint.offer(model)
         if small or hurried or stopped:
             break
         if report.out_of_time:

@@ -12,8 +12,7 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.model import Locked, Model
-from ..solver.trajectories import gather
-from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
+from .fit import Fit, checked, fit_of, gathered
 
 __all__ = ["fit_rest_pose"]
 
@@ -56,11 +55,8 @@ def fit_rest_pose(
     (799, 3)
     """
     sequences, outer, weights = checked(sequence, skinning)
-    world = checked_transforms(sequences, skinning)
     stay = check_mask(locked_vertices, "locked_vertices", len(outer))
-    data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(outer, world, NAMES)
-    assert bones is not None
+    data, inner, bones = gathered(sequences, skinning, outer)
     model = Model.start(bones, inner, skinning.indices[:, 0], skinning.n_influences)
     model.indices, model.weights = skinning.indices.copy(), weights
     every = np.ones(len(outer), dtype=bool)
@@ -71,9 +67,4 @@ def fit_rest_pose(
     rest, _ = data.to_world(model.rest, model.transforms)
     if stay is not None:
         rest[stay] = outer[stay]
-    squared = model.error * data.scale**2
-    return Fit(
-        skinning=dataclasses.replace(skinning, rest=rest),
-        squared_error=squared,
-        rmse=rmse_of(squared, data.n_frames),
-    )
+    return fit_of(data, model.error, dataclasses.replace(skinning, rest=rest))

@@ -156,7 +156,7 @@ def smallest(
     locked = dataclasses.replace(problem.locked, near_skin=False)
     driver = Driver(dataclasses.replace(problem, bones=most, locked=locked), length, measure)
     result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
-    problem.save(lambda: result.skinning, last=True)
+    problem.checkpoint.offer(lambda: result.skinning, now=True)
     for note in result.warnings:
         warnings.warn(note, SsdrWarning, stacklevel=2)
     return result

@@ -62,7 +62,7 @@ class Alignment:
 
     def points_to_world(self, points: Array) -> Array:
         """Map points (n, 3) of the rest pose to the input's space."""
-        return points * self.scale + self.centre[0]
+        return np.asarray(points * self.scale + self.centre[0])
 
     def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
         """Map a rest pose (V, 3) and transforms (F, B, 3, 4) to the input's space."""
