@@ -28,7 +28,7 @@ from ..skinning import Skinning
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
 
-__all__ = ["check_skeleton", "check_start", "extra_parents", "on_skeleton"]
+__all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
 
 Skin = tuple[NDArray[np.int32], Array]
 
@@ -120,7 +120,7 @@ def check_skeleton(rig: Skeleton) -> None:
     check_choice(rig.joints, "rig.joints", JointKind)
 
 
-def on_skeleton(
+def with_skeleton(
     rig: Skeleton,
     given: Given,
     sequences: list[MeshSequence],

@@ -23,7 +23,7 @@ def solve(problem: Problem) -> Outcome:
         If the callback stopped the run before there was any model.
     """
     clock = Clock()
-    data = problem.gather(problem.sequences, problem.frame_importance)
+    data = problem.trajectories(problem.sequences, problem.frame_importance)
     run = begin(problem, data, problem.given.inside(data), clock)
     del data  # what a compressed run needs no longer is freed
     reason = run.make_steps(

@@ -27,7 +27,7 @@ from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
 from .efforts import Effort
-from .given_parts import check_skeleton, check_start, extra_parents, on_skeleton
+from .given_parts import check_skeleton, check_start, extra_parents, with_skeleton
 from .schedule import RigKind
 
 __all__ = ["Problem", "check_problem"]
@@ -97,7 +97,7 @@ class Problem:
         """(S + 1,) first frame of each shot, and the number of frames."""
         return np.cumsum([0, *[len(s) for s in self.sequences]])
 
-    def gather(
+    def trajectories(
         self, sequences: Sequence[MeshSequence], frame_importance: Array | None
     ) -> Trajectories:
         """Frames as the solver sees them: all of them, or those that a driver has chosen."""
@@ -154,7 +154,7 @@ def check_problem(
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
-        given, kind = on_skeleton(rig, given, sequences, influences, whole), rig.joints
+        given, kind = with_skeleton(rig, given, sequences, influences, whole), rig.joints
         names = rig.skinning.names()
     elif rig is not None:
         kind = rig

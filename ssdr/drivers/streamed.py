@@ -55,7 +55,7 @@ def solve(problem: Problem) -> Outcome:
     few = scan_of(problem, clock, executor)
     more = few.extended(problem.n_vertices)
     importance = problem.frame_importance
-    sequence, data, given = _read(problem, few, few.importance(importance), executor)
+    sequence, data, given = _read_chosen(problem, few, few.importance(importance), executor)
     run = begin(problem, data, given, clock)
     del data  # what a compressed run needs no longer is freed
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
@@ -69,7 +69,7 @@ def solve(problem: Problem) -> Outcome:
         chosen = more
         run.release()
         weights = None if importance is None else importance[more.chosen]
-        sequence, data, given = _read(later, more, weights, executor)
+        sequence, data, given = _read_chosen(later, more, weights, executor)
         run = _settling(later, few, more, run, data, given)
         reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
     idle = run.idle_bones
@@ -104,12 +104,12 @@ def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
     )
 
 
-def _read(
+def _read_chosen(
     problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
 ) -> tuple[MeshSequence, Trajectories, Given]:
     """The chosen frames in memory, as the solver sees them, and what was given for them."""
     sequence = subset(problem.sequences, chosen.chosen, executor=executor)
-    data = problem.gather([sequence], importance)
+    data = problem.trajectories([sequence], importance)
     return sequence, data, problem.given.of_frames(chosen.chosen).inside(data)
 
 

@@ -15,11 +15,11 @@ from .vertices import (
     close_gaps,
     gradient_of_all,
     hessian_row,
-    load,
     monomials,
     pulled,
-    squared_error,
+    read_influences,
     store,
+    vertex_error,
 )
 
 
@@ -155,7 +155,7 @@ def polish_vertices(
     row = np.empty(full.shape[1])
     for i in range(len(rest)):
         p = rest[i]
-        n = load(indices[i], weights[i], ids, w)
+        n = read_influences(indices[i], weights[i], ids, w)
         with_weights = not locked[i]
         if with_weights and entering >= 0:
             monomials(p, m)
@@ -253,7 +253,7 @@ def polish_vertices(
                     w[n] = 0.0
             # the largest weight comes first: it is the one that follows from the others
             store(ids, w, n, indices[i], weights[i])
-            n = load(indices[i], weights[i], ids, w)
+            n = read_influences(indices[i], weights[i], ids, w)
         e = 0.0
         for turn in range(rounds):
             size = joint_system(
@@ -290,7 +290,7 @@ def polish_vertices(
                     p_new[c] = p[c]
                     if move_rest:
                         p_new[c] += step * b[k + c] * scale[k + c]
-                e_new = squared_error(x2[i], gram4, y[i], ids, trial, n, p_new)
+                e_new = vertex_error(x2[i], gram4, y[i], ids, trial, n, p_new)
                 if e_new < e:
                     better = True
                     break
@@ -307,7 +307,7 @@ def polish_vertices(
                 break
         if with_weights and rounds > 0:
             store(ids, w, n, indices[i], weights[i])
-            n = load(indices[i], weights[i], ids, w)
+            n = read_influences(indices[i], weights[i], ids, w)
         size = joint_system(
             gram4, y[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
         )

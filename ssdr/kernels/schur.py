@@ -9,7 +9,7 @@ import numpy as np
 
 from .bones import turn_bone
 from .policy import kernel
-from .vertices import load, store
+from .vertices import read_influences, store
 
 
 @kernel
@@ -165,7 +165,7 @@ def apply_vertex_step(step, rest, indices, weights, locked, move_rest):
     w = np.empty(n_keep)
     ids = np.empty(n_keep, dtype=np.uint32)
     for i in range(len(rest)):
-        n = load(indices[i], weights[i], ids, w)
+        n = read_influences(indices[i], weights[i], ids, w)
         k = 0 if locked[i] else n - 1
         if k > 0:
             total = 0.0

@@ -125,7 +125,7 @@ def rest_step(form, g, p, a, b):
 
 
 @inline
-def squared_error(x2, gram4, y, indices, w, n, p):
+def vertex_error(x2, gram4, y, indices, w, n, p):
     """Squared error x2 − 2 fᵀw + wᵀHw of a vertex at p."""
     e = x2
     for q in range(n):
@@ -201,7 +201,7 @@ def solve_vertices(
     for i in range(len(rest)):
         p = rest[i]
         if locked[i]:
-            n = load(indices[i], weights[i], ids, w)
+            n = read_influences(indices[i], weights[i], ids, w)
         else:
             monomials(p, m)
             for j in range(n_bones):
@@ -316,7 +316,7 @@ def solve_vertices(
 
 
 @inline
-def load(indices, weights, ids, w):
+def read_influences(indices, weights, ids, w):
     """Copy the influences of positive weight to `ids` and `w`; returns their number."""
     n = 0
     for q in range(weights.shape[0]):

@@ -61,7 +61,7 @@ class SolvedFrames:
             chosen = self.scan.chosen
             self.sequences = [subset(self.sequences, chosen, executor=self.executor)]
             importance, given = self.scan.importance(importance), given.of_frames(chosen)
-        self.data = problem.gather(self.sequences, importance).compressed(problem.bones)
+        self.data = problem.trajectories(self.sequences, importance).compressed(problem.bones)
         self.given = given.inside(self.data)
 
     def squared(self, rmse: float) -> float:

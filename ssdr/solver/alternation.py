@@ -11,7 +11,7 @@ from ..kernels.vertices import solve_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine_fit import leap_rigid, solve_affine
 from .model import CHUNK, FREE, Locked, Model
-from .moments import bone_sums, neighbours, transform_sums
+from .moments import bone_sums, coupled_bones, transform_sums
 from .trajectories import Array, Trajectories
 
 __all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
@@ -130,7 +130,7 @@ def sweep(
     scaled : bool
         Whether bones may also grow (similarity).
     """
-    start, neighbour = neighbours(u)
+    start, neighbour = coupled_bones(u)
 
     def work(_: int, i: int, k: int) -> None:
         sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps)

@@ -14,7 +14,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK
 from .trajectories import Array, Trajectories
 
-__all__ = ["bone_sums", "gram_tables", "neighbours", "stack_blocks", "transform_sums"]
+__all__ = ["bone_sums", "coupled_bones", "gram_tables", "stack_blocks", "transform_sums"]
 
 # most tasks: each has its own table of sums, which takes memory, while fewer use fewer cores
 _MOMENT_TASKS = 16
@@ -105,7 +105,7 @@ def stack_blocks(u: Array) -> Array:
     return np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)
 
 
-def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def coupled_bones(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Bones that share vertices or a penalty with each bone, as compressed sparse rows.
 
     Returns
