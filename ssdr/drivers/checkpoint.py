@@ -13,7 +13,7 @@ from ..skinning import Skinning
 
 __all__ = ["Checkpoint"]
 
-_SECONDS = 60.0  # between two writes: what a killed process loses at most
+_SECONDS = 60.0  # between two writes; a killed process loses at most as much
 
 
 class Checkpoint:
@@ -27,7 +27,7 @@ class Checkpoint:
     Raises
     ------
     InputError
-        If it is no name that ends in ``.npz`` in a folder that exists.
+        If the name does not end in ``.npz`` or the folder does not exist.
     """
 
     def __init__(self, path: Any) -> None:

@@ -33,19 +33,19 @@ class Numbers:
     Attributes
     ----------
     polish : int
-        Last polish steps where bones or weights were handed over.
+        Polish steps at the end where the caller gave bones or weights.
     settle : int
-        Polish steps of a streamed model that is carried over to more frames.
+        Polish steps after a streamed model has been carried over to more frames.
     smooth : int
         Most alternations under a smoothness penalty.
     trees : int
-        Starts of a tree of which the lowest is continued.
+        Starts of a tree; the one of lowest objective is continued.
     limbs : int
         Starts on a skeleton without weights.
     weight_trials : int
         Trials of a search that leaves the tree of a skeleton as it is.
     rounds : int
-        Times that the weights on a skeleton are relaxed and searched.
+        How many times the weights on a skeleton are relaxed and searched.
     """
 
     polish: int
@@ -75,13 +75,13 @@ class Rebuilds:
     Attributes
     ----------
     trials : int
-        Of the search of a start, and of the last one.
+        Trials of the search after a start, and of the last search.
     before, after : int
         How often the best model is rebuilt before and after the merged start.
     trees : int
         Starts of a tree from which free bones begin, too.
     tree_searches : int
-        Searches of the lowest of several trees.
+        How many times the best of several trees is searched.
     """
 
     trials: int

@@ -1,4 +1,4 @@
-"""The way back from the solver's space: the best model as a skinning, with its true error."""
+"""Conversion of the best model to a skinning in the input's space, with its true error."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .problem import Problem
 
 __all__ = ["Outcome", "Step", "outcome_of", "skinning_of"]
 
-# Ratio of the true error to the objective's beyond which they say different things: the error then
-# is of vertices of next to no importance, and records keep the objective's.
+# Largest ratio of the true error to the objective's at which records are scaled to the true error.
+# Beyond it, the error is of vertices that have almost no importance.
 _MOST_RATIO = 10.0
 
 # iteration, seconds, squared error and phase of an accepted model
@@ -133,7 +133,7 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
 
 
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
-    """The model that a call starts from, with what the one that was found has beside its parts."""
+    """The model that a call starts from, with the names and clips of the model that was found."""
     given, k = problem.given, problem.influences
     assert given.indices is not None
     assert given.weights is not None
@@ -174,13 +174,13 @@ def _with_tree(
 def _history(steps: list[Step], errors: np.ndarray, rmse: float) -> tuple[Record, ...]:
     """Records whose last error is the true one, measured on the frames.
 
-    The reduced basis and importance change the objective, not which model is better: the others
-    keep their ratio to the last, unless there is none to keep.
+    The reduced basis and importance change the objective, but not which model is better.  So the
+    other records are scaled with the last one, unless its objective is 0 or far too small.
     """
     last = errors[-1]
     proportional = last > 0 and rmse < _MOST_RATIO * last
     errors = errors * (rmse / last) if proportional else errors
-    # where joints are drawn to the skin a better model may have a little more error
+    # with a penalty on joints, a better model may have a slightly larger error
     errors = np.maximum(np.minimum.accumulate(errors), rmse)
     errors[-1] = rmse
     return tuple(

@@ -37,17 +37,17 @@ GAIN = 2e-3  # relative decrease of the objective below which no other pass is m
 def carried(
     model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, locked: Locked
 ) -> Model:
-    """A copy with bones for each frame: at first those of the frame that it is most like.
+    """A copy with transforms for all frames, each from the most similar frame of the model.
 
     Parameters
     ----------
     model : Model
     nearest : (F,) int
-        Position of that frame among the model's.
+        Position, among the model's frames, of the one most similar to each frame.
     ratio : float
         Scale of the model's space over that of the new one.
     given : Given
-        In the new space: bones that stay, or all bones of a model to continue from.
+        In the new space: locked bones, or all bones of a model to go on from.
     locked : Locked
     """
     transforms = model.transforms[nearest]

@@ -87,8 +87,8 @@ def merged_start(
     )
 
 
-# What a sample of the vertices tells of where bones belong costs a fifth of what all of them do,
-# and all of them judge it in the end.
+# Bones are placed on a sample of the vertices, at a fifth of the cost; all vertices then decide
+# whether the result is better.
 PLACED: Schedule = (
     *FIRST_MODEL,
     SampleVertices(),
@@ -120,10 +120,10 @@ def rebuilds(size: float) -> Rebuilds:
 
 
 def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
-    """Bones that hang on nothing; `stretching`: also started from rigid ones.
+    """Bones without a hierarchy; with `stretching`, rigid bones are a second start.
 
-    A bone may not turn inside out on its way, and where a part is thin that bars many a way from
-    its own start.  Which start leads further shows only in the end.
+    Bones that stretch must keep det > 0 in every step, which blocks many paths from their own
+    start where a part is thin.  Which of the two starts is better shows only at the end.
     """
     rigid_start = merged_start(12, 6, rigid=True)
     # where a start of a small problem is soon made, as many as a tenth of a second allows
@@ -179,15 +179,15 @@ def last_search(trials: int) -> Schedule:
 
 
 def nothing_to_place(effort: Effort) -> Schedule:
-    """Weights or all bones are locked: one start, then down to the nearest minimum."""
+    """One start and descent to the nearest minimum, where weights or all bones are locked."""
     last = Polish(steps=NUMBERS[effort].polish, gain=1e-3)
     return (Compress(), StartFromMotion(), Alternate(steps=10), last)
 
 
 def smooth(effort: Effort, *, placed: bool) -> Schedule:
-    """The polish does not know the penalty on the weights: alternate until that settles.
+    """Alternations until the penalised error settles, since the polish ignores the penalty.
 
-    Then once more from where the polish leads without it, which is sometimes further.  `placed`:
+    Then a polish without the penalty and alternations again, which sometimes end lower.  `placed`:
     weights or all bones are locked.
     """
     settle = Alternate(steps=NUMBERS[effort].smooth)
@@ -208,12 +208,12 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
 
 
 def tree_of_bones(effort: Effort, size: float) -> Schedule:
-    """A tree early, then better ones, searched as long as the effort allows.
+    """A first tree soon, then a search for better ones as long as the effort allows.
 
-    Bones of one influence are compact: a tree over them is close to the one that is looked for, and
-    what they cannot move alone the other influences take up once they are attached.  Which tree a
-    search ends on is decided where it starts: of a dozen starts on the fox of glTF's samples two
-    lead to the right tree.
+    The first bones have one influence a vertex, which makes them compact, so that the tree over
+    them is close to the best one; more influences follow once they are attached.  A search ends
+    near its start, so there are several starts: of a dozen on the fox of glTF's samples, two lead
+    to the right tree.
     """
     early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
     start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
@@ -338,7 +338,7 @@ def schedule_for(
 
 
 def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:
-    """What a model of some frames goes through when it is carried over to more of them."""
+    """Stages of a model that was found on some frames and carried over to more of them."""
     steps = NUMBERS[effort].settle
     if smoothed:
         return (Spread(), Alternate(steps=steps, gain=0.002, cost=6))

@@ -77,8 +77,8 @@ def fit_bones(
     Each sweep solves one weighted Kabsch a bone and frame with the others held
     (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
     bones take a Gauss–Newton step together.  For affine ones a single linear solve
-    finds all of them, from rigid ones on.  Frames that end far above what the bones of
-    the frames beside them lead to start again from those.  Also the way to carry a
+    finds all of them, from rigid ones on.  Frames whose error is far higher than
+    from the bones of a neighbouring frame start again from those.  Also the way to carry a
     model over to new motion of the same mesh.
 
     Parameters
@@ -192,9 +192,9 @@ def _settle(
 
 
 def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int) -> bool:
-    """Start frames that are stuck again from those beside them (in place); whether any was.
+    """Restart frames that are stuck from the frames beside them (in place); whether any was.
 
-    Where bones overlap widely, a frame's own start now and then leads nowhere.
+    Where bones overlap widely, a frame's own start may end in a poor minimum.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     flat = stack_blocks(u)

@@ -249,7 +249,7 @@ class Loss:
     Attributes
     ----------
     cost : float
-        Rise of the objective: of its vertices, and by the gaps that its neighbours would close.
+        Rise of the objective from the bone's vertices and from closing its neighbours' gaps.
     heir : int
         The neighbour to which the others would be attached; −1 where there is none.
     points : dict

@@ -77,8 +77,8 @@ class AttachToJoints(Stage):
 class FreeBones(Stage):
     """Improve a tree that promises a better model, drop it, and improve the freed bones.
 
-    A tree whose objective is more than four times the best one is dropped at once, and the best
-    model is returned to.
+    If its objective is more than four times the best one, the run returns to the best model at
+    once.
 
     Attributes
     ----------

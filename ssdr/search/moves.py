@@ -37,11 +37,11 @@ __all__ = [
 # Vertices, drawn by their error, around which a new bone may be placed: comparing the error of
 # their neighbourhoods costs next to nothing beside one alternation.
 _CANDIDATES = 32
-# Cheapest bones among which the one to move is drawn: always the cheapest would repeat the same
-# change after each failure.
+# Number of cheapest bones among which the one to move is drawn: if it were always the cheapest,
+# a failed change would be repeated.
 _CHEAPEST = 3
 # Upper bounds of what a search draws: alternations, bones to exchange, influences to exchange.
-# Larger ones lead further away than the polish steps before a trial is judged come back from.
+# With larger ones, the polish steps before a trial is judged are too few to make up for the change.
 _MOST_ALTERNATIONS, _MOST_EXCHANGED, _MOST_WIDER = 5, 2, 2
 _ADDED = (2, 6)  # bones added at once, a quarter of the model's at most
 # Polish steps at each number of influences, drawn from this to twice as many: one step that lets
@@ -123,8 +123,8 @@ def exchange_bones(
 ) -> Model:
     """Add one or two bones, polish, then remove the cheapest ones.
 
-    The new bones have taken over what they can before it is asked which can go: a single exchange
-    would not find this.  One influence more meanwhile lets vertices follow old and new bones.
+    The cheapest bones are chosen only after the polish, when the new bones have taken over vertices
+    from the old ones.  One more influence meanwhile lets vertices follow both.
     """
     k, _, steps = _draw_influences(model, rng)
     count = int(rng.integers(1, _MOST_EXCHANGED + 1))
@@ -164,9 +164,9 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
 def exchange_influences(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Polish with one or two influences more, then drop those that are missed least.
+    """Polish with one or two more influences, then drop those whose removal costs least.
 
-    It stays close to the model and rarely fails there.
+    The model changes little, and the change rarely fails.
     """
     k, extra, steps = _draw_influences(model, rng)
     wide = model.with_influences(k + extra)
@@ -178,9 +178,8 @@ def polish_then_drop_influence(
 ) -> Model:
     """Polish `steps` times (in place); return a copy with one influence a vertex less.
 
-    Which bones move a vertex matters more than how, and with few influences each choice bars
-    others: the objective has many poor minima.  With more influences it has fewer, and the bones
-    of those are close to those of good ones.
+    With few influences the choice of bones for each vertex leads to many poor minima.  With more
+    influences there are fewer, and their bones are close to those of a good model.
     """
     polish_steps(data, model, steps, locked)
     smaller = model.with_influences(model.n_influences - 1)
@@ -192,8 +191,8 @@ def polish_then_drop_influence(
 def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
     """Remove from every full vertex the influence without which its error rises least (in place).
 
-    Each is tried, with the other weights and the rest position solved anew: the smallest weight
-    is often not the one that is missed least.
+    Each removal is tried, with the other weights and the rest position solved again: the smallest
+    weight is often not the one whose removal costs least.
     """
     k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
     full = (model.weights > 0).all(axis=1) & ~keep
@@ -289,7 +288,7 @@ def patch_of_most_error(
     *,
     among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.intp]:
-    """Of neighbourhoods of `fraction`·V/B vertices around drawn seeds, the one with most error.
+    """Patch of `fraction`·V/B vertices with most error among the patches around drawn seeds.
 
     Seeds are drawn by their error; `among` (V,) limits them and the patch, unless it is empty.
     """
@@ -311,7 +310,7 @@ def patch_of_most_error(
 def _neighbourhood_of_most_error(
     rest: Array, error: Array, seeds: NDArray[np.intp], size: int
 ) -> NDArray[np.intp]:
-    """Of the neighbourhoods of `size` vertices around the seeds the one that holds most error.
+    """Patch of `size` vertices with most error among the patches around the seeds.
 
     Four vertices at least, where there are as many.
     """
@@ -348,7 +347,7 @@ def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
     """Rise of the objective without each bone (B,); inf for bones that have to stay."""
     cost = bone_costs(data, model)
     if locked.bones is not None:
-        # all bones that the caller gave: locked ones are known by their place among them
+        # all bones that the caller gave, since locked ones are identified by their index
         cost[: len(locked.bones)] = np.inf
     keep = locked.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf

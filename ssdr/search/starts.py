@@ -74,7 +74,7 @@ class StartFromMotion(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class QuickStart(StartFromMotion):
-    """A start that is soon made: settled on 64 frames where there are many, then on all."""
+    """A fast start: from 64 frames where there are many, then fitted to all."""
 
     phase: ClassVar[str] = "quick"
 
@@ -105,8 +105,8 @@ class QuickStart(StartFromMotion):
 class StartFromModel(Stage):
     """A whole model that the caller gave, unchanged where its transforms are of these frames.
 
-    They are not where each bone's own fit to the vertices that it moves most has less error: then
-    the bones are fitted to the weights, and attached to their joints anew.
+    If fitting each bone to the vertices that it moves most has a lower error, the transforms are of
+    other frames: then the bones are fitted to the weights, and attached to their joints again.
     """
 
     phase: ClassVar[str] = "start"

@@ -27,7 +27,7 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["JointPenalty", "Objective", "joint_offsets", "mean_joint_penalty", "meeting_points"]
 
-_SHARED = 1e-2  # relative overlap at which overlap and middle count the same
+_SHARED = 1e-2  # relative overlap at which the overlap's centroid and the middle have equal weight
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
