@@ -133,7 +133,7 @@ CHANGES = (exchange_bones, alternate_some, exchange_influences, rebuild)
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_changes_go_by_the_generator_alone(change: Change) -> None:
+def test_changes_go_by_the_generator_alone_and_keep_the_size(change: Change) -> None:
     data, model = problem(3)
     before = model.copy()
     one, same, other = (change(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
@@ -141,13 +141,7 @@ def test_changes_go_by_the_generator_alone(change: Change) -> None:
     assert not np.array_equal(one.transforms, other.transforms)
     for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
-
-
-@pytest.mark.parametrize("change", CHANGES)
-def test_changed_models_are_of_the_same_size(change: Change) -> None:
-    data, model = problem(4)
-    for seed in range(4):
-        changed = change(data, model, np.random.default_rng(seed), FREE)
+    for changed in (one, other):
         assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
         assert (changed.weights >= 0).all()
         assert changed.weights.sum(axis=1) == pytest.approx(1.0)
