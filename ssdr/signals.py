@@ -1,4 +1,4 @@
-"""What happens on Ctrl-C (SIGINT), on SIGTERM and when a terminal is closed (SIGHUP).
+"""Response to Ctrl-C (SIGINT), to SIGTERM and to a closed terminal (SIGHUP).
 
 1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`).
 2. While files are read, written or measured, the signal is raised as ``KeyboardInterrupt``, so

@@ -28,7 +28,7 @@ Effort = Literal["fast", "balanced", "best"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Numbers:
-    """What an effort spends.
+    """Numbers of steps, starts and trials of an effort.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ NUMBERS: dict[Effort, Numbers] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rebuilds:
-    """How much "best" searches, by the size of the problem in vertices × frames × bones.
+    """Numbers of rebuilds, starts and trials of "best", which depend on the problem's size.
 
     Attributes
     ----------

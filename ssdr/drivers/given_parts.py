@@ -1,4 +1,4 @@
-"""Check the parts of a model that a caller hands over: a start, and a skeleton."""
+"""Check of what a caller gives to begin from: a start, and a skeleton."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def with_skeleton(
 
 
 def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
-    """The tree of a model to go on from, whose parents must be those of the skeleton.
+    """Tree of a model to start from, whose parents must be those of the skeleton.
 
     If a locked rotation differs from the model's, the joints are no longer rigid.
     """

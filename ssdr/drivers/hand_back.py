@@ -33,7 +33,7 @@ Step = tuple[int, float, float, str]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """What a driver hands back.
+    """Result of a driver.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""The driver for frames that fit into memory: gather, make steps, hand back."""
+"""The driver for frames that fit into memory."""
 
 from __future__ import annotations
 

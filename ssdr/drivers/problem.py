@@ -49,9 +49,9 @@ class Problem:
     effort : {"fast", "balanced", "best"}
     rig : {"none", "loose", "rigid"}
     names : tuple of str
-        Names of the bones of a skeleton that was handed over.
+        Names of the bones of a given skeleton.
     locked : Locked
-        What stays as it is, and what bones may do.
+        Parts that stay, and the bone model.
     given : Given
         In the input's space, of all frames.
     start : Skinning or None
@@ -204,7 +204,7 @@ def _is_kind(rig: Any) -> bool:
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
-    """How many bones the result has: as asked for, or as a skeleton or a model has."""
+    """Number of bones: as asked for, or that of the skeleton or model."""
     known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)
@@ -223,7 +223,7 @@ def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
 
 
 def _check_rig(kind: RigKind, given: Given, bone_model: str, smoothness: float) -> None:
-    """Refuse what does not go together with bones that hang on joints."""
+    """Refuse arguments that cannot be combined with bones attached at joints."""
     if kind == "none":
         return
     beside = "beside a Skeleton" if given.keeps_tree else f"beside rig={kind!r}"

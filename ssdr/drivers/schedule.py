@@ -115,7 +115,7 @@ def lowest(count: int, start: Schedule) -> Schedule:
 
 
 def rebuilds(size: float) -> Rebuilds:
-    """What "best" spends on a problem of a size."""
+    """Numbers of "best" for a problem of this size."""
     return next(numbers for bound, numbers in REBUILDS if size < bound)
 
 
@@ -204,7 +204,7 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
     return (*start, ReturnToBest(), settle, Relax(), last, settle)
 
 
-# --- bones that hang on joints -------------------------------------------------------------------
+# --- bones attached at joints --------------------------------------------------------------------
 
 
 def tree_of_bones(effort: Effort, size: float) -> Schedule:

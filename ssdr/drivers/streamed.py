@@ -59,7 +59,7 @@ def solve(problem: Problem) -> Outcome:
     run = begin(problem, data, given, clock)
     del data  # what a compressed run needs no longer is freed
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
-    # transforms of a model to go on from may turn out to be of other frames
+    # the transforms of a start are dropped if they turned out to be of other frames
     given_later = problem.given
     if run.given.transforms is None:
         given_later = dataclasses.replace(given_later, transforms=None)

@@ -1,4 +1,4 @@
-"""What a fit of one part of a model returns, and the check of what it is given."""
+"""Result of a fit of one part of a model, and the check of its arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes of a model whose bones hang on joints: other edges, other bones.
+"""Changes of a model whose bones are attached at joints: of its edges and of its bones.
 
 Each returns a changed copy whose bones are attached to their joints again; the caller polishes it
 and keeps it if its objective is lower.

@@ -118,7 +118,7 @@ class AttachUnattached(AttachToJoints):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartOnSkeleton(Stage):
-    """The bones of a skeleton that was handed over, fitted to the vertices that each moves.
+    """Start with the bones of a given skeleton, fitted to the vertices that each moves.
 
     Attributes
     ----------

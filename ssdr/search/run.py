@@ -70,7 +70,7 @@ Schedule = tuple[Stage, ...]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Lowest(Stage):
-    """Go through several schedules that each begin anew; continue from the lowest model.
+    """Run several schedules, each from its own start; continue from the lowest model.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Run:
     locked : Locked
         What stays as it is, and what bones may do.
     given : Given
-        Parts that the caller handed over, in the solver's space.
+        Parts that the caller gave, in the solver's space.
     smoothness : WeightSmoothness or None
         Penalty on the weights.
     clock : Clock, optional
@@ -169,7 +169,7 @@ class Run:
 
     @property
     def locked(self) -> Locked:
-        """What the present step may move, and how."""
+        """Parts that the present step may not move, and the bone model that it uses."""
         locked = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
             return locked
@@ -177,7 +177,7 @@ class Run:
 
     @property
     def present_parts(self) -> Given:
-        """What the caller handed over, for the vertices that the present step works on."""
+        """Parts that the caller gave, restricted to the vertices of the present step."""
         if self.chosen is None or self.given.rest is None:
             return self.given
         return dataclasses.replace(self.given, rest=self.given.rest[self.chosen])

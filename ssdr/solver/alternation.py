@@ -117,7 +117,7 @@ def sweep(
     sweeps: int,
     scaled: bool = False,
 ) -> None:
-    """Fit each bone given the others, in turns, in every frame (in place): Gauss–Seidel.
+    """Fit each bone given the others, one after the other, in every frame (Gauss–Seidel, in place).
 
     Parameters
     ----------

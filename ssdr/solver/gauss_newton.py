@@ -50,7 +50,7 @@ class GaussNewton:
         Accepted steps change it in place; what else changes it makes this object invalid.
     locked : Locked
     damping : float, optional
-        λ of an earlier object for this very model, to go on exactly where that one stopped.  By
+        λ of an earlier object for the same model, to continue exactly where it stopped.  By
         default the vertices are optimised first.
 
     Attributes

@@ -191,7 +191,7 @@ def start_model(
     """A first model of one bone a vertex.
 
     Farthest points seed patches, each patch is fitted, the best patches are chosen, and vertices
-    and bones are assigned and fitted in turns.
+    are assigned and bones fitted alternately.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The model that the solver's steps change, and what of it they may not change."""
+"""The model that the solver's steps change, and the parts of it that are locked."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  #
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Locked:
-    """What steps may not change, and which transforms bones may have.
+    """Parts of a model that steps may not change, and the transforms that bones may have.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ _SHARED = 1e-2  # relative overlap at which the overlap's centroid and the middl
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Objective:
-    """What a solve minimises.
+    """The function of a model that a solve minimises.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a Gauss–Newton step needs of the unknowns that move the bones."""
+"""Base class of the unknowns by which a Gauss–Newton step moves the bones."""
 
 from __future__ import annotations
 
