@@ -123,18 +123,18 @@ def check_problem(
     bones: Any,
     influences: Any,
     effort: Any,
-    bone_model: Any,
-    rig: Any,
-    start: Any,
-    vertex_importance: Any,
-    frame_importance: Any,
-    smoothness: Any,
+    bone_model: Any = "rigid",
+    rig: Any = None,
+    start: Any = None,
+    vertex_importance: Any = None,
+    frame_importance: Any = None,
+    smoothness: Any = 0.0,
     rng: Any,
-    time_limit: Any,
-    checkpoint: Any,
-    callback: Any,
+    time_limit: Any = None,
+    checkpoint: Any = None,
+    callback: Any = None,
 ) -> Problem:
-    """Check every argument of ``decompose``.
+    """Check the arguments of ``decompose``; those left out are not offered by the caller.
 
     Raises
     ------

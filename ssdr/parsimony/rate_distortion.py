@@ -128,15 +128,7 @@ def curve(
         bones=check_whole(most, "bones", 1, n, " (the number of vertices)"),
         influences=influences,
         effort=effort,
-        bone_model="rigid",
-        rig=None,
-        start=None,
-        vertex_importance=None,
-        frame_importance=None,
-        smoothness=0.0,
         rng=rng,
-        time_limit=None,
-        checkpoint=None,
         callback=callback,
     )
     clock = Clock()

@@ -141,7 +141,6 @@ def smallest(
         start=start,
         vertex_importance=vertex_importance,
         frame_importance=frame_importance,
-        smoothness=0.0,
         rng=rng,
         time_limit=time_limit,
         checkpoint=checkpoint,
