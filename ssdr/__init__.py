@@ -10,51 +10,31 @@ from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "Cancelled": "errors",
-    "Clip": "clips",
-    "Decomposition": "result",
-    "FormatError": "errors",
-    "InputError": "errors",
-    "Material": "surface",
-    "MeshSequence": "sequence",
-    "Mirror": "joints.mirror",
-    "MissingDependencyError": "errors",
-    "Skinning": "skinning",
-    "Skeleton": "start",
-    "SsdrError": "errors",
-    "SsdrWarning": "errors",
-    "Start": "start",
-    "Surface": "surface",
-    "WeldReport": "sequence",
-    "decompose": "decomposition",
-    "find_mirror": "joints.mirror",
-    "fit_bones": "fit.bones",
-    "fit_rest_pose": "fit.rest_pose",
-    "fit_weights": "fit.weights",
-    "get_threads": "parallel",
-    "initialize": "fit.initialization",
-    "kabsch": "rigid",
-    "list_clips": "io",
-    "load": "io",
-    "load_skinning": "io",
-    "save": "io",
-    "set_threads": "parallel",
-    "skin": "lbs",
-    "smallest": "parsimony.smallest",
+# Public names by the module that defines them; the other public names are modules.
+_PUBLIC = {
+    "clips": ("Clip",),
+    "decomposition": ("decompose",),
+    "errors": (
+        *("Cancelled", "FormatError", "InputError", "MissingDependencyError"),
+        *("SsdrError", "SsdrWarning"),
+    ),
+    "fit.bones": ("fit_bones",),
+    "fit.initialization": ("initialize",),
+    "fit.rest_pose": ("fit_rest_pose",),
+    "fit.weights": ("fit_weights",),
+    "io": ("list_clips", "load", "load_skinning", "save"),
+    "joints.mirror": ("Mirror", "find_mirror"),
+    "lbs": ("skin",),
+    "parallel": ("get_threads", "set_threads"),
+    "parsimony.smallest": ("smallest",),
+    "result": ("Decomposition",),
+    "rigid": ("kabsch",),
+    "sequence": ("MeshSequence", "WeldReport"),
+    "skinning": ("Skinning",),
+    "start": ("Skeleton", "Start"),
+    "surface": ("Material", "Surface"),
 }
-_MODULES = (
-    "errors",
-    "io",
-    "laplacian",
-    "metrics",
-    "parallel",
-    "parsimony",
-    "rigid",
-    "samples",
-    "sequence",
-    "skinning",
-)
+_HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
 __all__ = [
     "Cancelled",
@@ -133,7 +113,7 @@ if TYPE_CHECKING:
 def __getattr__(name: str) -> Any:
     if name in _HOME:
         value = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
-    elif name in _MODULES:
+    elif name in __all__:
         value = importlib.import_module(f".{name}", __name__)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

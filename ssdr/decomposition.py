@@ -126,27 +126,11 @@ def decompose(
     >>> result.rmse < 0.01 * dancer.diagonal()
     True
     """
-    problem = check_problem(
-        sequence,
-        faces,
-        bones=bones,
-        influences=influences,
-        effort=effort,
-        bone_model=bone_model,
-        rig=rig,
-        start=start,
-        vertex_importance=vertex_importance,
-        frame_importance=frame_importance,
-        smoothness=smoothness,
-        rng=rng,
-        time_limit=time_limit,
-        checkpoint=checkpoint,
-        callback=callback,
-    )
+    problem = check_problem(**locals())  # every argument, under its own name
     driver = streamed if needs_streaming(problem.sequences) else in_memory
     compile_seconds = compile_kernels()
     outcome = driver.solve(problem)
-    problem.save(lambda: outcome.skinning, last=True)
+    problem.checkpoint.offer(lambda: outcome.skinning, now=True)
     for note in outcome.warnings:
         warnings.warn(note, SsdrWarning, stacklevel=2)
     return Decomposition(

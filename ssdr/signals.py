@@ -1,4 +1,4 @@
-"""What happens on Ctrl-C (SIGINT), on SIGTERM and when a terminal is closed (SIGHUP).
+"""Response to Ctrl-C (SIGINT), to SIGTERM and to a closed terminal (SIGHUP).
 
 1. While modules are imported, Ctrl-C ends the process (:func:`ssdr.cli.main`).
 2. While files are read, written or measured, the signal is raised as ``KeyboardInterrupt``, so
@@ -42,16 +42,16 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
     def ask() -> None:
         if stop.is_set():
-            _write(_SHOW_CURSOR if sys.stderr.isatty() else b"")
+            _write_stderr(_SHOW_CURSOR if sys.stderr.isatty() else b"")
             os._exit(130)
         stop.set()
-        _write(b"\nssdr: stopping after this step and saving; again to end at once\n")
+        _write_stderr(b"\nssdr: stopping after this step and saving; again to end at once\n")
 
     with _handling(ask):
         yield stop
 
 
-def _write(text: bytes) -> None:
+def _write_stderr(text: bytes) -> None:
     """Write to stderr at once, whatever the main thread is writing."""
     with contextlib.suppress(OSError):  # a terminal that has been closed
         os.write(2, text)

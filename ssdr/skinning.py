@@ -139,13 +139,9 @@ class Skinning:
             put(self, "parents", check_parents(self.parents, n_bones))
             positions = check_floats(self.joint_positions, "joint_positions", (n_bones, 3))
             put(self, "joint_positions", positions)
-        put(self, "rest", rest)
-        put(self, "indices", indices)
-        put(self, "weights", weights)
-        put(self, "transforms", transforms)
-        put(self, "faces", faces)
-        put(self, "fps", fps)
-        put(self, "clips", clips)
+        parts = {"rest": rest, "indices": indices, "weights": weights, "transforms": transforms}
+        for field, value in {**parts, "faces": faces, "fps": fps, "clips": clips}.items():
+            put(self, field, value)
 
     @property
     def n_vertices(self) -> int:
@@ -192,15 +188,9 @@ class Skinning:
         Examples
         --------
         >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> transforms = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
-        >>> arm = ssdr.Skinning(
-        ...     rest,
-        ...     indices,
-        ...     weights,
-        ...     transforms,
-        ...     parents=[-1, 0],
-        ...     joint_positions=[[0, 0, 0], [0, 1, 0]],
-        ... )
+        >>> tree = {"parents": [-1, 0], "joint_positions": [[0, 0, 0], [0, 1, 0]]}
+        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
+        >>> arm = ssdr.Skinning(rest, indices, weights, still, **tree)
         >>> arm.local_transforms()[0, 1, :, 3]
         array([0., 1., 0.])
         """
@@ -285,14 +275,9 @@ class Skinning:
         Examples
         --------
         >>> rest, indices, weights = np.eye(3), np.array([[0], [1], [1]]), np.ones((3, 1))
-        >>> arm = ssdr.Skinning(
-        ...     rest,
-        ...     indices,
-        ...     weights,
-        ...     np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4)),
-        ...     parents=[-1, 0],
-        ...     joint_positions=[[0, 0, 0], [0, 1, 0]],
-        ... )
+        >>> tree = {"parents": [-1, 0], "joint_positions": [[0, 0, 0], [0, 1, 0]]}
+        >>> still = np.broadcast_to(np.eye(3, 4), (5, 2, 3, 4))
+        >>> arm = ssdr.Skinning(rest, indices, weights, still, **tree)
         >>> half = np.sqrt(0.5)
         >>> bent = arm.pose([[0, 0, 0, 1], [half, 0, 0, half]])
         >>> bent.skin()[0, 2].round(3)

@@ -1,4 +1,4 @@
-"""What a decomposition may be given to begin from: parts of a model, and a skeleton."""
+"""Input that a decomposition may begin from: parts of a model, and a skeleton."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a mesh carries beside its shape: texture coordinates, normals and materials."""
+"""Texture coordinates, normals and materials of a mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Material", "Surface", "check_surface"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Material:
-    """What a surface looks like, in the terms of glTF's metallic-roughness model.
+    """Appearance of a surface, in the terms of glTF's metallic-roughness model.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Material:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Surface:
-    """What a mesh carries besides its shape, per corner of a triangle.
+    """Texture coordinates, normals and materials of a mesh, stored per triangle corner.
 
     Kept per corner, it survives welding: a seam is where two corners at one
     vertex differ.

@@ -109,22 +109,22 @@ def run_2012(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
     import ssdr
     from ssdr.solver.alternation import bone_step, vertex_step
     from ssdr.solver.initialization import start_model
-    from ssdr.solver.model import Fixed
+    from ssdr.solver.model import Locked
     from ssdr.solver.trajectories import gather
 
     rest = np.asarray(frames[0], dtype=np.float64)
-    bones, fixed, held = job["bones"], Fixed(rest=True), []
+    bones, locked, held = job["bones"], Locked(rest=True), []
 
     def start() -> None:
         data = gather([ssdr.MeshSequence(frames, faces)], bones=bones)
         inner, _ = data.from_world(rest, None)
         rng = np.random.default_rng(job["seed"])
         held[:] = data, start_model(data, inner, bones, min(job["influences"], bones), rng)
-        vertex_step(*held, fixed=fixed)
+        vertex_step(*held, locked=locked)
 
     def step() -> None:
-        bone_step(*held, fixed=fixed)
-        vertex_step(*held, fixed=fixed)
+        bone_step(*held, locked=locked)
+        vertex_step(*held, locked=locked)
 
     def model() -> tuple[np.ndarray, ...]:
         data, found = held

@@ -13,7 +13,7 @@ from ..skinning import Skinning
 
 __all__ = ["Checkpoint"]
 
-_SECONDS = 60.0  # between two writes: what a killed process loses at most
+_SECONDS = 60.0  # between two writes; a killed process loses at most as much
 
 
 class Checkpoint:
@@ -21,28 +21,32 @@ class Checkpoint:
 
     Parameters
     ----------
-    path : str or Path
+    path : str, Path or None
+        None: nothing is written.
 
     Raises
     ------
     InputError
-        If it is no name that ends in ``.npz`` in a folder that exists.
+        If the name does not end in ``.npz`` or the folder does not exist.
     """
 
     def __init__(self, path: Any) -> None:
+        self._last = time.monotonic()
+        self.path: Path | None = None
+        if path is None:
+            return
         if not isinstance(path, (str, Path)):
             raise InputError("checkpoint", "the path of an .npz, or None", type(path).__name__)
         self.path = Path(path)
         if self.path.suffix != ".npz" or not self.path.parent.is_dir() or self.path.is_dir():
             raise InputError("checkpoint", "a name ending in .npz in a folder that exists", path)
-        self._last = time.monotonic()
 
     def offer(self, skinning: Callable[[], Skinning], *, now: bool = False) -> None:
         """Write the model if the last write is a minute ago, or `now`.
 
         A full disk or a folder that is gone does not end a run of hours: it warns.
         """
-        if not now and time.monotonic() - self._last < _SECONDS:
+        if self.path is None or (not now and time.monotonic() - self._last < _SECONDS):
             return
         from ..io.arrays.npz import write_skinning
 

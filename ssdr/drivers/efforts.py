@@ -6,19 +6,21 @@ Sizes are in vertices × frames × bones.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Literal
 
 __all__ = [
     "MANY_BONES",
     "NUMBERS",
+    "REBUILDS",
+    "SECONDS_OF_A_NUMBER",
     "STARTS_OF_MANY_BONES",
+    "START_SECONDS",
     "TREE_ROUNDS",
     "TRIALS_OF_A_REBUILD",
     "TRIALS_OF_A_START",
     "TRIALS_OF_A_TREE",
     "Effort",
-    "rebuilds",
-    "starts_within_a_tenth",
 ]
 
 Effort = Literal["fast", "balanced", "best"]
@@ -26,24 +28,24 @@ Effort = Literal["fast", "balanced", "best"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Numbers:
-    """What an effort spends.
+    """Numbers of steps, starts and trials of an effort.
 
     Attributes
     ----------
     polish : int
-        Last polish steps where bones or weights were handed over.
+        Polish steps at the end where the caller gave bones or weights.
     settle : int
-        Polish steps of a streamed model that is carried over to more frames.
+        Polish steps after a streamed model has been carried over to more frames.
     smooth : int
         Most alternations under a smoothness penalty.
     trees : int
-        Starts of a tree of which the lowest is continued.
+        Starts of a tree; the one of lowest objective is continued.
     limbs : int
         Starts on a skeleton without weights.
     weight_trials : int
         Trials of a search that leaves the tree of a skeleton as it is.
     rounds : int
-        Times that the weights on a skeleton are relaxed and searched.
+        How many times the weights on a skeleton are relaxed and searched.
     """
 
     polish: int
@@ -68,18 +70,18 @@ NUMBERS: dict[Effort, Numbers] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rebuilds:
-    """How much "best" searches, by the size of the problem in vertices × frames × bones.
+    """Numbers of rebuilds, starts and trials of "best", which depend on the problem's size.
 
     Attributes
     ----------
     trials : int
-        Of the search of a start, and of the last one.
+        Trials of the search after a start, and of the last search.
     before, after : int
         How often the best model is rebuilt before and after the merged start.
     trees : int
         Starts of a tree from which free bones begin, too.
     tree_searches : int
-        Searches of the lowest of several trees.
+        How many times the best of several trees is searched.
     """
 
     trials: int
@@ -92,10 +94,11 @@ class Rebuilds:
 # Chosen on a dozen sequences.  Where a rebuild takes seconds the first model is rebuilt six times
 # before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
 # problems have four rebuilds in place of six, for the time that they take.
-_SMALL, _LARGE = 2e6, 1e7
-_REBUILDS_SMALL = Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)
-_REBUILDS = Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)
-_REBUILDS_LARGE = Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)
+REBUILDS = (  # each up to a size
+    (2e6, Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)),
+    (1e7, Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)),
+    (math.inf, Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)),
+)
 TRIALS_OF_A_REBUILD = 6
 # From so many bones on, alternations alone put many of them in better places, and some starts end
 # where no rebuild helps: so there are several, with few trials each.
@@ -103,19 +106,5 @@ MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4
 # The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
 # to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
 TREE_ROUNDS, TRIALS_OF_A_TREE = 6, 12
-
-
 # Seconds of a start: of any, and for each vertex × frame × bone.
-_START_SECONDS, _SECONDS_OF_A_NUMBER = 0.02, 1e-6
-
-
-def starts_within_a_tenth(size: float) -> int:
-    """How many starts of a small problem take about a tenth of a second."""
-    each = _START_SECONDS + _SECONDS_OF_A_NUMBER * size
-    return int(0.1 / each)
-
-
-def rebuilds(size: float) -> Rebuilds:
-    if size >= _LARGE:
-        return _REBUILDS_LARGE
-    return _REBUILDS if size >= _SMALL else _REBUILDS_SMALL
+START_SECONDS, SECONDS_OF_A_NUMBER = 0.02, 1e-6

@@ -1,4 +1,4 @@
-"""Check the parts of a model that a caller hands over: a start, and a skeleton."""
+"""Check of what a caller gives to begin from: a start, and a skeleton."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ from ..skinning import Skinning
 from ..solver.trajectories import Array
 from ..start import JointKind, Skeleton, Start
 
-__all__ = ["check_skeleton", "check_start", "extra_parents", "on_skeleton"]
+__all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
 
 Skin = tuple[NDArray[np.int32], Array]
 
-# Gaps of joints relative to the mesh's size: such as double precision leaves, and such as single
-# precision or a file's keys leave, which are closed at once.
+# Joint gaps relative to the mesh's size: rounding in double precision, and rounding in single
+# precision or in a file's keys.  Gaps between the two are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
-_TURNED = 1e-6  # of a rotation's entries: beyond, a joint is not where it was locked
+_TURNED = 1e-6  # change of a rotation's entries from which a locked joint counts as turned
 
 
 def check_start(
     start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Given, Skinning | None]:
-    """The parts to begin from, and the whole model where they are one; `shape` is (F, V, B, K)."""
+    """The parts to begin from, and the model if a whole one is given; `shape` is (F, V, B, K)."""
     if isinstance(start, Skinning):
         return _from_model(start, shape, bone_model), start
     return Given() if start is None else _from_parts(start, shape, bone_model), None
@@ -120,7 +120,7 @@ def check_skeleton(rig: Skeleton) -> None:
     check_choice(rig.joints, "rig.joints", JointKind)
 
 
-def on_skeleton(
+def with_skeleton(
     rig: Skeleton,
     given: Given,
     sequences: list[MeshSequence],
@@ -129,7 +129,7 @@ def on_skeleton(
 ) -> Given:
     """The given parts with the tree of a skeleton, its extra bones and its locked joints.
 
-    `start` is the whole model that the parts are of, where they are one.
+    `start` is the whole model, if one is given.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     skeleton, extra = rig.skinning, extra_parents(rig, n)
@@ -165,9 +165,9 @@ def on_skeleton(
 
 
 def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
-    """The tree of a model to go on from, whose parents must be those of the skeleton.
+    """Tree of a model to start from, whose parents must be those of the skeleton.
 
-    Joints that are locked at another rotation than the model's have to be attached anew.
+    If a locked rotation differs from the model's, the joints are no longer rigid.
     """
     known = skeleton.n_bones
     if given.tree is None or not np.array_equal(given.tree.parents[:known], skeleton.parents):

@@ -1,4 +1,4 @@
-"""The way back from the solver's space: the best model as a skinning, with its true error."""
+"""Conversion of the best model to a skinning in the input's space, with its true error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from ..clips import names_of
 from ..frames.error import squared_error
 from ..frames.executor import Executor
-from ..hierarchy.tree import Tree
 from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
 from ..search.progress import Record
@@ -19,13 +18,13 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.gauge import normalise_gauge
 from ..solver.model import Model
-from ..solver.trajectories import Alignment, Array
+from ..solver.trajectories import Alignment
 from .problem import Problem
 
 __all__ = ["Outcome", "Step", "outcome_of", "skinning_of"]
 
-# Ratio of the true error to the objective's beyond which they say different things: the error then
-# is of vertices of next to no importance, and records keep the objective's.
+# Largest ratio of the true error to the objective's at which records are scaled to the true error.
+# Beyond it, the error is of vertices that have almost no importance.
 _MOST_RATIO = 10.0
 
 # iteration, seconds, squared error and phase of an accepted model
@@ -34,7 +33,7 @@ Step = tuple[int, float, float, str]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Outcome:
-    """What a driver hands back.
+    """Result of a driver.
 
     Attributes
     ----------
@@ -65,15 +64,12 @@ def skinning_of(
     """
     sequences = problem.sequences if sequences is None else sequences
     padded = model.with_influences(problem.influences)
-    if problem.fixed.bone_model != "rigid":
+    if problem.locked.bone_model != "rigid":
         model = model.copy()
         importance = problem.vertex_importance
         equal = np.ones(len(model.rest))
-        normalise_gauge(model, equal if importance is None else importance, problem.fixed)
-    tree = _tree_of(problem, model, alignment)
-    points = model.rest if tree is None else np.concatenate([model.rest, tree.points])
-    points, transforms = alignment.to_world(points, model.transforms)
-    rest, joints = points[: len(model.rest)], points[len(model.rest) :]
+        normalise_gauge(model, equal if importance is None else importance, problem.locked)
+    rest, transforms = alignment.to_world(model.rest, model.transforms)
     first = sequences[0]
     skinning = Skinning(
         rest,
@@ -81,12 +77,12 @@ def skinning_of(
         padded.weights,
         transforms,
         faces=first.faces,
-        bone_model=problem.fixed.bone_model,
+        bone_model=problem.locked.bone_model,
         surface=first.surface,
         vertex_map=first.vertex_map,
         **names_of(sequences),
     )
-    return skinning if tree is None else _with_tree(skinning, tree, joints, problem.names)
+    return skinning if problem.rig == "none" else _with_tree(skinning, problem, model, alignment)
 
 
 def outcome_of(
@@ -137,7 +133,7 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
 
 
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
-    """The model that a call starts from, with what the one that was found has beside its parts."""
+    """The model that a call starts from, with the names and clips of the model that was found."""
     given, k = problem.given, problem.influences
     assert given.indices is not None
     assert given.weights is not None
@@ -151,41 +147,40 @@ def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
     return dataclasses.replace(found, indices=indices, weights=weights, **parts)
 
 
-def _tree_of(problem: Problem, model: Model, alignment: Alignment) -> Tree | None:
-    """The tree that a model's bones hang on, or over bones that were found without one."""
-    if problem.rig == "none":
-        return None
-    if problem.rig == "rigid":
-        return model.tree
-    skeleton = problem.given.inside(alignment).tree
-    return spanning_tree(model, by_gap=True) if skeleton is None else refit_joints(model, skeleton)
-
-
-def _with_tree(skinning: Skinning, tree: Tree, joints: Array, names: tuple[str, ...]) -> Skinning:
-    """The skinning with parents, joints and names; `names` are those of the first bones."""
+def _with_tree(
+    skinning: Skinning, problem: Problem, model: Model, alignment: Alignment
+) -> Skinning:
+    """The skinning with parents, joints and names: of a skeleton, else of the tree found."""
+    tree, n_bones = problem.given.tree, skinning.n_bones
+    if problem.rig == "loose" and tree is not None:
+        tree = refit_joints(skinning.transforms, tree)
+        joints = tree.points
+    else:
+        tree = model.hierarchy if problem.rig == "rigid" else spanning_tree(model, by_gap=True)
+        joints = alignment.points_to_world(tree.points)
     joints[tree.roots] = skinning.centroids()[tree.roots]
-    mirror, n_bones = None, skinning.n_bones
-    if not names:
+    mirror = None
+    if not problem.names:
         mirror = mirror_of(skinning.rest, skinning.indices, skinning.weights, n_bones)
     found = side_names(mirror, n_bones)
     return dataclasses.replace(
         skinning,
         parents=tree.parents,
         joint_positions=joints,
-        bone_names=names + found[len(names) :],
+        bone_names=problem.names + found[len(problem.names) :],
     )
 
 
 def _history(steps: list[Step], errors: np.ndarray, rmse: float) -> tuple[Record, ...]:
     """Records whose last error is the true one, measured on the frames.
 
-    The reduced basis and importance change the objective, not which model is better: the others
-    keep their ratio to the last, unless there is none to keep.
+    The reduced basis and importance change the objective, but not which model is better.  So the
+    other records are scaled with the last one, unless its objective is 0 or far too small.
     """
     last = errors[-1]
     proportional = last > 0 and rmse < _MOST_RATIO * last
     errors = errors * (rmse / last) if proportional else errors
-    # where joints are drawn to the skin a better model may have a little more error
+    # with a penalty on joints, a better model may have a slightly larger error
     errors = np.maximum(np.minimum.accumulate(errors), rmse)
     errors[-1] = rmse
     return tuple(

@@ -1,4 +1,4 @@
-"""The driver for frames that fit into memory: gather, make steps, hand back."""
+"""The driver for frames that fit into memory."""
 
 from __future__ import annotations
 
@@ -23,12 +23,14 @@ def solve(problem: Problem) -> Outcome:
         If the callback stopped the run before there was any model.
     """
     clock = Clock()
-    data = problem.gather(problem.sequences, problem.frame_importance)
+    data = problem.trajectories(problem.sequences, problem.frame_importance)
     run = begin(problem, data, problem.given.inside(data), clock)
     del data  # what a compressed run needs no longer is freed
     reason = run.make_steps(
         ProgressReport(problem.callback, clock, problem.time_limit),
-        save=lambda: problem.save(lambda: skinning_of(problem, run.whole, run.best_model)),
+        save=lambda: problem.checkpoint.offer(
+            lambda: skinning_of(problem, run.whole, run.best_model)
+        ),
     )
     return outcome_of(
         problem, run.whole, run.best_model, run.records, reason=reason, idle=run.idle_bones
@@ -47,7 +49,7 @@ def begin(
     if schedule is None:
         schedule = schedule_for(
             problem.effort,
-            bone_model=problem.fixed.bone_model,
+            bone_model=problem.locked.bone_model,
             bones=problem.bones,
             given=given,
             placed=problem.placed,
@@ -61,7 +63,7 @@ def begin(
         bones=problem.bones,
         influences=min(problem.influences, problem.bones),
         rng=problem.rng,
-        fixed=problem.fixed,
+        locked=problem.locked,
         given=given,
         smoothness=smoothness,
         clock=clock,

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames.executor import Executor, Frames, Local, SpanTask, spans_of
-from ..hierarchy.tree import Tree
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..search.given import Given
 from ..sequence import MeshSequence
 from ..solver.gauss_newton import fit_motion
-from ..solver.model import CHUNK, Fixed, Model
+from ..solver.model import CHUNK, Locked, Model
 from ..solver.moments import gram_tables
 from ..solver.trajectories import Alignment, Array, Trajectories, frame_scale_of
 from ..solver.vertex_newton import newton_vertices
@@ -36,25 +35,25 @@ GAIN = 2e-3  # relative decrease of the objective below which no other pass is m
 
 
 def carried(
-    model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, fixed: Fixed
+    model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, locked: Locked
 ) -> Model:
-    """A copy with bones for each frame: at first those of the frame that it is most like.
+    """A copy with transforms for all frames, each from the most similar frame of the model.
 
     Parameters
     ----------
     model : Model
     nearest : (F,) int
-        Position of that frame among the model's.
+        Position, among the model's frames, of the one most similar to each frame.
     ratio : float
         Scale of the model's space over that of the new one.
     given : Given
-        In the new space: bones that stay, or all bones of a model to continue from.
-    fixed : Fixed
+        In the new space: locked bones, or all bones of a model to go on from.
+    locked : Locked
     """
     transforms = model.transforms[nearest]
     transforms[..., 3] *= ratio
     if given.transforms is not None:
-        own = np.full(given.transforms.shape[1], given.free) | fixed.locked(
+        own = np.full(given.transforms.shape[1], given.free) | locked.bone_mask(
             given.transforms.shape[1]
         )
         transforms[:, np.flatnonzero(own)] = given.transforms[:, own]
@@ -76,7 +75,7 @@ class AllFrames:
         The chosen frames.
     model : Model
         Their model; it is copied.
-    fixed : Fixed
+    locked : Locked
     given : Given
         In the solver's space of all frames.
     importance : (F,) array or None
@@ -92,17 +91,17 @@ class AllFrames:
         data: Trajectories,
         model: Model,
         *,
-        fixed: Fixed,
+        locked: Locked,
         given: Given,
         importance: Array | None,
         executor: Executor | None = None,
     ) -> None:
-        self.sequences, self.fixed = sequences, fixed
+        self.sequences, self.locked = sequences, locked
         self.executor = executor or Local()
         self.alignment = scan.alignment
         self.passes = 0
         ratio = data.scale / self.alignment.scale
-        self.model = carried(model, scan.nearest, ratio, given, fixed)
+        self.model = carried(model, scan.nearest, ratio, given, locked)
         self.vertex_importance = data.importance
         self.frame_scale = frame_scale_of(importance, len(scan.nearest))
 
@@ -115,16 +114,15 @@ class AllFrames:
         n, n_bones = len(model.rest), model.n_bones
         y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
         spans = spans_of(n_frames)
-        shared = _Shared(
-            rest=model.rest,
-            indices=model.indices,
-            weights=model.weights,
-            importance=self.vertex_importance,
-            scale=self.alignment.scale,
-            fixed=self.fixed,
-            leaps=_LEAPS if self.passes else _FIRST_LEAPS,
-            tree=model.tree,
+        leaps = _LEAPS if self.passes else _FIRST_LEAPS
+        # the transforms of a span go with it, and a pass reads no support
+        still = dataclasses.replace(
+            model,
+            transforms=model.transforms[:0],
+            support=model.indices,
+            support_weights=model.weights,
         )
+        shared = (still, self.vertex_importance, self.alignment.scale, self.locked, leaps)
 
         def of_span(k: int) -> tuple[Array, ...]:
             span = slice(*spans[k])
@@ -135,7 +133,7 @@ class AllFrames:
                 model.transforms[span],
             )
 
-        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, (shared,)))
+        walk = self.executor.map(SpanTask(_pass_span, self.sequences, spans, of_span, shared))
         for (start, stop), part in zip(spans, walk, strict=True):
             model.transforms[start:stop] = part[0]
             y += part[1]
@@ -149,26 +147,12 @@ class AllFrames:
                 x2,
                 gram_tables(g, n_bones),
                 model,
-                fixed=self.fixed,
+                locked=self.locked,
                 entering=entering,
                 rounds=_ROUNDS,
             )
         self.passes += 1
         return float(self.vertex_importance @ model.error)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Shared:
-    """What the bones of every frame are fitted to."""
-
-    rest: Array
-    indices: NDArray[np.int32]
-    weights: Array
-    importance: Array
-    scale: float
-    fixed: Fixed
-    leaps: int
-    tree: Tree | None
 
 
 @serial_blas()
@@ -178,13 +162,17 @@ def _pass_span(
     turn: Array,
     frame_scale: Array,
     transforms: Array,
-    shared: _Shared,
+    model: Model,
+    importance: Array,
+    scale: float,
+    locked: Locked,
+    leaps: int,
 ) -> tuple[Array, Array, Array, Array]:
     """Bones of a span, and its part of Y, G and Σ|x|²."""
-    n, n_bones = len(shared.rest), transforms.shape[1]
+    n, n_bones = len(model.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
-    alignment = Alignment(centre=centre, rotation=turn, scale=shared.scale)
+    alignment = Alignment(centre=centre, rotation=turn, scale=scale)
     for start, block in frames.blocks():
         stop = start + len(block)
         x = alignment.inward(block, start)
@@ -195,24 +183,14 @@ def _pass_span(
             z=flat,
             q=None,
             x2=x2,
-            importance=shared.importance,
+            importance=importance,
             frame_scale=frame_scale[start:stop],
             centre=centre[start:stop],
             rotation=turn[start:stop],
-            scale=shared.scale,
+            scale=scale,
         )
-        piece = Model(
-            transforms=transforms[start:stop],
-            rest=shared.rest,
-            indices=shared.indices,
-            weights=shared.weights,
-            support=shared.indices,
-            support_weights=shared.weights,
-            count=shared.indices[:, 0],
-            error=x2,
-            tree=shared.tree,
-        )
-        fit_motion(part, piece, fixed=shared.fixed, sweeps=_SWEEPS, leaps=shared.leaps)
+        piece = dataclasses.replace(model, transforms=transforms[start:stop], error=x2)
+        fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)
         g += hat.T @ hat

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,12 +22,12 @@ from ..search.given import Given
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
-from ..solver.model import Fixed
+from ..solver.model import Locked
 from ..solver.trajectories import Array, Trajectories, gather
 from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
 from .efforts import Effort
-from .given_parts import check_skeleton, check_start, extra_parents, on_skeleton
+from .given_parts import check_skeleton, check_start, extra_parents, with_skeleton
 from .schedule import RigKind
 
 __all__ = ["Problem", "check_problem"]
@@ -49,9 +49,9 @@ class Problem:
     effort : {"fast", "balanced", "best"}
     rig : {"none", "loose", "rigid"}
     names : tuple of str
-        Names of the bones of a skeleton that was handed over.
-    fixed : Fixed
-        What stays as it is, and what bones may do.
+        Names of the bones of a given skeleton.
+    locked : Locked
+        Parts that stay, and the bone model.
     given : Given
         In the input's space, of all frames.
     start : Skinning or None
@@ -64,7 +64,7 @@ class Problem:
     time_limit : float or None
         Seconds.
     callback : callable or None
-    checkpoint : Checkpoint or None
+    checkpoint : Checkpoint
     """
 
     sequences: list[MeshSequence]
@@ -73,7 +73,7 @@ class Problem:
     effort: Effort
     rig: RigKind
     names: tuple[str, ...]
-    fixed: Fixed
+    locked: Locked
     given: Given
     start: Skinning | None
     smoothness: float
@@ -82,7 +82,7 @@ class Problem:
     rng: np.random.Generator
     time_limit: float | None
     callback: Callback | None
-    checkpoint: Checkpoint | None
+    checkpoint: Checkpoint
 
     @property
     def n_frames(self) -> int:
@@ -97,7 +97,7 @@ class Problem:
         """(S + 1,) first frame of each shot, and the number of frames."""
         return np.cumsum([0, *[len(s) for s in self.sequences]])
 
-    def gather(
+    def trajectories(
         self, sequences: Sequence[MeshSequence], frame_importance: Array | None
     ) -> Trajectories:
         """Frames as the solver sees them: all of them, or those that a driver has chosen."""
@@ -112,17 +112,8 @@ class Problem:
     @property
     def placed(self) -> bool:
         """True if weights or all bones are locked, so that no bone has to find its place."""
-        every = self.fixed.locked(self.bones).all() if self.fixed.bones is not None else False
+        every = self.locked.bone_mask(self.bones).all() if self.locked.bones is not None else False
         return self.given.locked_vertices is not None or bool(every)
-
-    def without_transforms(self) -> Problem:
-        """The same without transforms to start from."""
-        return dataclasses.replace(self, given=dataclasses.replace(self.given, transforms=None))
-
-    def save(self, skinning: Callable[[], Skinning], *, last: bool = False) -> None:
-        """Offer the best model so far to the checkpoint, where there is one."""
-        if self.checkpoint is not None:
-            self.checkpoint.offer(skinning, now=last)
 
 
 def check_problem(
@@ -132,18 +123,18 @@ def check_problem(
     bones: Any,
     influences: Any,
     effort: Any,
-    bone_model: Any,
-    rig: Any,
-    start: Any,
-    vertex_importance: Any,
-    frame_importance: Any,
-    smoothness: Any,
+    bone_model: Any = "rigid",
+    rig: Any = None,
+    start: Any = None,
+    vertex_importance: Any = None,
+    frame_importance: Any = None,
+    smoothness: Any = 0.0,
     rng: Any,
-    time_limit: Any,
-    checkpoint: Any,
-    callback: Any,
+    time_limit: Any = None,
+    checkpoint: Any = None,
+    callback: Any = None,
 ) -> Problem:
-    """Check every argument of ``decompose``.
+    """Check the arguments of ``decompose``; those left out are not offered by the caller.
 
     Raises
     ------
@@ -163,7 +154,7 @@ def check_problem(
     names: tuple[str, ...] = ()
     kind: RigKind = "none"
     if isinstance(rig, Skeleton):
-        given, kind = on_skeleton(rig, given, sequences, influences, whole), rig.joints
+        given, kind = with_skeleton(rig, given, sequences, influences, whole), rig.joints
         names = rig.skinning.names()
     elif rig is not None:
         kind = rig
@@ -187,10 +178,10 @@ def check_problem(
         effort=effort,
         rig=kind,
         names=names,
-        fixed=Fixed(
+        locked=Locked(
             rest=kept_rest,
             weights=given.locked_vertices,
-            bones=given.fixed_bones,
+            bones=given.leading_locked_bones,
             bone_model=bone_model,
             joints=skeleton and kept_rest,
             near_skin=kind == "rigid" and not skeleton,
@@ -204,7 +195,7 @@ def check_problem(
         rng=check_rng(rng),
         time_limit=time_limit,
         callback=callback,
-        checkpoint=None if checkpoint is None else Checkpoint(checkpoint),
+        checkpoint=Checkpoint(checkpoint),
     )
 
 
@@ -213,7 +204,7 @@ def _is_kind(rig: Any) -> bool:
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
-    """How many bones the result has: as asked for, or as a skeleton or a model has."""
+    """Number of bones: as asked for, or that of the skeleton or model."""
     known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)
@@ -232,7 +223,7 @@ def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
 
 
 def _check_rig(kind: RigKind, given: Given, bone_model: str, smoothness: float) -> None:
-    """Refuse what does not go together with bones that hang on joints."""
+    """Refuse arguments that cannot be combined with bones attached at joints."""
     if kind == "none":
         return
     beside = "beside a Skeleton" if given.keeps_tree else f"beside rig={kind!r}"

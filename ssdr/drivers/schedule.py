@@ -34,18 +34,20 @@ from ..search.stages import (
     Relax,
     Search,
 )
-from ..search.starts import QuickStart, Spread, Start, StartFromModel
+from ..search.starts import QuickStart, Spread, StartFromModel, StartFromMotion
 from .efforts import (
     MANY_BONES,
     NUMBERS,
+    REBUILDS,
+    SECONDS_OF_A_NUMBER,
+    START_SECONDS,
     STARTS_OF_MANY_BONES,
     TREE_ROUNDS,
     TRIALS_OF_A_REBUILD,
     TRIALS_OF_A_START,
     TRIALS_OF_A_TREE,
     Effort,
-    rebuilds,
-    starts_within_a_tenth,
+    Rebuilds,
 )
 
 __all__ = ["RigKind", "merged_start", "schedule_for", "settling_schedule"]
@@ -84,15 +86,15 @@ def merged_start(
     `before` and `after` are the most alternations on either side of the merge.
     """
     return (
-        Start(factor=factor, rigid=rigid, influences=influences),
+        StartFromMotion(factor=factor, rigid=rigid, influences=influences),
         Alternate(steps=before, rigid=rigid),
         Merge(rigid=rigid),
         Alternate(steps=after, rigid=rigid),
     )
 
 
-# What a sample of the vertices tells of where bones belong costs a fifth of what all of them do,
-# and all of them judge it in the end.
+# Bones are placed on a sample of the vertices, at a fifth of the cost; all vertices then decide
+# whether the result is better.
 PLACED: Schedule = (
     *FIRST_MODEL,
     SampleVertices(),
@@ -118,14 +120,20 @@ def lowest(count: int, start: Schedule) -> Schedule:
 # --- free bones ----------------------------------------------------------------------------------
 
 
-def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
-    """Bones that hang on nothing; `stretching`: also started from rigid ones.
+def rebuilds(size: float) -> Rebuilds:
+    """Numbers of "best" for a problem of this size."""
+    return next(numbers for bound, numbers in REBUILDS if size < bound)
 
-    A bone may not turn inside out on its way, and where a part is thin that bars many a way from
-    its own start.  Which start leads further shows only in the end.
+
+def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
+    """Bones without a hierarchy; with `stretching`, rigid bones are a second start.
+
+    Bones that stretch must keep det > 0 in every step, which blocks many paths from their own
+    start where a part is thin.  Which of the two starts is better shows only at the end.
     """
     rigid_start = merged_start(12, 6, rigid=True)
-    count = starts_within_a_tenth(size)
+    # where a start of a small problem is soon made, as many as a tenth of a second allows
+    count = int(0.1 / (START_SECONDS + SECONDS_OF_A_NUMBER * size))
     if effort == "fast" and stretching:
         more = count * (*rigid_start, MoveBones(rigid=True), Polish(steps=8))
         starts = (*merged_start(6, 4), *rigid_start, *more)
@@ -141,7 +149,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
     many = bones >= MANY_BONES
     first: Schedule = searched(n.trials)
     if many:
-        moved = (Start(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
+        moved = (StartFromMotion(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
         first = STARTS_OF_MANY_BONES * (*moved, *searched(TRIALS_OF_A_START))
     rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, TRIALS_OF_A_REBUILD)))
     # where the animation comes from a skeleton, a tree leads to a model that free bones miss
@@ -179,20 +187,20 @@ def last_search(trials: int) -> Schedule:
 
 
 def nothing_to_place(effort: Effort) -> Schedule:
-    """Weights or all bones are locked: one start, then down to the nearest minimum."""
+    """One start and descent to the nearest minimum, where weights or all bones are locked."""
     last = Polish(steps=NUMBERS[effort].polish, gain=1e-3)
-    return (Compress(), Start(), Alternate(steps=10), last)
+    return (Compress(), StartFromMotion(), Alternate(steps=10), last)
 
 
 def smooth(effort: Effort, *, placed: bool) -> Schedule:
-    """The polish does not know the penalty on the weights: alternate until that settles.
+    """Alternations until the penalised error settles, since the polish ignores the penalty.
 
-    Then once more from where the polish leads without it, which is sometimes further.  `placed`:
+    Then a polish without the penalty and alternations again, which sometimes end lower.  `placed`:
     weights or all bones are locked.
     """
     settle = Alternate(steps=NUMBERS[effort].smooth)
     if placed:
-        return (Compress(), Start(), Alternate(steps=10), settle)
+        return (Compress(), StartFromMotion(), Alternate(steps=10), settle)
     if effort == "fast":
         start = (*FIRST_MODEL, *merged_start(6, 4), ReturnToBest(), settle)
         return (*start, Polish(steps=6), settle)
@@ -204,16 +212,16 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
     return (*start, ReturnToBest(), settle, Relax(), last, settle)
 
 
-# --- bones that hang on joints -------------------------------------------------------------------
+# --- bones attached at joints --------------------------------------------------------------------
 
 
 def tree_of_bones(effort: Effort, size: float) -> Schedule:
-    """A tree early, then better ones, searched as long as the effort allows.
+    """A first tree soon, then a search for better ones as long as the effort allows.
 
-    Bones of one influence are compact: a tree over them is close to the one that is looked for, and
-    what they cannot move alone the other influences take up once they are attached.  Which tree a
-    search ends on is decided where it starts: of a dozen starts on the fox of glTF's samples two
-    lead to the right tree.
+    The first bones have one influence a vertex, which makes them compact, so that the tree over
+    them is close to the best one; more influences follow once they are attached.  A search ends
+    near its start, so there are several starts: of a dozen on the fox of glTF's samples, two lead
+    to the right tree.
     """
     early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
     start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
@@ -336,7 +344,7 @@ def schedule_for(
 
 
 def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:
-    """What a model of some frames goes through when it is carried over to more of them."""
+    """Stages of a model that was found on some frames and carried over to more of them."""
     steps = NUMBERS[effort].settle
     if smoothed:
         return (Spread(), Alternate(steps=steps, gain=0.002, cost=6))

@@ -55,18 +55,21 @@ def solve(problem: Problem) -> Outcome:
     few = scan_of(problem, clock, executor)
     more = few.extended(problem.n_vertices)
     importance = problem.frame_importance
-    sequence, data, given = _read(problem, few, few.importance(importance), executor)
+    sequence, data, given = _read_chosen(problem, few, few.importance(importance), executor)
     run = begin(problem, data, given, clock)
     del data  # what a compressed run needs no longer is freed
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
-    # transforms of a model to go on from may turn out to be of other frames
-    later = problem if run.given.transforms is not None else problem.without_transforms()
+    # the transforms of a start are dropped if they turned out to be of other frames
+    given_later = problem.given
+    if run.given.transforms is None:
+        given_later = dataclasses.replace(given_later, transforms=None)
+    later = dataclasses.replace(problem, given=given_later)
     chosen = few
     if more is not None and reason not in ("cancelled", "time limit"):
         chosen = more
         run.release()
         weights = None if importance is None else importance[more.chosen]
-        sequence, data, given = _read(later, more, weights, executor)
+        sequence, data, given = _read_chosen(later, more, weights, executor)
         run = _settling(later, few, more, run, data, given)
         reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
     idle = run.idle_bones
@@ -101,12 +104,12 @@ def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
     )
 
 
-def _read(
+def _read_chosen(
     problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
 ) -> tuple[MeshSequence, Trajectories, Given]:
     """The chosen frames in memory, as the solver sees them, and what was given for them."""
     sequence = subset(problem.sequences, chosen.chosen, executor=executor)
-    data = problem.gather([sequence], importance)
+    data = problem.trajectories([sequence], importance)
     return sequence, data, problem.given.of_frames(chosen.chosen).inside(data)
 
 
@@ -117,7 +120,7 @@ def _make_steps(
         return skinning_of(problem, run.whole, run.best_model, [sequence])
 
     report = ProgressReport(problem.callback, run.clock, problem.time_limit)
-    return run.make_steps(report, save=lambda: problem.save(model), part=part)
+    return run.make_steps(report, save=lambda: problem.checkpoint.offer(model), part=part)
 
 
 def _settling(
@@ -132,22 +135,22 @@ def _settling(
     run = begin(problem, data, given, first.clock, schedule)
     run.iteration = first.iteration
     ratio = first.data.scale / data.scale
-    run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.fixed)
+    run.model = carried(first.best_model, few.nearest[more.chosen], ratio, given, problem.locked)
     return run
 
 
 def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
     """The model of a run on some frames, ready for passes over all of them."""
-    fixed = problem.fixed
+    locked = problem.locked
     if run.smoothness is not None:
         # a pass knows nothing of the penalty: weights stay as the run left them
-        fixed = dataclasses.replace(fixed, weights=np.ones(run.whole.n_vertices, dtype=bool))
+        locked = dataclasses.replace(locked, weights=np.ones(run.whole.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
         chosen,
         run.whole,
         run.best_model,
-        fixed=fixed,
+        locked=locked,
         given=problem.given.inside(chosen.alignment),
         importance=problem.frame_importance,
         executor=executor,
@@ -187,7 +190,7 @@ def _passes(
         step = run.iteration + len(passes) + 1
         passes.append((step, run.clock.elapsed, value, "all frames"))
         small, last = value > (1 - GAIN) * last, value
-        problem.save(model)
+        problem.checkpoint.offer(model)
         if small or hurried or stopped:
             break
         if report.out_of_time:

@@ -24,7 +24,7 @@ from ..skinning import Skinning
 from ..solver.alternation import bone_step
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
 from .fit import NAMES, Fit, checked, rmse_of
@@ -77,8 +77,8 @@ def fit_bones(
     Each sweep solves one weighted Kabsch a bone and frame with the others held
     (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
     bones take a Gauss–Newton step together.  For affine ones a single linear solve
-    finds all of them, from rigid ones on.  Frames that end far above what the bones of
-    the frames beside them lead to start again from those.  Also the way to carry a
+    finds all of them, from rigid ones on.  Frames whose error is far higher than
+    from the bones of a neighbouring frame start again from those.  Also the way to carry a
     model over to new motion of the same mesh.
 
     Parameters
@@ -124,9 +124,11 @@ def fit_bones(
     sequences, rest, weights = checked(sequence, skinning)
     n, n_frames = len(rest), sum(len(s) for s in sequences)
     kind = check_bone_model(skinning.bone_model if bone_model is None else bone_model)
-    locked = check_mask(locked_bones, "locked_bones", skinning.n_bones)
+    locked_bones = check_mask(locked_bones, "locked_bones", skinning.n_bones)
     world = None
-    if check_flag(from_transforms, "from_transforms") or (locked is not None and locked.any()):
+    if check_flag(from_transforms, "from_transforms") or (
+        locked_bones is not None and locked_bones.any()
+    ):
         world = check_transforms(skinning.transforms, n_frames, kind, "skinning.")
     max_sweeps = check_whole(max_sweeps, "max_sweeps", 1)
     tolerance = check_nonnegative(tolerance, "tolerance", "a number >= 0")
@@ -136,7 +138,7 @@ def fit_bones(
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
     inner, start = data.from_world(rest, world, NAMES)
-    fixed = Fixed(rest=True, weights=np.ones(n, dtype=bool), bones=locked, bone_model=kind)
+    locked = Locked(rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind)
     # a bone may not turn inside out on its way, which bars affine ones some ways from their
     # own fit that are open from rigid ones
     kinds: list[BoneModel] = [kind]
@@ -150,11 +152,11 @@ def fit_bones(
     model.indices, model.weights = indices.copy(), weights
     sweeps = 0
     for one in kinds:
-        of_kind = dataclasses.replace(fixed, bone_model=one)
+        of_kind = dataclasses.replace(locked, bone_model=one)
         more, moved = _settle(data, model, of_kind, tolerance, max_sweeps)
         sweeps += more
-    if world is None and _from_neighbours(data, model, fixed, max_sweeps):
-        more, moved = _settle(data, model, fixed, tolerance, max_sweeps)
+    if world is None and _from_neighbours(data, model, locked, max_sweeps):
+        more, moved = _settle(data, model, locked, tolerance, max_sweeps)
         sweeps += more
     out_rest, out = data.to_world(model.rest, model.transforms)
     squared = squared_error(sequences, out_rest, indices, weights, out)
@@ -170,7 +172,7 @@ def fit_bones(
 
 
 def _settle(
-    data: Trajectories, model: Model, fixed: Fixed, tolerance: float, most: int
+    data: Trajectories, model: Model, locked: Locked, tolerance: float, most: int
 ) -> tuple[int, float]:
     """Sweep until no entry moves more than `tolerance` (in place).
 
@@ -180,19 +182,19 @@ def _settle(
     damping: float | None = None
     while sweeps < most and moved > tolerance:
         before = model.transforms.copy()
-        if sweeps and fixed.bone_model != "affine":
-            damping = _step_together(data, model, fixed, damping)
+        if sweeps and locked.bone_model != "affine":
+            damping = _step_together(data, model, locked, damping)
         step = min(_SWEEPS, most - sweeps)
-        bone_step(data, model, sweeps=step, fixed=fixed)
+        bone_step(data, model, sweeps=step, locked=locked)
         moved = float(np.abs(model.transforms - before).max())
         sweeps += step
     return sweeps, moved
 
 
-def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) -> bool:
-    """Start frames that are stuck again from those beside them (in place); whether any was.
+def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int) -> bool:
+    """Restart frames that are stuck from the frames beside them (in place); whether any was.
 
-    Where bones overlap widely, a frame's own start now and then leads nowhere.
+    Where bones overlap widely, a frame's own start may end in a poor minimum.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     flat = stack_blocks(u)
@@ -209,15 +211,15 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
         told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + told
 
-    frame, locked = np.arange(data.n_frames), fixed.locked(model.n_bones)
+    frame, mask = np.arange(data.n_frames), locked.bone_mask(model.n_bones)
     for done in range(_ROUNDS):
         bound = _STUCK * error(model.transforms) - 1e-12 * energy
         best, freed = model.transforms.copy(), np.zeros(len(frame), dtype=bool)
         for shift in (1, -1):
             trial = model.copy()
             trial.transforms = model.transforms[np.clip(frame + shift, 0, frame[-1])]
-            trial.transforms[:, locked] = model.transforms[:, locked]
-            _settle(data, trial, fixed, 0.0, min(most, 4 * _SWEEPS))
+            trial.transforms[:, mask] = model.transforms[:, mask]
+            _settle(data, trial, locked, 0.0, min(most, 4 * _SWEEPS))
             value = error(trial.transforms)
             better = value < bound
             best[better], bound = trial.transforms[better], np.minimum(value, bound)
@@ -228,11 +230,13 @@ def _from_neighbours(data: Trajectories, model: Model, fixed: Fixed, most: int) 
     return True
 
 
-def _step_together(data: Trajectories, model: Model, fixed: Fixed, damping: float | None) -> float:
+def _step_together(
+    data: Trajectories, model: Model, locked: Locked, damping: float | None
+) -> float:
     """One Gauss–Newton step of all bones (in place); returns the damping for the next.
 
     Sweeps alone take hundreds of rounds where bones overlap widely.
     """
-    polish = GaussNewton(data, model, fixed=fixed, damping=damping)
+    polish = GaussNewton(data, model, locked=locked, damping=damping)
     polish.step()
     return polish.damping

@@ -1,4 +1,4 @@
-"""What a fit of one part of a model returns, and the check of what it is given."""
+"""Result of a fit of one part of a model, and the check of its arguments."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from ..checks import check_floats, check_squarable, check_transforms
 from ..errors import InputError
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
-from ..solver.trajectories import Array
+from ..solver.trajectories import Array, Trajectories, gather
 
-__all__ = ["NAMES", "Fit", "checked", "checked_transforms", "rmse_of"]
+__all__ = ["NAMES", "Fit", "checked", "fit_of", "gathered", "rmse_of"]
 
+Gathered = tuple[Trajectories, Array, Array]
 NAMES = ("skinning.rest", "skinning.transforms")  # of what is taken into the solver's space
 
 
@@ -58,10 +59,23 @@ def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Ar
     return sequences, rest, weights / weights.sum(axis=1, keepdims=True)
 
 
-def checked_transforms(sequences: list[MeshSequence], skinning: Skinning) -> Array:
-    """The model's transforms, which must be of as many frames as the shots."""
+def gathered(sequences: list[MeshSequence], skinning: Skinning, rest: Array) -> Gathered:
+    """The shots and the model's rest pose and transforms in the solver's space.
+
+    The transforms must be of as many frames as the shots.
+    """
     n_frames = sum(len(s) for s in sequences)
-    return check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
+    world = check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
+    data = gather(sequences, bones=world.shape[1])
+    inner, bones = data.from_world(rest, world, NAMES)
+    assert bones is not None
+    return data, inner, bones
+
+
+def fit_of(data: Trajectories, error: Array, skinning: Skinning) -> Fit:
+    """A fitted model with its error, from that of each vertex in the solver's space."""
+    squared = error * data.scale**2
+    return Fit(skinning=skinning, squared_error=squared, rmse=rmse_of(squared, data.n_frames))
 
 
 def rmse_of(squared: Array, n_frames: int) -> float:

@@ -20,7 +20,7 @@ from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import start_model
-from ..solver.model import Fixed
+from ..solver.model import Locked
 from ..solver.trajectories import gather
 
 __all__ = ["initialize"]
@@ -92,8 +92,8 @@ def initialize(
     data = gather(sequences, bones=bones)
     start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
     model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
-    fixed = Fixed(rest=rest is not None, bone_model=bone_model)
-    vertex_step(data, model, fixed=fixed)
+    locked = Locked(rest=rest is not None, bone_model=bone_model)
+    vertex_step(data, model, locked=locked)
     out_rest, transforms = data.to_world(model.rest, model.transforms)
     return Skinning(
         out_rest,

@@ -11,9 +11,8 @@ from ..checks import check_mask
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
-from ..solver.model import Fixed, Model
-from ..solver.trajectories import gather
-from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
+from ..solver.model import Locked, Model
+from .fit import Fit, checked, fit_of, gathered
 
 __all__ = ["fit_rest_pose"]
 
@@ -56,24 +55,16 @@ def fit_rest_pose(
     (799, 3)
     """
     sequences, outer, weights = checked(sequence, skinning)
-    world = checked_transforms(sequences, skinning)
-    locked = check_mask(locked_vertices, "locked_vertices", len(outer))
-    data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(outer, world, NAMES)
-    assert bones is not None
+    stay = check_mask(locked_vertices, "locked_vertices", len(outer))
+    data, inner, bones = gathered(sequences, skinning, outer)
     model = Model.start(bones, inner, skinning.indices[:, 0], skinning.n_influences)
     model.indices, model.weights = skinning.indices.copy(), weights
     every = np.ones(len(outer), dtype=bool)
-    vertex_step(data, model, fixed=Fixed(weights=every))
-    if locked is not None and locked.any():
-        model.rest = np.where(locked[:, None], inner, model.rest)
-        vertex_step(data, model, fixed=Fixed(weights=every, rest=True))
+    vertex_step(data, model, locked=Locked(weights=every))
+    if stay is not None and stay.any():
+        model.rest = np.where(stay[:, None], inner, model.rest)
+        vertex_step(data, model, locked=Locked(weights=every, rest=True))
     rest, _ = data.to_world(model.rest, model.transforms)
-    if locked is not None:
-        rest[locked] = outer[locked]
-    squared = model.error * data.scale**2
-    return Fit(
-        skinning=dataclasses.replace(skinning, rest=rest),
-        squared_error=squared,
-        rmse=rmse_of(squared, data.n_frames),
-    )
+    if stay is not None:
+        rest[stay] = outer[stay]
+    return fit_of(data, model.error, dataclasses.replace(skinning, rest=rest))

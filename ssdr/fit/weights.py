@@ -12,11 +12,10 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import vertex_step
 from ..solver.initialization import single_bone_errors
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.smoothness import WeightSmoothness
-from ..solver.trajectories import gather
 from ..solver.vertex_newton import optimise_vertices
-from .fit import NAMES, Fit, checked, checked_transforms, rmse_of
+from .fit import Fit, checked, fit_of, gathered
 
 __all__ = ["fit_weights"]
 
@@ -71,29 +70,22 @@ def fit_weights(
     """
     sequences, rest, _ = checked(sequence, skinning)
     k, n = check_influences(influences), len(rest)
-    world = checked_transforms(sequences, skinning)
     iterations = check_whole(iterations, "iterations", 1)
-    data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(rest, world, NAMES)
-    assert bones is not None
+    data, inner, bones = gathered(sequences, skinning, rest)
     cost, _ = single_bone_errors(data, inner, bones, np.arange(n))
-    model = Model.start(bones, inner, cost.argmin(axis=1), min(k, world.shape[1]))
-    fixed = Fixed(rest=True)
+    model = Model.start(bones, inner, cost.argmin(axis=1), min(k, bones.shape[1]))
+    locked = Locked(rest=True)
     faces = sequences[0].faces if len(sequences[0].faces) else skinning.faces
     check_smoothness(smoothness, faces)
     smooth = WeightSmoothness.build(data, faces, smoothness)
     if smooth is None:
-        vertex_step(data, model, fixed=fixed)
+        vertex_step(data, model, locked=locked)
         # the K largest are not always the K best: exchange bones wherever that pays
-        optimise_vertices(data, model, fixed=fixed)
+        optimise_vertices(data, model, locked=locked)
     else:
         for _ in range(iterations):
             pull, stiff = smooth.terms(model)
-            vertex_step(data, model, fixed=fixed, pull=pull, stiff=stiff)
-    squared = model.error * data.scale**2
+            vertex_step(data, model, locked=locked, pull=pull, stiff=stiff)
     padded = model.with_influences(k)
-    return Fit(
-        skinning=dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights),
-        squared_error=squared,
-        rmse=rmse_of(squared, data.n_frames),
-    )
+    skin = dataclasses.replace(skinning, indices=padded.indices, weights=padded.weights)
+    return fit_of(data, model.error, skin)

@@ -1,1 +1,1 @@
-"""Trees over bones: who is whose parent, transforms relative to it, how bones are drawn."""
+"""Trees over bones: parents, transforms relative to the parent, bone ends for drawing."""

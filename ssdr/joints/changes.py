@@ -1,4 +1,4 @@
-"""Changes of a model whose bones hang on joints: other edges, other bones.
+"""Changes of a model whose bones are attached at joints: of its edges and of its bones.
 
 Each returns a changed copy whose bones are attached to their joints again; the caller polishes it
 and keeps it if its objective is lower.
@@ -15,7 +15,7 @@ from ..hierarchy.tree import Tree
 from ..search.moves import patch_of_most_error, polish_steps
 from ..solver.alternation import bone_costs, vertex_step
 from ..solver.initialization import fit_patches
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.trajectories import Array, Trajectories
 from .mirror import edges_with_image, mirror_of
 from .placement import (
@@ -49,21 +49,29 @@ _PATCH_SIZES = (0.25, 0.5, 1.0)  # vertices relative to those of an average bone
 
 
 def attach_by_stiffness(
-    data: Trajectories, model: Model, fixed: Fixed, *, start: float, steps: int
+    data: Trajectories, model: Model, locked: Locked, *, start: float, steps: int
 ) -> None:
     """Bring bones to their joints by growing stiffness, then attach them (in place)."""
     for stiffness in np.geomspace(start, _HARD, steps):
-        step_with_joint_penalty(data, model, float(stiffness), fixed)
-    snap_to_joints(data, model, fixed)
+        step_with_joint_penalty(data, model, float(stiffness), locked)
+    snap_to_joints(data, model, locked)
+
+
+def _attach_changed(
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+) -> None:
+    """Attach the bones in ten steps (in place), from a stiffness that is drawn."""
+    start = 10 ** rng.uniform(*_FIRST_STIFFNESS)
+    attach_by_stiffness(data, model, locked, start=start, steps=_STEPS)
 
 
 def add_edge_between_skin_neighbours(
-    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
     """Connect two bones that share weights and drop one edge of the resulting cycle."""
     changed = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_EDGES + 1))):
-        tree = _tree(changed)
+        tree = changed.hierarchy
         meet = find_contacts(changed)
         chance = np.triu(meet.overlap, 1)
         hung = tree.non_roots
@@ -78,16 +86,14 @@ def add_edge_between_skin_neighbours(
         point, _ = fit_joint(changed, a, b, meet.points[a, b])
         a, b = (a, b) if edge in up else (b, a)
         changed.tree = tree.replace_edge(edge, a, b, point)
-    attach_by_stiffness(
-        data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
-    )
+    _attach_changed(data, changed, rng, locked)
     return changed
 
 
-def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+def reparent(data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked) -> Model:
     """Move one edge of the tree, drawn by the gap that its joint would have there."""
     changed = model.with_restarted_support()
-    tree, n = _tree(changed), changed.n_bones
+    tree, n = changed.hierarchy, changed.n_bones
     meet = find_contacts(changed)
     points, gap = fit_joints(changed.transforms, meet.points)
     beyond = tree.subtree_sums(changed.bone_masses())
@@ -109,11 +115,13 @@ def reparent(data: Trajectories, model: Model, rng: np.random.Generator, fixed: 
     chance = 1.0 / (costs + 0.1 * costs.mean() + 1e-300)
     _, edge, a, b = ways[int(rng.choice(len(ways), p=chance / chance.sum()))]
     changed.tree = tree.replace_edge(edge, a, b, points[a, b])
-    attach_by_stiffness(data, changed, fixed, start=1.0, steps=4)
+    attach_by_stiffness(data, changed, locked, start=1.0, steps=4)
     return changed
 
 
-def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+def mirror_edge(
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+) -> Model:
     """Add the mirror image of an edge that has none and drop one edge of the resulting cycle.
 
     An edge without a mirror image is dropped where there is one.  If the rest pose is not
@@ -121,11 +129,11 @@ def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixe
     """
     mirror = mirror_of(model.rest, model.indices, model.weights, model.n_bones)
     if mirror is None:
-        return reparent(data, model, rng, fixed)
-    changed, tree, other = model.with_restarted_support(), _tree(model), mirror.partners
+        return reparent(data, model, rng, locked)
+    changed, tree, other = model.with_restarted_support(), model.hierarchy, mirror.partners
     alone = [b for b, there in edges_with_image(mirror, tree.parents).items() if not there]
     if not alone:
-        return reparent(data, model, rng, fixed)
+        return reparent(data, model, rng, locked)
     edge = alone[int(rng.integers(len(alone)))]
     a, b = int(other[edge]), int(other[tree.parents[edge]])
     up, down = tree.path(a, b)
@@ -133,18 +141,16 @@ def mirror_edge(data: Trajectories, model: Model, rng: np.random.Generator, fixe
     gone = min(up + down, key=lambda k: (k not in alone, overlap[k, tree.parents[k]], k))
     a, b = (a, b) if gone in up else (b, a)
     changed.tree = tree.replace_edge(gone, a, b, mirror.image(tree.points[edge]))
-    attach_by_stiffness(
-        data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
-    )
+    _attach_changed(data, changed, rng, locked)
     return changed
 
 
 def move_bone_to_error(
-    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
     """Refit a bone near the patch of most error to that patch, which it then moves alone."""
     members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
-    tree = _tree(model)
+    tree = model.hierarchy
     away = np.linalg.norm(tree.points - model.rest[members].mean(axis=0), axis=1)
     chance = 1.0 / (away + 0.1 * away.mean() + 1e-12) ** 2
     bone = int(rng.choice(model.n_bones, p=chance / chance.sum()))
@@ -153,21 +159,19 @@ def move_bone_to_error(
     label[members] = 0
     changed.transforms[:, bone] = fit_patches(data, model.rest, label, 1)[:, 0]
     changed.tree = dataclasses.replace(tree, rigid=False)
-    free = members[~fixed.keep_weights(data.n_vertices)[members]]
-    changed.support[free], changed.support_weights[free] = 0, 0.0
-    changed.support[free, 0], changed.support_weights[free, 0], changed.count[free] = bone, 1.0, 1
-    vertex_step(data, changed, fixed=fixed)
-    attach_by_stiffness(
-        data, changed, fixed, start=10 ** rng.uniform(*_FIRST_STIFFNESS), steps=_STEPS
-    )
+    changed.assign_to_bone(members[~locked.vertex_mask(data.n_vertices)[members]], bone)
+    vertex_step(data, changed, locked=locked)
+    _attach_changed(data, changed, rng, locked)
     return changed
 
 
-def replace_bone(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
+def replace_bone(
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
+) -> Model:
     """Split a bone where the error is, polish, and remove the cheapest bone."""
     grown = split_bone(data, model.with_restarted_support(), rng)
-    polish_steps(data, grown, int(rng.integers(3, 7)), fixed)
-    return remove_cheapest_bone(data, grown, fixed)
+    polish_steps(data, grown, int(rng.integers(3, 7)), locked)
+    return remove_cheapest_bone(data, grown, locked)
 
 
 def split_bone(
@@ -199,7 +203,7 @@ def split_bone(
         minlength=model.n_bones,
     )
     bone = int(share.argmax()) if parent < 0 else parent
-    tree, twin = _tree(model), model.n_bones
+    tree, twin = model.hierarchy, model.n_bones
     grown = model.with_bone(model.transforms[:, bone])
     moved = (model.indices == bone) & (model.weights > 0)
     chosen = np.zeros(data.n_vertices, dtype=bool)
@@ -227,14 +231,14 @@ def split_bone(
     return grown
 
 
-def remove_cheapest_bone(data: Trajectories, model: Model, fixed: Fixed) -> Model:
+def remove_cheapest_bone(data: Trajectories, model: Model, locked: Locked) -> Model:
     """A copy without the bone that costs least, whose neighbours are attached to one of them."""
     losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
     smaller = model.without(np.array([bone]))
-    smaller.tree = _tree(model).contract(bone, loss.heir, loss.points)
-    snap_to_joints(data, smaller, fixed)
+    smaller.tree = model.hierarchy.contract(bone, loss.heir, loss.points)
+    snap_to_joints(data, smaller, locked)
     return smaller
 
 
@@ -245,7 +249,7 @@ class Loss:
     Attributes
     ----------
     cost : float
-        Rise of the objective: of its vertices, and by the gaps that its neighbours would close.
+        Rise of the objective from the bone's vertices and from closing its neighbours' gaps.
     heir : int
         The neighbour to which the others would be attached; −1 where there is none.
     points : dict
@@ -259,7 +263,7 @@ class Loss:
 
 def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
     """The cheapest way to remove each bone; the cost is inf for a bone without neighbours."""
-    tree = _tree(model)
+    tree = model.hierarchy
     mass = model.bone_masses()
     beyond, total = tree.subtree_sums(mass), float(mass.sum())
     losses = []
@@ -278,8 +282,3 @@ def removal_losses(data: Trajectories, model: Model) -> list[Loss]:
                 best = Loss(price, heir, points)
         losses.append(best)
     return losses
-
-
-def _tree(model: Model) -> Tree:
-    assert model.tree is not None
-    return model.tree

@@ -1,4 +1,4 @@
-"""Vertices assigned to the bones of a skeleton that was handed over: by place, and by motion.
+"""Assignment of vertices to the bones of a given skeleton, by place and by motion.
 
 The nearest limb says little about a vertex that is near two.  Its motion says more: free bones,
 each with the vertices that move as it does, are matched with the skeleton's bones, such that they

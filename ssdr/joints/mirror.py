@@ -107,7 +107,7 @@ def find_mirror(skinning: Skinning) -> Mirror | None:
 def mirror_of(
     rest: ArrayLike, indices: NDArray[np.integer], weights: NDArray[np.floating], n_bones: int
 ) -> Mirror | None:
-    """As :func:`find_mirror`, from a model's arrays; None also for a single vertex."""
+    """Plane of symmetry from a model's arrays, as :func:`find_mirror`; None for a single vertex."""
     points = np.asarray(rest, dtype=np.float64)
     size = rest_diagonal(points)
     if not size > 0:

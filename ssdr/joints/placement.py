@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 from ..hierarchy.tree import Tree, root_at_centroids
 from ..kernels.chains import chain_move
 from ..solver.alternation import sweep, vertex_step
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.moments import bone_sums
 from ..solver.trajectories import Array, Trajectories
 
@@ -184,14 +184,13 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
 
 
 def step_with_joint_penalty(
-    data: Trajectories, model: Model, stiffness: float, fixed: Fixed
+    data: Trajectories, model: Model, stiffness: float, locked: Locked
 ) -> None:
     """Solve bones under a penalty on their joints' gaps, then joints, then vertices (in place).
 
     The penalty on a squared gap is `stiffness` times the mass of the lighter bone.
     """
-    tree = model.tree
-    assert tree is not None
+    tree = model.hierarchy
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     mass = model.bone_masses()
     for j in tree.non_roots:
@@ -203,17 +202,17 @@ def step_with_joint_penalty(
         u[k, k] += block
         u[j, k] -= block
         u[k, j] -= block
-    sweep(model.transforms, u, c, fixed.locked(model.n_bones), sweeps=_SWEEPS)
-    if not fixed.joints:
-        model.tree = refit_joints(model, tree)
-    vertex_step(data, model, fixed=fixed)
+    sweep(model.transforms, u, c, locked.bone_mask(model.n_bones), sweeps=_SWEEPS)
+    if not locked.joints:
+        model.tree = refit_joints(model.transforms, tree)
+    vertex_step(data, model, locked=locked)
 
 
-def refit_joints(model: Model, tree: Tree) -> Tree:
+def refit_joints(transforms: Array, tree: Tree) -> Tree:
     """A tree with the joints of least gaps; they stay where the motion leaves them open."""
     points = tree.points.copy()
     for j in tree.non_roots:
-        relative = model.transforms[:, j] - model.transforms[:, tree.parents[j]]
+        relative = transforms[:, j] - transforms[:, tree.parents[j]]
         turn, shift = relative[..., :3], relative[..., 3]
         stay = _STAY * len(turn)
         matrix = np.einsum("tab,tac->bc", turn, turn) + stay * np.eye(3)
@@ -225,18 +224,17 @@ def refit_joints(model: Model, tree: Tree) -> Tree:
 def move_onto_joints(transforms: Array, tree: Tree) -> None:
     """Translate every bone onto its joint (in place)."""
     still = np.zeros((*transforms.shape[:2], 3))
-    chain_move(transforms, tree.order, tree.parents, tree.points, still, still, 0, len(still))
+    chain_move(transforms, tree.order, tree.parents, tree.points, still, still)
 
 
-def snap_to_joints(data: Trajectories, model: Model, fixed: Fixed) -> None:
+def snap_to_joints(data: Trajectories, model: Model, locked: Locked) -> None:
     """Translate every bone onto its joint, then solve the vertices (in place).
 
-    Rotations stay, but for those relative to the parent that `fixed` prescribes.
+    Rotations stay, but for those relative to the parent that `locked` prescribes.
     """
-    tree = model.tree
-    assert tree is not None
-    for j, k, turn in fixed.kept_rotations(tree):
+    tree = model.hierarchy
+    for j, k, turn in locked.joint_rotations(tree):
         model.transforms[:, j, :, :3] = model.transforms[:, k, :, :3] @ turn
     move_onto_joints(model.transforms, tree)
     model.tree = dataclasses.replace(tree, rigid=True)
-    vertex_step(data, model, fixed=fixed)
+    vertex_step(data, model, locked=locked)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from abc import abstractmethod
 from collections.abc import Iterator
 from typing import ClassVar
 
@@ -65,10 +66,10 @@ class AttachToJoints(Stage):
         if model.tree is None:
             model.tree = spanning_tree(model)
         for k, stiffness in enumerate(np.geomspace(*_STIFFNESS, self.steps)):
-            step_with_joint_penalty(run.data, model, float(stiffness), run.fixed)
+            step_with_joint_penalty(run.data, model, float(stiffness), run.locked)
             run.iteration += 1
             if k == self.steps - 1:
-                snap_to_joints(run.data, model, run.fixed)
+                snap_to_joints(run.data, model, run.locked)
             yield
 
 
@@ -76,9 +77,9 @@ class AttachToJoints(Stage):
 class FreeBones(Stage):
     """Improve a tree that promises a better model, drop it, and improve the freed bones.
 
-    A tree whose objective is more than four times the best one is dropped at once, and the best
-    model is returned to.  One that ends below all free bones tells that the animation comes from
-    a skeleton: then better trees are searched.
+    If its objective is more than four times the best one, the run returns to the best model at
+    once.  If it becomes lower than that of all free bones, the animation probably comes from a
+    skeleton, and better trees are searched.
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class AttachUnattached(AttachToJoints):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartOnSkeleton(Stage):
-    """The bones of a skeleton that was handed over, fitted to the vertices that each moves.
+    """Start with the bones of a given skeleton, fitted to the vertices that each moves.
 
     Attributes
     ----------
@@ -138,7 +139,7 @@ class StartOnSkeleton(Stage):
 
     def apply(self, run: Run) -> Iterator[None]:
         run.model = self._model(run)
-        vertex_step(run.data, run.model, fixed=run.fixed)
+        vertex_step(run.data, run.model, locked=run.locked)
         yield
 
     def _model(self, run: Run) -> Model:
@@ -173,57 +174,57 @@ class StartOnSkeleton(Stage):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AddBones(Stage):
-    """Add bones to a skeleton, each where the error is, as a child of the bone that moved it.
-
-    Until there are as many as asked for; below the bones that were named, where some were.
+class ChangeCount(Stage):
+    """Add or remove a bone of a tree and polish, until there are as many as asked for.
 
     Attributes
     ----------
     polish_steps : int
         After each bone.
+    """
+
+    polish_steps: int = 6
+
+    def apply(self, run: Run) -> Iterator[None]:
+        while run.present.n_bones != run.bones:
+            model = self.changed(run, run.present.with_restarted_support())
+            polish_steps(run.data, model, self.polish_steps, run.locked)
+            run.iteration += self.polish_steps
+            run.model = model
+            yield
+
+    @abstractmethod
+    def changed(self, run: Run, model: Model) -> Model:
+        """A copy with one bone more or less."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AddBones(ChangeCount):
+    """Add bones to a skeleton where the error is largest, each a child of the bone that it splits.
+
+    Where the caller named parents, bones are added below these.
     """
 
     phase: ClassVar[str] = "add bones"
     steps: int = 4  # expected
     cost: float = 40
-    polish_steps: int = 6
 
-    def apply(self, run: Run) -> Iterator[None]:
+    def changed(self, run: Run, model: Model) -> Model:
         parents = run.given.extra_parents
-        while run.present.n_bones < run.bones:
-            wide = run.present.with_restarted_support()
-            parent = parents[wide.n_bones - (run.bones - len(parents))]
-            model = split_bone(run.data, wide, run.rng, leaf=True, parent=parent)
-            polish_steps(run.data, model, self.polish_steps, run.fixed)
-            run.iteration += self.polish_steps
-            run.model = model
-            yield
+        parent = parents[model.n_bones - (run.bones - len(parents))]
+        return split_bone(run.data, model, run.rng, leaf=True, parent=parent)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RemoveBones(Stage):
-    """Remove the cheapest bone of a tree, one by one, until there are as many as asked for.
-
-    Attributes
-    ----------
-    polish_steps : int
-        After each bone.
-    """
+class RemoveBones(ChangeCount):
+    """Remove the cheapest bone of a tree, one by one, until there are as many as asked for."""
 
     phase: ClassVar[str] = "remove bones"
     steps: int = 3  # expected
     cost: float = 30
-    polish_steps: int = 6
 
-    def apply(self, run: Run) -> Iterator[None]:
-        while run.present.n_bones > run.bones:
-            wide = run.present.with_restarted_support()
-            model = remove_cheapest_bone(run.data, wide, run.fixed)
-            polish_steps(run.data, model, self.polish_steps, run.fixed)
-            run.iteration += self.polish_steps
-            run.model = model
-            yield
+    def changed(self, run: Run, model: Model) -> Model:
+        return remove_cheapest_bone(run.data, model, run.locked)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -247,7 +248,7 @@ class SearchTrees(Search):
         value = np.inf
         for steps in range(0, _MOST_POLISH, STEPS_OF_A_TRIAL):
             before = value
-            polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.fixed)
+            polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.locked)
             value = run.value(trial)
             if value < base or (steps and value - _AHEAD * (before - value) > base):
                 break

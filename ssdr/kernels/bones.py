@@ -15,8 +15,8 @@ COLUMNS = 512  # of the trajectories, summed at a time
 
 
 @kernel
-def bone_moments(indices, weights, rest, importance, z, u, az, first, last):
-    """Add the sums over vertices first..last from which the bones of every frame are solved.
+def bone_moments(indices, weights, rest, importance, z, u, az):
+    """Add the sums over vertices from which the bones of every frame are solved.
 
     indices     (V, K)      int32    bone of each influence, in
     weights     (V, K)      float64  its weight, 0 in unused influences, in
@@ -30,7 +30,7 @@ def bone_moments(indices, weights, rest, importance, z, u, az, first, last):
     r = z.shape[1]
     m = np.empty(10)
     start = np.zeros(n_bones + 1, dtype=np.int64)
-    for i in range(first, last):
+    for i in range(len(rest)):
         monomials(rest[i], m)
         for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
@@ -49,10 +49,10 @@ def bone_moments(indices, weights, rest, importance, z, u, az, first, last):
     # weight would read and write four whole rows of az.
     for j in range(n_bones):
         start[j + 1] = start[j] + 3 * ((start[j + 1] + 2) // 3)
-    who = np.full(start[n_bones], first)
+    who = np.zeros(start[n_bones], dtype=np.int64)
     a = np.zeros((4, start[n_bones]))
     place = start.copy()
-    for i in range(first, last):
+    for i in range(len(rest)):
         for q in range(indices.shape[1]):
             w = importance[i] * weights[i, q]
             if w == 0.0:
@@ -147,6 +147,22 @@ def quaternion_matrix(w, x, y, z, r):
 
 
 @inline
+def turn_bone(m, wx, wy, wz, turn, old):
+    """Replace the 3×3 block of m by its product with exp(ω), which turns about the bone's axes.
+
+    The exponential is approximated by the quaternion (1, ω/2), to second order in ω.
+    """
+    quaternion_matrix(1.0, 0.5 * wx, 0.5 * wy, 0.5 * wz, turn)
+    for c in range(3):
+        for d in range(3):
+            old[d] = m[c, d]
+        for d in range(3):
+            m[c, d] = 0.0
+            for e in range(3):
+                m[c, d] += old[e] * turn[e, d]
+
+
+@inline
 def rotate_toward(s, r, a, turn, new):
     """Maximise tr(Rᵀs) over rotations by Newton's method on SO(3), from the current r.
 
@@ -192,16 +208,7 @@ def rotate_toward(s, r, a, turn, new):
         if lost or angle2 > 1.0:
             horn(s, r)
             return
-        # R ← R·exp(ω), exp by the quaternion (1, ω/2): accurate to the order of Newton's method
-        quaternion_matrix(1.0, 0.5 * wx, 0.5 * wy, 0.5 * wz, turn)
-        for c in range(3):
-            for d in range(3):
-                new[c, d] = 0.0
-                for e in range(3):
-                    new[c, d] += r[c, e] * turn[e, d]
-        for c in range(3):
-            for d in range(3):
-                r[c, d] = new[c, d]
+        turn_bone(r, wx, wy, wz, turn, new[0])
         if angle2 < 1e-20:
             break
     # One Newton–Schulz step, since products of rotations drift from orthonormality
@@ -221,8 +228,8 @@ def rotate_toward(s, r, a, turn, new):
 
 
 @kernel
-def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, first, last):
-    """Gauss–Seidel sweeps over the bones of frames first..last.
+def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
+    """Gauss–Seidel sweeps over the bones.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     c           (F, 3, 4, B)  float64  Σ_i w_j v_i p̃ᵀ, in
@@ -241,7 +248,7 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps, firs
     a = np.empty((3, 3))
     turn = np.empty((3, 3))
     new = np.empty((3, 3))
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for _ in range(sweeps):
             for j in range(n_bones):
                 own = u[j, j]

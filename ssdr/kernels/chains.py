@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bones import quaternion_matrix
-from .policy import kernel
+from .bones import turn_bone
+from .policy import inline, kernel
 
 
 @kernel
-def chain_image(transforms, order, parents, points, turns, shifts, moved, out, first, last):
-    """Tangents (ω, τ) of all bones in frames first..last under a change of the unknowns.
+def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
+    """Tangents (ω, τ) of all bones under a change of the unknowns.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     order       (B,)          int64    bones, parents before children, in
@@ -29,7 +29,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out, f
     """
     n_bones = len(parents)
     a = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for i in range(n_bones):
             j = order[i]
             k = parents[j]
@@ -58,7 +58,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out, f
 
 
 @kernel
-def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, first, last):
+def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
     """Transpose of :func:`chain_image`; g is overwritten.
 
     g       (F, B, 6)  float64  gradient in the tangents, in
@@ -68,7 +68,7 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, 
     """
     n_bones = len(parents)
     a = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for i in range(n_bones - 1, -1, -1):
             j = order[i]
             k = parents[j]
@@ -101,9 +101,37 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved, 
             moved[j, 2] += h2 - o[5]
 
 
+@inline
+def substitute(a, j, p, c, turn, old):
+    """Substitute τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc in the columns of a (B, 6, B, 6).
+
+    Bone p is the parent of j, c the joint and `turn` P = R_jᵀR_p.
+    """
+    for k in range(a.shape[0]):
+        for g in range(6):
+            row = a[k, g]
+            for d in range(3):
+                old[d] = row[j, 3 + d]
+            for d in range(3):
+                e, f = (d + 1) % 3, (d + 2) % 3
+                row[j, d] += old[e] * c[f] - old[f] * c[e]
+            h0 = turn[0, 0] * old[0] + turn[1, 0] * old[1] + turn[2, 0] * old[2]
+            h1 = turn[0, 1] * old[0] + turn[1, 1] * old[1] + turn[2, 1] * old[2]
+            h2 = turn[0, 2] * old[0] + turn[1, 2] * old[1] + turn[2, 2] * old[2]
+            row[p, 0] += c[1] * h2 - c[2] * h1
+            row[p, 1] += c[2] * h0 - c[0] * h2
+            row[p, 2] += c[0] * h1 - c[1] * h0
+            row[p, 3] += h0
+            row[p, 4] += h1
+            row[p, 5] += h2
+            row[j, 3] = h0 - old[0]
+            row[j, 4] = h1 - old[1]
+            row[j, 5] = h2 - old[2]
+
+
 @kernel
-def chain_matrix(transforms, order, parents, points, u, scale, out, first, last):
-    """Add the Gauss–Newton matrices of frames first..last in the unknowns of the tree.
+def chain_matrix(transforms, order, parents, points, u, scale, out):
+    """Add the Gauss–Newton matrices in the unknowns of the tree.
 
     u      (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     scale  (F,)          float64  importance of each frame, in
@@ -115,7 +143,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
     r = np.empty((3, 3))
     turn = np.empty((3, 3))
     old = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for j in range(n_bones):
             for k in range(j, n_bones):
                 v = u[j, k]
@@ -160,55 +188,15 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
             p = parents[j]
             if p < 0:
                 continue
-            c = points[j]
             for d in range(3):
                 for e in range(3):
                     s = 0.0
                     for f in range(3):
                         s += transforms[t, j, f, d] * transforms[t, p, f, e]
                     turn[d, e] = s
-            # substitute τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc with P = R_jᵀR_p, in the
-            # columns, then in the rows
-            for side in range(2):
-                for k in range(n_bones):
-                    for g in range(6):
-                        for d in range(3):
-                            old[d] = a[k, g, j, 3 + d] if side == 0 else a[j, 3 + d, k, g]
-                        h0 = turn[0, 0] * old[0] + turn[1, 0] * old[1] + turn[2, 0] * old[2]
-                        h1 = turn[0, 1] * old[0] + turn[1, 1] * old[1] + turn[2, 1] * old[2]
-                        h2 = turn[0, 2] * old[0] + turn[1, 2] * old[1] + turn[2, 2] * old[2]
-                        w0 = old[1] * c[2] - old[2] * c[1]
-                        w1 = old[2] * c[0] - old[0] * c[2]
-                        w2 = old[0] * c[1] - old[1] * c[0]
-                        q0 = c[1] * h2 - c[2] * h1
-                        q1 = c[2] * h0 - c[0] * h2
-                        q2 = c[0] * h1 - c[1] * h0
-                        if side == 0:
-                            a[k, g, j, 0] += w0
-                            a[k, g, j, 1] += w1
-                            a[k, g, j, 2] += w2
-                            a[k, g, p, 0] += q0
-                            a[k, g, p, 1] += q1
-                            a[k, g, p, 2] += q2
-                            a[k, g, p, 3] += h0
-                            a[k, g, p, 4] += h1
-                            a[k, g, p, 5] += h2
-                            a[k, g, j, 3] = h0 - old[0]
-                            a[k, g, j, 4] = h1 - old[1]
-                            a[k, g, j, 5] = h2 - old[2]
-                        else:
-                            a[j, 0, k, g] += w0
-                            a[j, 1, k, g] += w1
-                            a[j, 2, k, g] += w2
-                            a[p, 0, k, g] += q0
-                            a[p, 1, k, g] += q1
-                            a[p, 2, k, g] += q2
-                            a[p, 3, k, g] += h0
-                            a[p, 4, k, g] += h1
-                            a[p, 5, k, g] += h2
-                            a[j, 3, k, g] = h0 - old[0]
-                            a[j, 4, k, g] = h1 - old[1]
-                            a[j, 5, k, g] = h2 - old[2]
+            # in the columns, then in the rows
+            substitute(a, j, p, points[j], turn, old)
+            substitute(a.transpose(2, 3, 0, 1), j, p, points[j], turn, old)
         for j in range(n_bones):
             for d in range(6):
                 for k in range(n_bones):
@@ -217,7 +205,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out, first, last)
 
 
 @kernel
-def chain_move(transforms, order, parents, points, turns, shifts, first, last):
+def chain_move(transforms, order, parents, points, turns, shifts):
     """Rotate every bone by exp(ω), translate the roots and restore the joints of the others.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
@@ -226,24 +214,16 @@ def chain_move(transforms, order, parents, points, turns, shifts, first, last):
     n_bones = len(parents)
     turn = np.empty((3, 3))
     old = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for i in range(n_bones):
             j = order[i]
             k = parents[j]
             m = transforms[t, j]
-            quaternion_matrix(
-                1.0, 0.5 * turns[t, j, 0], 0.5 * turns[t, j, 1], 0.5 * turns[t, j, 2], turn
-            )
-            for c in range(3):
-                if k < 0:
+            if k < 0:
+                for c in range(3):
                     for d in range(3):
                         m[c, 3] += m[c, d] * shifts[t, j, d]
-                for d in range(3):
-                    old[d] = m[c, d]
-                for d in range(3):
-                    m[c, d] = 0.0
-                    for e in range(3):
-                        m[c, d] += old[e] * turn[e, d]
+            turn_bone(m, turns[t, j, 0], turns[t, j, 1], turns[t, j, 2], turn, old)
             if k >= 0:
                 p = points[j]
                 n = transforms[t, k]

@@ -17,8 +17,9 @@ from .vertices import (
     hessian_row,
     monomials,
     pulled,
-    squared_error,
+    read_influences,
     store,
+    vertex_error,
 )
 
 
@@ -100,16 +101,14 @@ def polish_vertices(
     indices,
     weights,
     error,
-    keep_weights,
+    locked,
     move_rest,
     entering,
     rounds,
     inverse,
     gradient,
-    first,
-    last,
 ):
-    """The vertex step of the polish, for vertices first..last; no vertex's error rises.
+    """The vertex step of the polish; no vertex's error rises.
 
     y             (V, 4, B)     float64  Σ_t v_i^t M_j^tᵀ, in
     x2            (V,)          float64  Σ_t |v_i^t|², in
@@ -119,7 +118,7 @@ def polish_vertices(
     indices       (V, K)        int32    bone of each influence, updated
     weights       (V, K)        float64  its weight, descending, updated
     error         (V,)          float64  squared error, out
-    keep_weights  (V,)          bool     vertices whose weights are not changed, in
+    locked        (V,)          bool     vertices whose weights are not changed, in
     inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, D = K + 2, out
     gradient      (V, D)        float64  half gradient of the error, out
 
@@ -154,15 +153,10 @@ def polish_vertices(
     p_new = np.empty(3)
     full = np.empty((size_max, 16 * ((size_max + 15) // 16)))
     row = np.empty(full.shape[1])
-    for i in range(first, last):
+    for i in range(len(rest)):
         p = rest[i]
-        n = 0
-        for q in range(n_keep):
-            if weights[i, q] > 0.0:
-                ids[n] = indices[i, q]
-                w[n] = weights[i, q]
-                n += 1
-        with_weights = not keep_weights[i]
+        n = read_influences(indices[i], weights[i], ids, w)
+        with_weights = not locked[i]
         if with_weights and entering >= 0:
             monomials(p, m)
             for q in range(n):
@@ -259,12 +253,7 @@ def polish_vertices(
                     w[n] = 0.0
             # the largest weight comes first: it is the one that follows from the others
             store(ids, w, n, indices[i], weights[i])
-            n = 0
-            for q in range(n_keep):
-                if weights[i, q] > 0.0:
-                    ids[n] = indices[i, q]
-                    w[n] = weights[i, q]
-                    n += 1
+            n = read_influences(indices[i], weights[i], ids, w)
         e = 0.0
         for turn in range(rounds):
             size = joint_system(
@@ -301,7 +290,7 @@ def polish_vertices(
                     p_new[c] = p[c]
                     if move_rest:
                         p_new[c] += step * b[k + c] * scale[k + c]
-                e_new = squared_error(x2[i], gram4, y[i], ids, trial, n, p_new)
+                e_new = vertex_error(x2[i], gram4, y[i], ids, trial, n, p_new)
                 if e_new < e:
                     better = True
                     break
@@ -318,12 +307,7 @@ def polish_vertices(
                 break
         if with_weights and rounds > 0:
             store(ids, w, n, indices[i], weights[i])
-            n = 0
-            for q in range(n_keep):
-                if weights[i, q] > 0.0:
-                    ids[n] = indices[i, q]
-                    w[n] = weights[i, q]
-                    n += 1
+            n = read_influences(indices[i], weights[i], ids, w)
         size = joint_system(
             gram4, y[i], ids, w, n, p, with_weights, move_rest, h, moved, turned, a, g
         )

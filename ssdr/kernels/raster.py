@@ -88,8 +88,8 @@ def light_shares(points, normals, axes, corners, scales, nearness, bias, shares,
     corners   (D, 2)     float64  lower left corner of each map, along its axes, in
     scales    (D,)       float64  pixels per unit of length, in
     nearness  (D, n, n)  float64  largest coordinate along the third axis, −inf where nothing is, in
-    bias      float64             what is nearer to the light by less casts no shadow, by twice as
-                                  much a full one, in
+    bias      float64             a surface nearer to the light by less than this casts no shadow,
+                                  one nearer by twice as much a full shadow, in
     shares    (N, D)     float64  interpolated between pixels, out
     """
     end = nearness.shape[1] - 2

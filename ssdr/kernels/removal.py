@@ -10,8 +10,8 @@ from .vertices import hessian_row, monomials, pulled
 
 
 @kernel
-def removal_cost(y, gram, rest, support, share, count, importance, cost, first, last):
-    """Add, for each bone, the rise of the error of vertices first..last if it were removed.
+def removal_cost(y, gram, rest, support, share, count, importance, cost):
+    """Add, for each bone, the rise of the error if it were removed.
 
     y           (V, 4, B)   float64  Σ_t v_i^t M_j^tᵀ, in
     gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
@@ -32,9 +32,7 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost, first, 
     alive = np.empty(n_slots, dtype=np.uint32)
     a = np.empty((n_slots, n_slots))
     b = np.empty(n_slots)
-    diagonal = np.empty(n_bones)
-    f_all = np.empty(n_bones)
-    for i in range(first, last):
+    for i in range(len(rest)):
         p = rest[i]
         n = count[i]
         monomials(p, m)
@@ -50,15 +48,13 @@ def removal_cost(y, gram, rest, support, share, count, importance, cost, first, 
                 base += share[i, q] * share[i, s] * h[q, s]
         if n == 1:
             # the vertex would follow the best other bone alone
-            for j in range(n_bones):
-                diagonal[j] = gram[j, 9, j]
-                for c in range(9):
-                    diagonal[j] += m[c] * gram[j, c, j]
-                f_all[j] = pulled(y[i], j, p)
             best = np.inf
             for j in range(n_bones):
+                diagonal = gram[j, 9, j]
+                for c in range(9):
+                    diagonal += m[c] * gram[j, c, j]
                 if j != support[i, 0]:
-                    best = min(best, diagonal[j] - 2.0 * f_all[j])
+                    best = min(best, diagonal - 2.0 * pulled(y[i], j, p))
             cost[support[i, 0]] += importance[i] * (best - base)
             continue
         for q in range(n):

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bones import quaternion_matrix
+from .bones import turn_bone
 from .policy import kernel
-from .vertices import store
+from .vertices import read_influences, store
 
 
 @kernel
@@ -152,47 +152,43 @@ def schur_vertices(
 
 
 @kernel
-def apply_vertex_step(step, size, rest, indices, weights, keep_weights, move_rest, first, last):
-    """Move weights and rest position by −size·step and return the weights to the simplex.
+def apply_vertex_step(step, rest, indices, weights, locked, move_rest):
+    """Move weights and rest position by −step and return the weights to the simplex.
 
     step          (V, K + 2)  float64  of all weights but the first, then of the rest position, in
     rest          (V, 3)      float64  rest positions, updated where `move_rest`
     indices       (V, K)      int32    bone of each influence, updated
     weights       (V, K)      float64  its weight, descending, updated
-    keep_weights  (V,)        bool     vertices whose weights are not changed, in
+    locked        (V,)        bool     vertices whose weights are not changed, in
     """
     n_keep = indices.shape[1]
     w = np.empty(n_keep)
     ids = np.empty(n_keep, dtype=np.uint32)
-    for i in range(first, last):
-        n = 0
-        while n < n_keep and weights[i, n] > 0.0:
-            ids[n] = indices[i, n]
-            w[n] = weights[i, n]
-            n += 1
-        k = 0 if keep_weights[i] else n - 1
+    for i in range(len(rest)):
+        n = read_influences(indices[i], weights[i], ids, w)
+        k = 0 if locked[i] else n - 1
         if k > 0:
             total = 0.0
             for q in range(1, n):
-                w[q] = max(w[q] - size * step[i, q - 1], 0.0)
+                w[q] = max(w[q] - step[i, q - 1], 0.0)
                 total += w[q]
             w[0] = max(1.0 - total, 0.0)
             store(ids, w, n, indices[i], weights[i])
         if move_rest:
             for c in range(3):
-                rest[i, c] -= size * step[i, k + c]
+                rest[i, c] -= step[i, k + c]
 
 
 @kernel
-def tangent_image(transforms, x, scale, out, first, last):
-    """Change of the transforms of frames first..last under tangents of the bones.
+def tangent_image(transforms, x, scale, out):
+    """Change of the transforms under tangents of the bones.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     x           (F, B, 6)     float64  tangents (ω, τ), in
     scale       (F,)          float64  root of each frame's importance, in
     out         (3F, 4, B)    real     scale times δM, out
     """
-    for t in range(first, last):
+    for t in range(len(transforms)):
         s = scale[t]
         for j in range(transforms.shape[1]):
             m = transforms[t, j]
@@ -207,7 +203,7 @@ def tangent_image(transforms, x, scale, out, first, last):
 
 
 @kernel
-def tangent_pullback(transforms, g, scale, out, first, last):
+def tangent_pullback(transforms, g, scale, out):
     """Transpose of :func:`tangent_image`.
 
     transforms  (F, B, 3, 4)  float64  bones, in
@@ -215,7 +211,7 @@ def tangent_pullback(transforms, g, scale, out, first, last):
     scale       (F,)          float64  root of each frame's importance, in
     out         (F, B, 6)     float64  gradient in the tangents (ω, τ), out
     """
-    for t in range(first, last):
+    for t in range(len(transforms)):
         s = scale[t]
         for j in range(transforms.shape[1]):
             m = transforms[t, j]
@@ -231,8 +227,8 @@ def tangent_pullback(transforms, g, scale, out, first, last):
 
 
 @kernel
-def move_bones(transforms, x, locked, first, last):
-    """M ← M exp(x) for frames first..last, rotations kept orthonormal.
+def move_bones(transforms, x, locked):
+    """M ← M exp(x), rotations kept orthonormal.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     x           (F, B, 6)     float64  tangents (ω, τ), in
@@ -240,17 +236,12 @@ def move_bones(transforms, x, locked, first, last):
     """
     turn = np.empty((3, 3))
     old = np.empty(3)
-    for t in range(first, last):
+    for t in range(len(transforms)):
         for j in range(transforms.shape[1]):
             if locked[j]:
                 continue
             m = transforms[t, j]
-            quaternion_matrix(1.0, 0.5 * x[t, j, 0], 0.5 * x[t, j, 1], 0.5 * x[t, j, 2], turn)
             for c in range(3):
                 for d in range(3):
                     m[c, 3] += m[c, d] * x[t, j, 3 + d]
-                    old[d] = m[c, d]
-                for d in range(3):
-                    m[c, d] = 0.0
-                    for e in range(3):
-                        m[c, d] += old[e] * turn[e, d]
+            turn_bone(m, x[t, j, 0], x[t, j, 1], x[t, j, 2], turn, old)

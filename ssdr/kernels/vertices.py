@@ -125,7 +125,7 @@ def rest_step(form, g, p, a, b):
 
 
 @inline
-def squared_error(x2, gram4, y, indices, w, n, p):
+def vertex_error(x2, gram4, y, indices, w, n, p):
     """Squared error x2 − 2 fᵀw + wᵀHw of a vertex at p."""
     e = x2
     for q in range(n):
@@ -157,12 +157,10 @@ def solve_vertices(
     indices,
     weights,
     error,
-    keep_weights,
+    locked,
     move_rest,
-    first,
-    last,
 ):
-    """The vertex step of one alternation, for vertices first..last: weights, then rest position.
+    """The vertex step of one alternation: weights, then rest position.
 
     y             (V, 4, B)    float64  Σ_t v_i^t M_j^tᵀ, in
     x2            (V,)         float64  Σ_t |v_i^t|², in
@@ -177,7 +175,7 @@ def solve_vertices(
     indices       (V, K)       int32    bones of the K largest weights, updated
     weights       (V, K)       float64  those weights, solved again; descending, updated
     error         (V,)         float64  squared error, out
-    keep_weights  (V,)         bool     vertices whose weights are not changed, in
+    locked        (V,)         bool     vertices whose weights are not changed, in
 
     The QP over all bones starts from the solution of the previous call; the bone of steepest
     descent enters first.  Smoothness adds stiff·|w|² − 2·pullᵀw to the squared error.
@@ -200,15 +198,10 @@ def solve_vertices(
     a = np.empty((size, size))
     b = np.empty(size)
     smooth = pull.shape[0] > 0
-    for i in range(first, last):
+    for i in range(len(rest)):
         p = rest[i]
-        if keep_weights[i]:
-            n = 0
-            for q in range(n_keep):
-                if weights[i, q] > 0.0:
-                    ids[n] = indices[i, q]
-                    w[n] = weights[i, q]
-                    n += 1
+        if locked[i]:
+            n = read_influences(indices[i], weights[i], ids, w)
         else:
             monomials(p, m)
             for j in range(n_bones):
@@ -318,8 +311,20 @@ def solve_vertices(
         for d in range(10):
             e += form[d] * m[d]
         error[i] = e
-        if not keep_weights[i]:
+        if not locked[i]:
             store(ids, w, n, indices[i], weights[i])
+
+
+@inline
+def read_influences(indices, weights, ids, w):
+    """Copy the influences of positive weight to `ids` and `w`; returns their number."""
+    n = 0
+    for q in range(weights.shape[0]):
+        if weights[q] > 0.0:
+            ids[n] = indices[q]
+            w[n] = weights[q]
+            n += 1
+    return n
 
 
 @inline

@@ -109,7 +109,7 @@ class Driver:
         self.fraction = max(self.fraction, fraction)
         ladder, held = self.ladder, self.ladder.fewest
         if held is not None:
-            self.problem.save(lambda: self.frames.skinning(ladder.models[held]))
+            self.problem.checkpoint.offer(lambda: self.frames.skinning(ladder.models[held]))
         if self.stopped is None:
             rmse = math.inf if held is None else ladder.errors[held]
             if self.progress(phase, iteration=iteration, rmse=rmse, fraction=self.fraction):

@@ -202,7 +202,7 @@ class Ladder:
             bones=bones,
             influences=problem.influences,
             rng=problem.rng,
-            fixed=problem.fixed,
+            locked=problem.locked,
             given=given,
             rigid_joints=self.stages.rigid_joints,
         )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..search.moves import drop_influence
 from ..skinning import Skinning
 from ..solver.gauss_newton import GaussNewton
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.trajectories import Trajectories
 from .keyframes import Tracks
 from .report import Pruning, influence_bytes, size
@@ -42,7 +42,7 @@ class Nested:
     ----------
     data : Trajectories
     model : Model
-    fixed : Fixed
+    locked : Locked
 
     Attributes
     ----------
@@ -52,12 +52,12 @@ class Nested:
     counts : (K, V) int
     """
 
-    def __init__(self, data: Trajectories, model: Model, fixed: Fixed) -> None:
+    def __init__(self, data: Trajectories, model: Model, locked: Locked) -> None:
         self.importance = data.importance
         self.models = [model.copy()]
         while self.models[-1].n_influences > 1:
             fewer = self.models[-1].copy()
-            drop_influence(data, fewer, fixed)
+            drop_influence(data, fewer, locked)
             self.models.append(fewer.with_influences(fewer.n_influences - 1))
         self.errors = np.maximum(np.stack([m.error for m in self.models]), 0.0)
         self.counts = np.stack([(m.weights > 0).sum(axis=1) for m in self.models])
@@ -112,8 +112,8 @@ class Pruner:
         skinning_of_all: Callable[[Model], Skinning],
     ) -> None:
         self.frames, self.tolerance, self.skinning_of_all = frames, tolerance, skinning_of_all
-        self.fixed, self.offsets = frames.problem.fixed, frames.problem.offsets
-        self.nested = Nested(frames.data, model, self.fixed)
+        self.locked, self.offsets = frames.problem.locked, frames.problem.offsets
+        self.nested = Nested(frames.data, model, self.locked)
 
     def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
         """The smallest model of a search over prices, and what each pruning cost.
@@ -170,7 +170,7 @@ class Pruner:
         model = nested.build(nested.choose(price * influence)[0])
         if self.frames.measure == "rmse":  # a polish lowers the sum, and may raise the largest
             # a damping handed over: no bone enters, supports stay as they are
-            polish = GaussNewton(data, model, fixed=self.fixed, damping=_DAMPING)
+            polish = GaussNewton(data, model, locked=self.locked, damping=_DAMPING)
             for _ in range(_SETTLE):
                 polish.step(entering=0)
         fewer = self.skinning_of_all(model)

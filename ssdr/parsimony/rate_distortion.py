@@ -128,15 +128,7 @@ def curve(
         bones=check_whole(most, "bones", 1, n, " (the number of vertices)"),
         influences=influences,
         effort=effort,
-        bone_model="rigid",
-        rig=None,
-        start=None,
-        vertex_importance=None,
-        frame_importance=None,
-        smoothness=0.0,
         rng=rng,
-        time_limit=None,
-        checkpoint=None,
         callback=callback,
     )
     clock = Clock()
@@ -172,12 +164,12 @@ def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
         done = _DOWN * place / len(rungs)
         start = ladder.models[larger].with_restarted_support()
         ladder.attempt(bones, (*stages.merge(), *improve), "merged", start=start, part=(done, done))
-    data, fixed = ladder.frames.data, ladder.frames.problem.fixed
+    data, locked = ladder.frames.data, ladder.frames.problem.locked
     for smaller, larger in itertools.pairwise(rungs):
         if ladder.errors[larger] > ladder.errors[smaller]:
             grown = ladder.models[smaller]
             while grown.n_bones < larger:
-                grown = add_bone(data, grown, alternations=2, fixed=fixed)
+                grown = add_bone(data, grown, alternations=2, locked=locked)
             ladder.attempt(larger, improve, "grown", start=grown, part=(_UP, _UP))
 
 

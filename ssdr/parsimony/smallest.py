@@ -141,7 +141,6 @@ def smallest(
         start=start,
         vertex_importance=vertex_importance,
         frame_importance=frame_importance,
-        smoothness=0.0,
         rng=rng,
         time_limit=time_limit,
         checkpoint=checkpoint,
@@ -153,10 +152,10 @@ def smallest(
     length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
     compile_seconds = compile_kernels()
     # where the motion leaves a joint open, its place is free
-    fixed = dataclasses.replace(problem.fixed, near_skin=False)
-    driver = Driver(dataclasses.replace(problem, bones=most, fixed=fixed), length, measure)
+    locked = dataclasses.replace(problem.locked, near_skin=False)
+    driver = Driver(dataclasses.replace(problem, bones=most, locked=locked), length, measure)
     result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
-    problem.save(lambda: result.skinning, last=True)
+    problem.checkpoint.offer(lambda: result.skinning, now=True)
     for note in result.warnings:
         warnings.warn(note, SsdrWarning, stacklevel=2)
     return result

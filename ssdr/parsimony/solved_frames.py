@@ -61,7 +61,7 @@ class SolvedFrames:
             chosen = self.scan.chosen
             self.sequences = [subset(self.sequences, chosen, executor=self.executor)]
             importance, given = self.scan.importance(importance), given.of_frames(chosen)
-        self.data = problem.gather(self.sequences, importance).compressed(problem.bones)
+        self.data = problem.trajectories(self.sequences, importance).compressed(problem.bones)
         self.given = given.inside(self.data)
 
     def squared(self, rmse: float) -> float:
@@ -116,7 +116,7 @@ class SolvedFrames:
             self.scan,
             self.data,
             model,
-            fixed=problem.fixed,
+            locked=problem.locked,
             given=Given(),
             importance=problem.frame_importance,
             executor=self.executor,

@@ -1,1 +1,1 @@
-"""In which order the solver's steps are taken, for how long, and what is kept of them."""
+"""Order and number of the solver's steps, changes of a model, and the best model so far."""

@@ -22,13 +22,13 @@ class Given:
     rest : (V, 3) array or None
         Rest pose; stays unless `free`.
     rest_frame : int
-        Frame at which the rest pose starts where none is handed over.
+        Frame at which the rest pose starts where none is given.
     indices, weights : (V, K) arrays or None
         Skin weights; stay at `locked_vertices`.
     transforms : (F, B0, 3, 4) array or None
         Bones; `locked_bones` of them stay.
     free : bool
-        The parts make a whole model to go on from, of which nothing stays.
+        The parts are those of a whole model to improve; nothing of it is locked.
     locked_vertices : (V,) mask or None
     locked_bones : (B0,) mask or None
     tree : Tree or None
@@ -64,7 +64,7 @@ class Given:
     rotations: Array | None = None
 
     @property
-    def fixed_bones(self) -> NDArray[np.bool_] | None:
+    def leading_locked_bones(self) -> NDArray[np.bool_] | None:
         """`locked_bones` up to the last that is locked; None where none is."""
         if self.locked_bones is None or not self.locked_bones.any():
             return None

@@ -14,7 +14,7 @@ from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
 from ..solver.gauge import normalise_gauge
 from ..solver.gauss_newton import GaussNewton
 from ..solver.initialization import fit_patches
-from ..solver.model import CHUNK, Fixed, Model
+from ..solver.model import CHUNK, Locked, Model
 from ..solver.moments import transform_sums
 from ..solver.trajectories import Array, Trajectories
 from ..solver.vertex_newton import newton_rows
@@ -37,11 +37,11 @@ __all__ = [
 # Vertices, drawn by their error, around which a new bone may be placed: comparing the error of
 # their neighbourhoods costs next to nothing beside one alternation.
 _CANDIDATES = 32
-# Cheapest bones among which the one to move is drawn: always the cheapest would repeat the same
-# change after each failure.
+# Number of cheapest bones among which the one to move is drawn: if it were always the cheapest,
+# a failed change would be repeated.
 _CHEAPEST = 3
 # Upper bounds of what a search draws: alternations, bones to exchange, influences to exchange.
-# Larger ones lead further away than the polish steps before a trial is judged come back from.
+# With larger ones, the polish steps before a trial is judged are too few to make up for the change.
 _MOST_ALTERNATIONS, _MOST_EXCHANGED, _MOST_WIDER = 5, 2, 2
 _ADDED = (2, 6)  # bones added at once, a quarter of the model's at most
 # Polish steps at each number of influences, drawn from this to twice as many: one step that lets
@@ -62,15 +62,15 @@ _ENTERING_EVERY, _ENTERING_BONES = 3, 3
 
 
 def merge_bones(
-    data: Trajectories, model: Model, bones: int, alternations: int, fixed: Fixed
+    data: Trajectories, model: Model, bones: int, alternations: int, locked: Locked
 ) -> Model:
     """Remove the cheapest third of the bones beyond `bones`, then alternate."""
     excess = model.n_bones - bones
-    cost = _removal_costs(data, model, fixed)
+    cost = _removal_costs(data, model, locked)
     drop = np.argsort(cost, kind="stable")[: max(1, -(-excess // 3))]
     smaller = model.without(drop)
-    vertex_step(data, smaller, fixed=fixed)
-    alternate(data, smaller, alternations, fixed)
+    vertex_step(data, smaller, locked=locked)
+    alternate(data, smaller, alternations, locked)
     return smaller
 
 
@@ -79,7 +79,7 @@ def move_cheapest_bone(
     model: Model,
     rng: np.random.Generator,
     alternations: int,
-    fixed: Fixed,
+    locked: Locked,
 ) -> Model | None:
     """Move one of the cheapest bones to the patch with most error; None if none can move.
 
@@ -87,21 +87,21 @@ def move_cheapest_bone(
     """
     if not float(data.importance @ model.error) > 0:
         return None
-    cost = _removal_costs(data, model, fixed)
+    cost = _removal_costs(data, model, locked)
     order = np.argsort(cost, kind="stable")
     free = order[np.isfinite(cost[order])]
     if len(free) == 0:
         return None
     drop = free[int(rng.integers(min(_CHEAPEST, len(free))))]
     members = patch_of_most_error(data, model, rng, _PATCH_SIZE)
-    moved = _with_patch(data, model.without(np.array([drop])), members, fixed)
-    vertex_step(data, moved, fixed=fixed)
-    alternate(data, moved, alternations, fixed)
+    moved = _with_patch(data, model.without(np.array([drop])), members, locked)
+    vertex_step(data, moved, locked=locked)
+    alternate(data, moved, alternations, locked)
     return moved
 
 
 def add_and_merge_bones(
-    data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, fixed: Fixed
+    data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, locked: Locked
 ) -> Model:
     """Add two to six bones where the error is, then merge down to as many as before.
 
@@ -111,35 +111,35 @@ def add_and_merge_bones(
     least, most = _ADDED
     most = max(least + 1, min(most, model.n_bones // 4))
     count = int(rng.integers(least, most + 1))
-    changed = _with_more_bones(data, model.with_restarted_support(), count, rng, fixed)
-    alternate(data, changed, alternations, fixed)
+    changed = _with_more_bones(data, model.with_restarted_support(), count, rng, locked)
+    alternate(data, changed, alternations, locked)
     while changed.n_bones > model.n_bones:
-        changed = merge_bones(data, changed, model.n_bones, alternations, fixed)
+        changed = merge_bones(data, changed, model.n_bones, alternations, locked)
     return changed
 
 
 def exchange_bones(
-    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
     """Add one or two bones, polish, then remove the cheapest ones.
 
-    The new bones have taken over what they can before it is asked which can go: a single exchange
-    would not find this.  One influence more meanwhile lets vertices follow old and new bones.
+    The cheapest bones are chosen only after the polish, when the new bones have taken over vertices
+    from the old ones.  One more influence meanwhile lets vertices follow both.
     """
     k, _, steps = _draw_influences(model, rng)
     count = int(rng.integers(1, _MOST_EXCHANGED + 1))
     wide = model.with_influences(min(k + 1, model.n_bones))
-    grown = _with_more_bones(data, wide, count, rng, fixed)
-    polish_steps(data, grown, steps, fixed)
+    grown = _with_more_bones(data, wide, count, rng, locked)
+    polish_steps(data, grown, steps, locked)
     for _ in range(count):
         grown.restart_support()
-        cost = _removal_costs(data, grown, fixed)
+        cost = _removal_costs(data, grown, locked)
         grown = grown.without(np.argsort(cost, kind="stable")[:1])
-        polish_steps(data, grown, _FEWEST_STEPS, fixed)
-    return _with_fewer_influences(data, grown, fixed, influences=k, steps=steps)
+        polish_steps(data, grown, _FEWEST_STEPS, locked)
+    return _with_fewer_influences(data, grown, locked, influences=k, steps=steps)
 
 
-def add_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixed) -> Model:
+def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Locked) -> Model:
     """A copy with one bone more whose error is never larger.
 
     The bone is placed where a neighbourhood has most error; if that does not lower the objective,
@@ -150,9 +150,9 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixe
     seeds = np.argsort(-error, kind="stable")[:_CANDIDATES]
     size = data.n_vertices // (2 * model.n_bones)
     members = _neighbourhood_of_most_error(model.rest, error, seeds, size)
-    grown = _with_patch(data, model.with_restarted_support(), members, fixed)
-    vertex_step(data, grown, fixed=fixed)
-    alternate(data, grown, alternations, fixed)
+    grown = _with_patch(data, model.with_restarted_support(), members, locked)
+    vertex_step(data, grown, locked=locked)
+    alternate(data, grown, alternations, locked)
     if grown.weighted_error(data) <= before:
         return grown
     return model.with_bone(model.transforms[:, -1])
@@ -162,40 +162,39 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, fixed: Fixe
 
 
 def exchange_influences(
-    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Polish with one or two influences more, then drop those that are missed least.
+    """Polish with one or two more influences, then drop those whose removal costs least.
 
-    It stays close to the model and rarely fails there.
+    The model changes little, and the change rarely fails.
     """
     k, extra, steps = _draw_influences(model, rng)
     wide = model.with_influences(k + extra)
-    return _with_fewer_influences(data, wide, fixed, influences=k, steps=steps)
+    return _with_fewer_influences(data, wide, locked, influences=k, steps=steps)
 
 
 def polish_then_drop_influence(
-    data: Trajectories, model: Model, fixed: Fixed, *, steps: int
+    data: Trajectories, model: Model, locked: Locked, *, steps: int
 ) -> Model:
     """Polish `steps` times (in place); return a copy with one influence a vertex less.
 
-    Which bones move a vertex matters more than how, and with few influences each choice bars
-    others: the objective has many poor minima.  With more influences it has fewer, and the bones
-    of those are close to those of good ones.
+    With few influences the choice of bones for each vertex leads to many poor minima.  With more
+    influences there are fewer, and their bones are close to those of a good model.
     """
-    polish_steps(data, model, steps, fixed)
+    polish_steps(data, model, steps, locked)
     smaller = model.with_influences(model.n_influences - 1)
     # solve on all bones, of which the largest weights stay
-    vertex_step(data, smaller, fixed=fixed)
+    vertex_step(data, smaller, locked=locked)
     return smaller
 
 
-def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
+def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
     """Remove from every full vertex the influence without which its error rises least (in place).
 
-    Each is tried, with the other weights and the rest position solved anew: the smallest weight
-    is often not the one that is missed least.
+    Each removal is tried, with the other weights and the rest position solved again: the smallest
+    weight is often not the one whose removal costs least.
     """
-    k, keep = model.n_influences, fixed.keep_weights(data.n_vertices)
+    k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
     full = (model.weights > 0).all(axis=1) & ~keep
     if k < 2 or not full.any():
         return
@@ -219,7 +218,7 @@ def drop_influence(data: Trajectories, model: Model, fixed: Fixed) -> None:
                     (gram, gram4),
                     (t_rest, t_indices, t_weights, error),
                     keep[some],
-                    move_rest=not fixed.rest,
+                    move_rest=not locked.rest,
                     entering=0,
                     rounds=_ROUNDS,
                 )
@@ -240,12 +239,12 @@ def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, 
 
 
 def _with_fewer_influences(
-    data: Trajectories, model: Model, fixed: Fixed, *, influences: int, steps: int
+    data: Trajectories, model: Model, locked: Locked, *, influences: int, steps: int
 ) -> Model:
     """Polish and drop an influence until `influences` are left."""
     while model.n_influences > influences:
-        polish_steps(data, model, steps, fixed)
-        drop_influence(data, model, fixed)
+        polish_steps(data, model, steps, locked)
+        drop_influence(data, model, locked)
         model = model.with_influences(model.n_influences - 1)
     return model
 
@@ -254,14 +253,14 @@ def _with_fewer_influences(
 
 
 def alternate_some(
-    data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed
+    data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
     """One to five alternations, which keep the largest weights even where that raises the error."""
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):
-        bone_step(data, moved, fixed=fixed)
-        vertex_step(data, moved, fixed=fixed)
-        normalise_gauge(moved, data.importance, fixed)
+        bone_step(data, moved, locked=locked)
+        vertex_step(data, moved, locked=locked)
+        normalise_gauge(moved, data.importance, locked)
     return moved
 
 
@@ -270,12 +269,12 @@ def entering_at(step: int) -> int:
     return _ENTERING_BONES if step % _ENTERING_EVERY == 0 else 0
 
 
-def polish_steps(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
+def polish_steps(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
     """Polish `count` times (in place); every third step lets bones enter."""
-    polish = GaussNewton(data, model, fixed=fixed)
+    polish = GaussNewton(data, model, locked=locked)
     for k in range(count):
         polish.step(entering=entering_at(k))
-    normalise_gauge(model, data.importance, fixed)
+    normalise_gauge(model, data.importance, locked)
 
 
 # --- where a new bone is placed ----------------------------------------------------------------
@@ -289,7 +288,7 @@ def patch_of_most_error(
     *,
     among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.intp]:
-    """Of neighbourhoods of `fraction`·V/B vertices around drawn seeds, the one with most error.
+    """Patch of `fraction`·V/B vertices with most error among the patches around drawn seeds.
 
     Seeds are drawn by their error; `among` (V,) limits them and the patch, unless it is empty.
     """
@@ -311,7 +310,7 @@ def patch_of_most_error(
 def _neighbourhood_of_most_error(
     rest: Array, error: Array, seeds: NDArray[np.intp], size: int
 ) -> NDArray[np.intp]:
-    """Of the neighbourhoods of `size` vertices around the seeds the one that holds most error.
+    """Patch of `size` vertices with most error among the patches around the seeds.
 
     Four vertices at least, where there are as many.
     """
@@ -322,36 +321,34 @@ def _neighbourhood_of_most_error(
 
 
 def _with_more_bones(
-    data: Trajectories, model: Model, count: int, rng: np.random.Generator, fixed: Fixed
+    data: Trajectories, model: Model, count: int, rng: np.random.Generator, locked: Locked
 ) -> Model:
     """A copy with `count` bones more, one after the other where the error is."""
     for _ in range(count):
         members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
-        model = _with_patch(data, model, members, fixed)
-        vertex_step(data, model, fixed=fixed)
+        model = _with_patch(data, model, members, locked)
+        vertex_step(data, model, locked=locked)
     return model
 
 
-def _with_patch(data: Trajectories, model: Model, members: NDArray[np.intp], fixed: Fixed) -> Model:
+def _with_patch(
+    data: Trajectories, model: Model, members: NDArray[np.intp], locked: Locked
+) -> Model:
     """A copy with one bone more that moves `members` as they move themselves."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
-    grown = model.with_bone(fit_patches(data, model.rest, label, 1, fixed.bone_model)[:, 0])
-    members = members[~fixed.keep_weights(data.n_vertices)[members]]
-    grown.support[members] = 0
-    grown.support_weights[members] = 0.0
-    grown.support[members, 0] = grown.n_bones - 1
-    grown.support_weights[members, 0] = 1.0
-    grown.count[members] = 1
+    grown = model.with_bone(fit_patches(data, model.rest, label, 1, locked.bone_model)[:, 0])
+    members = members[~locked.vertex_mask(data.n_vertices)[members]]
+    grown.assign_to_bone(members, grown.n_bones - 1)
     return grown
 
 
-def _removal_costs(data: Trajectories, model: Model, fixed: Fixed) -> Array:
+def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
     """Rise of the objective without each bone (B,); inf for bones that have to stay."""
     cost = bone_costs(data, model)
-    if fixed.bones is not None:
-        # all bones that the caller gave: locked ones are known by their place among them
-        cost[: len(fixed.bones)] = np.inf
-    keep = fixed.keep_weights(data.n_vertices)
+    if locked.bones is not None:
+        # all bones that the caller gave, since locked ones are identified by their index
+        cost[: len(locked.bones)] = np.inf
+    keep = locked.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf
     return cost

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..errors import Cancelled
 from ..parallel import serial_blas
 from ..solver.alternation import bone_costs
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.objective import Objective
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
@@ -70,7 +70,7 @@ Schedule = tuple[Stage, ...]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Lowest(Stage):
-    """Go through several schedules that each begin anew; continue from the lowest model.
+    """Run several schedules, each from its own start; continue from the lowest model.
 
     Attributes
     ----------
@@ -104,10 +104,10 @@ class Run:
     schedule : sequence of Stage
     bones, influences : int
     rng : numpy.random.Generator
-    fixed : Fixed
+    locked : Locked
         What stays as it is, and what bones may do.
     given : Given
-        Parts that the caller handed over, in the solver's space.
+        Parts that the caller gave, in the solver's space.
     smoothness : WeightSmoothness or None
         Penalty on the weights.
     clock : Clock, optional
@@ -146,7 +146,7 @@ class Run:
         bones: int,
         influences: int,
         rng: np.random.Generator,
-        fixed: Fixed,
+        locked: Locked,
         given: Given,
         smoothness: WeightSmoothness | None = None,
         clock: Clock | None = None,
@@ -156,8 +156,8 @@ class Run:
         self.whole, self.data, self.schedule = data, data, tuple(schedule)
         self.chosen: NDArray[np.intp] | None = None
         self.bones, self.influences, self.rng = bones, influences, rng
-        self.asked, self.given, self.smoothness = fixed, given, smoothness
-        self.objective = Objective(fixed, smoothness)
+        self.asked, self.given, self.smoothness = locked, given, smoothness
+        self.objective = Objective(locked, smoothness)
         self.clock = clock or Clock()
         self.model: Model | None = None
         self.best: Model | None = None
@@ -168,16 +168,16 @@ class Run:
         self._done, self._work = 0.0, sum(stage.work for stage in schedule) or 1.0
 
     @property
-    def fixed(self) -> Fixed:
-        """What the present step may move, and how."""
-        fixed = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
+    def locked(self) -> Locked:
+        """Parts that the present step may not move, and the bone model that it uses."""
+        locked = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
-            return fixed
-        return dataclasses.replace(fixed, bone_model="rigid")
+            return locked
+        return dataclasses.replace(locked, bone_model="rigid")
 
     @property
     def present_parts(self) -> Given:
-        """What the caller handed over, for the vertices that the present step works on."""
+        """Parts that the caller gave, restricted to the vertices of the present step."""
         if self.chosen is None or self.given.rest is None:
             return self.given
         return dataclasses.replace(self.given, rest=self.given.rest[self.chosen])

@@ -65,8 +65,8 @@ class AllVertices(Stage):
             if given.rest is None:
                 model.rest[chosen] = few.rest
             model.restart_support()
-            vertex_step(data, model, fixed=run.fixed)
-            alternate(data, model, self.alternations, run.fixed)
+            vertex_step(data, model, locked=run.locked)
+            alternate(data, model, self.alternations, run.locked)
             run.iteration += self.alternations
             run.model = model
         yield

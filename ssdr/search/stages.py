@@ -11,7 +11,7 @@ import numpy as np
 from ..solver.alternation import bone_step, vertex_step
 from ..solver.gauge import normalise_gauge
 from ..solver.gauss_newton import GaussNewton
-from ..solver.model import Fixed, Model
+from ..solver.model import Locked, Model
 from ..solver.trajectories import Trajectories
 from .moves import (
     add_and_merge_bones,
@@ -48,7 +48,7 @@ _CLOSE = 1.02  # ratio of objectives below which a trial gets as many polish ste
 _MOST_MISSES = 8  # failures that count against a kind of change: none is given up for good
 
 # makes a changed copy of a model
-Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
+Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model]
 
 
 # --- steps on all bones ------------------------------------------------------------------------
@@ -85,12 +85,12 @@ class Alternate(Stage):
         for _ in range(self.steps):
             model, data = run.present, run.data
             before = run.value(model)
-            bone_step(data, model, fixed=run.fixed)
+            bone_step(data, model, locked=run.locked)
             pull = stiff = None
             if run.smoothness is not None:
                 pull, stiff = run.smoothness.terms(model)
-            vertex_step(data, model, fixed=run.fixed, pull=pull, stiff=stiff)
-            normalise_gauge(model, data.importance, run.fixed)
+            vertex_step(data, model, locked=run.locked, pull=pull, stiff=stiff)
+            normalise_gauge(model, data.importance, run.locked)
             run.iteration += 1
             still = before - run.value(model) < max(self.gain, _PLATEAU) * before
             failures = failures + 1 if still else 0
@@ -124,7 +124,7 @@ class Relax(Stage):
         for _ in range(max(1, model.n_influences - k)):
             if model.n_influences > k:
                 model = polish_then_drop_influence(
-                    run.data, model, run.fixed, steps=self.polish_steps
+                    run.data, model, run.locked, steps=self.polish_steps
                 )
                 run.iteration += self.polish_steps
             run.model = model
@@ -147,7 +147,7 @@ class Polish(Stage):
     gain: float = 0.0
 
     def apply(self, run: Run) -> Iterator[None]:
-        polish = GaussNewton(run.data, run.present, fixed=run.fixed)
+        polish = GaussNewton(run.data, run.present, locked=run.locked)
         values = [polish.value]
         for k in range(self.steps):
             polish.step(entering=entering_at(k))
@@ -181,7 +181,7 @@ class Merge(Stage):
 
     def apply(self, run: Run) -> Iterator[None]:
         while run.present.n_bones > run.bones:
-            run.model = merge_bones(run.data, run.present, run.bones, self.alternations, run.fixed)
+            run.model = merge_bones(run.data, run.present, run.bones, self.alternations, run.locked)
             run.iteration += self.alternations
             yield
 
@@ -207,7 +207,7 @@ class MoveBones(Stage):
     def apply(self, run: Run) -> Iterator[None]:
         failures = 0
         for _ in range(self.steps):
-            trial = move_cheapest_bone(run.data, run.present, run.rng, self.alternations, run.fixed)
+            trial = self.trial(run)
             run.iteration += self.alternations
             if trial is None:
                 yield
@@ -217,40 +217,38 @@ class MoveBones(Stage):
             if failures >= self.patience:
                 return
 
+    def trial(self, run: Run) -> Model | None:
+        """A changed copy; None if nothing can change."""
+        return move_cheapest_bone(run.data, run.present, run.rng, self.alternations, run.locked)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AddAndMerge(Stage):
+class AddAndMerge(MoveBones):
     """Add several bones where the error is, and merge them down again.
 
     Attributes
     ----------
-    alternations : int
-        After each change.
     patience : int
         Failures in a row that end the stage.  0: one step whose result is taken in any case,
         since what it is worth shows only once it has been relaxed and searched.
     """
 
     phase: ClassVar[str] = "add and merge"
+    steps: int = 1
     cost: float = 20
     alternations: int = 3
     patience: int = 0
 
     def apply(self, run: Run) -> Iterator[None]:
-        failures = 0
-        for _ in range(self.steps):
-            trial = add_and_merge_bones(
-                run.data, run.present, run.rng, self.alternations, run.fixed
-            )
-            run.iteration += self.alternations
-            if not self.patience:
-                run.model = trial
-                yield
-                return
-            failures = 0 if run.accept_if_lower(trial) else failures + 1
-            yield
-            if failures >= self.patience:
-                return
+        if self.patience:
+            yield from super().apply(run)
+            return
+        run.model = self.trial(run)
+        run.iteration += self.alternations
+        yield
+
+    def trial(self, run: Run) -> Model:
+        return add_and_merge_bones(run.data, run.present, run.rng, self.alternations, run.locked)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -281,7 +279,7 @@ class Search(Stage):
             # while all pay.  Which ones do differs between sequences, and between early and late.
             waits = [(k - t) / (1 + m) for t, m in zip(last_turn, misses, strict=True)]
             kind = int(np.argmax(waits))
-            trial = self.changes[kind](run.data, run.present, run.rng, run.fixed)
+            trial = self.changes[kind](run.data, run.present, run.rng, run.locked)
             value = self.polished_value(run, trial, base)
             run.iteration += STEPS_OF_A_TRIAL
             if value < base:
@@ -297,9 +295,9 @@ class Search(Stage):
 
     def polished_value(self, run: Run, trial: Model, base: float) -> float:
         """Polish a trial (in place) before it is judged; its objective."""
-        polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.fixed)
+        polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.locked)
         value = run.value(trial)
         if base <= value < _CLOSE * base:
-            polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.fixed)
+            polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.locked)
             value = run.value(trial)
         return value

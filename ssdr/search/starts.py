@@ -16,7 +16,7 @@ from ..solver.model import Model
 from ..solver.trajectories import Array
 from .run import Run, Stage
 
-__all__ = ["QuickStart", "Spread", "Start", "StartFromModel"]
+__all__ = ["QuickStart", "Spread", "StartFromModel", "StartFromMotion"]
 
 # Frames of a quick start where there are twice as many or more, and alternations on them: 64
 # frames tell which bones there are, and 16 alternations place them.
@@ -27,7 +27,7 @@ _FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Start(Stage):
+class StartFromMotion(Stage):
     """Bones from motion, or from what the caller gave, and their first weights.
 
     Attributes
@@ -46,7 +46,7 @@ class Start(Stage):
 
     def apply(self, run: Run) -> Iterator[None]:
         run.model = self._model(run)
-        vertex_step(run.data, run.model, fixed=run.fixed)
+        vertex_step(run.data, run.model, locked=run.locked)
         yield
 
     def _model(self, run: Run, *, quick: bool = False) -> Model:
@@ -54,7 +54,7 @@ class Start(Stage):
         influences = self.influences or run.influences
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
         bones = given.transforms
-        if self.factor > 1 and run.fixed.bones is None:
+        if self.factor > 1 and run.locked.bones is None:
             bones = None  # those that are not locked were a start already
         if given.indices is not None and given.weights is not None:
             if bones is None:
@@ -68,13 +68,13 @@ class Start(Stage):
                 rest = np.ascontiguousarray(positions[every, :, label])
             return Model.start(bones.copy(), rest, label, influences)
         count = min(data.n_vertices, max(run.bones, round(run.bones * self.factor)))
-        kind = run.fixed.bone_model
+        kind = run.locked.bone_model
         return start_model(data, rest, count, influences, run.rng, bones, kind, quick=quick)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class QuickStart(Start):
-    """A start that is soon made: settled on 64 frames where there are many, then on all."""
+class QuickStart(StartFromMotion):
+    """A fast start: from 64 frames where there are many, then fitted to all."""
 
     phase: ClassVar[str] = "quick"
 
@@ -82,21 +82,21 @@ class QuickStart(Start):
         data, given = run.data, run.given
         if data.n_frames < 2 * _FEW_FRAMES or given.transforms is not None:
             run.model = self._model(run, quick=True)
-            vertex_step(data, run.model, fixed=run.fixed)
+            vertex_step(data, run.model, locked=run.locked)
             yield
             return
         chosen = np.linspace(0, data.n_frames - 1, _FEW_FRAMES).round().astype(np.intp)
         few = data.select_frames(chosen)
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
-        influences, kind = self.influences or run.influences, run.fixed.bone_model
+        influences, kind = self.influences or run.influences, run.locked.bone_model
         model = start_model(few, rest, run.bones, influences, run.rng, None, kind, quick=True)
-        vertex_step(few, model, fixed=run.fixed)
-        alternate(few, model, _FEW_ALTERNATIONS, run.fixed)
+        vertex_step(few, model, locked=run.locked)
+        alternate(few, model, _FEW_ALTERNATIONS, run.locked)
         between = 0.5 * (chosen[1:] + chosen[:-1])
         nearest = np.searchsorted(between, np.arange(data.n_frames))
         model.transforms = np.ascontiguousarray(model.transforms[nearest])
-        bone_step(data, model, sweeps=_FIRST_SWEEPS, fixed=run.fixed)
-        vertex_step(data, model, fixed=run.fixed)
+        bone_step(data, model, sweeps=_FIRST_SWEEPS, locked=run.locked)
+        vertex_step(data, model, locked=run.locked)
         run.model = model
         yield
 
@@ -105,8 +105,8 @@ class QuickStart(Start):
 class StartFromModel(Stage):
     """A whole model that the caller gave, unchanged where its transforms are of these frames.
 
-    They are not where each bone's own fit to the vertices that it moves most has less error: then
-    the bones are fitted to the weights, and attached to their joints anew.
+    If fitting each bone to the vertices that it moves most has a lower error, the transforms are of
+    other frames: then the bones are fitted to the weights, and attached to their joints again.
     """
 
     phase: ClassVar[str] = "start"
@@ -121,7 +121,7 @@ class StartFromModel(Stage):
         tree = given.tree if run.rigid_joints else None
         if own is model or own.weighted_error(data) < model.weighted_error(data):
             model = own
-            fit_motion(data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+            fit_motion(data, model, locked=run.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
             _measure_error(run, model)
             tree = None if tree is None else dataclasses.replace(tree, rigid=False)
             run.given = dataclasses.replace(given, transforms=None)
@@ -149,18 +149,18 @@ class Spread(Stage):
 
     def apply(self, run: Run) -> Iterator[None]:
         model = run.present
-        fit_motion(run.data, model, fixed=run.fixed, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
+        fit_motion(run.data, model, locked=run.locked, sweeps=_FIRST_SWEEPS, leaps=_FIRST_LEAPS)
         _measure_error(run, model)
         yield
 
 
 def _patches_of_weights(run: Run, rest: Array, indices: NDArray[np.int32]) -> Array:
     """Each bone's own fit to the vertices that it moves most."""
-    label, kind = indices[:, 0].astype(np.intp), run.fixed.bone_model
+    label, kind = indices[:, 0].astype(np.intp), run.locked.bone_model
     return fit_patches(run.data, rest, label, run.bones, kind)
 
 
 def _measure_error(run: Run, model: Model) -> None:
     """Set the error of every vertex; nothing moves."""
     every = np.ones(run.data.n_vertices, dtype=bool)
-    vertex_step(run.data, model, fixed=dataclasses.replace(run.fixed, rest=True, weights=every))
+    vertex_step(run.data, model, locked=dataclasses.replace(run.locked, rest=True, weights=every))

@@ -10,29 +10,29 @@ from ..kernels.removal import removal_cost
 from ..kernels.vertices import solve_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .affine_fit import leap_rigid, solve_affine
-from .model import CHUNK, FREE, Fixed, Model
-from .moments import bone_sums, neighbours, transform_sums
+from .model import CHUNK, FREE, Locked, Model
+from .moments import bone_sums, coupled_bones, transform_sums
 from .trajectories import Array, Trajectories
 
 __all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
 
 
-def alternate(data: Trajectories, model: Model, count: int, fixed: Fixed) -> None:
+def alternate(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
     """Take `count` alternations of bones, weights and rest pose (in place).
 
     No step raises the error but the choice of a vertex's influences, which keeps the largest
     weights even where others would fit better (Le and Deng 2012, section 3).
     """
     for _ in range(count):
-        bone_step(data, model, fixed=fixed)
-        vertex_step(data, model, fixed=fixed)
+        bone_step(data, model, locked=locked)
+        vertex_step(data, model, locked=locked)
 
 
 def vertex_step(
     data: Trajectories,
     model: Model,
     *,
-    fixed: Fixed = FREE,
+    locked: Locked = FREE,
     pull: Array | None = None,
     stiff: Array | None = None,
 ) -> None:
@@ -42,12 +42,12 @@ def vertex_step(
     ----------
     data : Trajectories
     model : Model
-    fixed : Fixed
+    locked : Locked
     pull, stiff : (V, B), (V,) arrays, optional
         A penalty of stiff_i |w_i|² − 2 pull_i · w_i on the weights of each vertex.
     """
     n_bones = model.n_bones
-    keep = fixed.keep_weights(data.n_vertices)
+    keep = locked.vertex_mask(data.n_vertices)
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)
         pairs = np.ascontiguousarray(gram.transpose(0, 2, 1))
@@ -62,17 +62,9 @@ def vertex_step(
                 pairs,
                 none if pull is None else pull[i:k],
                 none1 if stiff is None else stiff[i:k],
-                model.rest[i:k],
-                model.support[i:k],
-                model.support_weights[i:k],
-                model.count[i:k],
-                model.indices[i:k],
-                model.weights[i:k],
-                model.error[i:k],
+                *model.vertex_rows(i, k),
                 keep[i:k],
-                not fixed.rest,
-                0,
-                k - i,
+                not locked.rest,
             )
 
         run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))
@@ -81,7 +73,7 @@ def vertex_step(
 
 
 def bone_step(
-    data: Trajectories, model: Model, *, sweeps: int = 3, fixed: Fixed = FREE, leaps: int = 0
+    data: Trajectories, model: Model, *, sweeps: int = 3, locked: Locked = FREE, leaps: int = 0
 ) -> tuple[Array, Array]:
     """Fit the transforms of every frame under the weights and rest pose (in place).
 
@@ -93,7 +85,7 @@ def bone_step(
     model : Model
     sweeps : int
         Passes over the bones of each frame.
-    fixed : Fixed
+    locked : Locked
     leaps : int
         Rounds of sweeps of rigid bones that may be far from their optimum, each after a
         :func:`~ssdr.solver.affine_fit.leap_rigid`; 0: one round without a leap.
@@ -104,15 +96,15 @@ def bone_step(
         As :func:`~ssdr.solver.moments.bone_sums` returns them.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
-    locked = fixed.locked(model.n_bones)
-    if fixed.bone_model == "affine":
-        solve_affine(model.transforms, u, c, locked)
+    mask = locked.bone_mask(model.n_bones)
+    if locked.bone_model == "affine":
+        solve_affine(model.transforms, u, c, mask)
         return u, c
-    scaled = fixed.bone_model == "similarity"
+    scaled = locked.bone_model == "similarity"
     for k in range(max(1, leaps)):
         if k < leaps and not scaled:
-            leap_rigid(model.transforms, u, c, locked)
-        sweep(model.transforms, u, c, locked, sweeps=sweeps, scaled=scaled)
+            leap_rigid(model.transforms, u, c, mask)
+        sweep(model.transforms, u, c, mask, sweeps=sweeps, scaled=scaled)
     return u, c
 
 
@@ -125,7 +117,7 @@ def sweep(
     sweeps: int,
     scaled: bool = False,
 ) -> None:
-    """Fit each bone given the others, in turns, in every frame (in place): Gauss–Seidel.
+    """Fit each bone given the others, one after the other, in every frame (Gauss–Seidel, in place).
 
     Parameters
     ----------
@@ -138,10 +130,10 @@ def sweep(
     scaled : bool
         Whether bones may also grow (similarity).
     """
-    start, neighbour = neighbours(u)
+    start, neighbour = coupled_bones(u)
 
     def work(_: int, i: int, k: int) -> None:
-        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps, 0, k - i)
+        sweep_bones(transforms[i:k], c[i:k], u, start, neighbour, locked, scaled, sweeps)
 
     run_chunks(work, chunk_bounds(len(transforms), max(1, -(-len(transforms) // 16))))
 
@@ -155,18 +147,7 @@ def bone_costs(data: Trajectories, model: Model) -> Array:
         def work(_: int, i: int, k: int) -> Array:
             cost = np.zeros(n_bones)
             y = (data.z[i:k] @ reduced).reshape(k - i, 4, n_bones)
-            removal_cost(
-                y,
-                gram,
-                model.rest[i:k],
-                model.support[i:k],
-                model.support_weights[i:k],
-                model.count[i:k],
-                data.importance[i:k],
-                cost,
-                0,
-                k - i,
-            )
+            removal_cost(y, gram, *model.vertex_rows(i, k)[:4], data.importance[i:k], cost)
             return cost
 
         parts = run_chunks(work, chunk_bounds(data.n_vertices, CHUNK))

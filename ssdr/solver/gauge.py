@@ -6,13 +6,13 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from .model import Fixed, Model
+from .model import Locked, Model
 from .trajectories import Array
 
 __all__ = ["normalise_gauge"]
 
 
-def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
+def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
     """Give bones a mean stretch of 1 (in place); no vertex moves in any frame.
 
     p → A p, L → L A⁻¹ changes nothing for the bones and vertices of a part that
@@ -20,7 +20,7 @@ def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
     root of the mean LᵀL over its bones and frames (its mean size only, for scaled
     rotations), so that the rest pose has the mean size and proportions of the motion.
     """
-    if fixed.bone_model == "rigid" or fixed.rest or fixed.bones is not None:
+    if locked.bone_model == "rigid" or locked.rest or locked.bones is not None:
         return
     n_bones = model.n_bones
     used = model.weights > 0
@@ -36,7 +36,7 @@ def normalise_gauge(model: Model, importance: Array, fixed: Fixed) -> None:
         if not mass[bones].sum() > 0:
             continue
         mean = np.einsum("j,jab->ab", mass[bones] / mass[bones].sum(), stretch[bones])
-        if fixed.bone_model == "similarity":
+        if locked.bone_model == "similarity":
             mean = np.eye(3) * np.trace(mean) / 3
         values, vectors = np.linalg.eigh(mean)
         root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))

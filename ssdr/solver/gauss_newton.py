@@ -24,7 +24,7 @@ import numpy as np
 from ..parallel import serial_blas
 from .alternation import bone_step
 from .conjugate_gradients import Recycled, conjugate_gradients
-from .model import FREE, Fixed, Model
+from .model import FREE, Locked, Model
 from .objective import Objective
 from .tangents import AffineTangent, ChainTangent, RigidTangent, SimilarityTangent, Tangent
 from .trajectories import Array, Trajectories
@@ -48,12 +48,10 @@ class GaussNewton:
     data : Trajectories
     model : Model
         Accepted steps change it in place; what else changes it makes this object invalid.
-    fixed : Fixed
+    locked : Locked
     damping : float, optional
-        λ of an earlier object for this very model, to go on exactly where that one stopped.  By
+        λ of an earlier object for the same model, to continue exactly where it stopped.  By
         default the vertices are optimised first.
-    recycled : Recycled, optional
-        Conjugate directions of the last step of that object.
 
     Attributes
     ----------
@@ -61,6 +59,7 @@ class GaussNewton:
         Objective of the model.
     damping : float
     recycled : Recycled or None
+        Conjugate directions of the last step.
     """
 
     def __init__(
@@ -68,17 +67,16 @@ class GaussNewton:
         data: Trajectories,
         model: Model,
         *,
-        fixed: Fixed = FREE,
+        locked: Locked = FREE,
         damping: float | None = None,
-        recycled: Recycled | None = None,
     ) -> None:
-        self.data, self.model, self.fixed = data, model, fixed
-        self.tangent, self.objective = tangent_of(data, model, fixed), Objective(fixed)
+        self.data, self.model, self.locked = data, model, locked
+        self.tangent, self.objective = tangent_of(data, model, locked), Objective(locked)
         self.damping = _DAMPING if damping is None else damping
-        self.recycled = recycled
+        self.recycled: Recycled | None = None
         # with a damping, the vertices are optimised already and need only be factored
         first = {"entering": 3, "rounds": 2} if damping is None else {"entering": -1, "rounds": 0}
-        self._vertices = optimise_vertices(data, model, fixed=fixed, **first)
+        self._vertices = optimise_vertices(data, model, locked=locked, **first)
         self._system: ReducedSystem | None = None
         self.value = self.objective.value(data, model)
 
@@ -96,7 +94,7 @@ class GaussNewton:
         trial = dataclasses.replace(model, **{k: getattr(model, k).copy() for k in _STEPPED})
         system.move_vertices(trial, self.tangent.image(x))
         self.tangent.move(trial, x)
-        vertices = optimise_vertices(data, trial, fixed=self.fixed, entering=entering, rounds=2)
+        vertices = optimise_vertices(data, trial, locked=self.locked, entering=entering, rounds=2)
         value = self.objective.value(data, trial)
         if not value <= self.value:
             self.damping = min(self.damping * 8.0, 1e6)
@@ -115,7 +113,7 @@ class GaussNewton:
         """The normal equations at the model, which rejected steps leave as they are."""
         if self._system is None:
             self._system = ReducedSystem(
-                self.data, self.model, self.fixed, self._vertices, self.tangent.precision
+                self.data, self.model, self.locked, self._vertices, self.tangent.precision
             )
         return self._system
 
@@ -142,19 +140,21 @@ class GaussNewton:
         return x, penalty.factor * float(2.0 * np.vdot(rhs, x) - np.vdot(x, undamped))
 
 
-def tangent_of(data: Trajectories, model: Model, fixed: Fixed) -> Tangent:
+def tangent_of(data: Trajectories, model: Model, locked: Locked) -> Tangent:
     """The tangent of the bone model, or of the chain where the model has a tree."""
     if model.tree is not None:
-        return ChainTangent(data, model, fixed)
+        return ChainTangent(data, model, locked)
     kinds: dict[str, type[Tangent]] = {
         "rigid": RigidTangent,
         "similarity": SimilarityTangent,
         "affine": AffineTangent,
     }
-    return kinds[fixed.bone_model](data, model, fixed)
+    return kinds[locked.bone_model](data, model, locked)
 
 
-def fit_motion(data: Trajectories, model: Model, *, fixed: Fixed, sweeps: int, leaps: int) -> None:
+def fit_motion(
+    data: Trajectories, model: Model, *, locked: Locked, sweeps: int, leaps: int
+) -> None:
     """Fit the transforms of every frame under the model's weights and rest pose (in place).
 
     Bones of a tree turn about their joints, which stay, and roots move freely.
@@ -166,11 +166,11 @@ def fit_motion(data: Trajectories, model: Model, *, fixed: Fixed, sweeps: int, l
         Gauss–Newton steps of bones with joints.
     """
     if model.tree is None:
-        bone_step(data, model, sweeps=sweeps, fixed=fixed, leaps=leaps)
+        bone_step(data, model, sweeps=sweeps, locked=locked, leaps=leaps)
         return
     every = np.ones(data.n_vertices, dtype=bool)
-    as_is = dataclasses.replace(fixed, rest=True, weights=every, joints=True)
-    newton = GaussNewton(data, model, fixed=as_is)
+    as_is = dataclasses.replace(locked, rest=True, weights=every, joints=True)
+    newton = GaussNewton(data, model, locked=as_is)
     for _ in range(_STEPS_OF_A_LEAP * leaps):
         before = newton.value
         if newton.step() and newton.value > (1 - _LEAST_GAIN) * before:

@@ -86,7 +86,7 @@ def fit_patches(
         sums = np.ascontiguousarray(c[..., j : j + 1])
         block = own[j].reshape(1, 1, 4, 4).copy()
         stretches = bone_model != "rigid" and bounds[j + 1] - bounds[j] >= _FEWEST_STRETCHED
-        sweep_bones(piece, sums, block, start, nobody, free, stretches, 1, 0, len(piece))
+        sweep_bones(piece, sums, block, start, nobody, free, stretches, 1)
         if stretches and bone_model == "affine":
             solve_affine(piece, block, sums, free, ridge=PATCH_RIDGE)
         transforms[:, j] = piece[:, 0]
@@ -191,7 +191,7 @@ def start_model(
     """A first model of one bone a vertex.
 
     Farthest points seed patches, each patch is fitted, the best patches are chosen, and vertices
-    and bones are assigned and fitted in turns.
+    are assigned and bones fitted alternately.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The model that the solver's steps change, and what of it they may not change."""
+"""The model that the solver's steps change, and the parts of it that are locked."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from ..hierarchy.tree import Tree
 from ..skinning import BoneModel
 from .trajectories import Array, Trajectories
 
-__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Fixed", "Model"]
+__all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Locked", "Model"]
 
 # Size of a vertex's support, the bones that its weights are solved on: more than K, so that a bone
 # can come back, and few enough for a small dense solve.
 SLOTS = 12
 CHUNK = 512  # vertices of a task: it takes milliseconds, and its arrays stay in the cache
+
+Indices = NDArray[np.int32]
+VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array]
 
 
 @dataclasses.dataclass(eq=False)
@@ -62,9 +65,20 @@ class Model:
     def n_influences(self) -> int:
         return int(self.indices.shape[1])
 
+    @property
+    def hierarchy(self) -> Tree:
+        """The tree of a model that has one."""
+        assert self.tree is not None
+        return self.tree
+
     def copy(self) -> Model:
         arrays = {name: getattr(self, name).copy() for name in ARRAYS}
         return Model(**arrays, tree=self.tree)
+
+    def vertex_rows(self, i: int, k: int) -> VertexRows:
+        """Views of the vertices i to k of every array but the transforms, in the order above."""
+        rows: Any = tuple(getattr(self, name)[i:k] for name in ARRAYS[1:])
+        return rows  # type: ignore[no-any-return]
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Model:
         """A copy with the chosen vertices and all bones."""
@@ -126,6 +140,12 @@ class Model:
         self.support[:, :k] = self.indices
         self.support_weights[:, :k] = self.weights
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
+
+    def assign_to_bone(self, vertices: NDArray[np.intp], bone: int) -> None:
+        """Make one bone the whole support of some vertices (in place)."""
+        self.support[vertices], self.support_weights[vertices] = 0, 0.0
+        self.support[vertices, 0], self.support_weights[vertices, 0] = bone, 1.0
+        self.count[vertices] = 1
 
     def with_restarted_support(self) -> Model:
         """A copy whose support is reset to the influences."""
@@ -203,8 +223,8 @@ ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  #
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Fixed:
-    """What steps may not change, and which transforms bones may have.
+class Locked:
+    """Parts of a model that steps may not change, and the transforms that bones may have.
 
     Attributes
     ----------
@@ -231,21 +251,21 @@ class Fixed:
     near_skin: bool = False
     rotations: NDArray[np.float64] | None = None
 
-    def select_vertices(self, chosen: NDArray[np.intp]) -> Fixed:
+    def select_vertices(self, chosen: NDArray[np.intp]) -> Locked:
         """The same for the chosen vertices."""
         weights = None if self.weights is None else self.weights[chosen]
         return dataclasses.replace(self, weights=weights)
 
-    def keep_weights(self, n: int) -> NDArray[np.bool_]:
+    def vertex_mask(self, n: int) -> NDArray[np.bool_]:
         """Mask of the vertices, of which there are n, whose weights stay."""
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights
 
-    def locked(self, n: int) -> NDArray[np.bool_]:
+    def bone_mask(self, n: int) -> NDArray[np.bool_]:
         """Mask of the bones, of which there are n, whose transforms stay."""
         given = np.zeros(0, dtype=bool) if self.bones is None else self.bones
         return np.concatenate([given, np.zeros(n - len(given), dtype=bool)])
 
-    def kept_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
+    def joint_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
         """Bones that keep their rotation relative to the parent: bone, parent, rotation (F, 3, 3).
 
         Parents come before children.
@@ -257,4 +277,4 @@ class Fixed:
         return [(j, int(tree.parents[j]), self.rotations[:, j]) for j in kept]
 
 
-FREE = Fixed()
+FREE = Locked()

@@ -14,7 +14,7 @@ from ..parallel import chunk_bounds, run_chunks, serial_blas
 from .model import CHUNK
 from .trajectories import Array, Trajectories
 
-__all__ = ["bone_sums", "gram_tables", "neighbours", "stack_blocks", "transform_sums"]
+__all__ = ["bone_sums", "coupled_bones", "gram_tables", "stack_blocks", "transform_sums"]
 
 # most tasks: each has its own table of sums, which takes memory, while fewer use fewer cores
 _MOMENT_TASKS = 16
@@ -82,17 +82,9 @@ def bone_sums(
     def work(_: int, i: int, k: int) -> tuple[Array, Array]:
         u = np.zeros((n_bones, n_bones, 10))
         az = np.zeros((4, n_bones, r))
-        bone_moments(
-            indices[i:k],
-            weights[i:k],
-            rest[i:k],
-            data.importance[i:k],
-            data.z[i:k],
-            u,
-            az,
-            0,
-            k - i,
-        )
+        some = slice(i, k)
+        points = rest[some], data.importance[some], data.z[some]
+        bone_moments(indices[some], weights[some], *points, u, az)
         return u, az
 
     parts = run_chunks(work, bounds)
@@ -113,7 +105,7 @@ def stack_blocks(u: Array) -> Array:
     return np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)
 
 
-def neighbours(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def coupled_bones(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Bones that share vertices or a penalty with each bone, as compressed sparse rows.
 
     Returns

@@ -21,35 +21,34 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from ..hierarchy.tree import Tree
-from .model import FREE, Fixed, Model
+from .model import FREE, Locked, Model
 from .smoothness import WeightSmoothness
 from .trajectories import Array, Trajectories
 
 __all__ = ["JointPenalty", "Objective", "joint_offsets", "mean_joint_penalty", "meeting_points"]
 
-_SHARED = 1e-2  # relative overlap at which overlap and middle count the same
+_SHARED = 1e-2  # relative overlap at which the overlap's centroid and the middle have equal weight
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Objective:
-    """What a solve minimises.
+    """The function of a model that a solve minimises.
 
     Attributes
     ----------
-    fixed : Fixed
+    locked : Locked
         Joints are penalised where it says `near_skin`.
     smoothness : WeightSmoothness or None
         Penalty on weights that differ along edges of the mesh.
     """
 
-    fixed: Fixed = FREE
+    locked: Locked = FREE
     smoothness: WeightSmoothness | None = None
 
     def value(self, data: Trajectories, model: Model) -> float:
         """The objective of a model, in the solver's units."""
         value = model.weighted_error(data)
-        if self.fixed.near_skin and model.tree is not None:
+        if self.locked.near_skin and model.tree is not None:
             _, squared = joint_offsets(model)
             value *= 1.0 + mean_joint_penalty(squared[model.tree.non_roots])
         if self.smoothness is not None:
@@ -60,9 +59,9 @@ class Objective:
         self, data: Trajectories, model: Model, joints: NDArray[np.intp]
     ) -> JointPenalty:
         """Quadratic model of the penalty on the joints of some bones."""
-        if not self.fixed.near_skin or not len(joints):
+        if not self.locked.near_skin or not len(joints):
             return JointPenalty.none(len(joints))
-        hung = _tree(model).non_roots
+        hung = model.hierarchy.non_roots
         offsets, squared = joint_offsets(model)
         factor = 1.0 + mean_joint_penalty(squared[hung])
         stiffness = model.weighted_error(data) / (len(hung) * factor)
@@ -106,7 +105,7 @@ def joint_offsets(model: Model) -> tuple[Array, Array]:
     d² is the squared length, plus the squared distance of the skin of both bones from the meeting
     point where it does not touch.  It is 0 at roots.
     """
-    tree = _tree(model)
+    tree = model.hierarchy
     points, gaps = meeting_points(model)
     offsets = tree.points - points
     squared = np.where(tree.parents >= 0, (offsets**2).sum(axis=1) + gaps**2, 0.0)
@@ -120,7 +119,7 @@ def meeting_points(model: Model) -> tuple[Array, Array]:
     overlap, the more it is the middle between the centroids of both bones, and the gap is half
     their distance.  At roots and beside bones that move nothing it is the joint, with gap 0.
     """
-    tree = _tree(model)
+    tree = model.hierarchy
     n_bones, weights, indices = model.n_bones, model.weights, model.indices
     # weight of each influence's parent at the same vertex
     parents = tree.parents[indices]
@@ -146,8 +145,3 @@ def meeting_points(model: Model) -> tuple[Array, Array]:
     unknown = (tree.parents < 0) | ~(mass > 0) | ~(mass[up] > 0)
     points[unknown], gaps[unknown] = tree.points[unknown], 0.0
     return points, gaps
-
-
-def _tree(model: Model) -> Tree:
-    assert model.tree is not None
-    return model.tree

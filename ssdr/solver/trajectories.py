@@ -60,13 +60,17 @@ class Alignment:
     def n_frames(self) -> int:
         return len(self.centre)
 
+    def points_to_world(self, points: Array) -> Array:
+        """Map points (n, 3) of the rest pose to the input's space."""
+        return np.asarray(points * self.scale + self.centre[0])
+
     def to_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
         """Map a rest pose (V, 3) and transforms (F, B, 3, 4) to the input's space."""
         origin = self.centre[0]
         r = np.einsum("tab,tjbc->tjac", self.rotation, transforms[..., :3])
         shift = self.scale * np.einsum("tab,tjb->tja", self.rotation, transforms[..., 3])
         t = shift + self.centre[:, None] - r @ origin
-        return rest * self.scale + origin, np.concatenate([r, t[..., None]], axis=-1)
+        return self.points_to_world(rest), np.concatenate([r, t[..., None]], axis=-1)
 
     def from_world(
         self,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..kernels.schur import apply_vertex_step, schur_vertices
 from ..parallel import chunk_bounds, run_chunks
 from .dense import cross_product, product
-from .model import CHUNK, Fixed, Model
+from .model import CHUNK, Locked, Model
 from .moments import bone_sums, stack_blocks
 from .trajectories import Array, Trajectories
 from .vertex_newton import VertexSystem
@@ -58,7 +58,7 @@ class ReducedSystem:
     data : Trajectories
     model : Model
         As :func:`~ssdr.solver.vertex_newton.optimise_vertices` left it.
-    fixed : Fixed
+    locked : Locked
     vertices : VertexSystem
         What it returned.
     precision : type
@@ -76,12 +76,12 @@ class ReducedSystem:
         self,
         data: Trajectories,
         model: Model,
-        fixed: Fixed,
+        locked: Locked,
         vertices: VertexSystem,
         precision: type[np.floating[Any]],
     ) -> None:
         self.n_bones = n_bones = model.n_bones
-        self.keep, self.move_rest = fixed.keep_weights(data.n_vertices), not fixed.rest
+        self.keep, self.move_rest = locked.vertex_mask(data.n_vertices), not locked.rest
         n = data.n_vertices
         self._tasks = chunk_bounds(n, max(CHUNK, -(-n // _TASKS)))
         self._order, self._groups = _group(data, model, self.keep, vertices, precision)
@@ -98,7 +98,7 @@ class ReducedSystem:
         answer = answer.astype(change.dtype, copy=False)
         return product(change, self.u_flat) - product(self.stacked, answer)
 
-    def vertex_step(self, change: Array) -> Array:
+    def best_step(self, change: Array) -> Array:
         """The best step (V, D) of the vertices under a change of the transforms, negated."""
         grouped, _ = self._eliminate(cross_product(self.stacked, change), 1.0)
         step = np.empty(grouped.shape)
@@ -107,20 +107,11 @@ class ReducedSystem:
 
     def move_vertices(self, model: Model, change: Array) -> None:
         """Take that step in weights and rest pose of a copy of the model (in place)."""
-        step = self.vertex_step(change)
+        step = self.best_step(change)
 
         def work(_: int, i: int, k: int) -> None:
-            apply_vertex_step(
-                step[i:k],
-                1.0,
-                model.rest[i:k],
-                model.indices[i:k],
-                model.weights[i:k],
-                self.keep[i:k],
-                self.move_rest,
-                0,
-                k - i,
-            )
+            rows = model.rest[i:k], model.indices[i:k], model.weights[i:k]
+            apply_vertex_step(step[i:k], *rows, self.keep[i:k], self.move_rest)
 
         run_chunks(work, self._tasks)
 

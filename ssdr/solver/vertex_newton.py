@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
-from .model import CHUNK, FREE, Fixed, Model
+from .model import CHUNK, FREE, Locked, Model
 from .moments import transform_sums
 from .trajectories import Array, Trajectories
 
@@ -43,7 +43,7 @@ class VertexSystem:
 
 @serial_blas()
 def optimise_vertices(
-    data: Trajectories, model: Model, *, fixed: Fixed = FREE, entering: int = 3, rounds: int = 2
+    data: Trajectories, model: Model, *, locked: Locked = FREE, entering: int = 3, rounds: int = 2
 ) -> VertexSystem:
     """Optimise weights and rest pose under the model's transforms (in place).
 
@@ -53,7 +53,7 @@ def optimise_vertices(
     ----------
     data : Trajectories
     model : Model
-    fixed : Fixed
+    locked : Locked
     entering, rounds : int
         As in :func:`newton_vertices`.
 
@@ -70,7 +70,7 @@ def optimise_vertices(
         data.x2,
         (gram, gram4),
         model,
-        fixed=fixed,
+        locked=locked,
         entering=entering,
         rounds=rounds,
         inverse=system.inverse,
@@ -85,7 +85,7 @@ def newton_vertices(
     tables: tuple[Array, Array],
     model: Model,
     *,
-    fixed: Fixed,
+    locked: Locked,
     entering: int,
     rounds: int,
     inverse: Array | None = None,
@@ -103,7 +103,7 @@ def newton_vertices(
         As :func:`~ssdr.solver.moments.gram_tables` returns them.
     model : Model
         Its rest pose, weights and error are changed, its transforms not read.
-    fixed : Fixed
+    locked : Locked
     entering : int
         Number of bones that may enter a vertex's influences, each if that lowers the error.  0:
         weights are solved on the influences as they are; −1: this solve is left out, too.
@@ -113,7 +113,7 @@ def newton_vertices(
         Receive the fields of :class:`VertexSystem`.
     """
     n = len(model.rest)
-    keep = fixed.keep_weights(n)
+    keep = locked.vertex_mask(n)
 
     def work(_: int, i: int, k: int) -> None:
         newton_rows(
@@ -122,7 +122,7 @@ def newton_vertices(
             tables,
             (model.rest[i:k], model.indices[i:k], model.weights[i:k], model.error[i:k]),
             keep[i:k],
-            move_rest=not fixed.rest,
+            move_rest=not locked.rest,
             entering=entering,
             rounds=rounds,
             inverse=None if inverse is None else inverse[i:k],
@@ -156,24 +156,9 @@ def newton_rows(
     keep : (n,) bool array
         Vertices whose weights stay.
     """
-    rest, indices, weights, error = rows
-    gram, gram4 = tables
-    n, size = len(rest), indices.shape[1] + 2
-    polish_vertices(
-        y.reshape(n, 4, len(gram)),
-        x2,
-        gram,
-        gram4,
-        rest,
-        indices,
-        weights,
-        error,
-        keep,
-        move_rest,
-        entering,
-        rounds,
-        np.empty((n, size, size)) if inverse is None else inverse,
-        np.empty((n, size)) if gradient is None else gradient,
-        0,
-        n,
-    )
+    n, size = len(x2), rows[1].shape[1] + 2
+    matrices = np.empty((n, size, size)) if inverse is None else inverse
+    gradients = np.empty((n, size)) if gradient is None else gradient
+    y = y.reshape(n, 4, len(tables[0]))
+    flags = keep, move_rest, entering, rounds
+    polish_vertices(y, x2, *tables, *rows, *flags, matrices, gradients)

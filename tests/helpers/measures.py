@@ -16,8 +16,8 @@ from helpers.stretches import check_kind
 from ssdr.search.given import Given
 from ssdr.search.run import Run, Stage
 from ssdr.search.stages import Alternate
-from ssdr.search.starts import Start
-from ssdr.solver.model import Fixed, Model
+from ssdr.search.starts import StartFromMotion
+from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories
 
 
@@ -49,7 +49,7 @@ def run_of(
     bones: int,
     influences: int = 4,
     *,
-    fixed: Fixed | None = None,
+    locked: Locked | None = None,
     given: Given | None = None,
 ) -> Run:
     """A run that has not begun."""
@@ -59,7 +59,7 @@ def run_of(
         bones=bones,
         influences=influences,
         rng=np.random.default_rng(0),
-        fixed=fixed or Fixed(),
+        locked=locked or Locked(),
         given=given or Given(),
     )
 
@@ -67,7 +67,7 @@ def run_of(
 def solved(
     data: Trajectories, bones: int, influences: int = 4, schedule: Sequence[Stage] | None = None
 ) -> Model:
-    run = run_of(data, schedule or [Start(), Alternate(steps=8)], bones, influences)
+    run = run_of(data, schedule or [StartFromMotion(), Alternate(steps=8)], bones, influences)
     run.drive()
     return run.best_model
 

@@ -15,7 +15,7 @@ from ssdr.hierarchy.tree import Tree
 from ssdr.joints.placement import snap_to_joints
 from ssdr.solver.alternation import vertex_step
 from ssdr.solver.gauss_newton import GaussNewton
-from ssdr.solver.model import FREE, Fixed, Model
+from ssdr.solver.model import FREE, Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 __all__ = ["CASES", "KINDS", "TREES", "Tiny"]
@@ -26,14 +26,14 @@ _TURNS = Rotation.random(12, rng=np.random.default_rng(8)).as_matrix().reshape(4
 _TURNS[:, 2] = np.nan
 CASES = {
     "free": FREE,
-    "rest": Fixed(rest=True),
-    "weights": Fixed(weights=_SOME),
-    "all weights": Fixed(weights=_ALL),
-    "rest and weights": Fixed(rest=True, weights=_ALL),
-    "bones": Fixed(bones=np.array([False, True, False])),
-    "joints": Fixed(joints=True),
-    "motion alone": Fixed(rest=True, weights=_ALL, joints=True),
-    "locked": Fixed(rotations=_TURNS),
+    "rest": Locked(rest=True),
+    "weights": Locked(weights=_SOME),
+    "all weights": Locked(weights=_ALL),
+    "rest and weights": Locked(rest=True, weights=_ALL),
+    "bones": Locked(bones=np.array([False, True, False])),
+    "joints": Locked(joints=True),
+    "motion alone": Locked(rest=True, weights=_ALL, joints=True),
+    "locked": Locked(rotations=_TURNS),
 }
 KINDS = {"rigid": 6, "similarity": 7, "affine": 12}  # unknowns of a bone
 TREES = {"tree": [1, -1, 1], "forest": [-1, 0, -1], "roots alone": [-1, -1, -1]}
@@ -69,17 +69,17 @@ class Tiny:
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
         self.model = Model.with_weights(start, inner, indices, weights, self.k)
         model_of = "rigid" if tree else kind
-        self.fixed = dataclasses.replace(CASES[case], bone_model=model_of)  # type: ignore[arg-type]
-        vertex_step(self.data, self.model, fixed=self.fixed)
+        self.locked = dataclasses.replace(CASES[case], bone_model=model_of)  # type: ignore[arg-type]
+        vertex_step(self.data, self.model, locked=self.locked)
         if tree:
             points = np.random.default_rng(5).normal(size=(3, 3))
             self.model.tree = Tree(np.array(tree, dtype=np.int64), points, rigid=False)
-            snap_to_joints(self.data, self.model, self.fixed)
+            snap_to_joints(self.data, self.model, self.locked)
         self.newton = self.gauss_newton()
 
     def gauss_newton(self, **options: object) -> GaussNewton:
         """Gauss–Newton whose conjugate gradients go on until they are exact."""
-        newton = GaussNewton(self.data, self.model, fixed=self.fixed, **options)  # type: ignore[arg-type]
+        newton = GaussNewton(self.data, self.model, locked=self.locked, **options)  # type: ignore[arg-type]
         newton.tangent.conjugate_steps = 3000
         return newton
 
@@ -89,7 +89,7 @@ class Tiny:
         tree = self.model.tree
         if tree is None:
             return self.frames * self.bones * KINDS[self.kind]
-        joints = 0 if self.fixed.joints else len(tree.non_roots)
+        joints = 0 if self.locked.joints else len(tree.non_roots)
         return 3 * (self.frames * (self.bones + len(tree.roots)) + joints)
 
     def shaped(self, x: np.ndarray) -> np.ndarray:
@@ -117,11 +117,11 @@ class Tiny:
         points = tree.points.copy()
         size = 3 * (self.bones + len(tree.roots))
         of_frames = x[: self.frames * size].reshape(self.frames, size)
-        if not self.fixed.joints:
+        if not self.locked.joints:
             points[tree.non_roots] += x[self.frames * size :].reshape(-1, 3)
         turns = _rotations(of_frames[:, : 3 * self.bones].reshape(self.frames, self.bones, 3))
         shifts = of_frames[:, 3 * self.bones :].reshape(self.frames, -1, 3)
-        kept = {j: turn for j, _, turn in self.fixed.kept_rotations(tree)}
+        kept = {j: turn for j, _, turn in self.locked.joint_rotations(tree)}
         for j in parents_first(tree.parents):
             k = tree.parents[j]
             old = out[:, j, :, :3].copy()
@@ -136,12 +136,12 @@ class Tiny:
 
     def freedoms(self) -> list[tuple[int, int]]:
         """(vertex, variable): weights of the support but the first, then x, y, z."""
-        keep = self.fixed.keep_weights(self.n)
+        keep = self.locked.vertex_mask(self.n)
         out = []
         for i in range(self.n):
             used = int((self.model.weights[i] > 0).sum())
             out += [(i, q) for q in range(1, used) if not keep[i]]
-            if not self.fixed.rest:
+            if not self.locked.rest:
                 out += [(i, -c) for c in (3, 2, 1)]
         return out
 
@@ -173,7 +173,7 @@ class Tiny:
         """Which unknowns are not of a locked bone."""
         if self.model.tree is not None:
             return np.ones(self.unknowns, dtype=bool)
-        locked = np.repeat(self.fixed.locked(self.bones), KINDS[self.kind])
+        locked = np.repeat(self.locked.bone_mask(self.bones), KINDS[self.kind])
         return ~np.tile(locked, self.frames)
 
 

@@ -11,7 +11,7 @@ import ssdr
 from helpers import motions
 from helpers.measures import bits, frames, longest_silence
 from ssdr.kernels.bones import sweep_bones
-from ssdr.solver.moments import bone_sums, neighbours
+from ssdr.solver.moments import bone_sums, coupled_bones
 from ssdr.solver.trajectories import gather
 
 
@@ -22,13 +22,13 @@ def test_a_kernel_releases_the_lock_of_python() -> None:
     indices = np.tile(np.arange(bones, dtype=np.int32), (40, 1))
     weights = np.random.default_rng(1).dirichlet(np.ones(bones), 40)
     u, c = bone_sums(data, indices, weights, data.frame(0), bones)
-    start, neighbour = neighbours(u)
+    start, neighbour = coupled_bones(u)
     transforms = np.tile(np.eye(4)[:3], (1, bones, 1, 1))
     locked = np.zeros(bones, dtype=bool)
 
     def sweep(count: int) -> float:
         began = time.perf_counter()
-        sweep_bones(transforms, c, u, start, neighbour, locked, False, count, 0, 1)
+        sweep_bones(transforms, c, u, start, neighbour, locked, False, count)
         return time.perf_counter() - began
 
     sweep(1)

@@ -23,9 +23,9 @@ def solve(array: np.ndarray, *, bones: int = 5, influences: int = 4, **parts: An
 
 def test_given_rest_pose_stays() -> None:
     rest = rig().rest + 0.01
-    fixed = solve(frames(), rest=rest)
-    np.testing.assert_allclose(fixed.skinning.rest, rest, atol=1e-13)
-    assert ssdr.decompose(frames(), bones=5).rmse < fixed.rmse < 0.2
+    locked = solve(frames(), rest=rest)
+    np.testing.assert_allclose(locked.skinning.rest, rest, atol=1e-13)
+    assert ssdr.decompose(frames(), bones=5).rmse < locked.rmse < 0.2
     exact = rig().frames
     assert solve(exact, rest=rig().rest).rmse < 1e-4 * diagonal(exact)
 

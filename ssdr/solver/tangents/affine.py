@@ -23,14 +23,14 @@ class AffineTangent(Tangent):
     def pullback(self, gradient: Array) -> Array:
         scale = self.data.frame_scale
         out = unstack_transforms(gradient, self.model.n_bones) * scale[:, None, None, None]
-        out[:, self.locked] = 0.0
+        out[:, self.locked_bones] = 0.0
         return np.ascontiguousarray(out).reshape(*out.shape[:2], 12)
 
     def move(self, model: Model, x: Array) -> None:
         """M ← M + x, where that is admissible."""
         m = model.transforms
         moved = m + x.reshape(m.shape)
-        good = admissible(m, moved) & ~self.locked
+        good = admissible(m, moved) & ~self.locked_bones
         m[good] = moved[good]
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
@@ -51,7 +51,7 @@ class AffineTangent(Tangent):
 
         def precondition(r: Array) -> Array:
             out = times(r, inverse) / weight
-            out[:, self.locked] = 0.0
+            out[:, self.locked_bones] = 0.0
             return out
 
         return precondition, lambda x: times(x, damped) * weight

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from ...hierarchy.tree import Tree
 from ...kernels.chains import chain_image, chain_matrix, chain_move, chain_pullback
 from ...parallel import chunk_bounds, run_chunks
 from ..conjugate_gradients import Operator
 from ..dense import inverse_of
-from ..model import FREE, Fixed, Model
+from ..model import FREE, Locked, Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
 from .rigid import RigidTangent
@@ -39,28 +38,22 @@ class ChainTangent(Tangent):
 
     conjugate_steps = 30  # more than for free bones, since a joint moves its whole subtree
 
-    def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
+    def __init__(self, data: Trajectories, model: Model, locked: Locked = FREE) -> None:
         super().__init__(data, model)
         self._bones = RigidTangent(data, model)
         self._bones.precision = self.precision  # long chains need it
-        tree = self.tree
+        tree = model.hierarchy
         assert tree.rigid
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
-        self.joints = tree.non_roots[:0] if fixed.joints else tree.non_roots
+        self.joints = tree.non_roots[:0] if locked.joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
         # bones that keep their rotation relative to the parent, so that ω follows the parent's
-        self._tied = fixed.kept_rotations(tree)
-
-    @property
-    def tree(self) -> Tree:
-        """The model's tree at present."""
-        assert self.model.tree is not None
-        return self.model.tree
+        self._tied = locked.joint_rotations(tree)
 
     def image(self, x: Array) -> Array:
         m = self.model.transforms
         tangents = np.empty((*m.shape[:2], 6))
-        chain_image(m, *self._chain(), *self._unpacked(x), tangents, 0, len(m))
+        chain_image(m, *self._chain(), *self._unpacked(x), tangents)
         return self._bones.image(tangents)
 
     def pullback(self, gradient: Array) -> Array:
@@ -68,7 +61,7 @@ class ChainTangent(Tangent):
         n_frames, n_bones = m.shape[:2]
         turns, shifts = np.empty((n_frames, n_bones, 3)), np.empty((n_frames, n_bones, 3))
         moved, tangents = np.zeros((n_bones, 3)), self._bones.pullback(gradient)
-        chain_pullback(m, *self._chain(), tangents, turns, shifts, moved, 0, n_frames)
+        chain_pullback(m, *self._chain(), tangents, turns, shifts, moved)
         for j, k, turn in self._tied[::-1]:
             turns[:, k] += np.einsum("tba,ta->tb", turn, turns[:, j])
             turns[:, j] = 0.0
@@ -82,13 +75,12 @@ class ChainTangent(Tangent):
     def move(self, model: Model, x: Array) -> None:
         """Move the joints, then turn every bone by exp(ω) and put it on its joint."""
         turns, shifts, moved = self._unpacked(x)
-        m, points = model.transforms, self.tree.points + moved
-        model.tree = dataclasses.replace(self.tree, points=points)
+        tree = self.model.hierarchy
+        m, points = model.transforms, tree.points + moved
+        model.tree = dataclasses.replace(tree, points=points)
 
         def work(_: int, i: int, k: int) -> None:
-            chain_move(
-                m[i:k], self._order, self._parents, points, turns[i:k], shifts[i:k], 0, k - i
-            )
+            chain_move(m[i:k], self._order, self._parents, points, turns[i:k], shifts[i:k])
 
         run_chunks(work, self.chunks)
 
@@ -109,7 +101,7 @@ class ChainTangent(Tangent):
 
         def matrix(_: int, i: int, k: int) -> Array:
             out = np.zeros((n_bones, 6, n_bones, 6))
-            chain_matrix(m, *self._chain(), u, weight, out, i, k)
+            chain_matrix(m[i:k], *self._chain(), u, weight[i:k], out)
             return out.reshape(size, size)
 
         matrices = run_chunks(matrix, groups)
@@ -188,4 +180,4 @@ class ChainTangent(Tangent):
 
     def _chain(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Bones with parents first, parents, and joints, as the kernels take them."""
-        return self._order, self._parents, self.tree.points
+        return self._order, self._parents, self.model.hierarchy.points

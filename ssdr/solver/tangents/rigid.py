@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
 from ...kernels.schur import move_bones, tangent_image, tangent_pullback
 from ...parallel import chunk_bounds, run_chunks
 from ..conjugate_gradients import Operator
 from ..dense import inverse_of
 from ..model import Model
-from ..trajectories import Array, Trajectories
+from ..trajectories import Array
 from .tangent import Tangent
 
-__all__ = ["GENERATORS", "RigidTangent", "precondition_by_groups"]
+__all__ = ["GENERATORS", "RigidTangent"]
 
 # E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6
 GENERATORS = np.array(
@@ -32,13 +33,17 @@ _GROUPS = 32  # most factors
 class RigidTangent(Tangent):
     """x (F, B, 6) of (ω, τ): δM = M [[ω]× τ; 0 0]."""
 
-    precision = np.float32
+    precision: type[np.floating[Any]] = np.float32
+    generators = GENERATORS  # (4, 3, n) of the n unknowns of a bone
 
     def image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]
         m, scale = self.model.transforms, self.data.frame_scale
         out = np.empty((3 * n_frames, 4, n_bones), dtype=self.precision)
-        run_chunks(lambda _, i, k: tangent_image(m, x, scale, out, i, k), self.chunks)
+        run_chunks(
+            lambda _, i, k: tangent_image(m[i:k], x[i:k], scale[i:k], out[3 * i : 3 * k]),
+            self.chunks,
+        )
         return out.reshape(3 * n_frames, 4 * n_bones)
 
     def pullback(self, gradient: Array) -> Array:
@@ -46,73 +51,57 @@ class RigidTangent(Tangent):
         n_frames, n_bones = m.shape[:2]
         out = np.empty((n_frames, n_bones, 6))
         g = np.ascontiguousarray(gradient).reshape(3 * n_frames, 4, n_bones)
-        run_chunks(lambda _, i, k: tangent_pullback(m, g, scale, out, i, k), self.chunks)
-        out[:, self.locked] = 0.0
+        run_chunks(
+            lambda _, i, k: tangent_pullback(m[i:k], g[3 * i : 3 * k], scale[i:k], out[i:k]),
+            self.chunks,
+        )
+        out[:, self.locked_bones] = 0.0
         return out
 
     def move(self, model: Model, x: Array) -> None:
         """M ← M exp(x)."""
         m = model.transforms
-        run_chunks(lambda _, i, k: move_bones(m[i:k], x[i:k], self.locked, 0, k - i), self.chunks)
+        run_chunks(lambda _, i, k: move_bones(m[i:k], x[i:k], self.locked_bones), self.chunks)
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
-        return precondition_by_groups(self.data, self.model, GENERATORS, self.locked, u, damping)
+        """Inverses of the Gauss–Newton matrix averaged over groups of frames, and λD.
 
+        Unknowns act from the right.  The block of two bones then depends on the frame by R_jᵀ R_k
+        alone: consecutive frames share one factor, and to apply it is a matrix product.
+        """
+        n_frames, n_bones = self.model.transforms.shape[:2]
+        generators, frame_weight = self.generators, self.data.frame_scale**2
+        n_tangent = generators.shape[2]
+        size = n_tangent * n_bones
+        index = np.arange(n_bones)
+        own = np.einsum("dca,jde,ecb->jab", generators, u[index, index], generators)
+        own = np.maximum(np.einsum("jaa->ja", own), 1e-300)
+        own = np.maximum(own, 1e-12 * own.max())
+        groups = chunk_bounds(n_frames, max(_GROUP, -(-n_frames // _GROUPS)))
+        rotation = np.ascontiguousarray(self.model.transforms[..., :3])
+        table = u.transpose(2, 3, 0, 1).reshape(1, 16, -1)
+        # coefficients of the products turn[c, f] · table[d, e]
+        signs = np.einsum("dca,efb->abcfde", generators, generators).reshape(n_tangent**2, 144)
 
-def precondition_by_groups(
-    data: Trajectories,
-    model: Model,
-    generators: Array,
-    locked: NDArray[np.bool_],
-    u: Array,
-    damping: float,
-) -> tuple[Operator, Operator]:
-    """Inverses of the Gauss–Newton matrix averaged over groups of frames; λD.
+        def invert_group(_: int, i: int, k: int) -> Array:
+            stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
+            turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
+            turn = turn.transpose(0, 2, 1, 3).reshape(9, 1, -1)
+            mean = signs @ (turn * table).reshape(144, -1)
+            mean = mean.reshape(n_tangent, n_tangent, n_bones, n_bones)
+            matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
+            matrix[np.diag_indices(size)] += (damping + 1e-9) * own.ravel()
+            return inverse_of(matrix)
 
-    Unknowns act from the right, as those of :data:`GENERATORS`.  The block of two bones then
-    depends on the frame by R_jᵀ R_k alone: consecutive frames share one factor, and to apply it is
-    a matrix product.
+        inverses = run_chunks(invert_group, groups)
 
-    Parameters
-    ----------
-    generators : (4, 3, n) array
-        Of the n unknowns of a bone.
-    u, damping
-        As in :meth:`Tangent.precondition`.
-    """
-    n_frames, n_bones = model.transforms.shape[:2]
-    frame_weight = data.frame_scale**2
-    n_tangent = generators.shape[2]
-    size = n_tangent * n_bones
-    index = np.arange(n_bones)
-    own = np.einsum("dca,jde,ecb->jab", generators, u[index, index], generators)
-    own = np.maximum(np.einsum("jaa->ja", own), 1e-300)
-    own = np.maximum(own, 1e-12 * own.max())
-    groups = chunk_bounds(n_frames, max(_GROUP, -(-n_frames // _GROUPS)))
-    rotation = np.ascontiguousarray(model.transforms[..., :3])
-    table = u.transpose(2, 3, 0, 1).reshape(1, 16, -1)
-    # coefficients of the products turn[c, f] · table[d, e]
-    signs = np.einsum("dca,efb->abcfde", generators, generators).reshape(n_tangent**2, 144)
+        def precondition(r: Array) -> Array:
+            flat = r.reshape(n_frames, size) / frame_weight[:, None]
+            out = np.empty_like(flat)
+            run_chunks(lambda g, i, k: np.matmul(flat[i:k], inverses[g], out=out[i:k]), groups)
+            out = out.reshape(r.shape)
+            out[:, self.locked_bones] = 0.0
+            return out
 
-    def invert(_: int, i: int, k: int) -> Array:
-        stack = rotation[i:k].transpose(0, 2, 3, 1).reshape(3 * (k - i), 3 * n_bones)
-        turn = (stack.T @ stack).reshape(3, n_bones, 3, n_bones) / (k - i)
-        turn = turn.transpose(0, 2, 1, 3).reshape(9, 1, -1)
-        mean = signs @ (turn * table).reshape(144, -1)
-        mean = mean.reshape(n_tangent, n_tangent, n_bones, n_bones)
-        matrix = np.ascontiguousarray(mean.transpose(2, 0, 3, 1)).reshape(size, size)
-        matrix[np.diag_indices(size)] += (damping + 1e-9) * own.ravel()
-        return inverse_of(matrix)
-
-    inverses = run_chunks(invert, groups)
-
-    def precondition(r: Array) -> Array:
-        flat = r.reshape(n_frames, size) / frame_weight[:, None]
-        out = np.empty_like(flat)
-        run_chunks(lambda g, i, k: np.matmul(flat[i:k], inverses[g], out=out[i:k]), groups)
-        out = out.reshape(r.shape)
-        out[:, locked] = 0.0
-        return out
-
-    damped = damping * (frame_weight[:, None, None] * own)
-    return precondition, lambda x: damped * x
+        damped = damping * (frame_weight[:, None, None] * own)
+        return precondition, lambda x: damped * x

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...kernels.bones import LARGEST, SMALLEST
-from ..conjugate_gradients import Operator
-from ..model import FREE, Fixed, Model
-from ..trajectories import Array, Trajectories
-from .rigid import GENERATORS, RigidTangent, precondition_by_groups
-from .tangent import Tangent
+from ..model import Model
+from ..trajectories import Array
+from .rigid import GENERATORS, RigidTangent
 
 __all__ = ["SimilarityTangent"]
 
@@ -17,14 +15,11 @@ __all__ = ["SimilarityTangent"]
 _GROWTH = np.concatenate([np.eye(3), np.zeros((1, 3))])[:, :, None]
 
 
-class SimilarityTangent(Tangent):
+class SimilarityTangent(RigidTangent):
     """x (F, B, 7) of (ω, τ, σ): δM = M [[ω]× + σI, τ; 0 0]."""
 
+    precision = np.float64
     generators = np.concatenate([GENERATORS, _GROWTH], axis=2)
-
-    def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
-        super().__init__(data, model, fixed)
-        self._rigid = RigidTangent(data, model, fixed)
 
     def image(self, x: Array) -> Array:
         scale = self.data.frame_scale
@@ -50,20 +45,15 @@ class SimilarityTangent(Tangent):
             out[3 + d] = (m[:, :, d] * g[:, :, 3]).sum(axis=1)
             out[6] += (m[:, :, d] * g[:, :, d]).sum(axis=1)
         back = np.ascontiguousarray((out * scale[:, None]).transpose(1, 2, 0))
-        back[:, self.locked] = 0.0
+        back[:, self.locked_bones] = 0.0
         return back
 
     def move(self, model: Model, x: Array) -> None:
         """M ← M exp(x), within the sizes that bones may have."""
-        self._rigid.move(model, np.ascontiguousarray(x[..., :6]))
+        super().move(model, np.ascontiguousarray(x[..., :6]))
         m = model.transforms
         size = np.linalg.norm(m[..., 0], axis=-1)
         grown = size * np.exp(np.clip(x[..., 6], -1.0, 1.0))
         grown = np.clip(grown, np.minimum(size, SMALLEST), np.maximum(size, LARGEST))
-        grown[:, self.locked] = size[:, self.locked]
+        grown[:, self.locked_bones] = size[:, self.locked_bones]
         m[..., :3] *= (grown / size)[..., None, None]
-
-    def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
-        return precondition_by_groups(
-            self.data, self.model, self.generators, self.locked, u, damping
-        )

@@ -1,4 +1,4 @@
-"""What a Gauss–Newton step needs of the unknowns that move the bones."""
+"""Base class of the unknowns by which a Gauss–Newton step moves the bones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...parallel import chunk_bounds
 from ..conjugate_gradients import Operator
-from ..model import FREE, Fixed, Model
+from ..model import FREE, Locked, Model
 from ..objective import JointPenalty
 from ..trajectories import Array, Trajectories
 
@@ -27,7 +27,7 @@ class Tangent(ABC):
     data : Trajectories
     model : Model
         Methods read the transforms that it has when they are called.
-    fixed : Fixed
+    locked : Locked
         The unknowns of locked bones are 0.
 
     Attributes
@@ -47,9 +47,9 @@ class Tangent(ABC):
     joints: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
     penalty: JointPenalty = JointPenalty.none(0)
 
-    def __init__(self, data: Trajectories, model: Model, fixed: Fixed = FREE) -> None:
+    def __init__(self, data: Trajectories, model: Model, locked: Locked = FREE) -> None:
         self.data, self.model = data, model
-        self.locked = fixed.locked(model.n_bones)
+        self.locked_bones = locked.bone_mask(model.n_bones)
         frames = max(-(-_TRANSFORMS // model.n_bones), -(-data.n_frames // 16))
         self.chunks = chunk_bounds(data.n_frames, frames)
 

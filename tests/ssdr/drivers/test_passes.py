@@ -12,7 +12,7 @@ from ssdr.drivers.passes import AllFrames, carried
 from ssdr.search.given import Given
 from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.initialization import start_model
-from ssdr.solver.model import Fixed, Model
+from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import gather
 
 
@@ -29,7 +29,9 @@ def test_a_pass_is_one_exact_alternation() -> None:
     data = gather([few], bones=4)
     model = start_model(data, data.frame(0), 4, 4, np.random.default_rng(0))
     vertex_step(data, model)
-    passes = AllFrames(sequences, found, data, model, fixed=Fixed(), given=Given(), importance=None)
+    passes = AllFrames(
+        sequences, found, data, model, locked=Locked(), given=Given(), importance=None
+    )
     values = [passes.pass_over(entering=3) for _ in range(3)]
     assert values == sorted(values, reverse=True)
     rest, transforms = found.alignment.to_world(passes.model.rest, passes.model.transforms)
@@ -46,8 +48,8 @@ def test_of_bones_to_start_from_only_locked_ones_or_all_of_a_model_are_given_aga
     model = start_model(data, data.frame(0), 4, 2, np.random.default_rng(0))
     own = np.random.default_rng(1).standard_normal((20, 3, 3, 4))
     nearest = np.arange(20) % 12
-    fixed = Fixed(bones=np.array([False, True, False]))
-    moved = carried(model, nearest, 0.5, Given(transforms=own, free=free), fixed)
+    locked = Locked(bones=np.array([False, True, False]))
+    moved = carried(model, nearest, 0.5, Given(transforms=own, free=free), locked)
     np.testing.assert_array_equal(moved.rest, 0.5 * model.rest)
     kept = [0, 1, 2] if free else [1]
     np.testing.assert_array_equal(moved.transforms[:, kept], own[:, kept])
@@ -68,7 +70,7 @@ def test_rotations_leap_to_where_they_belong() -> None:
         start = np.repeat(exact[:1], 60, axis=0)
         model = Model.start(start, rest, rig.indices[:, 0], rig.indices.shape[1])
         model.indices[:], model.weights[:] = rig.indices, rig.weights
-        bone_step(data, model, sweeps=sweeps, fixed=Fixed(), leaps=leaps)
+        bone_step(data, model, sweeps=sweeps, locked=Locked(), leaps=leaps)
         r = model.transforms[..., :3]
         np.testing.assert_allclose(np.linalg.det(r), 1.0, atol=1e-9)
         np.testing.assert_allclose(

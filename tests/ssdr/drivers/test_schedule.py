@@ -8,7 +8,7 @@ from ssdr.drivers.schedule import schedule_for
 from ssdr.search.given import Given
 from ssdr.search.run import Schedule
 from ssdr.search.stages import AddAndMerge, Merge, Search
-from ssdr.search.starts import Start
+from ssdr.search.starts import StartFromMotion
 
 
 def best_schedule(bones: int, size: float) -> Schedule:
@@ -24,7 +24,7 @@ def trials(schedule: Schedule) -> int:
 def test_best_rebuilds_and_begins_with_several_starts_where_bones_are_many(size: float) -> None:
     few, many = best_schedule(23, size), best_schedule(24, size)
     for schedule, starts in ((few, 0), (many, 3)):
-        begun = [stage.factor for stage in schedule if type(stage) is Start]
+        begun = [stage.factor for stage in schedule if type(stage) is StartFromMotion]
         # the last of them as of "balanced", with bones to merge away
         assert begun == starts * [1.0] + [1.6]
         assert sum(isinstance(stage, Merge) for stage in schedule) == 1

@@ -67,19 +67,3 @@ def test_the_rest_pose_of_bones_that_stretch(kind: str) -> None:
     model = dataclasses.replace(truth.skinning, rest=truth.rest + 0.1, bone_model=kind)
     fit = ssdr.fit_rest_pose(truth.frames, model)
     np.testing.assert_allclose(fit.skinning.rest, truth.rest, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("argument", "change"),
-    [
-        ("skinning", {"skinning": np.zeros((120, 3))}),
-        ("skinning.transforms", {"skinning": motions.model(np.zeros((120, 3)))}),
-        ("locked_vertices", {"locked_vertices": [120]}),
-        ("locked_vertices", {"locked_vertices": [True]}),
-    ],
-)
-def test_refuses(argument: str, change: dict[str, object]) -> None:
-    chain = motions.chain(bones=5)
-    with pytest.raises(ssdr.InputError) as caught:
-        ssdr.fit_rest_pose(chain.frames, **({"skinning": chain.skinning} | change))
-    assert caught.value.argument == argument

@@ -183,37 +183,3 @@ def test_smoothness_descends_the_penalised_error() -> None:
     values = [error + 20 * 0.3**2 * energy for error, energy in found]
     assert (np.diff(values) < 0).all()
     assert values[0] > 1.01 * values[-1]
-
-
-@pytest.mark.parametrize(
-    ("argument", "change"),
-    [
-        ("influences", {"influences": 0}),
-        ("influences", {"influences": 2.5}),
-        ("iterations", {"iterations": 0}),
-        ("smoothness", {"smoothness": -1.0}),
-        ("smoothness", {"smoothness": float("nan")}),
-        ("skinning", {"skinning": None}),
-        ("skinning", {"skinning": motions.model(np.zeros((3, 3)))}),
-        (
-            "skinning.transforms",
-            {
-                "skinning": motions.model(
-                    np.zeros((30, 3)), transforms=np.tile(np.eye(3, 4), (19, 2, 1, 1))
-                )
-            },
-        ),
-    ],
-)
-def test_refuses(argument: str, change: dict[str, object]) -> None:
-    chain = motions.chain(bones=4, rows=5)
-    with pytest.raises(ssdr.InputError) as caught:
-        ssdr.fit_weights(chain.frames, **({"skinning": chain.skinning} | change))
-    assert caught.value.argument == argument
-
-
-def test_refuses_a_reflection() -> None:
-    chain = motions.chain(bones=2, rows=5)
-    mirrored = motions.model(chain.rest, transforms=chain.transforms * np.array([1, 1, -1, 1.0]))
-    with pytest.raises(ssdr.InputError, match="rigid"):
-        ssdr.fit_weights(chain.frames, mirrored)

@@ -16,7 +16,7 @@ from ssdr.joints.placement import (
     spanning_tree,
     step_with_joint_penalty,
 )
-from ssdr.solver.alternation import vertex_step
+from ssdr.solver.alternation import bone_step, vertex_step
 from ssdr.solver.model import FREE, Model
 from ssdr.solver.trajectories import gather
 
@@ -125,8 +125,6 @@ def test_a_stiffer_penalty_closes_the_gaps():
     vertex_step(data, model)
     for _ in range(4):  # bones of their own, each by its own vertices
         model.tree = None
-        from ssdr.solver.alternation import bone_step
-
         bone_step(data, model)
         vertex_step(data, model)
     model.tree = spanning_tree(model)

@@ -33,13 +33,13 @@ def chain():
 
 
 def _move(transforms, points, turns, shifts):
-    chain_move(transforms, parents_first(PARENTS), PARENTS, points, turns, shifts, 0, F)
+    chain_move(transforms, parents_first(PARENTS), PARENTS, points, turns, shifts)
 
 
 def _image(transforms, points, turns, shifts, moved):
     out = np.empty((F, N, 6))
     order = parents_first(PARENTS)
-    chain_image(transforms, order, PARENTS, points, turns, shifts, moved, out, 0, F)
+    chain_image(transforms, order, PARENTS, points, turns, shifts, moved, out)
     return out
 
 
@@ -75,9 +75,7 @@ def test_the_pullback_is_the_transpose_of_the_image(chain):
     forward = float(np.vdot(g, _image(transforms, points, turns, shifts, moved)))
     to_turns, to_shifts, to_moved = np.empty((F, N, 3)), np.empty((F, N, 3)), np.zeros((N, 3))
     order = parents_first(PARENTS)
-    chain_pullback(
-        transforms, order, PARENTS, points, g.copy(), to_turns, to_shifts, to_moved, 0, F
-    )
+    chain_pullback(transforms, order, PARENTS, points, g.copy(), to_turns, to_shifts, to_moved)
     back = np.vdot(to_turns, turns) + np.vdot(to_shifts, shifts) + np.vdot(to_moved, moved)
     assert back == pytest.approx(forward, rel=1e-12)
     assert (to_shifts[:, PARENTS >= 0] == 0).all()
@@ -93,7 +91,7 @@ def test_the_matrix_is_that_of_the_vertices(chain):
     u = np.einsum("ij,ik,ia,ib->jkab", weights, weights, homogeneous, homogeneous)
     matrix = np.zeros((N, 6, N, 6))
     order = parents_first(PARENTS)
-    chain_matrix(transforms, order, PARENTS, points, u, scale, matrix, 0, F)
+    chain_matrix(transforms, order, PARENTS, points, u, scale, matrix)
     np.testing.assert_allclose(matrix, matrix.transpose(2, 3, 0, 1), atol=1e-11)
     # one frame's unknowns at a time: the matrix is the sum over frames of the same unknowns
     x = np.concatenate([turns[0], shifts[0] + moved], axis=1)

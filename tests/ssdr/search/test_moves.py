@@ -24,7 +24,7 @@ from ssdr.search.moves import (
     polish_steps,
 )
 from ssdr.search.stages import Relax
-from ssdr.solver.model import FREE, Fixed, Model
+from ssdr.solver.model import FREE, Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 
@@ -35,7 +35,7 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     frames = rng.standard_normal((5, 30, 3)) + 2 * rng.standard_normal((1, 30, 3))
     data = gather([ssdr.MeshSequence(frames)], bones=8)
     model = solved(data, bones, influences)
-    grown = add_bone(data, model, alternations=2, fixed=Fixed())
+    grown = add_bone(data, model, alternations=2, locked=Locked())
     assert grown.n_bones == bones + 1
     assert grown.n_influences == model.n_influences
     assert grown.weighted_error(data) <= model.weighted_error(data)
@@ -46,7 +46,7 @@ def test_one_bone_more_never_fits_worse(seed: int, bones: int, influences: int) 
     assert measured == pytest.approx(said, rel=1e-6, abs=1e-9)
 
 
-Change = Callable[[Trajectories, Model, np.random.Generator, Fixed], Model]
+Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model]
 
 
 @pytest.mark.parametrize("count", [INFLUENCES, INFLUENCES + 1, 15])
@@ -76,10 +76,10 @@ def test_fewer_influences_keep_the_largest() -> None:
 
 
 def relax(
-    data: Trajectories, model: Model, fixed: Fixed, *, extra: int, steps: int
+    data: Trajectories, model: Model, locked: Locked, *, extra: int, steps: int
 ) -> tuple[Model, int]:
     """A relaxed copy, and the steps of the stage."""
-    run = run_of(data, [Relax(steps=extra, polish_steps=steps)], BONES, INFLUENCES, fixed=fixed)
+    run = run_of(data, [Relax(steps=extra, polish_steps=steps)], BONES, INFLUENCES, locked=locked)
     run.model = model.copy()
     phases: list[str] = []
     run.drive(phases.append)
@@ -105,8 +105,8 @@ def test_relaxing_leaves_locked_weights_and_bones_alone() -> None:
     data, model = problem(2)
     keep = np.zeros(90, dtype=bool)
     keep[::3] = True
-    fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
-    relaxed, _ = relax(data, model, fixed, extra=2, steps=2)
+    locked = Locked(weights=keep, bones=np.arange(BONES) < 2)
+    relaxed, _ = relax(data, model, locked, extra=2, steps=2)
     assert np.array_equal(relaxed.indices[keep], model.indices[keep])
     assert np.array_equal(relaxed.weights[keep], model.weights[keep])
     assert np.array_equal(relaxed.transforms[:, :2], model.transforms[:, :2])
@@ -125,15 +125,15 @@ def test_relaxing_finds_what_the_polish_alone_does_not() -> None:
     assert np.median(gains) < 0.9
 
 
-def rebuild(data: Trajectories, model: Model, rng: np.random.Generator, fixed: Fixed) -> Model:
-    return add_and_merge_bones(data, model, rng, 3, fixed)
+def rebuild(data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked) -> Model:
+    return add_and_merge_bones(data, model, rng, 3, locked)
 
 
 CHANGES = (exchange_bones, alternate_some, exchange_influences, rebuild)
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_changes_go_by_the_generator_alone(change: Change) -> None:
+def test_changes_go_by_the_generator_alone_and_keep_the_size(change: Change) -> None:
     data, model = problem(3)
     before = model.copy()
     one, same, other = (change(data, model, np.random.default_rng(s), FREE) for s in (1, 1, 2))
@@ -141,13 +141,7 @@ def test_changes_go_by_the_generator_alone(change: Change) -> None:
     assert not np.array_equal(one.transforms, other.transforms)
     for name in ("transforms", "rest", "indices", "weights", "error"):
         assert np.array_equal(getattr(before, name), getattr(model, name))
-
-
-@pytest.mark.parametrize("change", CHANGES)
-def test_changed_models_are_of_the_same_size(change: Change) -> None:
-    data, model = problem(4)
-    for seed in range(4):
-        changed = change(data, model, np.random.default_rng(seed), FREE)
+    for changed in (one, other):
         assert (changed.n_bones, changed.n_influences) == (BONES, INFLUENCES)
         assert (changed.weights >= 0).all()
         assert changed.weights.sum(axis=1) == pytest.approx(1.0)
@@ -159,8 +153,8 @@ def test_changes_leave_locked_weights_and_bones_alone(change: Change) -> None:
     data, model = problem(2)
     keep = np.zeros(90, dtype=bool)
     keep[::3] = True
-    fixed = Fixed(weights=keep, bones=np.arange(BONES) < 2)
-    changed = change(data, model, np.random.default_rng(0), fixed)
+    locked = Locked(weights=keep, bones=np.arange(BONES) < 2)
+    changed = change(data, model, np.random.default_rng(0), locked)
     assert np.array_equal(changed.transforms[:, :2], model.transforms[:, :2])
     for i in np.flatnonzero(keep):
         was, now = np.zeros(BONES), np.zeros(BONES)

@@ -12,7 +12,7 @@ from ssdr.search.given import Given
 from ssdr.search.run import Run
 from ssdr.search.sampling import AllVertices, ReturnToBest, SampleVertices
 from ssdr.search.stages import Alternate, MoveBones
-from ssdr.solver.model import Fixed, Model
+from ssdr.solver.model import Locked, Model
 from ssdr.solver.trajectories import Trajectories, gather
 
 BONES, INFLUENCES, EACH = 4, 2, 40
@@ -31,7 +31,7 @@ def new_run(*stages: object, rest: bool = False) -> Run:
     data = gather([ssdr.MeshSequence(strip())], bones=BONES, compress=False)
     given = Given(rest=data.frame(3).copy() if rest else None)
     stages = (*FIRST_MODEL, *stages)
-    return run_of(data, stages, BONES, INFLUENCES, fixed=Fixed(rest=rest), given=given)
+    return run_of(data, stages, BONES, INFLUENCES, locked=Locked(rest=rest), given=given)
 
 
 def true_error(data: Trajectories, model: Model) -> float:

@@ -16,7 +16,7 @@ def test_vertices_answer_best(case: str) -> None:
     tiny = Tiny(case=case)
     r, j_m, j_v = tiny.jacobians()
     x = 0.01 * np.random.default_rng(1).standard_normal(tiny.unknowns) * tiny.moving()
-    step = tiny.newton._reduced().vertex_step(tiny.newton.tangent.image(tiny.shaped(x)))
+    step = tiny.newton._reduced().best_step(tiny.newton.tangent.image(tiny.shaped(x)))
     got = np.zeros(j_v.shape[1])
     slot: dict[int, int] = {}
     for k, (i, _) in enumerate(tiny.freedoms()):
