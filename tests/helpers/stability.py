@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 import ssdr
-from helpers.measures import bits_on_threads, longest_silence, played, pooled, rmse_of
-from helpers.stretches import check_kind
+from helpers.measures import bits_on_threads, broken, longest_silence, rmse_of
 
 SEEDS = 3
 
@@ -188,39 +187,10 @@ def run(case: Case) -> Outcome:
     if case.refused is not None:
         return Outcome(case.name, "NOT REFUSED")
     frames = problem.positions()
-    fault = invalid(result.skinning, frames, problem.options.get("bones", 4))
-    errors = [record.rmse for record in result.history]
-    if not fault and not problem.options.get("smoothness") and (np.diff(errors) > 0).any():
-        fault = "the error rises"
-    if fault:
+    falls = not problem.options.get("smoothness")
+    if fault := broken(result, frames, problem.options.get("bones", 4), falls=falls):
         return Outcome(case.name, f"INVALID: {fault}")
-    figure = pooled(played(result.skinning), frames) / problem.size
-    reported = result.rmse / problem.size
-    if abs(figure - reported) > 1e-4 * figure + 1e-9:
-        return Outcome(case.name, f"INVALID: says {reported:.3g}, is {figure:.3g}", figure)
+    figure = rmse_of(result.skinning, frames) / problem.size
     before = 0.0 if case.undisturbed is None else _figure(case.undisturbed)
     bound = None if case.only_valid else float(case.factor * before + case.slack)
     return Outcome(case.name, "solved", figure, before, bound)
-
-
-def invalid(s: ssdr.Skinning, frames: np.ndarray, bones: int, influences: int = 4) -> str:
-    """What is wrong with a model, or an empty text."""
-    tests = {
-        "number of bones": s.transforms.shape == (len(frames), bones, 3, 4),
-        "rest pose": s.rest.shape == frames.shape[1:] and bool(np.isfinite(s.rest).all()),
-        "transforms": bool(np.isfinite(s.transforms).all()),
-        "rotations": _of_kind(s),
-        "weights": bool(s.weights.min() >= 0)
-        and bool(np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6),
-        "indices": bool(s.indices.min() >= 0) and bool(s.indices.max() < bones),
-        "number of influences": s.indices.shape == s.weights.shape == (len(s.rest), influences),
-    }
-    return ", ".join(name for name, good in tests.items() if not good)
-
-
-def _of_kind(s: ssdr.Skinning) -> bool:
-    try:
-        check_kind(s.transforms, s.bone_model)
-    except AssertionError:
-        return False
-    return True

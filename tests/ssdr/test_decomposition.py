@@ -13,7 +13,7 @@ import pytest
 import threadpoolctl
 
 import ssdr
-from helpers import motions
+from helpers import motions, stability_cases
 from helpers.measures import bits, bits_on_threads, check, diagonal, frames, rig, rmse_of
 
 # exact data
@@ -61,15 +61,12 @@ def test_separate_boxes_are_exact() -> None:
 
 def test_noise_floor() -> None:
     """White noise of sigma on exact data: no fit of P parameters is better than its share."""
-    exact = motions.chain(bones=4, frames=40, rows=30)
-    sigma = 0.01
-    noisy = exact.frames + sigma * np.random.default_rng(0).standard_normal(exact.frames.shape)
-    result = check(ssdr.decompose(noisy, bones=4), noisy, 4)
-    values = noisy.size
-    unknowns = 40 * 4 * 6 + len(exact.rest) * (3 + 3)
-    floor = sigma * np.sqrt(3 * (1 - unknowns / values))
-    assert 0.97 * floor < result.rmse < 1.03 * sigma * np.sqrt(3)
-    assert rmse_of(result.skinning, exact.frames) < 0.6 * sigma * np.sqrt(3)
+    noisy = stability_cases.noisy()
+    result = check(ssdr.decompose(noisy.frames, bones=4), noisy.frames, 4)
+    floor, sigma = stability_cases.noise_floor(), stability_cases.NOISE
+    assert 0.97 * floor < result.rmse / noisy.size < 1.03 * floor
+    exact = motions.chain(bones=4, frames=40, rows=30).frames
+    assert rmse_of(result.skinning, exact) < 0.6 * sigma * np.sqrt(3)
 
 
 # the number of bones
@@ -269,18 +266,6 @@ def test_several_shots() -> None:
     assert np.array_equal(second, parts.reconstruct()[4:5])
 
 
-def test_shots_must_be_of_one_mesh() -> None:
-    one = ssdr.MeshSequence(frames(), rig().faces)
-    for other, argument in (
-        (ssdr.MeshSequence(frames()[:, :-1]), "sequence[1]"),
-        (ssdr.MeshSequence(frames(), rig().faces[::-1]), "sequence[1].faces"),
-        (frames(), "sequence[1]"),
-    ):
-        with pytest.raises(ssdr.InputError) as caught:
-            ssdr.decompose([one, other], bones=2)
-        assert caught.value.argument == argument
-
-
 @pytest.mark.parametrize("kind", ["memory map", "zarr"])
 def test_what_lies_on_disk_is_as_good_as_memory(kind: str, tmp_path: Path) -> None:
     if kind == "zarr":
@@ -297,10 +282,12 @@ def test_what_lies_on_disk_is_as_good_as_memory(kind: str, tmp_path: Path) -> No
 
 
 def test_input_is_left_alone() -> None:
-    array, faces = np.array(frames()), rig().faces.copy()
-    ssdr.decompose(array, faces, bones=4, effort="fast")
-    assert np.array_equal(array, frames())
-    assert np.array_equal(faces, rig().faces)
+    given = [frames(), rig().faces, np.arange(84.0), np.arange(1.0, 16.0)]
+    array, faces, vertices, rows = copies = [np.array(a) for a in given]
+    counts = {"vertex_importance": vertices, "frame_importance": rows}
+    ssdr.decompose(array, faces, bones=4, effort="fast", **counts)
+    for before, after in zip(given, copies, strict=True):
+        assert np.array_equal(before, after)
 
 
 def test_what_the_sequence_carries_survives(seam: ssdr.MeshSequence) -> None:

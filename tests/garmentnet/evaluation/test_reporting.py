@@ -40,20 +40,6 @@ def test_report(toy_run, toy_store, tmp_path):
     assert len(list(tmp_path.glob("*.png"))) == 2  # a clip, and the hard moments
 
 
-def test_report_refuses_another_garment(toy_run, tmp_path):
-    from helpers import toy_store as toy
-
-    rest, faces, _ = toy.skirt(columns=18)
-    rig, skeleton = toy.body()
-    from garmentnet.data.store import ClipStore
-
-    other = ClipStore.create(
-        tmp_path / "s", rest=rest, faces=faces, body=rig, skeleton=skeleton, fps=toy.FPS
-    )
-    with pytest.raises(InputError, match="garment"):
-        report([toy_run / "checkpoint.safetensors"], other, tmp_path / "r")
-
-
 def test_seeds_ratios_and_clips(toy_run, second_seed, toy_store, tmp_path, monkeypatch):
     first = toy_run / "checkpoint.safetensors"
     options = {"baselines": False, "pictures": 0, "per_clip": True}

@@ -133,11 +133,6 @@ def test_start_from_another_network(toy_network, toy_faithful):
         load_weights(toy_faithful.networks[0], toy_network, "low")
 
 
-def test_no_such_file(tmp_path):
-    with pytest.raises(InputError, match="nothing"):
-        load_checkpoint(tmp_path / "nothing.safetensors")
-
-
 def test_hostile_bytes(file, tmp_path):
     good, bad = file.read_bytes(), tmp_path / "bad.safetensors"
     import pickle

@@ -37,14 +37,6 @@ def test_glb_holds_rigid_bones(kind, request, joints, tmp_path):
     assert gap < (1e-4 if kind == "toy_network" else 2e-2)
 
 
-def test_usd(toy_network, joints, tmp_path):
-    pytest.importorskip("pxr")
-    p = predict(toy_network, joints)
-    save_prediction(p, tmp_path / "cloth.usda")
-    read = ssdr.load(tmp_path / "cloth.usda")
-    assert np.abs(np.asarray(read.vertices) - p.cloth.vertices).max() < 1e-5
-
-
 def test_pictures_and_films(toy_network, joints, tmp_path):
     p = predict(toy_network, joints[:4])
     seen = []
@@ -105,17 +97,6 @@ def test_a_film_of_every_second_frame_has_the_same_speed(toy_network, joints, tm
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 3
         assert film.info["duration"] == pytest.approx(2000 / 30, abs=10)
-
-
-def test_a_sheet_of_truth_and_prediction(toy_network, toy_store, tmp_path):
-    from PIL import Image
-
-    clip = toy_store.clip("base-test-0")
-    p = predict(toy_network, clip.joints)
-    save_prediction(p, tmp_path / "with.png", frames=2, truth=clip)
-    save_prediction(p, tmp_path / "without.png", frames=2)
-    with Image.open(tmp_path / "with.png") as full, Image.open(tmp_path / "without.png") as plain:
-        assert full.height > 2 * plain.height
 
 
 def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joints, tmp_path):

@@ -1,6 +1,5 @@
 # ruff: noqa: E402
 import dataclasses
-import shutil
 
 import numpy as np
 import pytest
@@ -39,22 +38,6 @@ def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
     train(toy_store, config, folder, callback=lambda p: p.phase == "high")
     assert train(toy_store, config, folder).read_bytes() == whole
     assert train(toy_store, config, folder).read_bytes() == whole
-
-
-def test_killed_between_epochs(toy_store, toy_config, tmp_path):
-    # As after a kill: the state of the second epoch, and nothing later.
-    config = toy_config(epochs=4, high_epochs=1, validate_every=1)
-    files = {}
-
-    def keep(p):
-        if p.phase == "low" and p.epoch == 2:
-            files["state"] = (tmp_path / "a" / "low.state.safetensors").read_bytes()
-
-    whole = train(toy_store, config, tmp_path / "a", callback=keep).read_bytes()
-    (tmp_path / "b").mkdir()
-    shutil.copy(tmp_path / "a" / "run.json", tmp_path / "b")
-    (tmp_path / "b" / "low.state.safetensors").write_bytes(files["state"])
-    assert train(toy_store, config, tmp_path / "b").read_bytes() == whole
 
 
 def test_seeds(toy_store, toy_config, tmp_path):

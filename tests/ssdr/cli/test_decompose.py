@@ -77,16 +77,3 @@ def test_start(faked, done, refused, clip, wave, tmp_path):
     assert "--force overwrites" in refused(
         "decompose", clip, "-b", 2, "-o", tmp_path / "b.npz", "--checkpoint", model
     )
-
-
-@pytest.mark.slow
-def test_the_solver_goes_on_from_its_output(done, tmp_path):
-    out = tmp_path / "a.npz"
-    line = ("decompose", "sample:dancer_small", "-o", out, "-b", 6, "-e", "fast")
-    first = done(*line)
-    again = done(*line, "--start", out, "--force", "--time-limit", 1)
-    assert again["rmse"] <= first["rmse"] * (1 + 1e-6)
-    sequence, model = ssdr.samples.load("dancer_small"), ssdr.load_skinning(out)
-    gap = model.skin().astype(np.float64) - sequence.vertices
-    rmse = np.sqrt((gap**2).sum() / gap[..., 0].size)
-    assert again["rmse"] == pytest.approx(rmse, rel=1e-3)
