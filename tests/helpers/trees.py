@@ -25,6 +25,11 @@ class Skeleton:
     transforms: np.ndarray
     frames: np.ndarray
 
+    @property
+    def wavy(self) -> np.ndarray:
+        """The frames with waves that the bones cannot follow."""
+        return self.frames + 0.02 * np.sin(4 * self.frames[..., [1, 2, 0]])
+
     def skinning(self, **changes) -> ssdr.Skinning:
         """The model with its hierarchy, in the rest pose unless `transforms` are given."""
         parts = {"transforms": np.eye(3, 4) + np.zeros((1, len(self.parents), 1, 1))} | changes

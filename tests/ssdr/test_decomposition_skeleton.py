@@ -25,10 +25,6 @@ def _rig() -> ssdr.Skinning:
     return _made().skinning(bone_names=NAMES)
 
 
-def _wavy() -> np.ndarray:
-    return _made().frames + 0.02 * np.sin(4 * _made().frames[..., [1, 2, 0]])
-
-
 def _solve(frames=None, *, skeleton=None, effort="fast", start=None, **rig) -> ssdr.Decomposition:
     frames = _made().frames if frames is None else frames
     rig = ssdr.Skeleton(_rig() if skeleton is None else skeleton, **rig)
@@ -92,7 +88,7 @@ def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
 def test_extra_bones_lower_the_error_each_time() -> None:
     errors = []
     for extra in (0, 2, 4, 8):
-        result = _solve(_wavy(), extra_bones=extra)
+        result = _solve(_made().wavy, extra_bones=extra)
         model = result.skinning
         assert model.n_bones == 6 + extra
         assert np.array_equal(model.parents[:6], _made().parents)
@@ -105,11 +101,11 @@ def test_extra_bones_lower_the_error_each_time() -> None:
 
 
 def test_extra_bones_below_named_ones() -> None:
-    result = _solve(_wavy(), extra_bones={"hand": 2, "spine": 1})
+    result = _solve(_made().wavy, extra_bones={"hand": 2, "spine": 1})
     model = result.skinning
     assert model.parents[6:].tolist() == [NAMES.index("hand")] * 2 + [NAMES.index("spine")]
     assert (model.dense_weights()[:, 6:].max(axis=0) > 0).all()
-    assert result.rmse < _solve(_wavy()).rmse
+    assert result.rmse < _solve(_made().wavy).rmse
 
 
 @pytest.mark.parametrize("frames", [1, 40])

@@ -40,8 +40,7 @@ def hasty(solve: Solve) -> ssdr.Skinning:
 
 def moving(kind: str) -> np.ndarray:
     if kind in ("rigid rig", "skeleton", "locked joints"):
-        wave = 0.02 * np.sin(4 * made().frames[..., [1, 2, 0]])
-        return made().frames + wave
+        return made().wavy
     if kind in stretches.KINDS:
         return motions.wobble(stretches.rig(kind), 0.05)
     return motions.rippled() if kind == "streamed" else frames()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -232,70 +233,41 @@ def chunk_files(store: ClipStore, array: str) -> list[Path]:
     return sorted(p for p in (store.path / "clips/a" / array / "c").rglob("*") if p.is_file())
 
 
-def damage_flip(store: ClipStore) -> None:
-    path = chunk_files(store, "vertices")[1]
+def flip(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
 
 
-def damage_cut(store: ClipStore) -> None:
-    path = chunk_files(store, "vertices")[0]
-    path.write_bytes(path.read_bytes()[:100])
+def cut(path: Path, size: int = 100) -> None:
+    path.write_bytes(path.read_bytes()[:size])
 
 
-def damage_missing(store: ClipStore) -> None:
-    chunk_files(store, "vertices")[1].unlink()
-
-
-def damage_joints(store: ClipStore) -> None:
-    chunk_files(store, "joints")[0].unlink()
-
-
-def damage_classes(store: ClipStore) -> None:
-    chunk_files(store, "classes")[0].unlink()
-
-
-def damage_json(store: ClipStore) -> None:
-    path = store.path / "clips/a/zarr.json"
-    path.write_text(path.read_text()[:50])
-
-
-def damage_frames(store: ClipStore) -> None:
+def state(store: ClipStore, **changes: Any) -> None:
+    """Change what the clip's own file states of it."""
     path = store.path / "clips/a/zarr.json"
     stated = json.loads(path.read_text())
-    stated["attributes"]["frames"] = 71
+    stated["attributes"] |= changes
     path.write_text(json.dumps(stated))
 
 
-def damage_parameters(store: ClipStore) -> None:
-    path = store.path / "clips/a/zarr.json"
-    stated = json.loads(path.read_text())
-    stated["attributes"]["parameters"]["bending"] = -1
-    path.write_text(json.dumps(stated))
+DAMAGE: dict[str, Callable[[ClipStore], None]] = {
+    "a flipped bit": lambda store: flip(chunk_files(store, "vertices")[1]),
+    "a short chunk": lambda store: cut(chunk_files(store, "vertices")[0]),
+    "no vertices of some frames": lambda store: chunk_files(store, "vertices")[1].unlink(),
+    "no joints": lambda store: chunk_files(store, "joints")[0].unlink(),
+    "no classes": lambda store: chunk_files(store, "classes")[0].unlink(),
+    "no vertices at all": lambda store: shutil.rmtree(store.path / "clips/a/vertices"),
+    "half a statement": lambda store: cut(store.path / "clips/a/zarr.json", 50),
+    "other frames": lambda store: state(store, frames=71),
+    "a negative parameter": lambda store: state(store, parameters={"bending": -1}),
+}
 
 
-def damage_array(store: ClipStore) -> None:
-    shutil.rmtree(store.path / "clips/a/vertices")
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        damage_flip,
-        damage_cut,
-        damage_missing,
-        damage_joints,
-        damage_classes,
-        damage_json,
-        damage_frames,
-        damage_parameters,
-        damage_array,
-    ],
-)
-def test_damage_is_named(store: ClipStore, rng: np.random.Generator, damage: Any) -> None:
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_named(store: ClipStore, rng: np.random.Generator, damage: str) -> None:
     store.add("a", **arguments(rng))
-    damage(store)
+    DAMAGE[damage](store)
     with pytest.raises(FormatError, match=re.escape(str(store.path / "clips" / "a"))):
         read_whole(ClipStore.open(store.path).clip("a"))
 
