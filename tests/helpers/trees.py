@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -81,6 +82,12 @@ def skeleton(
     rest, indices, weights = (np.concatenate(part) for part in (rest, indices, weights))
     posed = motions.blend(rest, indices, weights, transforms)
     return Skeleton(parents, points, rest, indices, weights, transforms, posed)
+
+
+@functools.cache
+def six_bones() -> Skeleton:
+    """The skeleton of most tests, made once."""
+    return skeleton(6, 40, seed=3)
 
 
 def edges(parents) -> set[frozenset[int]]:

@@ -18,13 +18,8 @@ _RIG = {"rig": "rigid", "effort": "fast"}
 
 
 @functools.cache
-def _made() -> trees.Skeleton:
-    return trees.skeleton(6, 40, seed=3)
-
-
-@functools.cache
 def _solved() -> ssdr.Decomposition:
-    return ssdr.decompose(_made().frames, bones=6, influences=2, rig="rigid")
+    return ssdr.decompose(trees.six_bones().frames, bones=6, influences=2, rig="rigid")
 
 
 def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influences: int = 4):
@@ -43,7 +38,7 @@ def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influence
 
 
 def test_a_made_skeleton_is_found() -> None:
-    made, result = _made(), _solved()
+    made, result = trees.six_bones(), _solved()
     model = _check(result, made.frames, 6, 2)
     assert model.joint_names == tuple(f"joint_{k}" for k in range(6))
     assert result.rmse < 2e-3 * diagonal(made.frames)
@@ -64,8 +59,8 @@ def test_a_made_skeleton_is_found() -> None:
 
 def test_a_loose_tree_leaves_the_flat_result_as_it_is() -> None:
     options = {"bones": 6, "influences": 2}
-    flat = ssdr.decompose(_made().frames, **options)
-    loose = ssdr.decompose(_made().frames, **options, rig="loose")
+    flat = ssdr.decompose(trees.six_bones().frames, **options)
+    loose = ssdr.decompose(trees.six_bones().frames, **options, rig="loose")
     model = loose.skinning
     unhung = dataclasses.replace(model, parents=None, joint_positions=None)
     assert bits(flat) == bits(dataclasses.replace(loose, skinning=unhung))
@@ -152,15 +147,15 @@ def test_a_ball_that_squashes() -> None:
 
 
 def test_a_frame_that_teleports() -> None:
-    frames = _made().frames.copy()
+    frames = trees.six_bones().frames.copy()
     frames[20:] += 50.0
     result = ssdr.decompose(frames, bones=6, influences=2, **_RIG)
     _check(result, frames, 6, 2)
-    assert result.rmse < 0.05 * diagonal(_made().frames)
+    assert result.rmse < 0.05 * diagonal(trees.six_bones().frames)
 
 
 def test_mirrored_frames_keep_proper_rotations() -> None:
-    frames = _made().frames.copy()
+    frames = trees.six_bones().frames.copy()
     frames[20:, :, 0] *= -1
     _check(ssdr.decompose(frames, bones=4, influences=2, **_RIG), frames, 4, 2)
 
@@ -171,7 +166,7 @@ def test_as_many_joints_as_vertices() -> None:
 
 
 def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
-    made, size = _made(), diagonal(_made().frames)
+    made, size = trees.six_bones(), diagonal(trees.six_bones().frames)
     result = ssdr.smallest(made.frames, influences=2, tolerance=2e-4 * size, **_RIG)
     model, report = result.skinning, result.parsimony
     assert report is not None
@@ -188,7 +183,7 @@ def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
 
 
 def test_a_tolerance_of_the_largest_error() -> None:
-    made, size = _made(), diagonal(_made().frames)
+    made, size = trees.six_bones(), diagonal(trees.six_bones().frames)
     call = {"influences": 2, "tolerance": 0.02 * size, "measure": "max"}
     result = ssdr.smallest(made.frames, **call, **_RIG)
     assert result.parsimony.held
@@ -196,7 +191,7 @@ def test_a_tolerance_of_the_largest_error() -> None:
 
 
 def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
-    frames = _made().frames
+    frames = trees.six_bones().frames
     options = {"influences": 2, "tolerance": 0.01 * diagonal(frames), "effort": "fast"}
     loose, flat = (ssdr.smallest(frames, rig=rig, **options) for rig in ("loose", None))
     assert loose.parsimony.bones == flat.parsimony.bones
@@ -205,7 +200,7 @@ def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
 
 
 def test_renumbered_vertices_give_the_same_tree() -> None:
-    made = _made()
+    made = trees.six_bones()
     order = np.random.default_rng(1).permutation(len(made.rest))
     options = {"bones": 6, "influences": 2, "rig": "rigid"}
     other = ssdr.decompose(made.frames[:, order], **options).skinning

@@ -23,13 +23,8 @@ Solve = Callable[..., ssdr.Decomposition]
 
 
 @functools.cache
-def made() -> trees.Skeleton:
-    return trees.skeleton(6, 40, seed=3)
-
-
-@functools.cache
 def skeleton() -> ssdr.Skinning:
-    return made().skinning(bone_names=tuple("abcdef"))
+    return trees.six_bones().skinning(bone_names=tuple("abcdef"))
 
 
 def hasty(solve: Solve) -> ssdr.Skinning:
@@ -40,7 +35,7 @@ def hasty(solve: Solve) -> ssdr.Skinning:
 
 def moving(kind: str) -> np.ndarray:
     if kind in ("rigid rig", "skeleton", "locked joints"):
-        return made().wavy
+        return trees.six_bones().wavy
     if kind in stretches.KINDS:
         return motions.wobble(stretches.rig(kind), 0.05)
     return motions.rippled() if kind == "streamed" else frames()
@@ -203,7 +198,7 @@ def other_parents() -> ssdr.Skinning:
 TWICE = {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)}
 THREE = {"indices": np.tile([0, 1, 2], (84, 1)), "weights": np.full((84, 3), 1 / 3)}
 GROWN = {"transforms": np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), "bone_model": "affine"}
-ON = {"sequence": made().frames, "rig": ssdr.Skeleton(skeleton())}
+ON = {"sequence": trees.six_bones().frames, "rig": ssdr.Skeleton(skeleton())}
 FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
 RESULT = ssdr.Decomposition(still(), 0.0, "converged", (), np.zeros(2, int), 0.0)
 REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
