@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("torch")
 
+from PIL import Image
 from typer.testing import CliRunner
 
 from garmentnet.cli import app, main
@@ -54,7 +55,6 @@ def call(*arguments):
 
 
 def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
-    from PIL import Image
 
     checkpoint = toy_run / "checkpoint.safetensors"
     sizes = {}

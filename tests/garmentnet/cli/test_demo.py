@@ -61,4 +61,3 @@ def test_an_interrupted_demo_continues_and_gives_scores_and_pictures(tmp_path):
     with Image.open(sheet) as picture, Image.open(film) as frames:
         assert len(picture.getcolors(1 << 24)) > 4096
         assert frames.n_frames == 60
-    print(summary)

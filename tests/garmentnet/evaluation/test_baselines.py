@@ -1,8 +1,12 @@
 # ruff: noqa: E402
+import copy
+import dataclasses
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
+
 
 import ssdr
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge, body_skinning
@@ -35,11 +39,9 @@ def test_body_skinned_is_the_rest_pose_at_rest(toy_store):
 
 def test_ridge_finds_a_linear_rule(toy_bones, toy_store):
     # Bones that follow the pose at once: what a static regression can tell exactly.
-    import copy
 
     fake = copy.copy(toy_bones)
     kept = {n: toy_bones.clip(n) for n in (*TRAIN[:3], *HELD)}
-    import dataclasses
 
     def posed(name):
         joints = toy_store.clip(name).joints

@@ -8,9 +8,13 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+import garmentnet.evaluation.entrants as entrants
 import garmentnet.evaluation.reporting as reporting
+from garmentnet.data.parameters import SimulationParameters
 from garmentnet.evaluation.reporting import report
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from garmentnet.networks.ensemble import Kernel
+from helpers import toy_store as toy
 from ssdr.errors import InputError
 
 
@@ -80,7 +84,6 @@ def test_seeds_ratios_and_clips(toy_run, second_seed, toy_store, tmp_path, monke
 
 
 def test_baselines_that_are_scored_are_not_fitted_again(toy_run, toy_store, tmp_path, monkeypatch):
-    import garmentnet.evaluation.entrants as entrants
 
     fitted = []
 
@@ -109,9 +112,6 @@ def test_baselines_that_are_scored_are_not_fitted_again(toy_run, toy_store, tmp_
 
 
 def test_unseen_parameters(toy_run, toy_store, tmp_path):
-    from garmentnet.data.parameters import SimulationParameters
-    from garmentnet.networks.ensemble import Kernel
-    from helpers import toy_store as toy
 
     (network,) = load_checkpoint(toy_run / "checkpoint.safetensors").networks
     pivots = (toy.BASE, SimulationParameters(bending=2.0))

@@ -8,7 +8,9 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.evaluation.baselines import BodySkinned, body_skinning
-from garmentnet.evaluation.santesteban import Santesteban, train_santesteban
+from garmentnet.evaluation.santesteban import Santesteban, SantestebanObjective, train_santesteban
+from garmentnet.training.batches import load_tracks
+from garmentnet.training.run import build_network
 from helpers.measures import pooled
 
 TRAIN = [f"base-train-{k}" for k in range(8)]
@@ -39,9 +41,6 @@ def test_santesteban_learns_and_goes_on(toy_bones, toy_store, toy_config, tmp_pa
 
 
 def test_exact_offsets_are_the_statistics(toy_bones, toy_store, toy_config):
-    from garmentnet.evaluation.santesteban import SantestebanObjective
-    from garmentnet.training.batches import load_tracks
-    from garmentnet.training.run import build_network
 
     reader = build_network(toy_config(), toy_bones, TRAIN[:1])
     module = Santesteban(reader, toy_store, 8)

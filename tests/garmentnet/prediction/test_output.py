@@ -2,11 +2,16 @@
 
 # ruff: noqa: E402
 
+import dataclasses
+import types
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+
+from PIL import Image
 
 import ssdr
 from garmentnet.data.parameters import SimulationParameters
@@ -45,7 +50,6 @@ def test_pictures_and_films(toy_network, joints, tmp_path):
     save_prediction(p, tmp_path / "a.png", frames=2)
     save_prediction(p, tmp_path / "a.gif", size=64, progress=seen.append)
     assert seen[-1] == 1
-    from PIL import Image
 
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 4
@@ -90,7 +94,6 @@ def test_a_film_of_truth_beside_prediction(toy_network, toy_store, tmp_path, err
 
 
 def test_a_film_of_every_second_frame_has_the_same_speed(toy_network, joints, tmp_path):
-    from PIL import Image
 
     p = predict(toy_network, joints[:5])
     save_prediction(p, tmp_path / "a.gif", size=64, every=2)
@@ -115,7 +118,6 @@ def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joint
 
 def first_frames(clip, count):
     """A clip cut off, as far as films use it."""
-    import types
 
     cloth = np.asarray(clip.sequence.vertices[:count])
     return types.SimpleNamespace(
@@ -127,7 +129,6 @@ def first_frames(clip, count):
 
 
 def cut_prediction(p, count):
-    import dataclasses
 
     cut = {
         k: dataclasses.replace(getattr(p, k), vertices=getattr(p, k).vertices[:count])

@@ -1,20 +1,23 @@
 # ruff: noqa: E402
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+
 from garmentnet.data.store import ClipStore
+from garmentnet.evaluation.baselines import MeanShape, Ridge
+from garmentnet.evaluation.scores import evaluate, network_method, plain_method
+from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.run import choose_clips, train
 from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError
 
 
 def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
-    from garmentnet.evaluation.baselines import MeanShape, Ridge
-    from garmentnet.evaluation.scores import evaluate, network_method, plain_method
 
     names = [n for n in toy_store.names("train") if n.startswith("base")]
     held = [n for n in toy_store.names("validation") if n.startswith("base")]
@@ -63,7 +66,6 @@ def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
     low = [p for p in seen if p.phase == "low"]
     assert len(low) <= 8
     assert all(p.time_left >= 0 and 0 < p.fraction <= 1 for p in seen)
-    import json
 
     history = json.loads((tmp_path / "history.json").read_text())
     assert len(history["low"]) == len(low)
@@ -94,7 +96,6 @@ def test_damaged_state(toy_store, toy_config, tmp_path):
 
 def test_a_start_is_where_it_starts(toy_store, toy_config, toy_network, tmp_path):
     config = toy_config(epochs=1, high_epochs=1, learning_rate=1e-12, high_learning_rate=1e-12)
-    from garmentnet.networks.checkpoint import load_checkpoint
 
     path = train(toy_store, config, tmp_path, start=toy_network)
     joints = toy_store.clip("base-test-0").joints[:10]
