@@ -1,4 +1,4 @@
-"""What tests of decompositions share: two small motions, and measures by code of their own."""
+"""Two small motions and independent error measures for tests of decompositions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def frames() -> np.ndarray:
 
 @functools.cache
 def wavy() -> np.ndarray:
-    """The same with half the wobble."""
+    """The same frames with half the wobble."""
     return motions.still(motions.wobble(rig(), 0.05))
 
 
@@ -83,7 +83,7 @@ def pooled(frames: np.ndarray, again: np.ndarray) -> float:
 
 
 def played(skinning: ssdr.Skinning) -> np.ndarray:
-    """The frames of a model, by code of the tests alone."""
+    """Frames of a model, skinned by code of the tests alone."""
     s = skinning
     return motions.blend(s.rest, s.indices, s.weights, s.transforms)
 
@@ -93,7 +93,7 @@ def rmse_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
 
 
 def largest_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
-    """The largest distance of a vertex from where it should be."""
+    """Largest distance of a vertex from its position in `array`."""
     return float(np.sqrt(((played(skinning) - array) ** 2).sum(axis=-1).max()))
 
 
@@ -107,7 +107,7 @@ def bits(result: ssdr.Decomposition) -> tuple[bytes, ...]:
 def bits_on_threads(
     solve: Callable[[], ssdr.Decomposition], counts: Sequence[int] = (1, 2)
 ) -> set[tuple[bytes, ...]]:
-    """The results of a call on so many threads each; one where they are the same."""
+    """Set of the results for these numbers of threads: one element if all are the same."""
     found = set()
     try:
         for count in counts:
@@ -175,7 +175,7 @@ def size_of(skinning: ssdr.Skinning, array: np.ndarray) -> float:
 
 
 def longest_silence(work: Callable[[], object]) -> tuple[float, float]:
-    """Seconds that `work` took, and the longest that another Python thread had to wait."""
+    """Seconds that `work` takes, and the longest wait of another Python thread meanwhile."""
     gaps: list[float] = []
     started, done = threading.Event(), threading.Event()
 

@@ -1,4 +1,4 @@
-"""Random small problems, degenerate ones among them, and what is wrong with their results."""
+"""Random small problems, many of them degenerate, and the faults of their results."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Drawn:
 
 
 def check(seed: int) -> tuple[str, list[str]]:
-    """The kind of motion of a problem, and all that is wrong with its results."""
+    """Kind of motion of a problem, and all faults of its results."""
     drawn = draw(seed)
     try:
         ssdr.set_threads(drawn.threads)
@@ -55,7 +55,7 @@ def check(seed: int) -> tuple[str, list[str]]:
 
 
 def taken_up(drawn: Drawn) -> list[str]:
-    """What is wrong where a run is stopped and another goes on from its model."""
+    """Faults of a run that is stopped and of another that starts from its model."""
     enough = {"callback": lambda p: p.fraction >= drawn.stop and np.isfinite(p.rmse)}
     part = drawn.solve(**enough)
     again = drawn.solve(start=part.skinning, bones=None)
@@ -69,7 +69,7 @@ def taken_up(drawn: Drawn) -> list[str]:
 
 
 def faults(result: ssdr.Decomposition, drawn: Drawn, *, ended: bool = True) -> list[str]:
-    """What is wrong with a result, by plain NumPy; its error counts only if the run ended."""
+    """Faults of a result, found by plain NumPy; its error is judged only if the run ended."""
     options, parts, s = drawn.options, drawn.parts, result.skinning
     frames = np.array(drawn.frames, dtype=np.float64)
     searched = "tolerance" in options

@@ -1,4 +1,4 @@
-"""The stability suite: how a case is solved, and what of its result is checked from outside."""
+"""Stability suite: solve a case and check its result by code of the tests alone."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SEEDS = 3
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """Arguments of one call and the size that its error is measured by."""
+    """Arguments of one call of ``decompose``, and the length that its error is divided by."""
 
     frames: Any
     size: float
@@ -37,7 +37,7 @@ class Problem:
         return np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays])
 
     def solve(self, seeds: int = 1) -> ssdr.Decomposition:
-        """The best of so many seeds."""
+        """Result of lowest error among this many seeds."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
             results = [
@@ -49,14 +49,14 @@ class Problem:
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A disturbed problem.
+    """A disturbed problem and what is expected of it.
 
-    `refused` names the argument of the expected error.  Otherwise the relative
-    error must be at most ``factor`` times that of `undisturbed`, which may be known (0
-    where there is none: the data is exact), plus ``slack``, which is what the storage loses.
-    Of two problems that are compared the best of three seeds counts: rounding alone
-    can lead a single run to the minimum next door.  `check` is for what is no
-    matter of the error: it returns what is wrong.
+    `refused` names the argument of the expected error. Otherwise the relative error must be at
+    most `factor` times that of `undisturbed`, plus `slack` for the precision of the storage.
+    `undisturbed` is a problem, a known error, or None where exact data leave no error. Where two
+    problems are compared, each counts by the best of three seeds, since rounding alone can lead a
+    single run to another local minimum. `check` tests anything but the error and returns what is
+    wrong.
     """
 
     name: str
@@ -71,10 +71,7 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """Cases of one kind, by the number that the design gives them.
-
-    `catches` is what a solver does that fails here.
-    """
+    """Cases of one kind; `catches` is the mistake that they detect."""
 
     number: int
     title: str
@@ -106,7 +103,7 @@ def memory_used(what: str) -> float:
 
 
 def memory(problem: Problem) -> str:
-    """A process of its own, since the most that a process ever used cannot be reset."""
+    """Check peak memory in a new process, since a process cannot reset its peak."""
     n_frames, n = np.asarray(problem.frames).shape[:2]
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MEMORY, str(n), str(n_frames)],
@@ -128,7 +125,7 @@ def same_bits(problem: Problem) -> str:
 
 
 def taken_up(problem: Problem) -> str:
-    """Stopped half way, a run goes on from its checkpoint and ends no higher."""
+    """Stop a run half way, start another from its checkpoint, and compare the errors."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.npz"
         stop = {"callback": lambda p: p.fraction >= 0.5, "checkpoint": path}
@@ -141,7 +138,7 @@ def taken_up(problem: Problem) -> str:
 
 
 def goes_on(problem: Problem) -> str:
-    """Another thread sleeps and wakes while the solver runs; how late, at worst."""
+    """Measure how long another thread has to wait while the solver runs."""
     problem.solve()  # kernels are ready
     seconds, wait = longest_silence(problem.solve)
     return "" if wait < 0.5 * seconds else f"waited {wait:.2f} of {seconds:.2f} s"
@@ -149,7 +146,7 @@ def goes_on(problem: Problem) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What came of a case; `bound` is what its relative error must not exceed."""
+    """Outcome of a case; `bound` is the largest relative error that passes."""
 
     case: str
     outcome: str
@@ -173,7 +170,7 @@ def _figure(make: Callable[[], Problem | float]) -> float:
 
 
 def run(case: Case) -> Outcome:
-    """Solve a case; every model that comes back is checked from outside."""
+    """Solve a case and check the returned model independently."""
     problem = case.disturbed()
     if case.check is not None:
         fault = case.check(problem)

@@ -1,4 +1,4 @@
-"""``ssdr.decompose`` as a whole: what it promises, each promise measured from outside."""
+"""``ssdr.decompose`` as a whole: each documented property, measured independently."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def test_separate_boxes_are_exact() -> None:
     assert (result.skinning.weights[:, 0] > 1 - 1e-6).all()
 
 
-def test_noise_floor() -> None:
-    """White noise of sigma on exact data: no fit of P parameters is better than its share."""
+def test_noise_is_fitted_down_to_its_floor() -> None:
+    """White noise on exact data is fitted as well as the number of unknowns allows."""
     noisy = stability_cases.noisy()
     result = check(ssdr.decompose(noisy.frames, bones=4), noisy.frames, 4)
     floor, sigma = stability_cases.noise_floor(), stability_cases.NOISE
@@ -99,7 +99,7 @@ def test_more_bones_and_effort_never_hurt_much() -> None:
 
 
 def test_plain_alternation_is_beaten() -> None:
-    """The public parts, alternated by hand from the public start, as the naive solver."""
+    """Alternating the public fits from ``initialize`` by hand ends higher."""
     model = ssdr.initialize(frames(), bones=4)
     for _ in range(30):
         model = ssdr.fit_weights(frames(), model).skinning
@@ -116,9 +116,7 @@ def test_plain_alternation_is_beaten() -> None:
     "options", [{}, {"smoothness": 0.1, "effort": "fast"}, {"rig": "rigid"}], ids=str
 )
 def test_history_is_what_a_run_stopped_there_gives(options: dict[str, Any]) -> None:
-    """Every record's error, without a penalty, is that of the model which a run stopped there hands
-    out.
-    """
+    """A run that is stopped at a record returns a model of that record's error."""
     call = {"sequence": frames(), "faces": rig().faces, "bones": 4} | options
     whole = ssdr.decompose(**call)
     for record in whole.history[1 :: max(1, len(whole.history) // 6)]:

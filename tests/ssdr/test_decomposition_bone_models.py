@@ -60,7 +60,7 @@ def rigid_on(name: str) -> tuple[np.ndarray, ssdr.Decomposition]:
 @pytest.mark.parametrize("name", THIN)
 @pytest.mark.parametrize("kind", KINDS)
 def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) -> None:
-    """There the way to a better affine bone leads through one that is inside out."""
+    """On thin sheets the straight path to a better affine bone passes through a reflection."""
     frames, rigid = rigid_on(name)
     found = ssdr.decompose(frames, bones=rigid.skinning.n_bones, bone_model=kind)
     check_kind(found.skinning.transforms, kind)
@@ -140,7 +140,9 @@ def test_given_parts_stay(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_streamed(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streamed_bones_that_stretch_beat_rigid_ones(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(scan, "_IN_MEMORY", 1)
     monkeypatch.setattr(scan, "_FEWEST", 20)
     monkeypatch.setattr(scan, "_MOST", 20)

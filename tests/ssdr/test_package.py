@@ -113,7 +113,7 @@ def test_optional_packages_are_not_required() -> None:
 
 
 @pytest.mark.parametrize(("name", "shape"), [("dancer", (72, 4202)), ("dancer_small", (24, 799))])
-def test_sample(name: str, shape: tuple[int, int]) -> None:
+def test_a_sample_is_a_closed_mesh_that_moves_in_a_loop(name: str, shape: tuple[int, int]) -> None:
     sequence = samples.load(name)
     assert (sequence.n_frames, sequence.n_vertices) == shape
     assert sequence.vertices.dtype == np.float32

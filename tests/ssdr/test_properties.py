@@ -1,4 +1,4 @@
-"""What holds for any motion: answers follow the input, and models never get worse."""
+"""Properties of any motion: results follow the input, and models never get worse."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ by_name = {"ids": lambda change: change.__name__}
 
 
 def measured(result: ssdr.Decomposition, frames: Frames) -> float:
-    """The error by plain NumPy, which is also what the result states."""
+    """RMSE by plain NumPy, checked against the result's own."""
     rmse = rmse_of(result.skinning, frames)
     assert result.rmse == pytest.approx(rmse, rel=1e-6)
     return rmse
@@ -105,7 +105,7 @@ def test_a_run_follows_the_input(change: Callable[[Frames, Any], Change], name: 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("change", CHANGES, **by_name)
 def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: str) -> None:
-    """From given weights there is nothing to choose: what a first alternation leads to."""
+    """Ten alternations from given weights make no choices, so only rounding differs."""
     rig = motions.chain(0, bones=4, rows=16, frames=16)
     frames = motions.wobble(rig, 0.05)
 
@@ -134,7 +134,7 @@ def test_steps_follow_the_input(change: Callable[[Frames, Any], Change], kind: s
 
 @pytest.mark.parametrize("change", CHANGES, **by_name)
 def test_exact_motion_stays_exact(change: Callable[[Frames, Any], Change]) -> None:
-    """Bodies that move apart, a bone each: whatever the choices, nothing is left over."""
+    """Separate bodies with one bone each leave no error, whatever the search chooses."""
     frames = motions.boxes(4).frames
     changed, factor, options = change(frames, None)
     error = measured(ssdr.decompose(changed, bones=4, effort="fast", **options), changed)
@@ -145,7 +145,7 @@ def test_exact_motion_stays_exact(change: Callable[[Frames, Any], Change]) -> No
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.filterwarnings("ignore:.*could each go")  # where a polish alone gives it nothing to do
 def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
-    """A finished model and a bone more, a copy of one of its own, go on together."""
+    """A search from a finished model with one bone duplicated ends no higher."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     bones, influences, n = (int(rng.integers(*r)) for r in ((1, 6), (1, 5), (10, 80)))
     indices, weights = motions.weights_of(rng, n, 5, 3)
@@ -168,7 +168,7 @@ def test_one_bone_more_never_fits_worse(seed: int, kind: str) -> None:
 
 @pytest.mark.parametrize("first", range(0, 80, 20))
 def test_random_problems(first: int) -> None:
-    """Simplex, rotations, true errors, histories that fall, parts that stay, models taken up."""
+    """Valid weights and rotations, true errors, falling histories, kept parts, continued runs."""
     cases = [random_problems.check(seed) for seed in range(first, first + 20)]
     assert [fault for _, wrong in cases for fault in wrong] == []
     assert len({motion for motion, _ in cases}) > 3

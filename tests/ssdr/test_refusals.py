@@ -1,4 +1,4 @@
-"""What ``ssdr.decompose`` refuses, and by which name."""
+"""Arguments that ``ssdr.decompose`` refuses, and the argument that each error names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EACH_ONE = {"indices": np.zeros((84, 1), int), "weights": np.ones((84, 1))}
 
 
 def far(size: float) -> np.ndarray:
-    """Bones that are as far away as this."""
+    """Two bones at this distance from the origin."""
     return np.tile(np.c_[np.eye(3), np.full(3, size)], (15, 2, 1, 1))
 
 
@@ -148,7 +148,7 @@ REFUSED_SKELETONS: dict[str, tuple[str, dict[str, Any]]] = {
 
 @pytest.mark.parametrize("case", [*REFUSED, *REFUSED_PARTS, *REFUSED_RIGS, *REFUSED_SKELETONS])
 def test_refuses(case: str) -> None:
-    """By the argument's name as the caller wrote it, before anything is computed."""
+    """The error names the argument as the caller wrote it, before anything is computed."""
     calls: list[object] = []
     call = {"sequence": frames(), "faces": rig().faces, "callback": calls.append}
     argument, change = (REFUSED | REFUSED_PARTS | REFUSED_RIGS | REFUSED_SKELETONS)[case]

@@ -51,7 +51,7 @@ def test_chunk_borders_and_one_frame():
     np.testing.assert_array_equal(alone, frames[2])
 
 
-def test_dtype():
+def test_the_dtype_is_that_of_the_arrays_or_the_one_asked_for():
     arrays = make(dtype=np.float32)
     assert skin(**arrays, dtype=np.float64).dtype == np.float64
     mixed = arrays | {"transforms": arrays["transforms"].astype(np.float64)}
@@ -114,7 +114,7 @@ def test_dense_and_sparse_weights():
     np.testing.assert_allclose(points, model.skin(), atol=1e-13)
 
 
-def test_centroids():
+def test_centroids_are_weighted_means():
     arrays = make(K=2)
     arrays["indices"][arrays["indices"] == 4] = 3  # bone 4 moves nothing
     model = Skinning(**arrays)

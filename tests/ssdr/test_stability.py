@@ -1,4 +1,4 @@
-"""The stability suite: the right error, or as good a model as without the disturbance."""
+"""Stability suite: the expected error, or a model as good as without the disturbance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from helpers.stability_cases import CASES, plain
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_case(case: Case) -> None:
+def test_a_case_is_solved_or_refused_as_its_table_says(case: Case) -> None:
     outcome = run(case)
     assert outcome.passed, outcome
     assert (case.refused is None) == (outcome.outcome == "solved"), outcome

@@ -60,7 +60,7 @@ KINDS: dict[str, dict[str, Any]] = {
 def test_a_model_is_never_left_for_a_worse_one(
     kind: str, effort: str, tiny_memory: Callable[[], None]
 ) -> None:
-    """An early one and a finished one."""
+    """Neither an unfinished nor a finished start is followed by a higher error."""
     if kind == "streamed":
         tiny_memory()
     array = moving(kind)
@@ -124,7 +124,7 @@ def test_the_best_there_is_comes_back_in_the_form_that_was_asked_for(
 def test_bones_of_a_model_of_other_frames_are_fitted_to_its_weights(
     same_length: bool, hung: bool, streamed: bool, tiny_memory: Callable[[], None]
 ) -> None:
-    """Also where both have as many frames: then its transforms are far off."""
+    """This also holds where both have equally many frames and the transforms are far off."""
     if streamed:
         tiny_memory()
     # one skeleton in two motions: random turns are the same whatever the length
@@ -164,7 +164,7 @@ def test_where_importances_count_the_weighted_error_does_not_rise() -> None:
 
 
 def test_a_rig_from_a_file_of_single_precision_is_taken_up(tmp_path: Path) -> None:
-    """There joints come apart by rounding."""
+    """In such a file joints come apart by rounding."""
     array = moving("rigid rig")
     options = {"influences": 2, "rig": "rigid", "effort": "fast"}
     first = ssdr.decompose(array, bones=6, **options).skinning

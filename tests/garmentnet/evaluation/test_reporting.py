@@ -34,7 +34,7 @@ def second_seed(toy_run, tmp_path_factory):
     )
 
 
-def test_report(toy_run, toy_store, tmp_path):
+def test_a_report_has_scores_the_chaos_floor_and_pictures(toy_run, toy_store, tmp_path):
     text = report(
         [toy_run / "checkpoint.safetensors"], toy_store, tmp_path, baselines=False, pictures=1
     )

@@ -55,7 +55,7 @@ def test_pictures_and_films(toy_network, joints, tmp_path):
         assert film.n_frames == 4
 
 
-def test_mp4(toy_network, joints, tmp_path):
+def test_an_mp4_holds_every_frame_in_even_sizes(toy_network, joints, tmp_path):
     pytest.importorskip("av")
     save_prediction(predict(toy_network, joints[:5]), tmp_path / "a.mp4", size=97)
     frames = decoded(tmp_path / "a.mp4")

@@ -43,7 +43,7 @@ def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
     assert train(toy_store, config, folder).read_bytes() == whole
 
 
-def test_seeds(toy_store, toy_config, tmp_path):
+def test_a_seed_decides_all_weights_but_not_the_bones(toy_store, toy_config, tmp_path):
     def run(name, seed):
         config = toy_config(epochs=1, high_epochs=1, seed=seed)
         return train(toy_store, config, tmp_path / name).read_bytes()
