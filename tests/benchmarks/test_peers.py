@@ -15,7 +15,6 @@ import pytest
 import ssdr
 from benchmarks import common
 from benchmarks.peers import model_size, race, tables
-from helpers import motions
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -131,21 +130,6 @@ def test_exponent_of_a_sweep() -> None:
     (row,) = tables.sweeps(runs)
     assert row["over"] == "vertices"
     assert row["exponent"] == pytest.approx(1.5)
-
-
-@pytest.mark.slow
-def test_a_history_states_the_errors_of_the_models() -> None:
-    frames = motions.wobble(motions.chain(bones=4, rows=16, frames=16), 0.05)
-    whole = ssdr.decompose(frames, bones=4)
-    for wanted in whole.history[:: max(1, len(whole.history) // 4)]:
-
-        def enough(progress: Any, wanted: Any = wanted) -> bool:
-            return progress.iteration >= wanted.iteration and np.isfinite(progress.rmse)
-
-        found = ssdr.decompose(frames, bones=4, callback=enough)
-        at = found.history[-1].iteration
-        stated = [r.rmse for r in whole.history if r.iteration <= at][-1]
-        assert common.rmse_of(frames, found.skinning) == pytest.approx(stated, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ def problem(seed: int, noise: float = 0.01) -> tuple[Trajectories, Model]:
 
 
 def squared_error(data: Trajectories, model: Model) -> float:
-    """Of the model by naive skinning."""
+    """Squared error of the model by naive skinning."""
     skinned = naive.skin(model.rest, model.indices, model.weights, model.transforms)
     target = np.stack([data.frame(t) for t in range(data.n_frames)])
     return float(((skinned - target) ** 2).sum())

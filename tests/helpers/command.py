@@ -39,7 +39,7 @@ def model_of(sequence, bones=2, influences=4):
 
 
 def fake_decompose(sequence, *, bones, influences, callback, steps=3, pause=0.0, **options):
-    """Stands in for the solver: the same arguments and results, in as many steps as asked."""
+    """Replacement for the solver with its arguments and results, in this many steps."""
     fake_decompose.options = options
     reason = "converged"
     for step in range(1, steps + 1):
@@ -79,7 +79,7 @@ FAKED = textwrap.dedent(
 
 
 def faked(steps=3, pause=0.02):
-    """Words for :func:`start` that run the command with the solver that waits."""
+    """Arguments of :func:`start` that run the command with the waiting solver."""
     return ["-c", FAKED.format(steps=steps, pause=pause)]
 
 
@@ -101,7 +101,7 @@ def _as_from_a_terminal():
 
 
 def through_shell(redirections, arguments, **options):
-    """As :func:`start`, with what the shell does to the standard streams."""
+    """Start the command through a shell that redirects its standard streams."""
     quoted = shlex.join([sys.executable, *map(str, arguments)])
     return start(["-c", _EXEC, f"exec {quoted} {redirections}"], **options)
 

@@ -15,7 +15,7 @@ from ssdr.io import atomic
 
 @contextlib.contextmanager
 def small_files(limit: int) -> Iterator[None]:
-    """No file of this process grows beyond so many bytes."""
+    """Limit the size of every file that this process writes, in bytes."""
     resource = pytest.importorskip("resource", reason="no limits of that kind here")
     old = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, old[1]))
@@ -26,7 +26,7 @@ def small_files(limit: int) -> Iterator[None]:
 
 
 def fill(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the disk of a folder be full, from now on, for what is written at once."""
+    """Make every later flush of a file in `folder` fail as on a full disk."""
     real = atomic._flush
 
     def flush(path: Path) -> None:

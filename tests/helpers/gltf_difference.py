@@ -38,24 +38,20 @@ def tree(path):
         item["values"] = hashlib.sha256(values.tobytes()).hexdigest()
         return item
 
+    def attributes(numbers):
+        return {name: accessor(number) for name, number in numbers.items()}
+
+    look_up = {
+        "attributes": attributes,
+        "indices": accessor,
+        "targets": lambda targets: [attributes(t) for t in targets],
+        "material": lambda number: json["materials"][number].get("name"),
+    }
+
     def mesh(number):
         item = dict(json["meshes"][number])
         item["primitives"] = {
-            str(k): {
-                **p,
-                "attributes": {a: accessor(v) for a, v in p["attributes"].items()},
-                **({"indices": accessor(p["indices"])} if "indices" in p else {}),
-                **(
-                    {"targets": [{a: accessor(v) for a, v in t.items()} for t in p["targets"]]}
-                    if "targets" in p
-                    else {}
-                ),
-                **(
-                    {"material": json["materials"][p["material"]].get("name")}
-                    if "material" in p
-                    else {}
-                ),
-            }
+            str(k): p | {key: look_up[key](p[key]) for key in look_up if key in p}
             for k, p in enumerate(item["primitives"])
         }
         return item

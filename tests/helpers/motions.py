@@ -30,7 +30,7 @@ class Rig:
 
 
 def model(rest, indices=None, weights=None, transforms=None, *, bones=None, **options):
-    """A model of these parts; where they are missing, vertices are of bone 0, bones at rest."""
+    """Model of these parts; by default bone 0 moves all vertices and all bones are at rest."""
     if indices is None:
         indices, weights = np.zeros((len(rest), 1), dtype=int), np.ones((len(rest), 1))
     if transforms is None:
@@ -81,7 +81,7 @@ def random_skinning(rng, rest, n_frames, n_bones, influences):
 
 
 def still(array):
-    """The same array, read-only: what is cached is shared."""
+    """Make an array read-only, since cached arrays are shared by tests."""
     array.setflags(write=False)
     return array
 

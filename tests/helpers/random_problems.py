@@ -1,4 +1,4 @@
-"""Random small problems, degenerate ones among them, and what is wrong with their results."""
+"""Random small problems, many of them degenerate, and the faults of their results."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import numpy as np
 
 import ssdr
 from helpers import motions
-from helpers.measures import largest_of, rmse_of
-from helpers.stability import invalid
+from helpers.measures import broken, largest_of, rmse_of, size_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,7 +41,7 @@ class Drawn:
 
 
 def check(seed: int) -> tuple[str, list[str]]:
-    """The kind of motion of a problem, and all that is wrong with its results."""
+    """Kind of motion of a problem, and all faults of its results."""
     drawn = draw(seed)
     try:
         ssdr.set_threads(drawn.threads)
@@ -56,45 +55,34 @@ def check(seed: int) -> tuple[str, list[str]]:
 
 
 def taken_up(drawn: Drawn) -> list[str]:
-    """What is wrong where a run is stopped and another goes on from its model."""
+    """Faults of a run that is stopped and of another that starts from its model."""
     enough = {"callback": lambda p: p.fraction >= drawn.stop and np.isfinite(p.rmse)}
     part = drawn.solve(**enough)
     again = drawn.solve(start=part.skinning, bones=None)
     wrong = faults(part, drawn, ended=False) + faults(again, drawn, ended=False)
     plain = not {"vertex_importance", "frame_importance", "smoothness"} & set(drawn.options)
-    if plain and again.rmse > part.rmse * (1 + 1e-12) + 1e-13 * size_of(drawn, part):
+    if plain and again.rmse > part.rmse * (1 + 1e-12) + 1e-13 * size_of(
+        part.skinning, drawn.frames
+    ):
         wrong.append(f"rmse {again.rmse:.6g} after {part.rmse:.6g}")
     return wrong
 
 
-def size_of(drawn: Drawn, result: ssdr.Decomposition) -> float:
-    """What rounding may do depends on everything that is added up."""
-    s, frames = result.skinning, drawn.frames.astype(np.float64)
-    return float(max(np.abs(a).max() for a in (frames, s.rest, s.transforms[..., 3])))
-
-
 def faults(result: ssdr.Decomposition, drawn: Drawn, *, ended: bool = True) -> list[str]:
-    """What is wrong with a result, by plain NumPy; its error counts only if the run ended."""
+    """Faults of a result, found by plain NumPy; its error is judged only if the run ended."""
     options, parts, s = drawn.options, drawn.parts, result.skinning
     frames = np.array(drawn.frames, dtype=np.float64)
     searched = "tolerance" in options
     bones = s.n_bones if searched else options["bones"]
     influences = min(s.n_influences, options["influences"]) if searched else options["influences"]
-    wrong = [w for w in [invalid(s, frames, bones, influences)] if w]
-    if searched and not 1 <= bones <= options["bones"]:
-        wrong.append(f"{bones} bones, at most {options['bones']} were asked for")
-    if wrong:
-        return wrong
-    rmse, size = rmse_of(s, frames), size_of(drawn, result)
-    if not abs(rmse - result.rmse) <= 1e-6 * rmse + 1e-12 * size:
-        wrong.append(f"says rmse {result.rmse:.6g}, is {rmse:.6g}")
-    errors = [record.rmse for record in result.history]
     # a search tells of models of several sizes; with smoothness the penalty may fall instead
-    if "smoothness" not in options and not searched and (np.diff(errors) > 0).any():
-        wrong.append("history rises")
-    if errors[-1] != result.rmse:
-        wrong.append("history does not end at the result")
+    falls = "smoothness" not in options and not searched
+    if fault := broken(result, frames, bones, influences, falls=falls):
+        return [fault]
+    wrong, rmse, size = [], rmse_of(s, frames), size_of(s, frames)
     if searched:
+        if not 1 <= bones <= options["bones"]:
+            wrong.append(f"{bones} bones, at most {options['bones']} were asked for")
         found = result.parsimony
         worst = largest_of(s, frames) if options["measure"] == "max" else rmse
         if found.held and worst > found.tolerance * (1 + 1e-6) + 1e-12 * size:

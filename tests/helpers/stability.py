@@ -1,4 +1,4 @@
-"""The stability suite: how a case is solved, and what of its result is checked from outside."""
+"""Stability suite: solve a case and check its result by code of the tests alone."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ from typing import Any
 import numpy as np
 
 import ssdr
-from helpers.measures import bits_on_threads, longest_silence, played, pooled, rmse_of
-from helpers.stretches import check_kind
+from helpers.measures import bits_on_threads, broken, longest_silence, rmse_of
 
 SEEDS = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """Arguments of one call and the size that its error is measured by."""
+    """Arguments of one call of ``decompose``, and the length that its error is divided by."""
 
     frames: Any
     size: float
@@ -38,7 +37,7 @@ class Problem:
         return np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays])
 
     def solve(self, seeds: int = 1) -> ssdr.Decomposition:
-        """The best of so many seeds."""
+        """Result of lowest error among this many seeds."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ssdr.SsdrWarning)  # fewer bones would often do
             results = [
@@ -50,14 +49,14 @@ class Problem:
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A disturbed problem.
+    """A disturbed problem and what is expected of it.
 
-    `refused` names the argument of the expected error.  Otherwise the relative
-    error must be at most ``factor`` times that of `undisturbed`, which may be known (0
-    where there is none: the data is exact), plus ``slack``, which is what the storage loses.
-    Of two problems that are compared the best of three seeds counts: rounding alone
-    can lead a single run to the minimum next door.  `check` is for what is no
-    matter of the error: it returns what is wrong.
+    `refused` names the argument of the expected error. Otherwise the relative error must be at
+    most `factor` times that of `undisturbed`, plus `slack` for the precision of the storage.
+    `undisturbed` is a problem, a known error, or None where exact data leave no error. Where two
+    problems are compared, each counts by the best of three seeds, since rounding alone can lead a
+    single run to another local minimum. `check` tests anything but the error and returns what is
+    wrong.
     """
 
     name: str
@@ -72,10 +71,7 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """Cases of one kind, by the number that the design gives them.
-
-    `catches` is what a solver does that fails here.
-    """
+    """Cases of one kind; `catches` is the mistake that they detect."""
 
     number: int
     title: str
@@ -107,7 +103,7 @@ def memory_used(what: str) -> float:
 
 
 def memory(problem: Problem) -> str:
-    """A process of its own, since the most that a process ever used cannot be reset."""
+    """Check peak memory in a new process, since a process cannot reset its peak."""
     n_frames, n = np.asarray(problem.frames).shape[:2]
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MEMORY, str(n), str(n_frames)],
@@ -129,7 +125,7 @@ def same_bits(problem: Problem) -> str:
 
 
 def taken_up(problem: Problem) -> str:
-    """Stopped half way, a run goes on from its checkpoint and ends no higher."""
+    """Stop a run half way, start another from its checkpoint, and compare the errors."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.npz"
         stop = {"callback": lambda p: p.fraction >= 0.5, "checkpoint": path}
@@ -142,7 +138,7 @@ def taken_up(problem: Problem) -> str:
 
 
 def goes_on(problem: Problem) -> str:
-    """Another thread sleeps and wakes while the solver runs; how late, at worst."""
+    """Measure how long another thread has to wait while the solver runs."""
     problem.solve()  # kernels are ready
     seconds, wait = longest_silence(problem.solve)
     return "" if wait < 0.5 * seconds else f"waited {wait:.2f} of {seconds:.2f} s"
@@ -150,7 +146,7 @@ def goes_on(problem: Problem) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What came of a case; `bound` is what its relative error must not exceed."""
+    """Outcome of a case; `bound` is the largest relative error that passes."""
 
     case: str
     outcome: str
@@ -174,7 +170,7 @@ def _figure(make: Callable[[], Problem | float]) -> float:
 
 
 def run(case: Case) -> Outcome:
-    """Solve a case; every model that comes back is checked from outside."""
+    """Solve a case and check the returned model independently."""
     problem = case.disturbed()
     if case.check is not None:
         fault = case.check(problem)
@@ -188,39 +184,10 @@ def run(case: Case) -> Outcome:
     if case.refused is not None:
         return Outcome(case.name, "NOT REFUSED")
     frames = problem.positions()
-    fault = invalid(result.skinning, frames, problem.options.get("bones", 4))
-    errors = [record.rmse for record in result.history]
-    if not fault and not problem.options.get("smoothness") and (np.diff(errors) > 0).any():
-        fault = "the error rises"
-    if fault:
+    falls = not problem.options.get("smoothness")
+    if fault := broken(result, frames, problem.options.get("bones", 4), falls=falls):
         return Outcome(case.name, f"INVALID: {fault}")
-    figure = pooled(played(result.skinning), frames) / problem.size
-    reported = result.rmse / problem.size
-    if abs(figure - reported) > 1e-4 * figure + 1e-9:
-        return Outcome(case.name, f"INVALID: says {reported:.3g}, is {figure:.3g}", figure)
+    figure = rmse_of(result.skinning, frames) / problem.size
     before = 0.0 if case.undisturbed is None else _figure(case.undisturbed)
     bound = None if case.only_valid else float(case.factor * before + case.slack)
     return Outcome(case.name, "solved", figure, before, bound)
-
-
-def invalid(s: ssdr.Skinning, frames: np.ndarray, bones: int, influences: int = 4) -> str:
-    """What is wrong with a model, or an empty text."""
-    tests = {
-        "number of bones": s.transforms.shape == (len(frames), bones, 3, 4),
-        "rest pose": s.rest.shape == frames.shape[1:] and bool(np.isfinite(s.rest).all()),
-        "transforms": bool(np.isfinite(s.transforms).all()),
-        "rotations": _of_kind(s),
-        "weights": bool(s.weights.min() >= 0)
-        and bool(np.abs(s.weights.sum(axis=1) - 1).max() < 1e-6),
-        "indices": bool(s.indices.min() >= 0) and bool(s.indices.max() < bones),
-        "number of influences": s.indices.shape == s.weights.shape == (len(s.rest), influences),
-    }
-    return ", ".join(name for name, good in tests.items() if not good)
-
-
-def _of_kind(s: ssdr.Skinning) -> bool:
-    try:
-        check_kind(s.transforms, s.bone_model)
-    except AssertionError:
-        return False
-    return True

@@ -69,13 +69,13 @@ def soup(exact: bool) -> Problem:
 
 
 def soup_as_importance() -> Problem:
-    """The mesh whose vertices count as often as triangles use them."""
+    """The mesh with each vertex weighted by the number of its triangles."""
     count = np.bincount(rig().faces.ravel(), minlength=base().shape[1]).astype(float)
     return plain(vertex_importance=count)
 
 
 def components() -> Problem:
-    """41 bodies, moved by ten motions, in no order."""
+    """41 bodies that share ten motions at random."""
     bodies = motions.boxes(41, frames=16, points=8)
     owner = np.random.default_rng(3).permutation(np.arange(41) % 10)
     moves = motions.boxes(10, frames=16).transforms
@@ -163,7 +163,7 @@ def lonely() -> Problem:
 
 
 def exact() -> Problem:
-    """Frames that linear blend skinning made."""
+    """Frames made by linear blend skinning."""
     frames = rig().frames
     return Problem(frames, diagonal(frames), rig().faces, {"effort": "best"})
 
@@ -179,7 +179,7 @@ def noisy() -> Problem:
 
 
 def noise_floor() -> float:
-    """What is left of white noise when as many unknowns as the model has are fitted to it."""
+    """Expected residual of white noise after a fit with as many unknowns as the model has."""
     problem = noisy()
     n_frames, n = problem.frames.shape[:2]
     unknowns = 6 * 4 * n_frames + n * (3 + 3)
@@ -210,12 +210,12 @@ def clips() -> Problem:
 
 
 def after(iterations: int) -> Callable[[ssdr.search.progress.Progress], bool]:
-    """A callback that stops there."""
+    """Callback that stops the run after this many iterations."""
     return lambda progress: progress.iteration >= iterations and bool(np.isfinite(progress.rmse))
 
 
 def large(vertices: int, frames: int) -> Problem:
-    """A waving sheet of so many vertices; float32."""
+    """A waving sheet with this many vertices, in float32."""
     rng = np.random.default_rng(0)
     rest = rng.uniform(-1, 1, (vertices, 3)) * [10, 10, 0.1]
     t = np.arange(frames, dtype=np.float32)[:, None]

@@ -1,4 +1,4 @@
-"""Meshes to measure on, and when two sequences are the same."""
+"""Test meshes, and assertions that two sequences or surfaces are equal."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
 from ssdr import Skinning
+from ssdr.rigid import matrix_from_quaternion
 
 FPS = 30.0
 BASE = SimulationParameters(bending=0.5, density=0.2, time_scale=1.0)
@@ -82,6 +83,12 @@ def body():
         bone_names=names,
     )
     return rig, skeleton
+
+
+def random_pose(rng, skeleton, frames):
+    """Joint transforms of unrelated poses."""
+    rotations = matrix_from_quaternion(rng.normal(size=(frames, skeleton.n_joints, 4)))
+    return skeleton.transforms(rng.normal(size=(frames, 3)), rotations)
 
 
 def _wander(rng, frames, scale, low=0.15, high=0.9):

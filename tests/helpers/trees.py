@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -24,6 +25,11 @@ class Skeleton:
     weights: np.ndarray
     transforms: np.ndarray
     frames: np.ndarray
+
+    @property
+    def wavy(self) -> np.ndarray:
+        """The frames with waves that the bones cannot follow."""
+        return self.frames + 0.02 * np.sin(4 * self.frames[..., [1, 2, 0]])
 
     def skinning(self, **changes) -> ssdr.Skinning:
         """The model with its hierarchy, in the rest pose unless `transforms` are given."""
@@ -76,6 +82,12 @@ def skeleton(
     rest, indices, weights = (np.concatenate(part) for part in (rest, indices, weights))
     posed = motions.blend(rest, indices, weights, transforms)
     return Skeleton(parents, points, rest, indices, weights, transforms, posed)
+
+
+@functools.cache
+def six_bones() -> Skeleton:
+    """The skeleton of most tests, made once."""
+    return skeleton(6, 40, seed=3)
 
 
 def edges(parents) -> set[frozenset[int]]:

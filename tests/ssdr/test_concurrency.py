@@ -8,7 +8,6 @@ import time
 import numpy as np
 
 import ssdr
-from helpers import motions
 from helpers.measures import bits, frames, longest_silence
 from ssdr.kernels.bones import sweep_bones
 from ssdr.solver.moments import bone_sums, coupled_bones
@@ -36,15 +35,6 @@ def test_a_kernel_releases_the_lock_of_python() -> None:
     spent, silence = longest_silence(lambda: sweep(int(1.0 / rate)))
     assert spent > 0.3
     assert silence < 0.5 * spent
-
-
-def test_other_threads_go_on_during_a_run() -> None:
-    big = motions.chain(bones=8, rows=500, ring=10, frames=60)
-    array = motions.wobble(big, 0.05)
-    ssdr.decompose(array[:2], bones=2, effort="fast")  # compiled before the clock starts
-    stop = {"callback": lambda p: p.iteration >= 30}
-    spent, silence = longest_silence(lambda: ssdr.decompose(array, bones=40, effort="fast", **stop))
-    assert silence < max(0.3, 0.3 * spent)
 
 
 def test_two_runs_at_once() -> None:

@@ -14,7 +14,6 @@ import ssdr
 from helpers import motions
 from helpers.measures import check, pooled
 from helpers.stretches import KINDS, MODELS, check_kind, rig, stretched
-from ssdr import cli
 from ssdr.drivers import scan
 from ssdr.frames import executor
 
@@ -43,17 +42,6 @@ def test_decompositions_warm_started_along_the_chain_fall() -> None:
     assert errors[2] < 0.9 * errors[1]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_more_freedom_pays_on_motion_that_is_of_no_kind(kind: str) -> None:
-    frames = motions.wobble(motions.chain(bones=4), 0.2)
-    less = MODELS[MODELS.index(kind) - 1]
-    errors = [
-        ssdr.decompose(frames, bones=4, bone_model=model, effort="fast").rmse
-        for model in (less, kind)
-    ]
-    assert errors[1] < errors[0]
-
-
 THIN = {
     "wings, 2": (motions.wings, 2),
     "wings, 4": (motions.wings, 4),
@@ -72,7 +60,7 @@ def rigid_on(name: str) -> tuple[np.ndarray, ssdr.Decomposition]:
 @pytest.mark.parametrize("name", THIN)
 @pytest.mark.parametrize("kind", KINDS)
 def test_bones_that_stretch_are_no_worse_on_thin_sheets(kind: str, name: str) -> None:
-    """There the way to a better affine bone leads through one that is inside out."""
+    """On thin sheets the straight path to a better affine bone passes through a reflection."""
     frames, rigid = rigid_on(name)
     found = ssdr.decompose(frames, bones=rigid.skinning.n_bones, bone_model=kind)
     check_kind(found.skinning.transforms, kind)
@@ -152,7 +140,9 @@ def test_given_parts_stay(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_streamed(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streamed_bones_that_stretch_beat_rigid_ones(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(scan, "_IN_MEMORY", 1)
     monkeypatch.setattr(scan, "_FEWEST", 20)
     monkeypatch.setattr(scan, "_MOST", 20)
@@ -224,24 +214,3 @@ def test_similarity_plays_from_files(tmp_path: Path) -> None:
         assert back.bone_model == "similarity"
         limit = 1e-3 if name.endswith("usdc") else 1e-5  # UsdSkel holds scales in half precision
         assert np.abs(back.skin() - model.skin()).max() < limit * size
-
-
-def test_affine_is_kept_by_npz_and_refused_by_joints(tmp_path: Path) -> None:
-    model = small_model("affine")
-    ssdr.save(model, tmp_path / "m.npz")
-    back = ssdr.load_skinning(tmp_path / "m.npz")
-    assert back.bone_model == "affine"
-    assert np.array_equal(back.transforms, model.transforms)
-    with pytest.raises(ssdr.InputError, match="scaled rotations"):
-        ssdr.save(model, tmp_path / "m.glb")
-    assert not (tmp_path / "m.glb").exists()
-
-
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source, out = tmp_path / "walk.npz", tmp_path / "model.npz"
-    ssdr.save(ssdr.MeshSequence(rig("affine", bones=2, frames=6).frames), source)
-    words = ["decompose", str(source), "-b", "2", "-e", "fast", "--bone-model", "affine", "-q"]
-    assert cli.main([*words, "-o", str(out)]) == 0
-    assert ssdr.load_skinning(out).bone_model == "affine"
-    assert cli.main([*words, "-o", str(tmp_path / "model.glb")]) == 2
-    assert "a shear" in capsys.readouterr().err

@@ -146,15 +146,6 @@ def test_vertices_of_no_importance_may_be_anything() -> None:
     assert error < 1e-2 * diagonal(exact.frames)
 
 
-def test_importances_stay_as_they_were_given() -> None:
-    vertices, rows = np.arange(84.0), np.arange(1.0, 16.0)
-    ssdr.decompose(
-        frames(), bones=2, effort="fast", vertex_importance=vertices, frame_importance=rows
-    )
-    assert (vertices == np.arange(84)).all()
-    assert (rows == np.arange(1, 16)).all()
-
-
 def test_only_ratios_of_importance_count() -> None:
     results = [
         ssdr.decompose(

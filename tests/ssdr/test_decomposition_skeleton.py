@@ -16,51 +16,42 @@ NAMES = ("hips", "spine", "arm", "leg", "hand", "foot")
 
 
 @functools.cache
-def _made() -> trees.Skeleton:
-    return trees.skeleton(6, 40, seed=3)
-
-
-@functools.cache
 def _rig() -> ssdr.Skinning:
-    return _made().skinning(bone_names=NAMES)
-
-
-def _wavy() -> np.ndarray:
-    return _made().frames + 0.02 * np.sin(4 * _made().frames[..., [1, 2, 0]])
+    return trees.six_bones().skinning(bone_names=NAMES)
 
 
 def _solve(frames=None, *, skeleton=None, effort="fast", start=None, **rig) -> ssdr.Decomposition:
-    frames = _made().frames if frames is None else frames
+    frames = trees.six_bones().frames if frames is None else frames
     rig = ssdr.Skeleton(_rig() if skeleton is None else skeleton, **rig)
     return ssdr.decompose(frames, influences=2, effort=effort, start=start, rig=rig)
 
 
 def _check(result: ssdr.Decomposition, bones: int = 6) -> ssdr.Skinning:
     model = result.skinning
-    check(result, _made().frames, bones, 2)
-    assert np.array_equal(model.parents[:6], _made().parents)
+    check(result, trees.six_bones().frames, bones, 2)
+    assert np.array_equal(model.parents[:6], trees.six_bones().parents)
     assert model.joint_names[:6] == NAMES
-    assert model.joint_gaps().max() < 1e-6 * diagonal(_made().frames)
+    assert model.joint_gaps().max() < 1e-6 * diagonal(trees.six_bones().frames)
     return model
 
 
 def test_exact_frames_are_explained_by_the_skeleton_they_come_from() -> None:
     result = _solve(effort="balanced")
     _check(result)
-    assert result.rmse < 1e-5 * diagonal(_made().frames)
+    assert result.rmse < 1e-5 * diagonal(trees.six_bones().frames)
 
 
 def test_joints_that_are_a_little_off_end_where_the_right_ones_do() -> None:
-    size = diagonal(_made().frames)
+    size = diagonal(trees.six_bones().frames)
     off = 0.02 * size * np.random.default_rng(0).normal(size=(6, 3)) / np.sqrt(3)
-    moved = dataclasses.replace(_rig(), joint_positions=_made().points + off)
+    moved = dataclasses.replace(_rig(), joint_positions=trees.six_bones().points + off)
     result = _solve(effort="balanced", skeleton=moved)
     _check(result)
     assert result.rmse < 1e-5 * size
 
 
 def test_motion_alone() -> None:
-    made = _made()
+    made = trees.six_bones()
     kept = ssdr.Start(indices=made.indices, weights=made.weights, rest=made.rest)
     result = _solve(start=kept)
     model = _check(result)
@@ -74,7 +65,7 @@ def test_motion_alone() -> None:
 
 @pytest.mark.parametrize("effort", ["fast", "balanced", "best"])
 def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
-    made = _made()
+    made = trees.six_bones()
     pulled = made.frames.copy()
     far = made.weights[:, 0] * (made.indices[:, 0] == 5)
     away = np.sin(np.linspace(0, 6, len(pulled)))[:, None, None] * [0.0, 0.3, 0.0]
@@ -92,10 +83,10 @@ def test_loose_joints_keep_the_parents_and_may_come_apart(effort) -> None:
 def test_extra_bones_lower_the_error_each_time() -> None:
     errors = []
     for extra in (0, 2, 4, 8):
-        result = _solve(_wavy(), extra_bones=extra)
+        result = _solve(trees.six_bones().wavy, extra_bones=extra)
         model = result.skinning
         assert model.n_bones == 6 + extra
-        assert np.array_equal(model.parents[:6], _made().parents)
+        assert np.array_equal(model.parents[:6], trees.six_bones().parents)
         assert (model.parents[6:] >= 0).all()
         assert model.joint_names[:6] == NAMES
         assert len(set(model.joint_names)) == 6 + extra
@@ -105,16 +96,16 @@ def test_extra_bones_lower_the_error_each_time() -> None:
 
 
 def test_extra_bones_below_named_ones() -> None:
-    result = _solve(_wavy(), extra_bones={"hand": 2, "spine": 1})
+    result = _solve(trees.six_bones().wavy, extra_bones={"hand": 2, "spine": 1})
     model = result.skinning
     assert model.parents[6:].tolist() == [NAMES.index("hand")] * 2 + [NAMES.index("spine")]
     assert (model.dense_weights()[:, 6:].max(axis=0) > 0).all()
-    assert result.rmse < _solve(_wavy()).rmse
+    assert result.rmse < _solve(trees.six_bones().wavy).rmse
 
 
 @pytest.mark.parametrize("frames", [1, 40])
 def test_locked_joints_turn_as_the_skeleton_says(frames) -> None:
-    made = _made()
+    made = trees.six_bones()
     moving = dataclasses.replace(_rig(), transforms=made.transforms)
     rig = moving if frames == 40 else _rig()
     result = _solve(skeleton=rig, effort="balanced", locked_joints=["spine", "hand"])
@@ -130,7 +121,7 @@ def test_locked_joints_turn_as_the_skeleton_says(frames) -> None:
 
 
 def test_the_polish_of_locked_joints_is_that_of_fewer_unknowns() -> None:
-    made = _made()
+    made = trees.six_bones()
     rig = dataclasses.replace(_rig(), transforms=made.transforms)
     off = made.frames + 0.05 * np.sin(3 * made.frames[..., [2, 0, 1]])
     held = _solve(off, skeleton=rig, locked_joints=["foot"], effort="balanced")
@@ -140,7 +131,7 @@ def test_the_polish_of_locked_joints_is_that_of_fewer_unknowns() -> None:
 
 
 def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
-    made = _made()
+    made = trees.six_bones()
     frames = np.concatenate([made.rest[None], made.frames])
     other = dataclasses.replace(
         _rig(), rest=made.rest[::2], indices=made.indices[::2], weights=made.weights[::2]
@@ -151,17 +142,17 @@ def test_a_rig_of_another_mesh_gives_joints_and_parents() -> None:
 
 
 def test_zero_length_bones() -> None:
-    points = _made().points.copy()
-    points[4] = points[_made().parents[4]]
+    points = trees.six_bones().points.copy()
+    points[4] = points[trees.six_bones().parents[4]]
     _check(_solve(skeleton=dataclasses.replace(_rig(), joint_positions=points)))
 
 
 def test_two_roots() -> None:
-    parents = _made().parents.copy()
+    parents = trees.six_bones().parents.copy()
     parents[1] = -1
     result = _solve(skeleton=dataclasses.replace(_rig(), parents=parents))
     assert np.array_equal(result.skinning.parents, parents)
-    assert result.rmse < 1e-4 * diagonal(_made().frames)
+    assert result.rmse < 1e-4 * diagonal(trees.six_bones().frames)
 
 
 def test_a_skeleton_scaled_unevenly_lends_its_joints_not_its_scales() -> None:
@@ -169,7 +160,7 @@ def test_a_skeleton_scaled_unevenly_lends_its_joints_not_its_scales() -> None:
     pose[0, 3, :, :3] = np.diag([1.0, 2.0, 0.5])
     result = _solve(skeleton=dataclasses.replace(_rig(), transforms=pose))
     assert _check(result).bone_model == "rigid"
-    assert result.rmse < 1e-5 * diagonal(_made().frames)
+    assert result.rmse < 1e-5 * diagonal(trees.six_bones().frames)
 
 
 def test_names_that_repeat_are_kept() -> None:

@@ -12,20 +12,14 @@ import pytest
 
 import ssdr
 from helpers import motions, trees
-from helpers.measures import bits, bits_on_threads, check, diagonal, rmse_of
-from ssdr.errors import InputError
+from helpers.measures import bits, check, diagonal, rmse_of
 
 _RIG = {"rig": "rigid", "effort": "fast"}
 
 
 @functools.cache
-def _made() -> trees.Skeleton:
-    return trees.skeleton(6, 40, seed=3)
-
-
-@functools.cache
 def _solved() -> ssdr.Decomposition:
-    return ssdr.decompose(_made().frames, bones=6, influences=2, rig="rigid")
+    return ssdr.decompose(trees.six_bones().frames, bones=6, influences=2, rig="rigid")
 
 
 def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influences: int = 4):
@@ -44,8 +38,9 @@ def _check(result: ssdr.Decomposition, frames: np.ndarray, bones: int, influence
 
 
 def test_a_made_skeleton_is_found() -> None:
-    made, result = _made(), _solved()
+    made, result = trees.six_bones(), _solved()
     model = _check(result, made.frames, 6, 2)
+    assert model.joint_names == tuple(f"joint_{k}" for k in range(6))
     assert result.rmse < 2e-3 * diagonal(made.frames)
     place = trees.matched(model, made)
     theirs = {frozenset(int(place[k]) for k in edge) for edge in trees.edges(made.parents)}
@@ -62,29 +57,13 @@ def test_a_made_skeleton_is_found() -> None:
         assert away < 0.02 * diagonal(made.frames)
 
 
-def test_joints_are_named() -> None:
-    assert _solved().skinning.joint_names == tuple(f"joint_{k}" for k in range(6))
-
-
-def test_same_seed_same_bits_whatever_the_threads() -> None:
-    trees_found = set()
-
-    def solve() -> ssdr.Decomposition:
-        result = ssdr.decompose(_made().frames, bones=6, influences=2, rig="rigid")
-        s = result.skinning
-        trees_found.add((s.parents.tobytes(), s.joint_positions.tobytes()))
-        return result
-
-    assert bits_on_threads(solve) == {bits(_solved())}
-    assert len(trees_found) == 1
-
-
 def test_a_loose_tree_leaves_the_flat_result_as_it_is() -> None:
     options = {"bones": 6, "influences": 2}
-    flat = ssdr.decompose(_made().frames, **options)
-    loose = ssdr.decompose(_made().frames, **options, rig="loose")
-    assert bits(flat) == bits(loose)
+    flat = ssdr.decompose(trees.six_bones().frames, **options)
+    loose = ssdr.decompose(trees.six_bones().frames, **options, rig="loose")
     model = loose.skinning
+    unhung = dataclasses.replace(model, parents=None, joint_positions=None)
+    assert bits(flat) == bits(dataclasses.replace(loose, skinning=unhung))
     assert flat.skinning.parents is None
     assert (model.parents < 0).sum() == 1
     gaps = model.joint_gaps()
@@ -168,22 +147,17 @@ def test_a_ball_that_squashes() -> None:
 
 
 def test_a_frame_that_teleports() -> None:
-    frames = _made().frames.copy()
+    frames = trees.six_bones().frames.copy()
     frames[20:] += 50.0
     result = ssdr.decompose(frames, bones=6, influences=2, **_RIG)
     _check(result, frames, 6, 2)
-    assert result.rmse < 0.05 * diagonal(_made().frames)
+    assert result.rmse < 0.05 * diagonal(trees.six_bones().frames)
 
 
 def test_mirrored_frames_keep_proper_rotations() -> None:
-    frames = _made().frames.copy()
+    frames = trees.six_bones().frames.copy()
     frames[20:, :, 0] *= -1
     _check(ssdr.decompose(frames, bones=4, influences=2, **_RIG), frames, 4, 2)
-
-
-def test_more_joints_than_vertices_is_refused() -> None:
-    with pytest.raises(InputError, match="bones"):
-        ssdr.decompose(np.random.default_rng(0).normal(size=(4, 5, 3)), bones=6, **_RIG)
 
 
 def test_as_many_joints_as_vertices() -> None:
@@ -192,7 +166,7 @@ def test_as_many_joints_as_vertices() -> None:
 
 
 def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
-    made, size = _made(), diagonal(_made().frames)
+    made, size = trees.six_bones(), diagonal(trees.six_bones().frames)
     result = ssdr.smallest(made.frames, influences=2, tolerance=2e-4 * size, **_RIG)
     model, report = result.skinning, result.parsimony
     assert report is not None
@@ -209,7 +183,7 @@ def test_a_tolerance_finds_as_many_joints_as_there_are(tmp_path: Path) -> None:
 
 
 def test_a_tolerance_of_the_largest_error() -> None:
-    made, size = _made(), diagonal(_made().frames)
+    made, size = trees.six_bones(), diagonal(trees.six_bones().frames)
     call = {"influences": 2, "tolerance": 0.02 * size, "measure": "max"}
     result = ssdr.smallest(made.frames, **call, **_RIG)
     assert result.parsimony.held
@@ -217,7 +191,7 @@ def test_a_tolerance_of_the_largest_error() -> None:
 
 
 def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
-    frames = _made().frames
+    frames = trees.six_bones().frames
     options = {"influences": 2, "tolerance": 0.01 * diagonal(frames), "effort": "fast"}
     loose, flat = (ssdr.smallest(frames, rig=rig, **options) for rig in ("loose", None))
     assert loose.parsimony.bones == flat.parsimony.bones
@@ -226,7 +200,7 @@ def test_a_tolerance_beside_loose_joints_is_that_without_joints() -> None:
 
 
 def test_renumbered_vertices_give_the_same_tree() -> None:
-    made = _made()
+    made = trees.six_bones()
     order = np.random.default_rng(1).permutation(len(made.rest))
     options = {"bones": 6, "influences": 2, "rig": "rigid"}
     other = ssdr.decompose(made.frames[:, order], **options).skinning

@@ -23,13 +23,8 @@ Solve = Callable[..., ssdr.Decomposition]
 
 
 @functools.cache
-def made() -> trees.Skeleton:
-    return trees.skeleton(6, 40, seed=3)
-
-
-@functools.cache
 def skeleton() -> ssdr.Skinning:
-    return made().skinning(bone_names=tuple("abcdef"))
+    return trees.six_bones().skinning(bone_names=tuple("abcdef"))
 
 
 def hasty(solve: Solve) -> ssdr.Skinning:
@@ -40,8 +35,7 @@ def hasty(solve: Solve) -> ssdr.Skinning:
 
 def moving(kind: str) -> np.ndarray:
     if kind in ("rigid rig", "skeleton", "locked joints"):
-        wave = 0.02 * np.sin(4 * made().frames[..., [1, 2, 0]])
-        return made().frames + wave
+        return trees.six_bones().wavy
     if kind in stretches.KINDS:
         return motions.wobble(stretches.rig(kind), 0.05)
     return motions.rippled() if kind == "streamed" else frames()
@@ -66,7 +60,7 @@ KINDS: dict[str, dict[str, Any]] = {
 def test_a_model_is_never_left_for_a_worse_one(
     kind: str, effort: str, tiny_memory: Callable[[], None]
 ) -> None:
-    """An early one and a finished one."""
+    """Neither an unfinished nor a finished start is followed by a higher error."""
     if kind == "streamed":
         tiny_memory()
     array = moving(kind)
@@ -130,7 +124,7 @@ def test_the_best_there_is_comes_back_in_the_form_that_was_asked_for(
 def test_bones_of_a_model_of_other_frames_are_fitted_to_its_weights(
     same_length: bool, hung: bool, streamed: bool, tiny_memory: Callable[[], None]
 ) -> None:
-    """Also where both have as many frames: then its transforms are far off."""
+    """This also holds where both have equally many frames and the transforms are far off."""
     if streamed:
         tiny_memory()
     # one skeleton in two motions: random turns are the same whatever the length
@@ -170,7 +164,7 @@ def test_where_importances_count_the_weighted_error_does_not_rise() -> None:
 
 
 def test_a_rig_from_a_file_of_single_precision_is_taken_up(tmp_path: Path) -> None:
-    """There joints come apart by rounding."""
+    """In such a file joints come apart by rounding."""
     array = moving("rigid rig")
     options = {"influences": 2, "rig": "rigid", "effort": "fast"}
     first = ssdr.decompose(array, bones=6, **options).skinning
@@ -204,7 +198,7 @@ def other_parents() -> ssdr.Skinning:
 TWICE = {"indices": np.zeros((84, 2), int), "weights": np.full((84, 2), 0.5)}
 THREE = {"indices": np.tile([0, 1, 2], (84, 1)), "weights": np.full((84, 3), 1 / 3)}
 GROWN = {"transforms": np.tile(2 * np.eye(3, 4), (15, 2, 1, 1)), "bone_model": "affine"}
-ON = {"sequence": made().frames, "rig": ssdr.Skeleton(skeleton())}
+ON = {"sequence": trees.six_bones().frames, "rig": ssdr.Skeleton(skeleton())}
 FLAT = dataclasses.replace(skeleton(), parents=None, joint_positions=None)
 RESULT = ssdr.Decomposition(still(), 0.0, "converged", (), np.zeros(2, int), 0.0)
 REFUSED: dict[str, tuple[str, dict[str, Any]]] = {

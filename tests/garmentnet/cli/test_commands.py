@@ -13,6 +13,7 @@ import pytest
 
 pytest.importorskip("torch")
 
+from PIL import Image
 from typer.testing import CliRunner
 
 from garmentnet.cli import app, main
@@ -23,7 +24,7 @@ from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Kernel
 from helpers import toy_store as toy
-from ssdr.errors import FormatError, InputError
+from ssdr.errors import InputError
 
 RUN = CliRunner()
 BVH = (
@@ -31,6 +32,17 @@ BVH = (
     "Zrotation Yrotation Xrotation\n End Site\n {\n  OFFSET 0 1 0\n }\n}\nMOTION\n"
     "Frames: 2\nFrame Time: 0.0333333\n0 0 0 0 0 0\n0 0 0 0 0 0\n"
 )
+
+
+def settings(folder, *, low=16, epochs=2, high_epochs=1, device=""):
+    """A file of settings for networks that are small and quick."""
+    (folder / "c.toml").write_text(
+        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
+        f"[low]\nhidden = {low}\n[high]\nhidden = 8\n"
+        f"[train]\nepochs = {epochs}\nhigh_epochs = {high_epochs}\nthreads = 1\n"
+        "tensorboard = false\n" + (f"device = '{device}'\n" if device else "")
+    )
+    return folder / "c.toml"
 
 
 def call(*arguments):
@@ -43,7 +55,6 @@ def call(*arguments):
 
 
 def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
-    from PIL import Image
 
     checkpoint = toy_run / "checkpoint.safetensors"
     sizes = {}
@@ -63,12 +74,7 @@ def test_a_clip_is_shown_beside_its_prediction(toy_run, toy_store, tmp_path):
 
 def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
     monkeypatch.setenv("GARMENTNET_DATA", str(tmp_path / "data"))
-    (tmp_path / "c.toml").write_text(
-        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
-        "[low]\nhidden = 16\n[high]\nhidden = 8\n"
-        "[train]\nepochs = 2\nhigh_epochs = 1\nthreads = 1\ntensorboard = false\n"
-    )
-    out = call("train", tmp_path / "c.toml", "--store", toy_store.path, "--seed", 3)
+    out = call("train", settings(tmp_path), "--store", toy_store.path, "--seed", 3)
     checkpoint = tmp_path / "data" / "runs" / "c-seed3" / "checkpoint.safetensors"
     assert out.strip() == str(checkpoint)
 
@@ -93,20 +99,6 @@ def test_train_then_evaluate_then_predict(toy_store, tmp_path, monkeypatch):
         assert any(archive[k].shape == (90, 112, 3) for k in archive.files)
     with pytest.raises(InputError, match="single network"):
         call("predict", checkpoint, motion, "--bending", 2, "-o", tmp_path / "dress.npz")
-
-
-def test_clear_errors(toy_run, toy_store, tmp_path):
-    checkpoint = toy_run / "checkpoint.safetensors"
-    with pytest.raises(InputError, match="--store"):
-        call("train", "rooted")
-    with pytest.raises(InputError, match="config"):
-        call("train", "no-such-preset", "--store", toy_store.path)
-    with pytest.raises(FormatError, match="no such folder"):
-        call("train", "rooted", "--store", tmp_path / "nothing")
-    with pytest.raises(InputError, match="output"):
-        call("predict", checkpoint, "m.bvh", "-o", tmp_path / "no" / "folder.gif")
-    with pytest.raises(FormatError, match="setting"):
-        call("train", "rooted", "--store", toy_store.path, "--set", "train.sed=1")
 
 
 def said(capfd, *arguments):
@@ -136,14 +128,20 @@ def test_every_failure_is_one_line(toy_run, toy_store, tmp_path, capfd):
         (2, "bending: expected a positive", checkpoint, clip, "--bending", "nan", "-o", out),
         (2, "--output", checkpoint, clip),
     ]
-    for code, words, *arguments in cases:
-        got = said(capfd, "predict", *arguments)
-        assert got[0] == code, got
-        assert re.search(words, got[1]), got
+    store = ("--store", toy_store.path)
+    training = [
+        (2, "--store", "rooted"),
+        (2, "config", "no-such-preset", *store),
+        (3, "no such folder", "rooted", "--store", tmp_path / "nothing"),
+        (3, "not a store of clips", "rooted", "--store", toy_run),
+        (3, "setting", "rooted", *store, "--set", "train.sed=1"),
+    ]
+    for command, rows in (("predict", cases), ("train", training)):
+        for code, words, *arguments in rows:
+            got = said(capfd, command, *arguments)
+            assert got[0] == code, got
+            assert re.search(words, got[1]), got
     assert not out.exists()
-    got = said(capfd, "train", "rooted", "--store", toy_run)
-    assert got[0] == 3
-    assert "not a store of clips" in got[1]
 
 
 def test_another_garment_or_skeleton(toy_run, toy_store, tmp_path, capfd):
@@ -181,13 +179,8 @@ def test_what_lies_outside_is_said(toy_run, toy_store, tmp_path, capfd):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no SIGKILL here")
 def test_killed_training_goes_on(toy_store, tmp_path):
     """A real process, killed in the first module and again in the second."""
-    (tmp_path / "c.toml").write_text(
-        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
-        "[low]\nhidden = 16\n[high]\nhidden = 8\n"
-        "[train]\nepochs = 40\nhigh_epochs = 20\nthreads = 1\ntensorboard = false\n"
-        "device = 'cpu'\n"
-    )
-    given = [str(tmp_path / "c.toml"), "--store", str(toy_store.path)]
+    file = settings(tmp_path, epochs=40, high_epochs=20, device="cpu")
+    given = [str(file), "--store", str(toy_store.path)]
     call("train", *given, "-o", tmp_path / "whole")
     cut = tmp_path / "cut"
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
@@ -214,13 +207,9 @@ def test_killed_training_goes_on(toy_store, tmp_path):
 def test_limit_of_a_file_while_training(toy_store, tmp_path):
     """A disk that takes no more: a state that cannot be written, and the one before it kept."""
     resource = pytest.importorskip("resource")
-    (tmp_path / "c.toml").write_text(
-        "[bones]\nlength = 0.03\ncount = 10\ninfluences = 4\neffort = 'fast'\nframes = 160\n"
-        "[low]\nhidden = 128\n[high]\nhidden = 8\n[train]\nepochs = 1\nhigh_epochs = 1\n"
-        "threads = 1\ntensorboard = false\ndevice = 'cpu'\n"
-    )
-    virtual_bones(toy_store, load_config(str(tmp_path / "c.toml")).bones)
-    arguments = ["train", str(tmp_path / "c.toml"), "--store", str(toy_store.path)]
+    file = settings(tmp_path, low=128, epochs=1, device="cpu")
+    virtual_bones(toy_store, load_config(str(file)).bones)
+    arguments = ["train", str(file), "--store", str(toy_store.path)]
     # In a process of its own: the limit cannot be lifted again everywhere.
     code = (
         "import resource, signal, sys\n"

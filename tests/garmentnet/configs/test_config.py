@@ -2,6 +2,9 @@
 
 # ruff: noqa: E402
 
+import tomllib
+from importlib import resources
+
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -13,8 +16,6 @@ from ssdr.errors import FormatError, InputError
 
 def test_presets_are_complete():
     # A commented line for every default: nothing is set that no line explains.
-    import tomllib
-    from importlib import resources
 
     assert {"faithful", "rooted"} <= set(preset_names())
     plain = Config().as_dict()

@@ -235,7 +235,7 @@ def test_a_figure_without_legs(tmp_path: Path) -> None:
         retarget(read(tmp_path, text), TREE)
 
 
-def test_mocap(data_dir: Path) -> None:
+def test_motion_capture_moves_the_body_upright_and_on_the_floor(data_dir: Path) -> None:
     folder = data_dir / "motion"
     if not folder.is_dir():
         pytest.skip(f"no motion capture at {folder}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,12 @@ pytest.importorskip("zarr")
 import ssdr
 from garmentnet.data.clip import MIRRORED, Clip
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
+from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError
-from ssdr.rigid import matrix_from_quaternion
 
-NAMES = ("pelvis", "thigh_l", "thigh_r")
-PARENTS = np.array([-1, 0, 0])
-HEADS = np.array([[0.0, 1.0, 0.0], [0.1, 0.9, 0.0], [-0.1, 0.9, 0.0]])
-
-
-def skeleton() -> Skeleton:
-    return Skeleton(NAMES, PARENTS, HEADS)
+_, SKELETON = toy.body()
+HEADS = SKELETON.rest
 
 
 def body() -> ssdr.Skinning:
@@ -35,7 +30,12 @@ def body() -> ssdr.Skinning:
     identity = np.broadcast_to(np.eye(3, 4, dtype=np.float32), (1, 3, 3, 4))
     joints = np.tile(np.arange(3), 2)[:, None]
     return ssdr.Skinning(
-        rest, joints, np.ones((6, 1), np.float32), identity, faces=[[0, 1, 2]], bone_names=NAMES
+        rest,
+        joints,
+        np.ones((6, 1), np.float32),
+        identity,
+        faces=[[0, 1, 2]],
+        bone_names=SKELETON.names,
     )
 
 
@@ -46,11 +46,6 @@ SYMMETRIC_FACES = np.array([[2, 4, 3], [0, 2, 4], [1, 4, 3]])
 MIRROR = np.array([1, 0, 3, 2, 4])
 
 
-def random_pose(rng: np.random.Generator, frames: int) -> np.ndarray:
-    rotations = matrix_from_quaternion(rng.normal(size=(frames, 3, 4)))
-    return skeleton().transforms(rng.normal(size=(frames, 3)), rotations)
-
-
 @pytest.fixture
 def store(tmp_path: Path) -> ClipStore:
     return ClipStore.create(
@@ -58,7 +53,7 @@ def store(tmp_path: Path) -> ClipStore:
         rest=GARMENT,
         faces=SYMMETRIC_FACES,
         body=body(),
-        skeleton=skeleton(),
+        skeleton=SKELETON,
         mirror_vertices=MIRROR,
         pinned=[False, False, False, False, True],
         attributes={"scene": "strip"},
@@ -68,7 +63,7 @@ def store(tmp_path: Path) -> ClipStore:
 def arguments(rng: np.random.Generator, frames: int = 70, **changes: Any) -> dict[str, Any]:
     return {
         "vertices": rng.normal(size=(frames, 5, 3)).astype(np.float32),
-        "joints": random_pose(rng, frames).astype(np.float32),
+        "joints": toy.random_pose(rng, SKELETON, frames).astype(np.float32),
         "classes": rng.integers(0, 5, frames),
         "split": "train",
         "motion": "dance-1",
@@ -96,7 +91,7 @@ def test_reads_what_was_written(store: ClipStore, rng: np.random.Generator) -> N
     assert clip.parameters == SimulationParameters()
     np.testing.assert_array_equal(again.rest, GARMENT)
     np.testing.assert_array_equal(again.pinned, [0, 0, 0, 0, 1])
-    assert again.skeleton.names == NAMES
+    assert again.skeleton.names == SKELETON.names
     assert again.attributes == {"scene": "strip"}
     naive = np.einsum(
         "fvab,vb->fva",
@@ -146,7 +141,7 @@ def test_mirrored_twice_is_the_clip(store: ClipStore, rng: np.random.Generator) 
 
 
 def test_mirror_needs_symmetry(tmp_path: Path, rng: np.random.Generator) -> None:
-    given = {"rest": GARMENT, "faces": FACES, "body": body(), "skeleton": skeleton()}
+    given = {"rest": GARMENT, "faces": FACES, "body": body(), "skeleton": SKELETON}
     plain = ClipStore.create(tmp_path / "plain", **given)
     with pytest.raises(InputError, match="symmetric"):
         plain.add("a", **arguments(rng, 2)).mirrored()
@@ -214,7 +209,7 @@ def test_the_same_bytes_twice(tmp_path: Path) -> None:
     def make(name: str) -> dict[str, bytes]:
         rng = np.random.default_rng(3)
         made = ClipStore.create(
-            tmp_path / name, rest=GARMENT, faces=FACES, body=body(), skeleton=skeleton()
+            tmp_path / name, rest=GARMENT, faces=FACES, body=body(), skeleton=SKELETON
         )
         made.add("a", **arguments(rng))
         folder = made.path / "clips"
@@ -232,70 +227,41 @@ def chunk_files(store: ClipStore, array: str) -> list[Path]:
     return sorted(p for p in (store.path / "clips/a" / array / "c").rglob("*") if p.is_file())
 
 
-def damage_flip(store: ClipStore) -> None:
-    path = chunk_files(store, "vertices")[1]
+def flip(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
 
 
-def damage_cut(store: ClipStore) -> None:
-    path = chunk_files(store, "vertices")[0]
-    path.write_bytes(path.read_bytes()[:100])
+def cut(path: Path, size: int = 100) -> None:
+    path.write_bytes(path.read_bytes()[:size])
 
 
-def damage_missing(store: ClipStore) -> None:
-    chunk_files(store, "vertices")[1].unlink()
-
-
-def damage_joints(store: ClipStore) -> None:
-    chunk_files(store, "joints")[0].unlink()
-
-
-def damage_classes(store: ClipStore) -> None:
-    chunk_files(store, "classes")[0].unlink()
-
-
-def damage_json(store: ClipStore) -> None:
-    path = store.path / "clips/a/zarr.json"
-    path.write_text(path.read_text()[:50])
-
-
-def damage_frames(store: ClipStore) -> None:
+def state(store: ClipStore, **changes: Any) -> None:
+    """Change what the clip's own file states of it."""
     path = store.path / "clips/a/zarr.json"
     stated = json.loads(path.read_text())
-    stated["attributes"]["frames"] = 71
+    stated["attributes"] |= changes
     path.write_text(json.dumps(stated))
 
 
-def damage_parameters(store: ClipStore) -> None:
-    path = store.path / "clips/a/zarr.json"
-    stated = json.loads(path.read_text())
-    stated["attributes"]["parameters"]["bending"] = -1
-    path.write_text(json.dumps(stated))
+DAMAGE: dict[str, Callable[[ClipStore], None]] = {
+    "a flipped bit": lambda store: flip(chunk_files(store, "vertices")[1]),
+    "a short chunk": lambda store: cut(chunk_files(store, "vertices")[0]),
+    "no vertices of some frames": lambda store: chunk_files(store, "vertices")[1].unlink(),
+    "no joints": lambda store: chunk_files(store, "joints")[0].unlink(),
+    "no classes": lambda store: chunk_files(store, "classes")[0].unlink(),
+    "no vertices at all": lambda store: shutil.rmtree(store.path / "clips/a/vertices"),
+    "half a statement": lambda store: cut(store.path / "clips/a/zarr.json", 50),
+    "other frames": lambda store: state(store, frames=71),
+    "a negative parameter": lambda store: state(store, parameters={"bending": -1}),
+}
 
 
-def damage_array(store: ClipStore) -> None:
-    shutil.rmtree(store.path / "clips/a/vertices")
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        damage_flip,
-        damage_cut,
-        damage_missing,
-        damage_joints,
-        damage_classes,
-        damage_json,
-        damage_frames,
-        damage_parameters,
-        damage_array,
-    ],
-)
-def test_damage_is_named(store: ClipStore, rng: np.random.Generator, damage: Any) -> None:
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_named(store: ClipStore, rng: np.random.Generator, damage: str) -> None:
     store.add("a", **arguments(rng))
-    damage(store)
+    DAMAGE[damage](store)
     with pytest.raises(FormatError, match=re.escape(str(store.path / "clips" / "a"))):
         read_whole(ClipStore.open(store.path).clip("a"))
 
@@ -315,7 +281,7 @@ def test_create_again_opens_the_same_garment(store: ClipStore) -> None:
     given = {
         "faces": SYMMETRIC_FACES,
         "body": body(),
-        "skeleton": skeleton(),
+        "skeleton": SKELETON,
         "pinned": [False, False, False, False, True],
     }
     assert ClipStore.create(store.path, rest=GARMENT, **given).names() == ()

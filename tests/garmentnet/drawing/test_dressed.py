@@ -1,11 +1,15 @@
 """Body and cloth as one mesh, the camera's path, and what is written beside them."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 pytest.importorskip("zarr")
 pytest.importorskip("torch")
 
+
+from garmentnet.data.motion import CLASSES
 from garmentnet.drawing.dressed import (
     camera_track,
     caption,
@@ -49,7 +53,6 @@ def test_masks_that_do_not_fit_are_named():
 
 
 def test_pinned_vertices_are_not_free(toy_store):
-    import dataclasses
 
     assert free_vertices(toy_store) is None
     pinned = np.arange(toy_store.n_vertices) < 16
@@ -100,7 +103,6 @@ def test_captions_and_frames():
 
 
 def test_moments_are_frames_of_their_class(toy_store):
-    from garmentnet.data.motion import CLASSES
 
     found = moments(toy_store, ["base-test-0", "base-test-1"], ("walk", "sway", "spin"))
     assert [label for label, _, _ in found] == ["walk", "sway", "spin"]

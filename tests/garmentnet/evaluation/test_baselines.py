@@ -1,29 +1,30 @@
 # ruff: noqa: E402
+import copy
+import dataclasses
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+
 import ssdr
 from garmentnet.evaluation.baselines import BodySkinned, MeanShape, Ridge, body_skinning
+from helpers.measures import pooled
 
 TRAIN = [f"base-train-{k}" for k in range(8)]
 HELD = ["base-validation-0", "base-validation-1"]
-
-
-def rmse(a, b):
-    return float(np.sqrt(((a - b) ** 2).sum(-1).mean()))
 
 
 def test_mean_shape_is_the_best_fixed_shape(toy_bones, toy_store):
     clip = toy_store.clip(TRAIN[0])
     whole = clip.sequence.frames(slice(None))
     mean = MeanShape(toy_bones, [TRAIN[0]])
-    best = rmse(mean.predict(clip.joints), whole)
+    best = pooled(mean.predict(clip.joints), whole)
     rng = np.random.default_rng(0)
     for _ in range(3):
         mean.shape = mean.shape + 5e-3 * rng.normal(size=mean.shape.shape)
-        assert rmse(mean.predict(clip.joints), whole) > best
+        assert pooled(mean.predict(clip.joints), whole) > best
 
 
 def test_body_skinned_is_the_rest_pose_at_rest(toy_store):
@@ -38,11 +39,9 @@ def test_body_skinned_is_the_rest_pose_at_rest(toy_store):
 
 def test_ridge_finds_a_linear_rule(toy_bones, toy_store):
     # Bones that follow the pose at once: what a static regression can tell exactly.
-    import copy
 
     fake = copy.copy(toy_bones)
     kept = {n: toy_bones.clip(n) for n in (*TRAIN[:3], *HELD)}
-    import dataclasses
 
     def posed(name):
         joints = toy_store.clip(name).joints
@@ -54,4 +53,4 @@ def test_ridge_finds_a_linear_rule(toy_bones, toy_store):
     ridge.high = 0 * ridge.high
     s = toy_bones.skinning
     expected = ssdr.skin(s.rest, s.indices, s.weights, posed(HELD[0]).transforms)
-    assert rmse(ridge.predict(toy_store.clip(HELD[0]).joints), expected) < 5e-3
+    assert pooled(ridge.predict(toy_store.clip(HELD[0]).joints), expected) < 5e-3

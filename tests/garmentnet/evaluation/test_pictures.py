@@ -13,6 +13,7 @@ from PIL import Image
 from garmentnet.evaluation import pictures
 from garmentnet.evaluation.scores import Answer
 from ssdr.errors import InputError
+from ssdr.render import figures
 
 
 @pytest.fixture
@@ -36,7 +37,6 @@ def off_by_30_mm(clip):
 @pytest.fixture
 def texts(monkeypatch):
     """Texts of the sheet that is drawn."""
-    from ssdr.render import figures
 
     seen = []
     upright, write = figures.upright_text, figures.ImageDraw.ImageDraw.text

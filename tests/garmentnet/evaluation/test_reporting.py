@@ -8,9 +8,13 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+import garmentnet.evaluation.entrants as entrants
 import garmentnet.evaluation.reporting as reporting
+from garmentnet.data.parameters import SimulationParameters
 from garmentnet.evaluation.reporting import report
 from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from garmentnet.networks.ensemble import Kernel
+from helpers import toy_store as toy
 from ssdr.errors import InputError
 
 
@@ -30,7 +34,7 @@ def second_seed(toy_run, tmp_path_factory):
     )
 
 
-def test_report(toy_run, toy_store, tmp_path):
+def test_a_report_has_scores_the_chaos_floor_and_pictures(toy_run, toy_store, tmp_path):
     text = report(
         [toy_run / "checkpoint.safetensors"], toy_store, tmp_path, baselines=False, pictures=1
     )
@@ -38,20 +42,6 @@ def test_report(toy_run, toy_store, tmp_path):
     assert "chaos floor, all" in text
     assert (tmp_path / "report.json").is_file()
     assert len(list(tmp_path.glob("*.png"))) == 2  # a clip, and the hard moments
-
-
-def test_report_refuses_another_garment(toy_run, tmp_path):
-    from helpers import toy_store as toy
-
-    rest, faces, _ = toy.skirt(columns=18)
-    rig, skeleton = toy.body()
-    from garmentnet.data.store import ClipStore
-
-    other = ClipStore.create(
-        tmp_path / "s", rest=rest, faces=faces, body=rig, skeleton=skeleton, fps=toy.FPS
-    )
-    with pytest.raises(InputError, match="garment"):
-        report([toy_run / "checkpoint.safetensors"], other, tmp_path / "r")
 
 
 def test_seeds_ratios_and_clips(toy_run, second_seed, toy_store, tmp_path, monkeypatch):
@@ -94,7 +84,6 @@ def test_seeds_ratios_and_clips(toy_run, second_seed, toy_store, tmp_path, monke
 
 
 def test_baselines_that_are_scored_are_not_fitted_again(toy_run, toy_store, tmp_path, monkeypatch):
-    import garmentnet.evaluation.entrants as entrants
 
     fitted = []
 
@@ -123,9 +112,6 @@ def test_baselines_that_are_scored_are_not_fitted_again(toy_run, toy_store, tmp_
 
 
 def test_unseen_parameters(toy_run, toy_store, tmp_path):
-    from garmentnet.data.parameters import SimulationParameters
-    from garmentnet.networks.ensemble import Kernel
-    from helpers import toy_store as toy
 
     (network,) = load_checkpoint(toy_run / "checkpoint.safetensors").networks
     pivots = (toy.BASE, SimulationParameters(bending=2.0))

@@ -8,14 +8,13 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.evaluation.baselines import BodySkinned, body_skinning
-from garmentnet.evaluation.santesteban import Santesteban, train_santesteban
+from garmentnet.evaluation.santesteban import Santesteban, SantestebanObjective, train_santesteban
+from garmentnet.training.batches import load_tracks
+from garmentnet.training.run import build_network
+from helpers.measures import pooled
 
 TRAIN = [f"base-train-{k}" for k in range(8)]
 HELD = ["base-validation-0", "base-validation-1"]
-
-
-def rmse(a, b):
-    return float(np.sqrt(((a - b) ** 2).sum(-1).mean()))
 
 
 def test_santesteban_offsets_then_poses(toy_bones, toy_store, toy_network):
@@ -35,16 +34,13 @@ def test_santesteban_learns_and_goes_on(toy_bones, toy_store, toy_config, tmp_pa
     module = train_santesteban(toy_bones, config, TRAIN, HELD, tmp_path)
     clip = toy_store.clip("base-test-0")
     whole = clip.sequence.frames(slice(None))
-    learned = rmse(module.predict(clip.joints), whole)
-    assert learned < rmse(BodySkinned(toy_store).predict(clip.joints), whole)
+    learned = pooled(module.predict(clip.joints), whole)
+    assert learned < pooled(BodySkinned(toy_store).predict(clip.joints), whole)
     again = train_santesteban(toy_bones, config, TRAIN, HELD, tmp_path)
     assert np.array_equal(again.predict(clip.joints), module.predict(clip.joints))
 
 
 def test_exact_offsets_are_the_statistics(toy_bones, toy_store, toy_config):
-    from garmentnet.evaluation.santesteban import SantestebanObjective
-    from garmentnet.training.batches import load_tracks
-    from garmentnet.training.run import build_network
 
     reader = build_network(toy_config(), toy_bones, TRAIN[:1])
     module = Santesteban(reader, toy_store, 8)
@@ -56,4 +52,4 @@ def test_exact_offsets_are_the_statistics(toy_bones, toy_store, toy_config):
     with torch.no_grad():
         mean = module.pose(module.mean.expand(len(joints), -1, -1), joints)
         none = module.pose(torch.zeros_like(mean), joints)
-    assert rmse(mean.numpy(), truth.numpy()) < rmse(none.numpy(), truth.numpy())
+    assert pooled(mean.numpy(), truth.numpy()) < pooled(none.numpy(), truth.numpy())

@@ -22,7 +22,7 @@ def clip(motion, *, file="", label="walk"):
     )
 
 
-def test_groups():
+def test_motions_are_grouped_by_name_or_source():
     assert group_of(clip("dance-22000")) == "dance"
     assert group_of(clip("small-2010")) == "small"
     assert group_of(clip("60_01_00")) == "60_01"  # by name alone
@@ -35,7 +35,7 @@ def test_groups_of_stores_that_say_less_of_the_motion(toy_store):
     assert group_of(toy_store.clip("base-test-0")) == "test"
 
 
-def test_patterns():
+def test_patterns_choose_clips():
     names = {"a": ["base-dance-1", "base-small-1", "base-small-2"], "b": ["set1-dance-1"]}
     assert matching(names, []) == names
     assert matching(names, ["base-small-*"]) == {"a": ["base-small-1", "base-small-2"], "b": []}
@@ -44,7 +44,7 @@ def test_patterns():
         matching(names, ["base-small-*", "base-big-*"])
 
 
-def test_seeds(toy_network):
+def test_checkpoints_that_differ_in_seed_alone_belong_together(toy_network):
     def seeded(seed, **train):
         (network,) = toy_network.networks
         other = types.SimpleNamespace(**vars(network))

@@ -16,6 +16,7 @@ from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
 from garmentnet.training.batches import batches, load_tracks
 from garmentnet.training.detail import DetailObjective
+from garmentnet.training.run import train
 from ssdr.errors import InputError
 
 
@@ -59,7 +60,6 @@ def test_fewer_frames_than_components():
 
 @pytest.fixture(scope="module")
 def with_basis(toy_store, toy_config, tmp_path_factory):
-    from garmentnet.training.run import train
 
     config = toy_config(epochs=6, high_epochs=25, learning_rate=3e-3)
     high = HighOptions(kind="basis", hidden=32, rank=12, collision=0.0, dropout=0.1)

@@ -1,6 +1,7 @@
 """The kernel, and networks mixed by it."""
 
 # ruff: noqa: E402
+import copy
 import dataclasses
 
 import numpy as np
@@ -9,7 +10,10 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
+from garmentnet.data.parameters import SimulationParameters as P
+from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Ensemble, Kernel
+from garmentnet.training.run import train
 from ssdr.errors import InputError
 
 
@@ -36,7 +40,6 @@ def test_far_away_weights_do_not_underflow():
 
 def test_mixed_bones_are_mixed_meshes(toy_network, toy_store):
     network = toy_network.networks[0]
-    import copy
 
     other = copy.deepcopy(network)
     with torch.no_grad():
@@ -63,10 +66,6 @@ def test_mixed_bones_are_mixed_meshes(toy_network, toy_store):
 @pytest.fixture(scope="module")
 def reading(toy_store, toy_config, tmp_path_factory):
     """A network that reads the parameters."""
-    import dataclasses
-
-    from garmentnet.networks.checkpoint import load_checkpoint
-    from garmentnet.training.run import train
 
     config = toy_config(epochs=6, high_epochs=2)
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, condition=True))
@@ -75,8 +74,6 @@ def reading(toy_store, toy_config, tmp_path_factory):
 
 
 def test_a_common_network_has_its_share(reading, toy_store, tmp_path):
-    from garmentnet.data.parameters import SimulationParameters as P
-    from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 
     sets = (P(0.2, 0.2, 1.0), P(2.0, 0.2, 1.0))
     asked = P(0.6, 0.2, 1.0)
@@ -123,7 +120,6 @@ def test_exponential_kernel():
 
 
 def test_pivots_must_share_their_bones(toy_network):
-    import copy
 
     network = toy_network.networks[0]
     other = copy.deepcopy(network)

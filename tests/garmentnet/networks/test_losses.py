@@ -4,6 +4,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+import trimesh
+
 from garmentnet.networks.losses import (
     BodyShape,
     closest_vertices,
@@ -68,7 +70,6 @@ def test_closest_and_depth_against_a_loop():
 
 
 def test_a_point_inside_a_sphere_is_pushed_out():
-    import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=2)
     body = torch.from_numpy(np.array(sphere.vertices))[None]

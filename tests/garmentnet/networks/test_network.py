@@ -8,6 +8,8 @@ torch = pytest.importorskip("torch")
 
 from scipy.spatial.transform import Rotation
 
+import ssdr
+from garmentnet.training.run import build_network, choose_clips
 from ssdr.errors import InputError
 
 
@@ -43,7 +45,6 @@ def test_rooted_prediction_moves_with_the_body(toy_network, toy_store):
 
 
 def test_world_transforms_skin_to_the_low_part(toy_network, toy_store):
-    import ssdr
 
     network, joints = toy_network.networks[0], toy_store.clip("base-test-1").joints[:12]
     motion, _ = network.run(joints, detail=False)
@@ -55,7 +56,6 @@ def test_world_transforms_skin_to_the_low_part(toy_network, toy_store):
 
 
 def test_a_network_that_reads_parameters(toy_config, toy_store, toy_bones):
-    from garmentnet.training.run import build_network, choose_clips
 
     config = toy_config()
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, condition=True))
@@ -74,7 +74,6 @@ def test_a_network_that_reads_parameters(toy_config, toy_store, toy_bones):
 
 
 def test_ablations_are_other_networks(toy_config, toy_store, toy_bones):
-    from garmentnet.training.run import build_network
 
     config = toy_config()
     for change in ({"source": "body"}, {"local": False}):
@@ -99,14 +98,12 @@ def test_what_the_body_carries_is_exact(toy_network, toy_store):
     _, one = network.step(None, clip.joints[0])
     assert np.abs(one - truth[0])[bound.index].max() < 1e-5
     smooth = network.predict(clip.joints, detail=False)
-    import ssdr
 
     skinned = ssdr.skin(bound.smooth, bound.indices, bound.weights, clip.joints.astype(float))
     assert np.abs(smooth[:, bound.index] - skinned).max() < 1e-5
 
 
 def test_networks_without_carried_vertices_predict_all(toy_network, toy_store):
-    import dataclasses
 
     network = toy_network.networks[0]
     subject = dataclasses.replace(network.subject, bound=None)

@@ -27,14 +27,3 @@ def test_motion_files(toy_network, toy_store, joints, tmp_path):
             read_joints(tmp_path / name, toy_network)
     with pytest.raises(InputError, match="motion"):
         read_joints(tmp_path / "nothing.bvh", toy_network)
-
-
-def test_motion_capture_of_another_skeleton(toy_network, tmp_path):
-    # The toy has joints that no motion capture knows: said, not guessed.
-    (tmp_path / "m.bvh").write_text(
-        "HIERARCHY\nROOT Hips\n{\n OFFSET 0 0 0\n CHANNELS 6 Xposition Yposition Zposition "
-        "Zrotation Yrotation Xrotation\n End Site\n {\n  OFFSET 0 1 0\n }\n}\nMOTION\n"
-        "Frames: 2\nFrame Time: 0.0333333\n0 0 0 0 0 0\n0 0 0 0 0 0\n"
-    )
-    with pytest.raises((InputError, FormatError)):
-        read_joints(tmp_path / "m.bvh", toy_network)

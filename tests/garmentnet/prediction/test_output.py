@@ -2,11 +2,16 @@
 
 # ruff: noqa: E402
 
+import dataclasses
+import types
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+
+from PIL import Image
 
 import ssdr
 from garmentnet.data.parameters import SimulationParameters
@@ -14,8 +19,10 @@ from garmentnet.prediction.output import save_prediction
 from garmentnet.prediction.prediction import predict
 
 
-@pytest.mark.parametrize("suffix", ["npz", "pc2", "obj"])
+@pytest.mark.parametrize("suffix", ["npz", "pc2", "obj", "usda"])
 def test_vertices_survive(toy_network, joints, tmp_path, suffix):
+    if suffix == "usda":
+        pytest.importorskip("pxr")
     p = predict(toy_network, joints)
     path = tmp_path / ("cloth%04d.obj" if suffix == "obj" else f"cloth.{suffix}")
     save_prediction(p, path)
@@ -37,32 +44,21 @@ def test_glb_holds_rigid_bones(kind, request, joints, tmp_path):
     assert gap < (1e-4 if kind == "toy_network" else 2e-2)
 
 
-def test_usd(toy_network, joints, tmp_path):
-    pytest.importorskip("pxr")
-    p = predict(toy_network, joints)
-    save_prediction(p, tmp_path / "cloth.usda")
-    read = ssdr.load(tmp_path / "cloth.usda")
-    assert np.abs(np.asarray(read.vertices) - p.cloth.vertices).max() < 1e-5
-
-
 def test_pictures_and_films(toy_network, joints, tmp_path):
     p = predict(toy_network, joints[:4])
     seen = []
     save_prediction(p, tmp_path / "a.png", frames=2)
     save_prediction(p, tmp_path / "a.gif", size=64, progress=seen.append)
     assert seen[-1] == 1
-    from PIL import Image
 
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 4
 
 
-def test_mp4(toy_network, joints, tmp_path):
-    av = pytest.importorskip("av")
-    p = predict(toy_network, joints[:5])
-    save_prediction(p, tmp_path / "a.mp4", size=97)
-    with av.open(str(tmp_path / "a.mp4")) as film:
-        frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
+def test_an_mp4_holds_every_frame_in_even_sizes(toy_network, joints, tmp_path):
+    pytest.importorskip("av")
+    save_prediction(predict(toy_network, joints[:5]), tmp_path / "a.mp4", size=97)
+    frames = decoded(tmp_path / "a.mp4")
     assert len(frames) == 5
     assert frames[0].shape == (96, 96, 3)
     assert frames[0].std() > 5
@@ -98,24 +94,12 @@ def test_a_film_of_truth_beside_prediction(toy_network, toy_store, tmp_path, err
 
 
 def test_a_film_of_every_second_frame_has_the_same_speed(toy_network, joints, tmp_path):
-    from PIL import Image
 
     p = predict(toy_network, joints[:5])
     save_prediction(p, tmp_path / "a.gif", size=64, every=2)
     with Image.open(tmp_path / "a.gif") as film:
         assert film.n_frames == 3
         assert film.info["duration"] == pytest.approx(2000 / 30, abs=10)
-
-
-def test_a_sheet_of_truth_and_prediction(toy_network, toy_store, tmp_path):
-    from PIL import Image
-
-    clip = toy_store.clip("base-test-0")
-    p = predict(toy_network, clip.joints)
-    save_prediction(p, tmp_path / "with.png", frames=2, truth=clip)
-    save_prediction(p, tmp_path / "without.png", frames=2)
-    with Image.open(tmp_path / "with.png") as full, Image.open(tmp_path / "without.png") as plain:
-        assert full.height > 2 * plain.height
 
 
 def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joints, tmp_path):
@@ -134,7 +118,6 @@ def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joint
 
 def first_frames(clip, count):
     """A clip cut off, as far as films use it."""
-    import types
 
     cloth = np.asarray(clip.sequence.vertices[:count])
     return types.SimpleNamespace(
@@ -146,7 +129,6 @@ def first_frames(clip, count):
 
 
 def cut_prediction(p, count):
-    import dataclasses
 
     cut = {
         k: dataclasses.replace(getattr(p, k), vertices=getattr(p, k).vertices[:count])

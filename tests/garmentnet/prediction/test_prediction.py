@@ -1,10 +1,14 @@
 # ruff: noqa: E402
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+
+from garmentnet.collision.push_out import PushOut
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.prediction.prediction import predict, trained_range
 from helpers import toy_store as toy
@@ -53,22 +57,11 @@ def test_the_camera_walks_along(toy_network, joints):
 
 
 def test_vertices_inside_the_body_are_pushed_out(toy_network, joints):
-    import dataclasses
-
-    from garmentnet.collision.push_out import PushOut
-    from ssdr import Skinning
 
     # The same body, so wide that it reaches through the skirt.
     network = toy_network.networks[0]
     b = network.subject.body
-    wide = Skinning(
-        b.rest * np.array([2.2, 1, 2.2], np.float32),
-        b.indices,
-        b.weights,
-        b.transforms,
-        faces=b.faces,
-        bone_names=b.bone_names,
-    )
+    wide = dataclasses.replace(b, rest=b.rest * np.array([2.2, 1, 2.2], np.float32))
     before = network.subject
     network.subject = dataclasses.replace(before, body=wide)
     try:

@@ -11,13 +11,13 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
+from garmentnet.networks.checkpoint import load_checkpoint
+from garmentnet.training.ensemble import train_ensemble
 from ssdr.errors import InputError
 
 
 @pytest.mark.slow
 def test_from_store_to_ensemble(toy_store, toy_config, tmp_path):
-    from garmentnet.networks.checkpoint import load_checkpoint
-    from garmentnet.training.ensemble import train_ensemble
 
     config = toy_config(epochs=16, high_epochs=2)
     config = dataclasses.replace(
@@ -55,8 +55,6 @@ def test_from_store_to_ensemble(toy_store, toy_config, tmp_path):
 
 @pytest.mark.slow
 def test_pivots_from_a_network_that_reads_the_parameters(toy_store, toy_config, tmp_path):
-    from garmentnet.networks.checkpoint import load_checkpoint
-    from garmentnet.training.ensemble import train_ensemble
 
     config = toy_config(epochs=10, high_epochs=2)
     config = dataclasses.replace(

@@ -1,21 +1,23 @@
 # ruff: noqa: E402
 import dataclasses
-import shutil
+import json
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+
 from garmentnet.data.store import ClipStore
+from garmentnet.evaluation.baselines import MeanShape, Ridge
+from garmentnet.evaluation.scores import evaluate, network_method, plain_method
+from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.run import choose_clips, train
 from helpers import toy_store as toy
 from ssdr.errors import FormatError, InputError
 
 
 def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
-    from garmentnet.evaluation.baselines import MeanShape, Ridge
-    from garmentnet.evaluation.scores import evaluate, network_method, plain_method
 
     names = [n for n in toy_store.names("train") if n.startswith("base")]
     held = [n for n in toy_store.names("validation") if n.startswith("base")]
@@ -41,23 +43,7 @@ def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):
     assert train(toy_store, config, folder).read_bytes() == whole
 
 
-def test_killed_between_epochs(toy_store, toy_config, tmp_path):
-    # As after a kill: the state of the second epoch, and nothing later.
-    config = toy_config(epochs=4, high_epochs=1, validate_every=1)
-    files = {}
-
-    def keep(p):
-        if p.phase == "low" and p.epoch == 2:
-            files["state"] = (tmp_path / "a" / "low.state.safetensors").read_bytes()
-
-    whole = train(toy_store, config, tmp_path / "a", callback=keep).read_bytes()
-    (tmp_path / "b").mkdir()
-    shutil.copy(tmp_path / "a" / "run.json", tmp_path / "b")
-    (tmp_path / "b" / "low.state.safetensors").write_bytes(files["state"])
-    assert train(toy_store, config, tmp_path / "b").read_bytes() == whole
-
-
-def test_seeds(toy_store, toy_config, tmp_path):
+def test_a_seed_decides_all_weights_but_not_the_bones(toy_store, toy_config, tmp_path):
     def run(name, seed):
         config = toy_config(epochs=1, high_epochs=1, seed=seed)
         return train(toy_store, config, tmp_path / name).read_bytes()
@@ -80,7 +66,6 @@ def test_history_progress_and_early_stop(toy_store, toy_config, tmp_path):
     low = [p for p in seen if p.phase == "low"]
     assert len(low) <= 8
     assert all(p.time_left >= 0 and 0 < p.fraction <= 1 for p in seen)
-    import json
 
     history = json.loads((tmp_path / "history.json").read_text())
     assert len(history["low"]) == len(low)
@@ -111,7 +96,6 @@ def test_damaged_state(toy_store, toy_config, tmp_path):
 
 def test_a_start_is_where_it_starts(toy_store, toy_config, toy_network, tmp_path):
     config = toy_config(epochs=1, high_epochs=1, learning_rate=1e-12, high_learning_rate=1e-12)
-    from garmentnet.networks.checkpoint import load_checkpoint
 
     path = train(toy_store, config, tmp_path, start=toy_network)
     joints = toy_store.clip("base-test-0").joints[:10]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import ssdr
+from helpers.gltf_asset import make_asset
 from helpers.rig_model import largest_distance, tube
 from ssdr import Clip, MeshSequence
 
@@ -217,8 +217,9 @@ def test_compare_walks_through_the_clips(run, done, refused, rigged, clip, tmp_p
 
 
 def test_render_draws_a_clip(done, refused, rigged, files, tmp_path):
-    done("render", rigged, "-o", tmp_path / "a.png", "--clip", "walk", "-r", files[0])
-    done("render", rigged, "-o", tmp_path / "b.png", "-r", rigged, "--frames", 2)
+    small = ("--width", 300)
+    done("render", rigged, "-o", tmp_path / "a.png", "--clip", "walk", "-r", files[0], *small)
+    done("render", rigged, "-o", tmp_path / "b.png", "-r", rigged, "--frames", 2, *small)
     film = tmp_path / "c.gif"
     err = refused("render", rigged, "-o", film)
     assert "one frame rate, for a film" in err
@@ -227,39 +228,13 @@ def test_render_draws_a_clip(done, refused, rigged, files, tmp_path):
 
 
 def test_a_mesh_without_a_skin_may_have_clips(done, tmp_path):
-    """A morph target moves it: vertices are read, of one clip."""
-    point = np.eye(3, dtype=np.float32)
-    times, amounts = np.float32([0, 1 / 24]), np.float32([0, 1])
-    data = point.tobytes() + (2 * point).tobytes() + times.tobytes() + amounts.tobytes()
-    view = [(0, 36), (36, 36), (72, 8), (80, 8)]
-    kinds = [("VEC3", 3), ("VEC3", 3), ("SCALAR", 2), ("SCALAR", 2)]
-    document = {
-        "asset": {"version": "2.0"},
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "targets": [{"POSITION": 1}]}]}],
-        "animations": [
-            {
-                "name": name,
-                "samplers": [{"input": 2, "output": 3}],
-                "channels": [{"sampler": 0, "target": {"node": 0, "path": "weights"}}],
-            }
-            for name in ("grow", "shrink")
-        ],
-        "buffers": [{"uri": "a.bin", "byteLength": len(data)}],
-        "bufferViews": [{"buffer": 0, "byteOffset": a, "byteLength": n} for a, n in view],
-        "accessors": [
-            {"bufferView": k, "componentType": 5126, "count": n, "type": kind}
-            for k, (kind, n) in enumerate(kinds)
-        ],
-    }
-    (tmp_path / "a.bin").write_bytes(data)
-    (tmp_path / "a.gltf").write_text(json.dumps(document))
-    source = tmp_path / "a.gltf"
-    assert [c["name"] for c in done("info", source)["clips"]] == ["grow", "shrink"]
-    assert "grow is taken" in done("convert", source, tmp_path / "b.npz")["warnings"][0]
-    assert done("convert", source, tmp_path / "c.npz", "--clip", "shrink")["warnings"] == []
-    assert ssdr.load(tmp_path / "c.npz").clip == "shrink"
+    """Morph targets and nodes move it: vertices are read, of one clip."""
+    source = make_asset(tmp_path / "a.gltf")
+    assert [c["name"] for c in done("info", source)["clips"]] == ["Dance", "Spin"]
+    assert "Dance is taken" in done("convert", source, tmp_path / "b.npz")["warnings"][0]
+    warnings = done("convert", source, tmp_path / "c.npz", "--clip", "Spin")["warnings"]
+    assert not any("is taken" in text for text in warnings)
+    assert ssdr.load(tmp_path / "c.npz").clip == "Spin"
 
 
 @pytest.mark.parametrize("suffix", ["glb", "usdc", "npz"])

@@ -42,7 +42,7 @@ def test_outputs_and_json(faked, done, clip, wave, tmp_path):
         assert image.width == 1600
 
 
-def test_table(faked, run, clip, tmp_path):
+def test_the_table_tells_error_and_files_and_quiet_tells_nothing(faked, run, clip, tmp_path):
     code, out, err = run("decompose", clip, "-o", tmp_path / "a.npz", "-b", 2)
     assert (code, err) == (0, "")
     for text in ("RMSE", "% of the diagonal", "E ", "the search converged", "a.npz", "2 bones"):
@@ -60,7 +60,7 @@ def test_weld_travels_to_the_model(faked, done, seam, tmp_path):
     assert len(model.vertex_map) == seam.n_vertices
 
 
-def test_start(faked, done, refused, clip, wave, tmp_path):
+def test_a_run_starts_from_a_model_a_mesh_or_a_frame(faked, done, refused, clip, wave, tmp_path):
     """A model, a mesh whose first frame is the rest pose, or a frame."""
     model, out = tmp_path / "model.npz", tmp_path / "out.npz"
     ssdr.save(model_of(wave), model)
@@ -77,16 +77,3 @@ def test_start(faked, done, refused, clip, wave, tmp_path):
     assert "--force overwrites" in refused(
         "decompose", clip, "-b", 2, "-o", tmp_path / "b.npz", "--checkpoint", model
     )
-
-
-@pytest.mark.slow
-def test_the_solver_goes_on_from_its_output(done, tmp_path):
-    out = tmp_path / "a.npz"
-    line = ("decompose", "sample:dancer_small", "-o", out, "-b", 6, "-e", "fast")
-    first = done(*line)
-    again = done(*line, "--start", out, "--force", "--time-limit", 1)
-    assert again["rmse"] <= first["rmse"] * (1 + 1e-6)
-    sequence, model = ssdr.samples.load("dancer_small"), ssdr.load_skinning(out)
-    gap = model.skin().astype(np.float64) - sequence.vertices
-    rmse = np.sqrt((gap**2).sum() / gap[..., 0].size)
-    assert again["rmse"] == pytest.approx(rmse, rel=1e-3)

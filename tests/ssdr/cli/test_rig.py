@@ -15,18 +15,8 @@ NAMES = ("hips", "chest", "arm", "leg")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rig")
     made = trees.skeleton(4, 16, seed=3)
-    rig = ssdr.Skinning(
-        made.rest,
-        made.indices,
-        made.weights,
-        np.broadcast_to(np.eye(3, 4), (1, 4, 3, 4)),
-        parents=made.parents,
-        joint_positions=made.points,
-        bone_names=NAMES,
-    )
-    ssdr.save(rig, folder / "rig.npz")
-    wavy = made.frames + 0.02 * np.sin(4 * made.frames[..., [1, 2, 0]])
-    ssdr.save(ssdr.MeshSequence(wavy), folder / "walk.npz")
+    ssdr.save(made.skinning(bone_names=NAMES), folder / "rig.npz")
+    ssdr.save(ssdr.MeshSequence(made.wavy), folder / "walk.npz")
     ssdr.save(ssdr.MeshSequence(made.rest[None]), folder / "rest.npz")
     ssdr.save(ssdr.MeshSequence(made.rest[None, :-1]), folder / "other.npz")
     return folder, made
