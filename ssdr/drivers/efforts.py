@@ -92,12 +92,12 @@ class Rebuilds:
 
 
 # Chosen on a dozen sequences.  Where a rebuild takes seconds the first model is rebuilt six times
-# before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); large
-# problems have four rebuilds in place of six, for the time that they take.
+# before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); larger
+# problems have fewer rebuilds, for the time that they take.
 REBUILDS = (  # each up to a size
     (2e6, Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)),
-    (1e7, Rebuilds(trials=10, before=0, after=6, trees=2, tree_searches=4)),
-    (math.inf, Rebuilds(trials=6, before=0, after=4, trees=1, tree_searches=3)),
+    (1e7, Rebuilds(trials=10, before=0, after=4, trees=1, tree_searches=4)),
+    (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
 )
 TRIALS_OF_A_REBUILD = 6
 # From so many bones on, alternations alone put many of them in better places, and some starts end
