@@ -1,0 +1,166 @@
+"""The loop over frames and substeps of a clip, one compiled function without the GIL."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .chunks import Chunks
+from .constraints import BUFFER_ROWS, bend, stretch
+from .contact import find_contacts, fit_tree, push_out
+from .policy import LANES, REAL, kernel
+from .posing import pose_joints, skin_points
+from .self_contact import find_pairs, separate
+
+__all__ = ["BodyArrays", "ClothArrays", "PoseArrays", "Step", "simulate_frames"]
+
+_GRAVITY = REAL(9.81)  # m/s², along -y
+_PAIRS = 20  # of the self-contact, at most, times the number of vertices
+
+
+class BodyArrays(NamedTuple):
+    """The collider: skeleton, skin, and the tree of its triangles."""
+
+    parents: NDArray[np.int32]  # (J,)
+    joints: NDArray[np.float64]  # (J, 3) at rest
+    skin: tuple[Any, ...]  # see skin_points
+    triangles: NDArray[np.int32]  # (T, 3) in the tree's order
+    beside: NDArray[np.int32]  # (T, 3) triangle beyond the edges 01, 12, 20; -1: none
+    depth: int
+
+
+class ClothArrays(NamedTuple):
+    """The garment and its constraints."""
+
+    rest: NDArray[np.float32]  # (V, 3)
+    free: NDArray[np.int64]
+    pinned: NDArray[np.int64]
+    pins: tuple[Any, ...]  # see skin_points, of the pinned vertices
+    weights: NDArray[np.float32]  # (V,) inverse masses
+    edges: Chunks
+    hinges: Chunks
+    near: NDArray[np.int32]  # vertices within two edges, CSR
+    near_starts: NDArray[np.int32]
+
+
+class PoseArrays(NamedTuple):
+    """Poses of the body in all frames."""
+
+    roots: NDArray[np.float64]  # (F, 3)
+    local: NDArray[np.float64]  # (F, J, 3, 3) rotations relative to the parent
+    turns: NDArray[np.float64]  # (F, J, 3) rotation vectors to the next frame
+
+
+class Step(NamedTuple):
+    """Numbers of a substep; lengths in metres, times in the cloth's seconds."""
+
+    substeps: int  # in a frame
+    blocks: int  # in a frame: the body is posed, and the nearest triangles are searched, in each
+    h: Any  # length of a substep
+    damping: Any  # γ of the hinges
+    decay: Any  # of velocities in a substep, by drag
+    distance: Any  # of the cloth from the skin
+    friction: Any
+    push: Any  # the longest push out of the body in a substep
+    reach: Any  # within which contact is searched
+    thickness: Any  # of the self-contact; 0: none
+    pair_steps: int  # substeps for which the pairs of the self-contact are kept
+
+
+@kernel
+def simulate_frames(
+    body: Any, cloth: Any, poses: Any, step: Step, first: int, moved: Any, out: Any
+) -> None:
+    """Simulate a clip from the rest shape at the first pose.
+
+    first  int                 frame from which on the cloth is written
+    moved  (V, 3)  float32     displacements added to the cloth before that frame
+    out    (F - first, V, 3) float32
+    """
+    n, free = len(cloth.rest), cloth.free
+    x, v = np.zeros(3 * n, REAL), np.zeros(3 * n, REAL)
+    previous = np.zeros(3 * n, REAL)
+    buffer = np.zeros(BUFFER_ROWS * LANES, REAL)
+    transforms = np.empty((len(body.parents), 12), REAL)
+    # Skin and pinned vertices at the start and the end of a block.
+    n_skin, n_pins = len(body.skin[0]), len(cloth.pins[0])
+    skin0, skin1 = np.empty(3 * n_skin, REAL), np.empty(3 * n_skin, REAL)
+    pins0, pins1 = np.empty(3 * n_pins, REAL), np.empty(3 * n_pins, REAL)
+    boxes = np.empty((2 ** (body.depth + 1) - 1, 6), REAL)
+    nearest, close = np.full(n, -1, np.int32), np.empty(n, np.int32)
+    pairs, n_pairs = np.zeros((_PAIRS * n if step.thickness > 0 else 0, 2), np.int32), 0
+    rate, per_block = REAL(1) / step.h, step.substeps // step.blocks
+    share = REAL(1) / REAL(per_block)
+    origin, root = poses.roots[0].copy(), np.zeros(3)
+
+    pose_joints(body.parents, body.joints, root, poses.local[0], poses.turns[0], 0.0, transforms)
+    skin_points(body.skin, transforms, skin1)
+    skin_points(cloth.pins, transforms, pins1)
+    for i in range(n):
+        for r in range(3):
+            x[3 * i + r] = transforms[0, 4 * r + 3]
+            for k in range(3):
+                x[3 * i + r] += transforms[0, 4 * r + k] * cloth.rest[i, k]
+    for frame in range(len(poses.roots)):
+        if frame == first:
+            for i in range(n):
+                for k in range(3):
+                    x[3 * i + k] += moved[i, k]
+        if frame > 0:
+            for k in range(3):
+                shift = REAL(poses.roots[frame - 1, k] - origin[k])
+                origin[k] = poses.roots[frame - 1, k]
+                x[k::3] -= shift
+                skin1[k::3] -= shift
+                pins1[k::3] -= shift
+        for block in range(step.blocks if frame > 0 else 0):
+            skin0, skin1, pins0, pins1 = skin1, skin0, pins1, pins0
+            done = (block + 1.0) / step.blocks
+            for k in range(3):
+                root[k] = done * (poses.roots[frame, k] - poses.roots[frame - 1, k])
+            pose_joints(
+                body.parents, body.joints, root, poses.local[frame - 1], poses.turns[frame - 1],
+                done, transforms,
+            )
+            skin_points(body.skin, transforms, skin1)
+            skin_points(cloth.pins, transforms, pins1)
+            fit_tree(skin0, body.triangles, body.depth, boxes)
+            n_close = find_contacts(
+                x, free, step.reach, skin0, body.triangles, body.depth, boxes, nearest, close
+            )
+            for substep in range(per_block):
+                fraction = REAL((substep + 1.0) / per_block)
+                for q in range(n_pins):
+                    o = 3 * cloth.pinned[q]
+                    for k in range(3):
+                        previous[o + k] = x[o + k]
+                        x[o + k] = pins0[3 * q + k] + fraction * (pins1[3 * q + k] - pins0[3 * q + k])
+                for i in free:
+                    o = 3 * i
+                    previous[o], previous[o + 1], previous[o + 2] = x[o], x[o + 1], x[o + 2]
+                    x[o] += step.h * v[o]
+                    x[o + 1] += step.h * (v[o + 1] - step.h * _GRAVITY)
+                    x[o + 2] += step.h * v[o + 2]
+                bend(x, previous, cloth.hinges.vertices, cloth.hinges.numbers, cloth.hinges.count, step.damping, buffer)
+                stretch(x, cloth.edges.vertices, cloth.edges.numbers, cloth.edges.count, buffer)
+                if step.thickness > 0:
+                    if (block * per_block + substep) % step.pair_steps == 0:
+                        n_pairs = find_pairs(x, free, cloth.near, cloth.near_starts, REAL(2.5) * step.thickness, pairs)
+                    separate(x, cloth.weights, pairs, n_pairs, step.thickness)
+                for i in free:
+                    if nearest[i] < 0:
+                        for k in range(3):
+                            v[3 * i + k] = (x[3 * i + k] - previous[3 * i + k]) * rate
+                push_out(
+                    x, previous, v, close, n_close, nearest, body.triangles, body.beside, skin0, skin1,
+                    fraction, share, step.distance, step.friction, step.push, rate,
+                )
+                for i in free:
+                    for k in range(3):
+                        v[3 * i + k] *= step.decay
+        if frame >= first:
+            for i in range(n):
+                for k in range(3):
+                    out[frame - first, i, k] = x[3 * i + k] + origin[k]
