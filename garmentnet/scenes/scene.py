@@ -7,7 +7,6 @@ expands to one :class:`Scene` for each clip, in a fixed order and with fixed nam
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from .cloth import Solver
 from .dance.choreography import Repertoire, dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
 from .quality import Gate
+from .simulator import VERSION
 
 __all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene"]
 
@@ -133,14 +133,11 @@ class Scene:
     def seed(self) -> int:
         return self.data_set.seed + self.motion.seed
 
-    def provenance(self, versions: Mapping[str, str]) -> dict[str, Any]:
+    def provenance(self) -> dict[str, Any]:
         """Everything from which the clip can be simulated again, plain JSON."""
         motion = dataclasses.asdict(self.motion)
         # The name alone: with the path, the stored bytes would depend on the machine.
         motion["file"] = Path(self.motion.file).name
-        if self.motion.repertoire == "basic":
-            # Stores from before there was another one do not name it.
-            del motion["repertoire"]
         return {
             "data_set": self.data_set.name,
             "garment": dataclasses.asdict(self.data_set.garment),
@@ -149,7 +146,7 @@ class Scene:
             "parameter_set": self.parameters.name,
             "parameter_split": self.parameters.split,
             "repeat_of": self.repeat_of,
-            "versions": dict(versions),
+            "simulator": VERSION,
         }
 
 
