@@ -94,6 +94,8 @@ def write_clip(
                 dtype=values.dtype,
                 chunks=(chunk, *values.shape[1:]),
                 fill_value=_ARRAYS[key][1],
+                # One file for a chunk, not four folders as well.
+                chunk_key_encoding={"name": "default", "separator": "."},
                 compressors=compressors(
                     values.itemsize, "bitshuffle" if key == "steps" else "shuffle"
                 ),
