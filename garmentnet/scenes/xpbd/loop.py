@@ -147,7 +147,7 @@ def simulate_frames(
                 stretch(x, cloth.edges.vertices, cloth.edges.numbers, cloth.edges.count, buffer)
                 if step.thickness > 0:
                     if (block * per_block + substep) % step.pair_steps == 0:
-                        n_pairs = find_pairs(x, free, cloth.near, cloth.near_starts, REAL(2.5) * step.thickness, pairs)
+                        n_pairs = find_pairs(x, cloth.weights, cloth.near, cloth.near_starts, REAL(2.5) * step.thickness, pairs)
                     separate(x, cloth.weights, pairs, n_pairs, step.thickness)
                 for i in free:
                     if nearest[i] < 0:

@@ -23,18 +23,19 @@ def _cell(a: int, b: int, c: int) -> int:
 
 
 @kernel
-def find_pairs(x: Any, free: Any, near: Any, starts: Any, reach: Any, pairs: Any) -> int:
-    """Pairs of free vertices nearer than `reach`; their number, at most the length of `pairs`.
+def find_pairs(x: Any, weights: Any, near: Any, starts: Any, reach: Any, pairs: Any) -> int:
+    """Pairs of vertices nearer than `reach`; their number, at most the length of `pairs`.
 
     A hash grid with cells of that size is filled vertex by vertex (Teschner et al., "Optimized
     Spatial Hashing for Collision Detection of Deformable Objects", VMV 2003).
 
-    near, starts  CSR   vertices within two edges of each vertex, which make no pair
-    pairs         (n, 2) int32  out
+    weights       (V,)    float32  inverse masses; two that are 0 make no pair
+    near, starts  CSR     int32    vertices within two edges of each vertex, which make no pair
+    pairs         (n, 2)  int32    out
     """
     head, after = np.full(_CELLS, -1, np.int32), np.full(len(x) // 3, -1, np.int32)
     inverse, square, count = REAL(1) / reach, reach * reach, 0
-    for i in free:
+    for i in range(len(weights)):
         px, py, pz = x[3 * i], x[3 * i + 1], x[3 * i + 2]
         a, b, c = math.floor(px * inverse), math.floor(py * inverse), math.floor(pz * inverse)
         for da in range(-1, 2):
@@ -50,7 +51,7 @@ def find_pairs(x: Any, free: Any, near: Any, starts: Any, reach: Any, pairs: Any
                             and math.floor(x[3 * j + 2] * inverse) == c + dc
                         )
                         if same and dx * dx + dy * dy + dz * dz < square and count < len(pairs):
-                            known = False
+                            known = weights[i] + weights[j] == 0
                             for k in range(starts[i], starts[i + 1]):
                                 known = known or near[k] == j
                             if not known:

@@ -1,7 +1,6 @@
 # ruff: noqa: E402
 """The whole pipeline on the data set `tiny`: simulate, decompose, train, evaluate, draw."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
@@ -12,9 +11,6 @@ from garmentnet.cli.demo import run_demo
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    importlib.util.find_spec("newton") is None, reason="needs the extra scenes (newton, warp)"
-)
 def test_demo(tmp_path):
     summary = run_demo(tmp_path)
     assert all(Path(file).is_file() for file in summary["files"])

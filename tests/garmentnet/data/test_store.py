@@ -229,7 +229,7 @@ def read_whole(clip: Clip) -> None:
 
 
 def chunk_files(store: ClipStore, array: str) -> list[Path]:
-    return sorted(p for p in (store.path / "clips/a" / array / "c").rglob("*") if p.is_file())
+    return sorted((store.path / "clips/a" / array).glob("c.*"))
 
 
 def damage_flip(store: ClipStore) -> None:
