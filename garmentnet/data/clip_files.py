@@ -85,7 +85,9 @@ def write_clip(
     if step > 0:
         stored["steps"] = encode_steps(stored.pop("vertices"), step)
     try:
-        group = zarr().create_group(store=str(temporary), attributes=dict(metadata) | {"step": step})
+        group = zarr().create_group(
+            store=str(temporary), attributes=dict(metadata) | {"step": step}
+        )
         for key, values in stored.items():
             chunk = min(frames, _CHUNK_FRAMES) if key in ("vertices", "steps") else frames
             array = group.create_array(

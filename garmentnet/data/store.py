@@ -382,7 +382,7 @@ class ClipStore(Outfit):
             "quality": json.loads(json.dumps(dict(quality))),
             "provenance": json.loads(json.dumps(dict(provenance))),
         }
-        arrays = {"vertices": v, "joints": m, "classes": c}
+        arrays: dict[str, NDArray[Any]] = {"vertices": v, "joints": m, "classes": c}
         write_clip(target, arrays, metadata, step if accepted else 0.0)
         return self.clip(name)
 

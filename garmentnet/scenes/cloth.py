@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.spatial.transform import Rotation
 
@@ -164,7 +165,9 @@ class Cloth:
         shift = np.zeros((n, 3), REAL) if moved is None else np.asarray(moved, REAL)
         out = np.empty((len(joints) - first, n, 3), np.float32)
         poses = _pose_arrays(self.body, joints)
-        simulate_frames(self._body, self._cloth_arrays(parameters, h), poses, step, first, shift, out)
+        simulate_frames(
+            self._body, self._cloth_arrays(parameters, h), poses, step, first, shift, out
+        )
         return out
 
     def _cloth_arrays(self, parameters: SimulationParameters, h: float) -> ClothArrays:
@@ -174,10 +177,10 @@ class Cloth:
         edges = np.stack([self._lengths, compliance], axis=1)
         # A sheet of equilateral triangles whose hinges have the stiffness k has the flexural
         # rigidity √3 / 2 k (Seung & Nelson 1988), whatever the length of its edges.
-        k = 2 / math.sqrt(3) * s.bending * parameters.bending
-        k = k * self._hinge_lengths / g.edge_length()
-        angle = self._angles
-        hinges = np.stack([np.cos(angle), np.sin(angle), 1 / np.maximum(k * h * h, 1e-30)], axis=1)
+        mean = 2 / math.sqrt(3) * s.bending * parameters.bending
+        stiffness = mean * self._hinge_lengths / g.edge_length()
+        softness = 1 / np.maximum(stiffness * h * h, 1e-30)
+        hinges = np.stack([np.cos(self._angles), np.sin(self._angles), softness], axis=1)
         free, pinned = np.flatnonzero(~g.pinned), np.flatnonzero(g.pinned)
         return ClothArrays(
             rest=g.rest.astype(REAL),
@@ -192,7 +195,7 @@ class Cloth:
         )
 
 
-def _skin(rest: NDArray, indices: NDArray, weights: NDArray) -> tuple[NDArray, ...]:
+def _skin(rest: ArrayLike, indices: ArrayLike, weights: ArrayLike) -> tuple[NDArray[Any], ...]:
     return (
         np.ascontiguousarray(rest, REAL),
         np.ascontiguousarray(indices, np.int32),
@@ -208,7 +211,9 @@ def _body_arrays(body: Body) -> BodyArrays:
     opposite = {
         (int(f[k]), int(f[(k + 1) % 3])): t for t, f in enumerate(triangles) for k in range(3)
     }
-    beside = [[opposite.get((int(f[(k + 1) % 3]), int(f[k])), -1) for k in range(3)] for f in triangles]
+    beside = [
+        [opposite.get((int(f[(k + 1) % 3]), int(f[k])), -1) for k in range(3)] for f in triangles
+    ]
     return BodyArrays(
         parents=tree.parents.astype(np.int32),
         joints=tree.rest.astype(np.float64),
@@ -223,8 +228,8 @@ def _pose_arrays(body: Body, joints: NDArray[np.float64]) -> PoseArrays:
     roots, local = body.skeleton.pose(joints)
     turns = np.zeros((*local.shape[:2], 3))
     relative = np.swapaxes(local[:-1], 2, 3) @ local[1:]
-    turns[:-1] = Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(
-        turns[:-1].shape
+    turns[:-1] = (
+        Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(turns[:-1].shape)
     )
     return PoseArrays(*(np.ascontiguousarray(a) for a in (roots, local, turns)))
 
@@ -233,7 +238,8 @@ def _vertex_areas(rest: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArra
     """A third of the area of every triangle for each of its vertices."""
     a, b, c = rest[faces].swapaxes(0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    return np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
+    total = np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
+    return np.asarray(total, np.float64)
 
 
 def _hinges(faces: NDArray[np.int32]) -> NDArray[np.int64]:

@@ -16,8 +16,8 @@ from ..data.bvh import find_bvh, read_bvh
 from ..data.clip_files import Split
 from ..data.retarget import retarget
 from ..data.store import ClipStore
-from .scene import DataSet, MotionSource, Scene
 from .run import Progress, simulate_scenes
+from .scene import DataSet, MotionSource, Scene
 
 __all__ = ["Progress", "make_data_set", "open_store", "recorded_motions"]
 

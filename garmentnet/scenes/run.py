@@ -91,7 +91,15 @@ def simulate_scenes(
                 left = elapsed / frames * (total - frames)
                 progress(
                     Progress(
-                        clips, clips_total, frames, total, elapsed, left, scene.name, accepted, reason
+                        clips,
+                        clips_total,
+                        frames,
+                        total,
+                        elapsed,
+                        left,
+                        scene.name,
+                        accepted,
+                        reason,
                     )
                 )
     finally:

@@ -17,12 +17,12 @@ class Chunks(NamedTuple):
 
     vertices  flat int64    3 times the vertices' indices
     numbers   flat float32  numbers of the constraints
-    count     int           chunks
+    size      int           chunks
     """
 
     vertices: NDArray[np.int64]
     numbers: NDArray[np.float32]
-    count: int
+    size: int
 
 
 def colour(constraints: NDArray[np.integer], pinned: NDArray[np.bool_]) -> list[NDArray[np.intp]]:

@@ -30,15 +30,15 @@ _FOLDED = REAL(1e-4)
 
 
 @kernel
-def stretch(x: Any, vertices: Any, numbers: Any, n_chunks: int, buffer: Any) -> None:
+def stretch(x: Any, edges: Any, buffer: Any) -> None:
     """Distance constraint of every edge: C = |x₂ − x₁| − l₀.
 
-    x         (3 V,)                  float32  positions, in and out
-    vertices  (n_chunks * 2 * LANES,) int64    3 times the index of each end
-    numbers   (n_chunks * 4 * LANES,) float32  w₁, w₂, l₀, α / h²
-    buffer    (BUFFER_ROWS * LANES,)  float32
+    x       (3 V,)  float32  positions, in and out
+    edges           Chunks   rows of vertices: both ends; of numbers: w₁, w₂, l₀, α / h²
+    buffer  (BUFFER_ROWS * LANES,)  float32
     """
-    for chunk in range(n_chunks):
+    vertices, numbers, size = edges
+    for chunk in range(size):
         v, p = chunk * 2 * LANES, chunk * 4 * LANES
         for n in range(LANES):
             i, j = vertices[v + n], vertices[v + LANES + n]
@@ -64,9 +64,7 @@ def stretch(x: Any, vertices: Any, numbers: Any, n_chunks: int, buffer: Any) -> 
 
 
 @kernel
-def bend(
-    x: Any, previous: Any, vertices: Any, numbers: Any, n_chunks: int, damping: Any, buffer: Any
-) -> None:
+def bend(x: Any, previous: Any, hinges: Any, damping: Any, buffer: Any) -> None:
     """Dihedral constraint of every inner edge: C = θ − θ₀, with damping.
 
     Vertices 1 and 2 are the ends of the edge e, 3 and 4 the opposite corners.  With p = e × (x₃ −
@@ -74,14 +72,15 @@ def bend(
     ends balance force and torque (Bridson et al., "Simulation of Clothing with Folds and
     Wrinkles", SCA 2003; Grinspun et al., "Discrete Shells", SCA 2003).
 
-    x         (3 V,)                  float32  positions, in and out
-    previous  (3 V,)                  float32  positions at the start of the substep
-    vertices  (n_chunks * 4 * LANES,) int64    3 times the index of each vertex
-    numbers   (n_chunks * 7 * LANES,) float32  w₁, w₂, w₃, w₄, cos θ₀, sin θ₀, α / h²
-    damping                           float32  γ
+    x         (3 V,)  float32  positions, in and out
+    previous  (3 V,)  float32  positions at the start of the substep
+    hinges            Chunks   rows of vertices: 1 to 4; of numbers: w₁ to w₄, cos θ₀, sin θ₀,
+                               α / h²
+    damping           float32  γ
     buffer    (BUFFER_ROWS * LANES,)  float32
     """
-    for chunk in range(n_chunks):
+    vertices, numbers, size = hinges
+    for chunk in range(size):
         v, p = chunk * 4 * LANES, chunk * 7 * LANES
         for n in range(LANES):
             i, j = vertices[v + n], vertices[v + LANES + n]

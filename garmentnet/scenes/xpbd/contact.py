@@ -179,15 +179,8 @@ def push_out(
     close: Any,
     n_close: int,
     nearest: Any,
-    triangles: Any,
-    beside: Any,
-    start: Any,
-    end: Any,
-    fraction: Any,
-    share: Any,
-    distance: Any,
-    friction: Any,
-    most: Any,
+    skin: Any,
+    limits: Any,
     rate: Any,
 ) -> None:
     """Push vertices out to a distance from the moving skin, with friction; set their velocities.
@@ -197,20 +190,23 @@ def push_out(
     displacement relative to the skin to `friction` times the push (Macklin et al., "Unified
     Particle Physics for Real-Time Applications", 2014, section 6.1).
 
-    The skin moves linearly from `start` to `end`, its positions (3 n,) at both ends of the block of
-    substeps.  From the triangle of the substep before the search goes over edges to nearer ones.
+    The skin moves linearly from its positions (3 n,) at the start of the block of substeps to those
+    at the end.  From the triangle of the substep before the search goes over edges to nearer ones.
 
-    x, previous, velocity  (3 V,)   float32  positions, those before the substep, velocities
-    close                  (V,)     int32    vertices near the skin, the first `n_close`
-    nearest                (V,)     int32    triangle of each vertex; updated
-    beside                 (T, 3)   int32    triangle beyond the edges 01, 12, 20; -1: none
-    fraction                        float32  of the block, at the end of this substep
-    share                           float32  of the block, that a substep is
-    distance                        float32  metres
-    most                            float32  metres, the longest push in a substep: a vertex that a
-                                             limb has passed over comes out gently
-    rate                            float32  1 / h
+    x, previous, velocity  (3 V,)  float32  positions, those before the substep, velocities
+    close                  (V,)    int32    vertices near the skin, the first `n_close`
+    nearest                (V,)    int32    triangle of each vertex; updated
+    skin                           tuple    triangles (T, 3); triangle beyond each edge (T, 3), -1:
+                                            none; positions at the start and the end of the block;
+                                            fraction of the block at the end of this substep; share
+                                            of the block that a substep is
+    limits                         tuple    distance in metres; coefficient of friction; longest
+                                            push in metres: a vertex that a limb has passed over
+                                            comes out gently
+    rate                           float32  1 / h
     """
+    triangles, beside, start, end, fraction, share = skin
+    distance, friction, most = limits
     for n in range(n_close):
         o = 3 * close[n]
         px, py, pz = x[o], x[o + 1], x[o + 2]
@@ -229,7 +225,11 @@ def push_out(
             vy = start[k + 1] + fraction * (end[k + 1] - start[k + 1]) - ay
             vz = start[k + 2] + fraction * (end[k + 2] - start[k + 2]) - az
             a, b = _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz)
-            dx, dy, dz = px - ax - a * ux - b * vx, py - ay - a * uy - b * vy, pz - az - a * uz - b * vz
+            dx, dy, dz = (
+                px - ax - a * ux - b * vx,
+                py - ay - a * uy - b * vy,
+                pz - az - a * uz - b * vz,
+            )
             square = dx * dx + dy * dy + dz * dz
             if square >= best * _GAIN:
                 break

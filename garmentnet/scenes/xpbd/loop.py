@@ -75,29 +75,25 @@ def simulate_frames(
 ) -> None:
     """Simulate a clip from the rest shape at the first pose.
 
-    first  int                 frame from which on the cloth is written
-    moved  (V, 3)  float32     displacements added to the cloth before that frame
-    out    (F - first, V, 3) float32
+    first  int                        frame from which on the cloth is written
+    moved  (V, 3)            float32  displacements added to the cloth before that frame
+    out    (F - first, V, 3) float32  out
     """
-    n, free = len(cloth.rest), cloth.free
-    x, v = np.zeros(3 * n, REAL), np.zeros(3 * n, REAL)
-    previous = np.zeros(3 * n, REAL)
+    n, free, n_pins = len(cloth.rest), cloth.free, len(cloth.pinned)
+    x, v, previous = np.zeros(3 * n, REAL), np.zeros(3 * n, REAL), np.zeros(3 * n, REAL)
     buffer = np.zeros(BUFFER_ROWS * LANES, REAL)
     transforms = np.empty((len(body.parents), 12), REAL)
     # Skin and pinned vertices at the start and the end of a block.
-    n_skin, n_pins = len(body.skin[0]), len(cloth.pins[0])
-    skin0, skin1 = np.empty(3 * n_skin, REAL), np.empty(3 * n_skin, REAL)
-    pins0, pins1 = np.empty(3 * n_pins, REAL), np.empty(3 * n_pins, REAL)
+    skin0, pins0 = np.empty(3 * len(body.skin[0]), REAL), np.empty(3 * n_pins, REAL)
+    skin1, pins1 = skin0.copy(), pins0.copy()
     boxes = np.empty((2 ** (body.depth + 1) - 1, 6), REAL)
     nearest, close = np.full(n, -1, np.int32), np.empty(n, np.int32)
     pairs, n_pairs = np.zeros((_PAIRS * n if step.thickness > 0 else 0, 2), np.int32), 0
     rate, per_block = REAL(1) / step.h, step.substeps // step.blocks
     share = REAL(1) / REAL(per_block)
-    origin, root = poses.roots[0].copy(), np.zeros(3)
+    origin = poses.roots[0].copy()
 
-    pose_joints(body.parents, body.joints, root, poses.local[0], poses.turns[0], 0.0, transforms)
-    skin_points(body.skin, transforms, skin1)
-    skin_points(cloth.pins, transforms, pins1)
+    _pose(body, cloth, poses, 0, 0.0, origin, transforms, skin1, pins1)
     for i in range(n):
         for r in range(3):
             x[3 * i + r] = transforms[0, 4 * r + 3]
@@ -109,6 +105,7 @@ def simulate_frames(
                 for k in range(3):
                     x[3 * i + k] += moved[i, k]
         if frame > 0:
+            # The origin follows the root, one frame behind.
             for k in range(3):
                 shift = REAL(poses.roots[frame - 1, k] - origin[k])
                 origin[k] = poses.roots[frame - 1, k]
@@ -118,45 +115,29 @@ def simulate_frames(
         for block in range(step.blocks if frame > 0 else 0):
             skin0, skin1, pins0, pins1 = skin1, skin0, pins1, pins0
             done = (block + 1.0) / step.blocks
-            for k in range(3):
-                root[k] = done * (poses.roots[frame, k] - poses.roots[frame - 1, k])
-            pose_joints(
-                body.parents, body.joints, root, poses.local[frame - 1], poses.turns[frame - 1],
-                done, transforms,
-            )
-            skin_points(body.skin, transforms, skin1)
-            skin_points(cloth.pins, transforms, pins1)
+            _pose(body, cloth, poses, frame - 1, done, origin, transforms, skin1, pins1)
             fit_tree(skin0, body.triangles, body.depth, boxes)
             n_close = find_contacts(
                 x, free, step.reach, skin0, body.triangles, body.depth, boxes, nearest, close
             )
             for substep in range(per_block):
                 fraction = REAL((substep + 1.0) / per_block)
-                for q in range(n_pins):
-                    o = 3 * cloth.pinned[q]
-                    for k in range(3):
-                        previous[o + k] = x[o + k]
-                        x[o + k] = pins0[3 * q + k] + fraction * (pins1[3 * q + k] - pins0[3 * q + k])
-                for i in free:
-                    o = 3 * i
-                    previous[o], previous[o + 1], previous[o + 2] = x[o], x[o + 1], x[o + 2]
-                    x[o] += step.h * v[o]
-                    x[o + 1] += step.h * (v[o + 1] - step.h * _GRAVITY)
-                    x[o + 2] += step.h * v[o + 2]
-                bend(x, previous, cloth.hinges.vertices, cloth.hinges.numbers, cloth.hinges.count, step.damping, buffer)
-                stretch(x, cloth.edges.vertices, cloth.edges.numbers, cloth.edges.count, buffer)
+                _predict(x, previous, v, cloth, step.h, pins0, pins1, fraction)
+                bend(x, previous, cloth.hinges, step.damping, buffer)
+                stretch(x, cloth.edges, buffer)
                 if step.thickness > 0:
                     if (block * per_block + substep) % step.pair_steps == 0:
-                        n_pairs = find_pairs(x, cloth.weights, cloth.near, cloth.near_starts, REAL(2.5) * step.thickness, pairs)
+                        n_pairs = find_pairs(
+                            x, cloth.weights, cloth.near, cloth.near_starts, step.thickness, pairs
+                        )
                     separate(x, cloth.weights, pairs, n_pairs, step.thickness)
                 for i in free:
                     if nearest[i] < 0:
                         for k in range(3):
                             v[3 * i + k] = (x[3 * i + k] - previous[3 * i + k]) * rate
-                push_out(
-                    x, previous, v, close, n_close, nearest, body.triangles, body.beside, skin0, skin1,
-                    fraction, share, step.distance, step.friction, step.push, rate,
-                )
+                skin = (body.triangles, body.beside, skin0, skin1, fraction, share)
+                limits = (step.distance, step.friction, step.push)
+                push_out(x, previous, v, close, n_close, nearest, skin, limits, rate)
                 for i in free:
                     for k in range(3):
                         v[3 * i + k] *= step.decay
@@ -164,3 +145,31 @@ def simulate_frames(
             for i in range(n):
                 for k in range(3):
                     out[frame - first, i, k] = x[3 * i + k] + origin[k]
+
+
+@kernel
+def _pose(body, cloth, poses, frame, fraction, origin, transforms, skin, pins):
+    """Skin and pinned vertices at a fraction of the way to the next frame, relative to `origin`."""
+    root = poses.roots[frame] - origin
+    if fraction > 0:
+        root += fraction * (poses.roots[frame + 1] - poses.roots[frame])
+    local, turns = poses.local[frame], poses.turns[frame]
+    pose_joints(body.parents, body.joints, root, local, turns, fraction, transforms)
+    skin_points(body.skin, transforms, skin)
+    skin_points(cloth.pins, transforms, pins)
+
+
+@kernel
+def _predict(x, previous, v, cloth, h, pins0, pins1, fraction):
+    """Move free vertices by their velocities and gravity, pinned ones with the body."""
+    for q in range(len(cloth.pinned)):
+        for k in range(3):
+            o = 3 * cloth.pinned[q] + k
+            previous[o] = x[o]
+            x[o] = pins0[3 * q + k] + fraction * (pins1[3 * q + k] - pins0[3 * q + k])
+    for i in cloth.free:
+        o = 3 * i
+        previous[o], previous[o + 1], previous[o + 2] = x[o], x[o + 1], x[o + 2]
+        x[o] += h * v[o]
+        x[o + 1] += h * (v[o + 1] - h * _GRAVITY)
+        x[o + 2] += h * v[o + 2]

@@ -30,4 +30,4 @@ def kernel(function: Function) -> Function:
     NaN is not tested for inside a kernel.
     """
     compiled: Any = numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")(function)
-    return compiled  # type: ignore[no-any-return]
+    return compiled

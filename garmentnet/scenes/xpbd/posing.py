@@ -39,9 +39,21 @@ def pose_joints(
         if square > 1e-12:
             angle = math.sqrt(square)
             a, b = math.sin(angle) / angle, (1 - math.cos(angle)) / square
-        step[0, 0], step[0, 1], step[0, 2] = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-        step[1, 0], step[1, 1], step[1, 2] = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
-        step[2, 0], step[2, 1], step[2, 2] = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+        step[0, 0], step[0, 1], step[0, 2] = (
+            1 - b * (y * y + z * z),
+            b * x * y - a * z,
+            b * x * z + a * y,
+        )
+        step[1, 0], step[1, 1], step[1, 2] = (
+            b * x * y + a * z,
+            1 - b * (x * x + z * z),
+            b * y * z - a * x,
+        )
+        step[2, 0], step[2, 1], step[2, 2] = (
+            b * x * z - a * y,
+            b * y * z + a * x,
+            1 - b * (x * x + y * y),
+        )
         parent = parents[j]
         for r in range(3):
             for k in range(3):

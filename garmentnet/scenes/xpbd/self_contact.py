@@ -13,6 +13,8 @@ __all__ = ["find_pairs", "separate"]
 
 # Cells of the hash table; a power of 2.
 _CELLS = 4096
+# Distance within which pairs are kept, as a multiple of the thickness.
+_MARGIN = REAL(2.5)
 # Part of the overlap that is taken away in a substep.
 _PART = REAL(0.5)
 
@@ -23,8 +25,8 @@ def _cell(a: int, b: int, c: int) -> int:
 
 
 @kernel
-def find_pairs(x: Any, weights: Any, near: Any, starts: Any, reach: Any, pairs: Any) -> int:
-    """Pairs of vertices nearer than `reach`; their number, at most the length of `pairs`.
+def find_pairs(x: Any, weights: Any, near: Any, starts: Any, thickness: Any, pairs: Any) -> int:
+    """Pairs of vertices that may come within `thickness`; at most as many as `pairs` holds.
 
     A hash grid with cells of that size is filled vertex by vertex (Teschner et al., "Optimized
     Spatial Hashing for Collision Detection of Deformable Objects", VMV 2003).
@@ -34,6 +36,7 @@ def find_pairs(x: Any, weights: Any, near: Any, starts: Any, reach: Any, pairs: 
     pairs         (n, 2)  int32    out
     """
     head, after = np.full(_CELLS, -1, np.int32), np.full(len(x) // 3, -1, np.int32)
+    reach = _MARGIN * thickness
     inverse, square, count = REAL(1) / reach, reach * reach, 0
     for i in range(len(weights)):
         px, py, pz = x[3 * i], x[3 * i + 1], x[3 * i + 2]

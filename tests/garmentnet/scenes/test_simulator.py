@@ -38,9 +38,7 @@ def test_the_same_bits_whatever_the_threads(spin: Motion) -> None:
     assert one.quality.accepted, one.quality.reason
     with ThreadPoolExecutor(2) as pool:
         for other in pool.map(
-            lambda _: simulate(
-                Cloth(BODY, DRESS, QUICK), spin, BASE, seed=3, perturbation=1e-3
-            ),
+            lambda _: simulate(Cloth(BODY, DRESS, QUICK), spin, BASE, seed=3, perturbation=1e-3),
             range(2),
         ):
             np.testing.assert_array_equal(one.vertices, other.vertices)

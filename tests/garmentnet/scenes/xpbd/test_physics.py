@@ -26,9 +26,7 @@ def test_a_hanging_strip_stretches_as_statics_say():
     rest, faces = sheet(columns, rows, 0.025)
     length = -rest[-1, 1]
     strip = garment(rest, faces, range(columns))
-    cloth = Cloth(
-        FAR, strip, solver(stretch=stiffness, bending=1e-4, substeps=80, drag=6.0)
-    )
+    cloth = Cloth(FAR, strip, solver(stretch=stiffness, bending=1e-4, substeps=80, drag=6.0))
     parameters = SimulationParameters(bending=1.0, density=density)
     made = cloth.simulate(still(120).joints, 30.0, parameters)[-1]
     longer = -made[-columns:, 1].mean() - length
@@ -88,7 +86,11 @@ def test_a_draped_square_converges_with_the_step():
     made = {}
     for substeps in (20, 40, 80):
         how = solver(
-            substeps=substeps, stretch=10.0, friction=0.3, bending=1e-3, bending_damping=0.0,
+            substeps=substeps,
+            stretch=10.0,
+            friction=0.3,
+            bending=1e-3,
+            bending_damping=0.0,
             drag=5.0,
         )
         made[substeps] = Cloth(ball(0.15, (0, 0, 0)), square, how).simulate(
@@ -133,7 +135,7 @@ def test_self_contact_keeps_two_sheets_apart():
     rest, faces = sheet(8, 8, 0.02)
     flat = np.stack([rest[:, 0], 0 * rest[:, 0], -rest[:, 1]], axis=1)
     n = len(rest)
-    both = np.concatenate([flat, flat + [0.003, 0.03, 0.004]])
+    both = np.concatenate([flat, flat + np.array([0.003, 0.03, 0.004])])
     two = garment(both, np.concatenate([faces, faces + n]), range(n))
     gaps = {}
     for thickness in (0.0, 0.015):
