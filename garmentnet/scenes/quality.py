@@ -67,22 +67,28 @@ class Quality:
 
 
 def outside(
-    body: Body, garment: Garment, motion: Motion, vertices: NDArray[np.float32]
+    body: Body,
+    garment: Garment,
+    motion: Motion,
+    vertices: NDArray[np.float32],
+    *,
+    push: bool = True,
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """The vertices with those inside the body pushed out of it, and the depth that is left.
 
     Depths ``(F, V)`` are metres below the skin, negative outside; pinned vertices are measured too
-    but stay.  Frames with NaN stay as they are, with a depth of 0.
+    but stay.  Frames with NaN stay as they are, with a depth of 0.  Without `push` the vertices are
+    only measured.
     """
-    push = PushOut(body.skinning, garment.faces, margin=_MARGIN, pinned=garment.pinned)
+    mover = PushOut(body.skinning, garment.faces, margin=_MARGIN, pinned=garment.pinned)
     depth = np.zeros(vertices.shape[:2])
     whole = np.isfinite(vertices).all(axis=(1, 2))
-    depth[whole] = -push.signed_distance(vertices[whole], motion.joints[whole], limit=_MARGIN)
+    depth[whole] = -mover.signed_distance(vertices[whole], motion.joints[whole], limit=_MARGIN)
     wrong = (depth[:, ~garment.pinned] > 0).any(axis=1)
-    if wrong.any():
+    if push and wrong.any():
         vertices = vertices.copy()
-        vertices[wrong] = push(vertices[wrong], motion.joints[wrong]).vertices
-        depth[wrong] = -push.signed_distance(vertices[wrong], motion.joints[wrong], limit=_MARGIN)
+        vertices[wrong] = mover(vertices[wrong], motion.joints[wrong]).vertices
+        depth[wrong] = -mover.signed_distance(vertices[wrong], motion.joints[wrong], limit=_MARGIN)
     return vertices, depth
 
 
