@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
-from scipy.spatial.transform import Rotation
 
 from ssdr.errors import InputError
 from ssdr.kernels.closest import tree_order
 
+from ..data.motion import interpolate
 from ..data.parameters import SimulationParameters
 from .body import Body
 from .garments import Garment
 from .xpbd.chunks import colour, pack
-from .xpbd.loop import BodyArrays, ClothArrays, PoseArrays, Step, simulate_frames
+from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames
 from .xpbd.policy import REAL
 
 __all__ = ["Cloth", "Solver"]
@@ -164,10 +164,12 @@ class Cloth:
         )
         shift = np.zeros((n, 3), REAL) if moved is None else np.asarray(moved, REAL)
         out = np.empty((len(joints) - first, n, 3), np.float32)
-        poses = _pose_arrays(self.body, joints)
-        simulate_frames(
-            self._body, self._cloth_arrays(parameters, h), poses, step, first, shift, out
-        )
+        skeleton = self.body.skeleton
+        at = np.arange((len(joints) - 1) * s.blocks + 1) / s.blocks
+        poses = interpolate(skeleton, joints, at).reshape(len(at), -1, 12)
+        roots = skeleton.positions(joints)[:, 0]
+        arrays = self._cloth_arrays(parameters, h)
+        simulate_frames(self._body, arrays, poses, roots, step, first, shift, out)
         return out
 
     def _cloth_arrays(self, parameters: SimulationParameters, h: float) -> ClothArrays:
@@ -204,7 +206,7 @@ def _skin(rest: ArrayLike, indices: ArrayLike, weights: ArrayLike) -> tuple[NDAr
 
 
 def _body_arrays(body: Body) -> BodyArrays:
-    rig, tree = body.skinning, body.skeleton
+    rig = body.skinning
     depth = max(0, math.ceil(math.log2(len(rig.faces) / _LEAF)))
     order = tree_order(rig.rest.astype(np.float64), rig.faces, depth)
     triangles = np.ascontiguousarray(rig.faces[order], np.int32)
@@ -215,23 +217,11 @@ def _body_arrays(body: Body) -> BodyArrays:
         [opposite.get((int(f[(k + 1) % 3]), int(f[k])), -1) for k in range(3)] for f in triangles
     ]
     return BodyArrays(
-        parents=tree.parents.astype(np.int32),
-        joints=tree.rest.astype(np.float64),
         skin=_skin(rig.rest, rig.indices, rig.weights),
         triangles=triangles,
         beside=np.array(beside, np.int32),
         depth=depth,
     )
-
-
-def _pose_arrays(body: Body, joints: NDArray[np.float64]) -> PoseArrays:
-    roots, local = body.skeleton.pose(joints)
-    turns = np.zeros((*local.shape[:2], 3))
-    relative = np.swapaxes(local[:-1], 2, 3) @ local[1:]
-    turns[:-1] = (
-        Rotation.from_matrix(relative.reshape(-1, 3, 3)).as_rotvec().reshape(turns[:-1].shape)
-    )
-    return PoseArrays(*(np.ascontiguousarray(a) for a in (roots, local, turns)))
 
 
 def _vertex_areas(rest: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

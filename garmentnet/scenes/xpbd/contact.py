@@ -1,6 +1,6 @@
 """Contact of the cloth with the body: each vertex with the nearest triangle of the skin.
 
-The tree of the body's triangles is that of :mod:`ssdr.kernels.closest`, in float32.
+The tree of the body's triangles is that of :mod:`ssdr.kernels.closest`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from .policy import REAL, TINY, kernel
 
-__all__ = ["find_contacts", "fit_tree", "push_out"]
+__all__ = ["find_contacts", "push_out", "skin_points"]
 
 _ZERO, _ONE, _FAR = REAL(0), REAL(1), REAL(1e9)
 # What a neighbouring triangle must gain for the search to move on to it.
@@ -26,26 +26,26 @@ _HOPS = 3
 
 
 @kernel
-def fit_tree(points: Any, triangles: Any, depth: int, boxes: Any) -> None:
-    """Bounding boxes of all nodes of the tree, leaves first.
+def skin_points(skin: Any, transforms: Any, out: Any) -> None:
+    """Linear blend skinning of points.
 
-    points     (3 n,)                   float32
-    triangles  (T, 3)                   int32    in the tree's order
-    boxes      (2**(depth + 1) - 1, 6)  float32  lower, then upper corner; out
+    skin        tuple     rest (n, 3) float32, indices (n, K) int32, weights (n, K) float32
+    transforms  (J, 12)   float32
+    out         (3 n,)    float32
     """
-    count, base = len(triangles), (1 << depth) - 1
-    for j in range(1 << depth):
-        for k in range(3):
-            low, high = _FAR, -_FAR
-            for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
-                for c in range(3):
-                    q = points[3 * triangles[t, c] + k]
-                    low, high = min(low, q), max(high, q)
-            boxes[base + j, k], boxes[base + j, 3 + k] = low, high
-    for node in range(base - 1, -1, -1):
-        for k in range(3):
-            boxes[node, k] = min(boxes[2 * node + 1, k], boxes[2 * node + 2, k])
-            boxes[node, 3 + k] = max(boxes[2 * node + 1, 3 + k], boxes[2 * node + 2, 3 + k])
+    rest, indices, weights = skin
+    blend = np.empty(12, transforms.dtype)
+    for i in range(len(rest)):
+        blend[:] = 0
+        for q in range(indices.shape[1]):
+            w, j = weights[i, q], indices[i, q]
+            for k in range(12):
+                blend[k] += w * transforms[j, k]
+        x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
+        for r in range(3):
+            out[3 * i + r] = (
+                blend[4 * r] * x + blend[4 * r + 1] * y + blend[4 * r + 2] * z + blend[4 * r + 3]
+            )
 
 
 @kernel

@@ -7,24 +7,23 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ssdr.kernels.closest import fit_boxes
+
 from .chunks import Chunks
 from .constraints import BUFFER_ROWS, bend, stretch
-from .contact import find_contacts, fit_tree, push_out
+from .contact import find_contacts, push_out, skin_points
 from .policy import LANES, REAL, kernel
-from .posing import pose_joints, skin_points
 from .self_contact import find_pairs, separate
 
-__all__ = ["BodyArrays", "ClothArrays", "PoseArrays", "Step", "simulate_frames"]
+__all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
 
 _GRAVITY = REAL(9.81)  # m/s², along -y
 _PAIRS = 20  # of the self-contact, at most, times the number of vertices
 
 
 class BodyArrays(NamedTuple):
-    """The collider: skeleton, skin, and the tree of its triangles."""
+    """The collider: its skin and the tree of its triangles."""
 
-    parents: NDArray[np.int32]  # (J,)
-    joints: NDArray[np.float64]  # (J, 3) at rest
     skin: tuple[Any, ...]  # see skin_points
     triangles: NDArray[np.int32]  # (T, 3) in the tree's order
     beside: NDArray[np.int32]  # (T, 3) triangle beyond the edges 01, 12, 20; -1: none
@@ -45,14 +44,6 @@ class ClothArrays(NamedTuple):
     near_starts: NDArray[np.int32]
 
 
-class PoseArrays(NamedTuple):
-    """Poses of the body in all frames."""
-
-    roots: NDArray[np.float64]  # (F, 3)
-    local: NDArray[np.float64]  # (F, J, 3, 3) rotations relative to the parent
-    turns: NDArray[np.float64]  # (F, J, 3) rotation vectors to the next frame
-
-
 class Step(NamedTuple):
     """Numbers of a substep; lengths in metres, times in the cloth's seconds."""
 
@@ -71,18 +62,27 @@ class Step(NamedTuple):
 
 @kernel
 def simulate_frames(
-    body: Any, cloth: Any, poses: Any, step: Step, first: int, moved: Any, out: Any
+    body: Any,
+    cloth: Any,
+    joints: Any,
+    roots: Any,
+    step: Step,
+    first: int,
+    moved: Any,
+    out: Any,
 ) -> None:
     """Simulate a clip from the rest shape at the first pose.
 
-    first  int                        frame from which on the cloth is written
-    moved  (V, 3)            float32  displacements added to the cloth before that frame
-    out    (F - first, V, 3) float32  out
+    joints  ((F - 1) * blocks + 1, J, 12) float64  from the rest pose, at each block's ends
+    roots   (F, 3)                        float64  place of the root in every frame
+    first                                 int      frame from which on the cloth is written
+    moved   (V, 3)                        float32  displacements added before that frame
+    out     (F - first, V, 3)             float32  out
     """
     n, free, n_pins = len(cloth.rest), cloth.free, len(cloth.pinned)
     x, v, previous = np.zeros(3 * n, REAL), np.zeros(3 * n, REAL), np.zeros(3 * n, REAL)
     buffer = np.zeros(BUFFER_ROWS * LANES, REAL)
-    transforms = np.empty((len(body.parents), 12), REAL)
+    transforms = np.empty(joints.shape[1:], REAL)
     # Skin and pinned vertices at the start and the end of a block.
     skin0, pins0 = np.empty(3 * len(body.skin[0]), REAL), np.empty(3 * n_pins, REAL)
     skin1, pins1 = skin0.copy(), pins0.copy()
@@ -91,15 +91,15 @@ def simulate_frames(
     pairs, n_pairs = np.zeros((_PAIRS * n if step.thickness > 0 else 0, 2), np.int32), 0
     rate, per_block = REAL(1) / step.h, step.substeps // step.blocks
     share = REAL(1) / REAL(per_block)
-    origin = poses.roots[0].copy()
+    origin = roots[0].copy()
 
-    _pose(body, cloth, poses, 0, 0.0, origin, transforms, skin1, pins1)
+    _pose(body, cloth, joints[0], origin, transforms, skin1, pins1)
     for i in range(n):
         for r in range(3):
             x[3 * i + r] = transforms[0, 4 * r + 3]
             for k in range(3):
                 x[3 * i + r] += transforms[0, 4 * r + k] * cloth.rest[i, k]
-    for frame in range(len(poses.roots)):
+    for frame in range(len(roots)):
         if frame == first:
             for i in range(n):
                 for k in range(3):
@@ -107,16 +107,16 @@ def simulate_frames(
         if frame > 0:
             # The origin follows the root, one frame behind.
             for k in range(3):
-                shift = REAL(poses.roots[frame - 1, k] - origin[k])
-                origin[k] = poses.roots[frame - 1, k]
+                shift = REAL(roots[frame - 1, k] - origin[k])
+                origin[k] = roots[frame - 1, k]
                 x[k::3] -= shift
                 skin1[k::3] -= shift
                 pins1[k::3] -= shift
         for block in range(step.blocks if frame > 0 else 0):
             skin0, skin1, pins0, pins1 = skin1, skin0, pins1, pins0
-            done = (block + 1.0) / step.blocks
-            _pose(body, cloth, poses, frame - 1, done, origin, transforms, skin1, pins1)
-            fit_tree(skin0, body.triangles, body.depth, boxes)
+            end = (frame - 1) * step.blocks + block + 1
+            _pose(body, cloth, joints[end], origin, transforms, skin1, pins1)
+            fit_boxes(skin0.reshape(-1, 3), body.triangles, body.depth, boxes)
             n_close = find_contacts(
                 x, free, step.reach, skin0, body.triangles, body.depth, boxes, nearest, close
             )
@@ -148,13 +148,11 @@ def simulate_frames(
 
 
 @kernel
-def _pose(body, cloth, poses, frame, fraction, origin, transforms, skin, pins):
-    """Skin and pinned vertices at a fraction of the way to the next frame, relative to `origin`."""
-    root = poses.roots[frame] - origin
-    if fraction > 0:
-        root += fraction * (poses.roots[frame + 1] - poses.roots[frame])
-    local, turns = poses.local[frame], poses.turns[frame]
-    pose_joints(body.parents, body.joints, root, local, turns, fraction, transforms)
+def _pose(body, cloth, joints, origin, transforms, skin, pins):
+    """Skin and pinned vertices under the transforms `joints` (J, 12), relative to `origin`."""
+    for j in range(len(joints)):
+        for k in range(12):
+            transforms[j, k] = joints[j, k] - (origin[k // 4] if k % 4 == 3 else 0.0)
     skin_points(body.skin, transforms, skin)
     skin_points(cloth.pins, transforms, pins)
 

@@ -6,9 +6,8 @@ import numpy as np
 
 from garmentnet.scenes.xpbd.chunks import colour, pack
 from garmentnet.scenes.xpbd.constraints import BUFFER_ROWS, bend, stretch
-from garmentnet.scenes.xpbd.contact import find_contacts, fit_tree
+from garmentnet.scenes.xpbd.contact import find_contacts, skin_points
 from garmentnet.scenes.xpbd.policy import LANES, REAL
-from garmentnet.scenes.xpbd.posing import pose_joints, skin_points
 from garmentnet.scenes.xpbd.self_contact import find_pairs
 
 BUFFER = np.zeros(BUFFER_ROWS * LANES, REAL)
@@ -79,14 +78,14 @@ def test_constraints_of_a_colour_share_no_free_vertex(rng):
 def test_contacts_are_the_nearest_triangles(rng):
     import trimesh
 
-    from ssdr.kernels.closest import tree_order
+    from ssdr.kernels.closest import fit_boxes, tree_order
 
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     triangles = mesh.faces[tree_order(mesh.vertices, mesh.faces, 5)].astype(np.int32)
     points, at = mesh.vertices.ravel().astype(REAL), rng.normal(0, 0.3, (80, 3)).astype(REAL)
     boxes, nearest = np.empty((63, 6), REAL), np.full(80, -1, np.int32)
     close = np.empty(80, np.int32)
-    fit_tree(points, triangles, 5, boxes)
+    fit_boxes(points.reshape(-1, 3), triangles, 5, boxes)
     count = find_contacts(
         at.ravel(), np.arange(80), REAL(0.1), points, triangles, 5, boxes, nearest, close
     )
@@ -106,26 +105,20 @@ def test_contacts_are_the_nearest_triangles(rng):
     np.testing.assert_allclose(found, gap.min(axis=1)[close[:count]], atol=1e-6)
 
 
-def test_the_body_between_frames_is_that_of_slerp(rng):
-    from garmentnet.data.motion import interpolate
-    from garmentnet.scenes.body import default_body
-    from garmentnet.scenes.cloth import _body_arrays, _pose_arrays
-    from garmentnet.scenes.dance.choreography import dance
+def test_skinning_is_that_of_ssdr(rng):
+    from scipy.spatial.transform import Rotation
+
     from ssdr.skinning import skin
 
-    body = default_body()
-    joints = dance(body.skeleton, seed=5, frames=40, classes=["spin"]).joints[30:32]
-    poses, arrays = _pose_arrays(body, joints), _body_arrays(body)
-    root = poses.roots[0] + 0.3 * (poses.roots[1] - poses.roots[0])
-    out = np.empty((20, 12), REAL)
-    pose_joints(arrays.parents, arrays.joints, root, poses.local[0], poses.turns[0], 0.3, out)
-    want = interpolate(body.skeleton, joints, np.array([0.3]))
-    np.testing.assert_allclose(out.reshape(20, 3, 4), want[0], atol=2e-6)
-    points = np.empty(3 * len(body.skinning.rest), REAL)
-    skin_points(arrays.skin, out, points)
-    rig = body.skinning
-    there = skin(rig.rest, rig.indices, rig.weights, want)[0]
-    np.testing.assert_allclose(points.reshape(-1, 3), there, atol=5e-6)
+    rest, indices = rng.normal(size=(50, 3)), rng.integers(0, 4, (50, 3))
+    weights = rng.dirichlet(np.ones(3), 50)
+    turns = Rotation.random(4, random_state=1).as_matrix()
+    joints = np.concatenate([turns, rng.normal(size=(4, 3, 1))], axis=2)
+    arrays = (rest.astype(REAL), indices.astype(np.int32), weights.astype(REAL))
+    points = np.empty(150, REAL)
+    skin_points(arrays, joints.reshape(4, 12).astype(REAL), points)
+    want = skin(rest, indices, weights, joints[None])[0]
+    np.testing.assert_allclose(points.reshape(-1, 3), want, atol=2e-6)
 
 
 def test_pairs_are_all_near_ones(rng):
