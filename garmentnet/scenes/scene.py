@@ -10,6 +10,8 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from ssdr.errors import InputError
+
 from ..data.bvh import read_bvh
 from ..data.clip_files import Split
 from ..data.motion import Motion
@@ -17,7 +19,7 @@ from ..data.parameters import SimulationParameters
 from ..data.retarget import retarget
 from .body import Body, default_body, load_body
 from .cloth import Solver
-from .dance.choreography import Repertoire, dance
+from .dance.choreography import DANCE_CLASSES, Repertoire, dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
 from .quality import Gate
 from .simulator import VERSION
@@ -52,6 +54,11 @@ class MotionSource:
     repertoire : {"basic", "wide"}
         Of the generator.
 
+    Raises
+    ------
+    InputError
+        If a number or a class is not usable.
+
     Examples
     --------
     >>> spin = MotionSource("spin", "train", seed=1, frames=20, classes=("spin",))
@@ -59,15 +66,23 @@ class MotionSource:
     20
     """
 
-    name: str
-    split: Split
-    seed: int
-    frames: int
+    name: str = ""
+    split: Split = "train"
+    seed: int = 0
+    frames: int = 300
     classes: tuple[str, ...] = ()
     file: str = ""
     start: int = 0
     whole: int = 0
     repertoire: Repertoire = "basic"
+
+    def __post_init__(self) -> None:
+        for c in self.classes:
+            if c not in DANCE_CLASSES:
+                raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
+        for name, least in (("frames", 1), ("start", 0), ("seed", 0), ("whole", 0)):
+            if getattr(self, name) < least:
+                raise InputError(name, f"an integer >= {least}", getattr(self, name))
 
     def make(self, body: Body, fps: float) -> Motion:
         """Generate or read the motion."""
