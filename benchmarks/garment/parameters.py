@@ -6,7 +6,7 @@ the pivots' weights over a sweep of each parameter::
 
     python benchmarks/garment/parameters.py ENSEMBLE.safetensors --out out/parameters
 
-Needs the extras ``garmentnet`` and ``scenes``.  Simulations are kept in the
+Needs garmentnet.  Simulations are kept in the
 folder and made once.
 """
 
@@ -29,6 +29,7 @@ from garmentnet.drawing.dressed import outfit_parts
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.features import PoseFeatures
 from garmentnet.prediction.prediction import follow, predict
+from garmentnet.scenes.cloth import Cloth
 from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulator import simulate
@@ -52,7 +53,8 @@ def simulated(
     if path.is_file():
         return np.asarray(np.load(path, allow_pickle=False))
     body = data_set.make_body()
-    result = simulate(body, data_set.make_garment(body), motion, parameters, solver=data_set.solver)
+    cloth = Cloth(body, data_set.make_garment(body), data_set.solver)
+    result = simulate(cloth, motion, parameters)
     if not result.quality.accepted:
         raise SystemExit(f"{parameters}: {result.quality.reason}")
     np.save(path, result.vertices, allow_pickle=False)

@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from garmentnet.data.motion import Motion
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
+from garmentnet.scenes.cloth import Cloth
 from garmentnet.scenes.scene_file import load_data_set
 from garmentnet.scenes.simulator import simulate
 from ssdr.io.atomic import write_bytes
@@ -55,11 +56,9 @@ def measure(store: ClipStore, name: str, degrees: float, preset: str) -> dict[st
     motion = scene.motion.make(body, data_set.fps)
     rng = np.random.default_rng([scene.seed, round(1000 * degrees)])
     again = simulate(
-        body,
-        data_set.make_garment(body),
+        Cloth(body, data_set.make_garment(body), data_set.solver),
         shaken(motion, body.skeleton, degrees, rng),
         scene.parameters.parameters,
-        solver=data_set.solver,
         gate=data_set.gate,
     )
     free = ~np.asarray(store.pinned, bool)

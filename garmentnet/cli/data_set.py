@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.table import Table
 
 from ..data.store import ClipStore
-from ..io.packages import require
 from ..scenes import dataset
 from ..scenes.scene_file import load_data_set
 from .progress import progress_bar
@@ -27,7 +26,6 @@ def run(
     workers: int | None = None,
 ) -> ClipStore:
     """Make a data set; what happens is shown on stderr."""
-    require("newton", "garmentnet[scenes]", "a simulation")
     # A log has no width; 120 columns hold the whole table.
     console = Console(stderr=True, width=None if sys.stderr.isatty() else 120)
     data_set = load_data_set(source)
@@ -37,12 +35,12 @@ def run(
     frames = sum(s.motion.frames for s in scenes)
     console.print(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {output}")
     with progress_bar() as show:
-        show("compiling the simulator, the first time a minute", 0.0, None)
+        show("simulating", 0.0, None)
 
         def update(now: dataset.Progress) -> None:
             text = f"clip {now.clips}/{now.clips_total}, frame {now.frames}/{now.frames_total}"
             show(text, now.frames / max(now.frames_total, 1), now.time_left)
-            if now.accepted is False:
+            if not now.accepted:
                 print(f"rejected {now.clip}: {now.reason}", file=sys.stderr)
 
         store = dataset.make_data_set(data_set, output, workers=workers, progress=update)

@@ -17,7 +17,7 @@ def simulate(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Store of clips to write.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; all cores by default.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
 ) -> None:
     """Simulate the clips that a file describes."""
     from .data_set import run
@@ -33,7 +33,7 @@ def dataset(
     motion: Annotated[
         Path | None, typer.Option(help="Folder of BVH files whose motions are added.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; all cores by default.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Threads; all cores by default.")] = None,
 ) -> None:
     """Make a data set; stopped and started again, it goes on where it was."""
     from .data_set import run

@@ -49,6 +49,8 @@ class Clip:
     provenance : dict
         Scene and versions of the simulator, from which the clip can be made again.
     n_frames : int
+    step : float
+        Metres to whose multiples the stored vertices are rounded; 0: they are float32.
     is_mirrored : bool
         Reflected in x as it is read; only the original is stored.
     """
@@ -63,6 +65,7 @@ class Clip:
     quality: dict[str, Any]
     provenance: dict[str, Any]
     n_frames: int
+    step: float
     is_mirrored: bool
     path: Path
 
@@ -83,8 +86,9 @@ class Clip:
     def sequence(self) -> MeshSequence:
         """The garment; frames are read from disk when they are used."""
         vertices = Frames(
-            open_array(self.path, "vertices", (self.n_frames, self.outfit.n_vertices, 3)),
             self.path,
+            (self.n_frames, self.outfit.n_vertices, 3),
+            self.step,
             self.outfit.mirror_vertices if self.is_mirrored else None,
         )
         faces = self.outfit.faces

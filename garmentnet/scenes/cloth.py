@@ -1,4 +1,4 @@
-"""The cloth simulator newton, set up for one garment on one body and advanced in substeps."""
+"""Settings of the cloth simulator and its arrays for one garment on one body."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
 
 from ssdr.errors import InputError
-from ssdr.skinning import skin
+from ssdr.kernels.closest import tree_order
 
+from ..data.motion import interpolate
 from ..data.parameters import SimulationParameters
-from ..io.packages import require
-from .backend import load_warp
 from .body import Body
 from .garments import Garment
+from .xpbd.chunks import colour, pack
+from .xpbd.loop import BodyArrays, ClothArrays, Step, simulate_frames
+from .xpbd.policy import REAL
 
 __all__ = ["Cloth", "Solver"]
 
-
-# Metres; mean edge of the standard dress at 1,900 vertices.  The simulator multiplies bending
-# stiffness by the length of an edge.  Multiplied by this length over the garment's mean edge, the
-# stiffness does not depend on resolution.
-_EDGE = 0.0276
 # kg/m²; the density at which `drag` is stated.
 _DENSITY = 0.2
 # Upper limit of every number of the solver, against typing errors.
 _LARGEST = 1e8
-# Metres; the bounding box of the collider, which newton takes from the first pose.
-_BOX = 1e3
+# Triangles in a leaf of the body's tree, about.
+_LEAF = 4
+# Substeps for which the pairs of the self-contact are kept.
+_PAIR_STEPS = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,186 +39,216 @@ class Solver:
 
     Parameters
     ----------
-    substeps, iterations : int
-        Substeps in a frame, iterations in a substep.
-    stretch, stretch_damping : float
-        newton's ``tri_ke`` and ``tri_ka``, and ``tri_kd``.
+    substeps, blocks : int
+        Substeps in a frame, and blocks of them: in each block the body is posed and the nearest
+        triangles are searched once.
+    stretch : float
+        Stiffness of every edge, N/m; on an equilateral mesh Young's modulus of the sheet is
+        2 / √3 times as large.
+    bending : float
+        Flexural rigidity of the sheet where `bending` of the parameters is 1, N·m.
     bending_damping : float
-        newton's ``edge_kd``.
+        Time constant of the hinges' damping, seconds.
     friction : float
-        Coefficient between cloth and skin.
+        Coulomb's coefficient between cloth and skin.
     drag : float
         Decay rate of velocity in the cloth's time, 1/s, at 0.2 kg/m²; inversely proportional to
         the density.
-    radius, gap : float
-        Distance of cloth from skin, and the further distance within which contacts are searched;
-        metres.
-    contact, contact_damping : float
-        Stiffness and damping of contact.
+    distance : float
+        Of the cloth from the skin, metres.
+    reach : float
+        Distance from the skin within which contact is looked for, metres.
+    push : float
+        The longest way that a vertex is pushed out of the body in one substep, metres.
+    thickness : float
+        Distance that vertices of the cloth keep from each other, metres; 0: no self-contact.
     approach, settle : int
         Frames in which the body moves from rest to its first pose, and in which it then waits.
 
     Raises
     ------
     InputError
-        If a number is negative, not finite, or 0 for `substeps` and `iterations`.
+        If a number is negative, not finite, 0 for `substeps` and `blocks`, or `blocks` does not
+        divide `substeps`.
 
     Examples
     --------
-    >>> Solver(substeps=20).iterations
-    1
+    >>> Solver(substeps=20).blocks
+    5
     """
 
     substeps: int = 40
-    iterations: int = 1
-    stretch: float = 3e3
-    stretch_damping: float = 1e-5
-    bending_damping: float = 2e-2
+    blocks: int = 5
+    stretch: float = 7e3
+    bending: float = 2.4e-4
+    bending_damping: float = 0.05
     friction: float = 0.1
-    drag: float = 3.0
-    radius: float = 0.01
-    gap: float = 0.03
-    contact: float = 1e4
-    contact_damping: float = 1e-3
+    drag: float = 3.5
+    distance: float = 0.01
+    reach: float = 0.06
+    push: float = 0.004
+    thickness: float = 0.0
     approach: int = 15
     settle: int = 40
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            least = 1 if field.name in ("substeps", "iterations") else 0
+            least = 1 if field.name in ("substeps", "blocks") else 0
             if field.type == "int" and type(value) is not int:
                 raise InputError(field.name, "an integer", repr(value))
             if not (math.isfinite(value) and least <= value <= _LARGEST):
                 raise InputError(field.name, f"a number >= {least}", repr(value))
+        if self.substeps % self.blocks:
+            raise InputError("blocks", f"a divisor of substeps, {self.substeps}", self.blocks)
 
 
 class Cloth:
-    """The simulator's model, its two states and the collider.
+    """A garment on a body, ready to be simulated under any motion and parameters.
 
     Parameters
     ----------
     body : Body
     garment : Garment
-    parameters : SimulationParameters
-    how : Solver
-    fps : float
-    joints : (J, 3, 4) array
-        The body's first pose.
+        Its rest pose is also the shape without strain.
+    solver : Solver, optional
     """
 
-    def __init__(
+    def __init__(self, body: Body, garment: Garment, solver: Solver | None = None) -> None:
+        self.body, self.garment, self.solver = body, garment, solver or Solver()
+        self._body = _body_arrays(body)
+        rest, pinned = garment.rest.astype(np.float64), garment.pinned
+        self._area = _vertex_areas(rest, garment.faces)
+        edges = garment.edges()
+        self._edges = edges[~pinned[edges].all(axis=1)]
+        a, b = rest[self._edges].swapaxes(0, 1)
+        self._lengths = np.linalg.norm(b - a, axis=1)
+        hinges = _hinges(garment.faces)
+        self._hinges = hinges[~pinned[hinges].all(axis=1)]
+        self._angles, self._hinge_lengths = _rest_angles(rest, self._hinges)
+        self._colours = colour(self._edges, pinned), colour(self._hinges, pinned)
+        ones, n = np.ones(len(edges)), garment.n_vertices
+        one = coo_array((ones, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
+        one = one + one.T
+        self._near = (one + one @ one).tocsr()
+
+    def simulate(
         self,
-        body: Body,
-        garment: Garment,
-        parameters: SimulationParameters,
-        how: Solver,
-        fps: float,
         joints: NDArray[np.float64],
-    ) -> None:
-        wp, newton = load_warp(), require("newton", "garmentnet[scenes]", "a simulation")
-        self._rig, self._garment = body.skinning, garment
-        self._dt = parameters.time_scale / fps / how.substeps
-        self._decay = math.exp(-how.drag * self._dt * _DENSITY / parameters.density)
-        builder = newton.ModelBuilder(up_axis=newton.Axis.Y)
-        points = self._body(joints[None])[0]
-        # newton decides what is inside a closed mesh by counting the crossings of a ray, which is
-        # wrong where limbs overlap.  Without one triangle, under a sole, the mesh is open and the
-        # nearest face decides.
-        sole = int(points[self._rig.faces, 1].mean(axis=1).argmin())
-        faces = np.delete(self._rig.faces, sole, axis=0)
-        self._collider = newton.Mesh(points, faces.ravel(), compute_inertia=False)
-        touch = newton.ModelBuilder.ShapeConfig(
-            ke=how.contact, kd=how.contact_damping, mu=how.friction, has_shape_collision=False
-        )
-        builder.add_shape_mesh(-1, mesh=self._collider, cfg=touch)
-        turn = joints[0]
-        placed = garment.rest.astype(np.float64)
-        builder.add_cloth_mesh(
-            pos=wp.vec3(0.0, 0.0, 0.0),
-            rot=wp.quat_identity(),
-            scale=1.0,
-            vel=wp.vec3(0.0, 0.0, 0.0),
-            vertices=[wp.vec3(*p) for p in placed.tolist()],
-            indices=garment.faces.ravel().tolist(),
-            density=parameters.density,
-            tri_ke=how.stretch,
-            tri_ka=how.stretch,
-            tri_kd=how.stretch_damping,
-            edge_ke=parameters.bending * _EDGE / garment.edge_length(),
-            edge_kd=how.bending_damping,
-            particle_radius=how.radius,
-        )
-        for i in np.flatnonzero(garment.pinned).tolist():
-            builder.particle_mass[i] = 0.0
-            builder.particle_flags[i] &= ~int(newton.ParticleFlags.ACTIVE)
-        builder.color(include_bending=True)
-        self._model = model = builder.finalize(device="cpu")
-        model.soft_contact_ke = how.contact
-        model.soft_contact_kd = how.contact_damping
-        model.soft_contact_mu = how.friction
-        # The body leaves the bounding box of its first pose.
-        model.shape_collision_aabb_lower.fill_(wp.vec3(-_BOX, -_BOX, -_BOX))
-        model.shape_collision_aabb_upper.fill_(wp.vec3(_BOX, _BOX, _BOX))
-        self._solver = newton.solvers.SolverVBD(
-            model,
-            iterations=how.iterations,
-            particle_enable_self_contact=False,
-            particle_enable_tile_solve=False,
-        )
-        self._pipeline = newton.CollisionPipeline(model, soft_contact_gap=how.gap)
-        self._contacts = self._pipeline.contacts()
-        self._control = model.control()
-        self._states = [model.state(), model.state()]
-        start = (placed @ turn[:, :3].T + turn[:, 3]).astype(np.float32)
-        for state in self._states:
-            state.particle_q.numpy()[:] = start
-            state.particle_qd.zero_()
-        self._pinned = np.flatnonzero(garment.pinned)
-        self._skin = points
-        self._graphs: dict[int, Any] = {}
+        fps: float,
+        parameters: SimulationParameters,
+        *,
+        first: int = 0,
+        moved: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Vertices ``(F - first, V, 3)`` of a motion ``(F, J, 3, 4)``.
 
-    def positions(self) -> NDArray[np.float32]:
-        return np.array(self._states[0].particle_q.numpy(), dtype=np.float32)
-
-    def move(self, by: NDArray[np.float32]) -> None:
-        self._states[0].particle_q.numpy()[:] += by
-
-    def advance(self, joints: NDArray[np.float64]) -> None:
-        """Advance by one substep for each of the body's poses ``(S, J, 3, 4)``."""
-        wp = load_warp()
-        skins, pins = self._body(joints), self._pins(joints)
-        mesh = self._collider.mesh
-        for points, held in zip(skins, pins, strict=True):
-            mesh.velocities.numpy()[:] = (points - self._skin) / np.float32(self._dt)
-            mesh.points.numpy()[:] = points
-            mesh.refit()
-            self._skin = points
-            a, b = self._states
-            for state in (a, b):
-                state.particle_q.numpy()[self._pinned] = held
-            wp.capture_launch(self._recorded(a, b))
-            b.particle_qd.numpy()[:] *= np.float32(self._decay)
-            self._states = [b, a]
-
-    def _recorded(self, a: Any, b: Any) -> Any:
-        """One substep from state `a` to `b`, recorded once and replayed.
-
-        A substep is some thirty short kernels.  Launched one by one from Python they take 1.6
-        times as long, with the same bits.
+        The cloth starts in its rest shape, carried by the root of the first frame, and does not
+        move.  `first` is the frame from which on it is returned; `moved` (V, 3) is added to its
+        positions before that frame.
         """
-        if id(a) not in self._graphs:
-            with load_warp().ScopedCapture(device="cpu") as capture:
-                a.clear_forces()
-                self._pipeline.collide(a, self._contacts)
-                self._solver.step(a, b, self._control, self._contacts, self._dt)
-            self._graphs[id(a)] = capture.graph
-        return self._graphs[id(a)]
+        s, n = self.solver, self.garment.n_vertices
+        h = parameters.time_scale / fps / s.substeps
+        step = Step(
+            substeps=s.substeps,
+            blocks=s.blocks,
+            h=REAL(h),
+            damping=REAL(s.bending_damping / h),
+            decay=REAL(math.exp(-s.drag * h * _DENSITY / parameters.density)),
+            distance=REAL(s.distance),
+            friction=REAL(s.friction),
+            push=REAL(s.push),
+            reach=REAL(s.reach),
+            thickness=REAL(s.thickness),
+            pair_steps=_PAIR_STEPS,
+        )
+        shift = np.zeros((n, 3), REAL) if moved is None else np.asarray(moved, REAL)
+        out = np.empty((len(joints) - first, n, 3), np.float32)
+        skeleton = self.body.skeleton
+        at = np.arange((len(joints) - 1) * s.blocks + 1) / s.blocks
+        poses = interpolate(skeleton, joints, at).reshape(len(at), -1, 12)
+        roots = skeleton.positions(joints)[:, 0]
+        arrays = self._cloth_arrays(parameters, h)
+        simulate_frames(self._body, arrays, poses, roots, step, first, shift, out)
+        return out
 
-    def _body(self, joints: NDArray[np.float64]) -> NDArray[np.float32]:
-        rig = self._rig
-        return np.asarray(skin(rig.rest, rig.indices, rig.weights, joints, dtype=np.float32))
+    def _cloth_arrays(self, parameters: SimulationParameters, h: float) -> ClothArrays:
+        g, s = self.garment, self.solver
+        weights = np.where(g.pinned, 0.0, 1 / np.maximum(parameters.density * self._area, 1e-9))
+        compliance = np.full(len(self._lengths), 1 / max(s.stretch * h * h, 1e-30))
+        edges = np.stack([self._lengths, compliance], axis=1)
+        # A sheet of equilateral triangles whose hinges have the stiffness k has the flexural
+        # rigidity √3 / 2 k (Seung & Nelson 1988), whatever the length of its edges.
+        mean = 2 / math.sqrt(3) * s.bending * parameters.bending
+        stiffness = mean * self._hinge_lengths / g.edge_length()
+        softness = 1 / np.maximum(stiffness * h * h, 1e-30)
+        hinges = np.stack([np.cos(self._angles), np.sin(self._angles), softness], axis=1)
+        free, pinned = np.flatnonzero(~g.pinned), np.flatnonzero(g.pinned)
+        return ClothArrays(
+            rest=g.rest.astype(REAL),
+            free=free,
+            pinned=pinned,
+            pins=_skin(g.rest[pinned], g.indices[pinned], g.weights[pinned]),
+            weights=weights.astype(REAL),
+            edges=pack(self._edges, weights[self._edges], edges, self._colours[0]),
+            hinges=pack(self._hinges, weights[self._hinges], hinges, self._colours[1]),
+            near=self._near.indices.astype(np.int32),
+            near_starts=self._near.indptr.astype(np.int32),
+        )
 
-    def _pins(self, joints: NDArray[np.float64]) -> NDArray[np.float32]:
-        g, p = self._garment, self._garment.pinned
-        return np.asarray(skin(g.rest[p], g.indices[p], g.weights[p], joints, dtype=np.float32))
+
+def _skin(rest: ArrayLike, indices: ArrayLike, weights: ArrayLike) -> tuple[NDArray[Any], ...]:
+    return (
+        np.ascontiguousarray(rest, REAL),
+        np.ascontiguousarray(indices, np.int32),
+        np.ascontiguousarray(weights, REAL),
+    )
+
+
+def _body_arrays(body: Body) -> BodyArrays:
+    rig = body.skinning
+    depth = max(0, math.ceil(math.log2(len(rig.faces) / _LEAF)))
+    order = tree_order(rig.rest.astype(np.float64), rig.faces, depth)
+    triangles = np.ascontiguousarray(rig.faces[order], np.int32)
+    opposite = {
+        (int(f[k]), int(f[(k + 1) % 3])): t for t, f in enumerate(triangles) for k in range(3)
+    }
+    beside = [
+        [opposite.get((int(f[(k + 1) % 3]), int(f[k])), -1) for k in range(3)] for f in triangles
+    ]
+    return BodyArrays(
+        skin=_skin(rig.rest, rig.indices, rig.weights),
+        triangles=triangles,
+        beside=np.array(beside, np.int32),
+        depth=depth,
+    )
+
+
+def _vertex_areas(rest: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """A third of the area of every triangle for each of its vertices."""
+    a, b, c = rest[faces].swapaxes(0, 1)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    total = np.bincount(faces.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
+    return np.asarray(total, np.float64)
+
+
+def _hinges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Inner edges ``(n, 4)``: ends, corner of the triangle that has them in order, other corner."""
+    corner = {}
+    for f in faces.tolist():
+        for k in range(3):
+            corner[f[k], f[(k + 1) % 3]] = f[(k + 2) % 3]
+    found = [(i, j, c, corner[j, i]) for (i, j), c in corner.items() if i < j and (j, i) in corner]
+    return np.array(found, np.int64).reshape(-1, 4)
+
+
+def _rest_angles(
+    rest: NDArray[np.float64], hinges: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Dihedral angle of every hinge, 0 where it is flat, and the length of its edge."""
+    i, j, k, m = rest[hinges].swapaxes(0, 1)
+    e = j - i
+    length = np.linalg.norm(e, axis=1)
+    p, q = np.cross(e, k - i), np.cross(m - i, e)
+    sine = (np.cross(p, q) * e).sum(axis=1) / length
+    return np.arctan2(sine, (p * q).sum(axis=1)), length

@@ -16,10 +16,8 @@ from ..data.bvh import find_bvh, read_bvh
 from ..data.clip_files import Split
 from ..data.retarget import retarget
 from ..data.store import ClipStore
-from ..io.packages import require
+from .run import Progress, simulate_scenes
 from .scene import DataSet, MotionSource, Scene
-from .simulator import versions
-from .workers import Progress, Run
 
 __all__ = ["Progress", "make_data_set", "open_store", "recorded_motions"]
 
@@ -108,9 +106,9 @@ def make_data_set(
     path : path
         Of the store.
     workers : int, optional
-        Processes; as many as :func:`ssdr.parallel.get_threads` by default, all cores.
+        Threads; as many as :func:`ssdr.parallel.get_threads` by default, all cores.
     progress : callable, optional
-        Called in this process with a :class:`~garmentnet.scenes.workers.Progress`.
+        Called in this process with a :class:`~garmentnet.scenes.run.Progress`.
 
     Returns
     -------
@@ -122,26 +120,21 @@ def make_data_set(
     InputError
         If the store has a clip of the same name from another scene, another process writes to
         the store, or the disk is too small.
-    MissingDependencyError
-        Without newton or warp.
     """
-    require("newton", "garmentnet[scenes]", "a simulation")
-    require("warp", "garmentnet[scenes]", "a simulation")
     count = get_threads() if workers is None else workers
     if count < 1:
         raise InputError("workers", "at least 1", workers)
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     store = open_store(data_set, path)
-    made_with = versions()
     scenes = data_set.scenes()
     with _writing(store):
         store.sweep()
-        todo = [s for s in scenes if not _is_there(store, s, made_with)]
+        todo = [s for s in scenes if not _is_there(store, s)]
         # The base parameters first, and of these what training needs: it need not wait.
         todo.sort(key=lambda s: (s.parameters != data_set.base, bool(s.repeat_of), _order(s)))
         _check_space(store, todo)
         if todo:
-            Run(store, scenes, todo, progress).go(min(count, len(todo)))
+            simulate_scenes(store, todo, len(scenes), min(count, len(todo)), progress)
     return store
 
 
@@ -150,11 +143,11 @@ def _order(scene: Scene) -> int:
     return order.index(scene.motion.split)
 
 
-def _is_there(store: ClipStore, scene: Scene, made_with: dict[str, str]) -> bool:
+def _is_there(store: ClipStore, scene: Scene) -> bool:
     if scene.name not in store:
         return False
     clip = store.clip(scene.name)
-    expected = json.loads(json.dumps(scene.provenance(made_with)))
+    expected = json.loads(json.dumps(scene.provenance()))
     same = (
         clip.provenance == expected
         and clip.parameters == scene.parameters.parameters

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.skinning import skin
-
+from ..collision.push_out import INSIDE, PushOut
 from ..data.motion import Motion
-from .backend import load_warp
 from .body import Body
 from .garments import Garment
 
-__all__ = ["Depth", "Gate", "Quality", "judge"]
+__all__ = ["Gate", "Quality", "judge", "outside"]
 
 
-# Metres below the skin from which a vertex counts as inside: contact leaves some at the skin.
-_INSIDE = 5e-4
+# Metres above the skin that a vertex gets when it is pushed out of the body.
+_MARGIN = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,20 +66,48 @@ class Quality:
     speed_max: float
 
 
-def judge(
+def outside(
     body: Body,
     garment: Garment,
     motion: Motion,
     vertices: NDArray[np.float32],
+    *,
+    push: bool = True,
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """The vertices with those inside the body pushed out of it, and the depth that is left.
+
+    Depths ``(F, V)`` are metres below the skin, negative outside; pinned vertices are measured too
+    but stay.  Frames with NaN stay as they are, with a depth of 0.  Without `push` the vertices are
+    only measured.
+    """
+    mover = PushOut(body.skinning, garment.faces, margin=_MARGIN, pinned=garment.pinned)
+    depth = np.zeros(vertices.shape[:2])
+    whole = np.isfinite(vertices).all(axis=(1, 2))
+    depth[whole] = -mover.signed_distance(vertices[whole], motion.joints[whole], limit=_MARGIN)
+    wrong = (depth[:, ~garment.pinned] > 0).any(axis=1)
+    if push and wrong.any():
+        vertices = vertices.copy()
+        vertices[wrong] = mover(vertices[wrong], motion.joints[wrong]).vertices
+        depth[wrong] = -mover.signed_distance(vertices[wrong], motion.joints[wrong], limit=_MARGIN)
+    return vertices, depth
+
+
+def judge(
+    garment: Garment,
+    motion: Motion,
+    vertices: NDArray[np.float32],
+    depth: NDArray[np.float64],
     gate: Gate | None = None,
 ) -> Quality:
     """Measure a clip and decide whether it is good enough to learn from.
 
     Parameters
     ----------
-    body, garment, motion
-        As in :func:`~garmentnet.scenes.simulator.simulate`.
+    garment : Garment
+    motion : Motion
     vertices : (F, V, 3) float32
+    depth : (F, V) array
+        Metres below the skin, from :func:`outside`.
     gate : Gate, optional
     """
     limit = gate or Gate()
@@ -92,16 +116,9 @@ def judge(
         return Quality(False, f"NaN from frame {frame} on", *(0.0,) * 7)
     edges = garment.edges()
     edges = edges[~garment.pinned[edges].all(axis=1)]
-    rest = _lengths(garment.rest[None], edges)[0]
-    stretch = _lengths(vertices, edges) / rest
+    stretch = _lengths(vertices, edges) / _lengths(garment.rest[None], edges)[0]
     p50, p99 = (float(v) for v in np.percentile(stretch, [50, 99]))
-    rig = body.skinning
-    depth = np.empty((len(vertices), garment.n_vertices), dtype=np.float32)
-    depth_of = Depth(rig.rest, rig.faces)
-    for frame in range(len(vertices)):
-        pose = motion.joints[frame].astype(np.float32)
-        depth[frame] = depth_of(skin(rig.rest, rig.indices, rig.weights, pose), vertices[frame])
-    inside = (depth > _INSIDE).mean(axis=1)
+    inside = (depth > INSIDE).mean(axis=1)
     speed = 0.0
     if len(vertices) > 1:
         step = np.linalg.norm(np.diff(vertices, axis=0), axis=2)
@@ -129,34 +146,6 @@ def judge(
     # Six digits, so that the stored numbers do not depend on the order of a sum.
     rounded = {k: float(f"{v:.6g}") for k, v in measured.items()}
     return Quality(accepted=not reasons, reason="; ".join(reasons), **rounded)
-
-
-class Depth:
-    """How deep points are inside a mesh of fixed topology; negative outside."""
-
-    def __init__(self, points: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
-        wp = load_warp()
-        self._mesh = wp.Mesh(
-            points=wp.array(points, dtype=wp.vec3, device="cpu"),
-            indices=wp.array(faces.ravel(), dtype=wp.int32, device="cpu"),
-            support_winding_number=True,
-        )
-
-    def __call__(self, points: NDArray[np.float32], at: NDArray[np.float32]) -> NDArray[np.float32]:
-        wp = load_warp()
-        self._mesh.points.numpy()[:] = points
-        self._mesh.refit()
-        places = wp.array(at, dtype=wp.vec3, device="cpu")
-        out = wp.zeros(len(at), dtype=wp.float32, device="cpu")
-        wp.launch(_depth_kernel(), dim=len(at), inputs=[self._mesh.id, places, out], device="cpu")
-        return np.array(out.numpy())
-
-
-@functools.cache
-def _depth_kernel() -> Any:
-    from . import warp_kernels
-
-    return warp_kernels.signed_depth
 
 
 def _lengths(vertices: NDArray[np.float32], edges: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -7,9 +7,10 @@ expands to one :class:`Scene` for each clip, in a fixed order and with fixed nam
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from ssdr.errors import InputError
 
 from ..data.bvh import read_bvh
 from ..data.clip_files import Split
@@ -18,9 +19,10 @@ from ..data.parameters import SimulationParameters
 from ..data.retarget import retarget
 from .body import Body, default_body, load_body
 from .cloth import Solver
-from .dance.choreography import Repertoire, dance
+from .dance.choreography import DANCE_CLASSES, Repertoire, dance
 from .garments import Dress, Garment, cut_dress, garment_from_mesh
 from .quality import Gate
+from .simulator import VERSION
 
 __all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene"]
 
@@ -52,6 +54,11 @@ class MotionSource:
     repertoire : {"basic", "wide"}
         Of the generator.
 
+    Raises
+    ------
+    InputError
+        If a number or a class is not usable.
+
     Examples
     --------
     >>> spin = MotionSource("spin", "train", seed=1, frames=20, classes=("spin",))
@@ -59,15 +66,23 @@ class MotionSource:
     20
     """
 
-    name: str
-    split: Split
-    seed: int
-    frames: int
+    name: str = ""
+    split: Split = "train"
+    seed: int = 0
+    frames: int = 300
     classes: tuple[str, ...] = ()
     file: str = ""
     start: int = 0
     whole: int = 0
     repertoire: Repertoire = "basic"
+
+    def __post_init__(self) -> None:
+        for c in self.classes:
+            if c not in DANCE_CLASSES:
+                raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
+        for name, least in (("frames", 1), ("start", 0), ("seed", 0), ("whole", 0)):
+            if getattr(self, name) < least:
+                raise InputError(name, f"an integer >= {least}", getattr(self, name))
 
     def make(self, body: Body, fps: float) -> Motion:
         """Generate or read the motion."""
@@ -133,14 +148,11 @@ class Scene:
     def seed(self) -> int:
         return self.data_set.seed + self.motion.seed
 
-    def provenance(self, versions: Mapping[str, str]) -> dict[str, Any]:
+    def provenance(self) -> dict[str, Any]:
         """Everything from which the clip can be simulated again, plain JSON."""
         motion = dataclasses.asdict(self.motion)
         # The name alone: with the path, the stored bytes would depend on the machine.
         motion["file"] = Path(self.motion.file).name
-        if self.motion.repertoire == "basic":
-            # Stores from before there was another one do not name it.
-            del motion["repertoire"]
         return {
             "data_set": self.data_set.name,
             "garment": dataclasses.asdict(self.data_set.garment),
@@ -149,7 +161,7 @@ class Scene:
             "parameter_set": self.parameters.name,
             "parameter_split": self.parameters.split,
             "repeat_of": self.repeat_of,
-            "versions": dict(versions),
+            "simulator": VERSION,
         }
 
 

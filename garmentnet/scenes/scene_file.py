@@ -12,7 +12,7 @@ from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..io.tables import from_table, read_toml
 from .cloth import Solver
-from .dance.choreography import DANCE_CLASSES, Repertoire
+from .dance.choreography import Repertoire
 from .garments import Dress
 from .quality import Gate
 from .scene import DataSet, MeshGarment, MotionSource, ParameterSet
@@ -120,26 +120,6 @@ class _Further:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Motion:
-    """``[motion]``: one motion, for a scene."""
-
-    seed: int = 0
-    frames: int = 300
-    classes: tuple[str, ...] = ()
-    file: str = ""
-    start: int = 0
-    split: Split = "train"
-
-    def __post_init__(self) -> None:
-        for c in self.classes:
-            if c not in DANCE_CLASSES:
-                raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
-        for name, least in (("frames", 1), ("start", 0), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(name, f"an integer >= {least}", getattr(self, name))
-
-
-@dataclasses.dataclass(frozen=True)
 class _Set:
     """``[[set]]``: one of the further parameter sets."""
 
@@ -178,7 +158,7 @@ class _File:
     gate: Gate = dataclasses.field(default_factory=Gate)
     base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
     motions: _Motions | None = None
-    motion: _Motion | None = None
+    motion: MotionSource | None = None
     further: tuple[_Further, ...] = ()
     set: tuple[_Set, ...] = ()
 
@@ -229,7 +209,7 @@ def _base_motions(content: _File, path: Path) -> list[MotionSource]:
         one = content.motion
         file = str(path.parent / one.file) if one.file else ""
         stem = Path(one.file).name.split(".")[0] if one.file else f"dance-{one.seed:04d}"
-        return [MotionSource(stem, one.split, one.seed, one.frames, one.classes, file, one.start)]
+        return [dataclasses.replace(one, name=one.name or stem, file=file)]
     assert content.motions is not None
     g = content.motions
     counts: dict[Split, tuple[int, int]] = {

@@ -13,8 +13,8 @@ pytest.importorskip("zarr")
 
 import garmentnet
 
-# These run the command or are compiled by warp.
-_WITHOUT = ("garmentnet.__main__", "garmentnet.cli.__main__", "garmentnet.scenes.warp_kernels")
+# These run the command.
+_WITHOUT = ("garmentnet.__main__", "garmentnet.cli.__main__")
 _MODULES = [
     module.name
     for module in pkgutil.walk_packages(garmentnet.__path__, "garmentnet.")

@@ -13,7 +13,7 @@ LAYERS = (
     ("io",),
     ("configs",),
     ("data",),
-    ("networks", "scenes/dance", "drawing", "collision"),
+    ("networks", "scenes/dance", "scenes/xpbd", "drawing", "collision"),
     ("training", "scenes"),
     ("evaluation", "prediction"),
     ("cli",),

@@ -1,8 +1,6 @@
 # ruff: noqa: E402
-"""The demo on fewer and shorter clips: simulate, decompose, train, evaluate, draw."""
+"""The demo: simulate, decompose, train, evaluate, draw."""
 
-import importlib.util
-from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -12,36 +10,9 @@ torch = pytest.importorskip("torch")
 from PIL import Image
 
 from garmentnet.cli import demo
-from garmentnet.configs import load_config, override
-
-
-@pytest.fixture
-def shorter(tmp_path, monkeypatch):
-    """The data set ``tiny`` with a third of its clips and no other parameters, and few epochs."""
-    from garmentnet.scenes import scene_file
-
-    text = resources.files("garmentnet.scenes").joinpath("presets/tiny.toml").read_text()
-    text = text.partition("[[set]]")[0]
-    for line, less in (
-        ("train = 12 ", "train = 4 "),
-        ("frames = 90", "frames = 60"),
-        ("vertices = 500", "vertices = 300"),
-        ("substeps = 30", "substeps = 20"),
-    ):
-        assert line.strip() in text
-        text = text.replace(line.strip(), less.strip())
-    (tmp_path / "short.toml").write_text(text)
-    short = scene_file.load_data_set(tmp_path / "short.toml")
-    config = override(load_config("tiny"), ["train.epochs=30", "train.high_epochs=4"])
-    monkeypatch.setattr(scene_file, "load_data_set", lambda name: short)
-    monkeypatch.setattr(demo, "load_config", lambda name: config)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    importlib.util.find_spec("newton") is None, reason="needs the extra scenes (newton, warp)"
-)
-@pytest.mark.usefixtures("shorter")
 def test_an_interrupted_demo_continues_and_gives_scores_and_pictures(tmp_path):
     def stop(step, fraction, left):
         if step.startswith("training low, epoch 5"):
@@ -60,4 +31,4 @@ def test_an_interrupted_demo_continues_and_gives_scores_and_pictures(tmp_path):
     assert checkpoint.is_file()
     with Image.open(sheet) as picture, Image.open(film) as frames:
         assert len(picture.getcolors(1 << 24)) > 4096
-        assert frames.n_frames == 60
+        assert frames.n_frames == 90

@@ -223,8 +223,30 @@ def read_whole(clip: Clip) -> None:
     clip.sequence.frames(slice(None))
 
 
+STEP = 2.3e-4
+
+
+def test_vertices_in_steps_are_near(store: ClipStore, rng: np.random.Generator) -> None:
+    smooth = rng.normal(size=(1, 5, 3)) + np.cumsum(rng.normal(0, 0.01, (70, 5, 3)), axis=0)
+    given = arguments(rng, 70, vertices=smooth.astype(np.float32))
+    exact = store.add("exact", **given)
+    near = store.add("near", **given, step=STEP)
+    assert (exact.step, near.step) == (0.0, STEP)
+    whole = near.sequence.frames(slice(None))
+    gap = np.linalg.norm(whole - given["vertices"], axis=-1)
+    assert 0 < gap.max() <= 0.2e-3
+    for index in (5, slice(10, 60, 7), [66, 3, 33]):
+        np.testing.assert_array_equal(near.sequence.frames(index), whole[index])
+    rejected = arguments(rng, 3, quality={"accepted": False, "reason": "NaN"})
+    rejected["vertices"][1] = np.nan
+    assert store.add("broken", **rejected, step=STEP).step == 0.0
+    (store.path / "clips" / "near" / "steps" / "c.1.0.0").unlink()
+    with pytest.raises(FormatError, match="near"):
+        ClipStore.open(store.path).clip("near").sequence.frames(40)
+
+
 def chunk_files(store: ClipStore, array: str) -> list[Path]:
-    return sorted(p for p in (store.path / "clips/a" / array / "c").rglob("*") if p.is_file())
+    return sorted((store.path / "clips/a" / array).glob("c.*"))
 
 
 def flip(path: Path) -> None:

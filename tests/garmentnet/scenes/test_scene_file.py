@@ -45,11 +45,11 @@ def test_a_scene(tmp_path: Path) -> None:
     assert scene.seed == 7
     motion = scene.motion.make(data_set.make_body(), data_set.fps)
     assert motion.n_frames == 20
-    assert scene.provenance({"newton": "0"})["motion"]["classes"] == ("spin", "stop")
+    assert scene.provenance()["motion"]["classes"] == ("spin", "stop")
 
 
 def test_presets_hold_what_is_promised() -> None:
-    assert presets() == ("medium", "small", "tiny")
+    assert presets() == ("large", "medium", "small", "tiny")
     small = load_data_set("small")
     assert isinstance(small.garment, Dress)
     assert 2000 <= small.garment.vertices <= 3000
@@ -117,6 +117,17 @@ def test_medium_holds_what_is_promised() -> None:
     assert all(s.parameters == medium.base for s in moved)
 
 
+def test_large_is_medium_and_more() -> None:
+    large, medium = load_data_set("large"), load_data_set("medium")
+    assert set(medium.motions) < set(large.motions)
+    train = [m for m in large.motions if m.split == "train"]
+    assert sum(m.frames for m in train) >= 1_000_000
+    assert len({m.seed for m in large.motions}) == len(large.motions)
+    assert [s.name for s in large.scenes() if s.perturbation] == [
+        s.name for s in medium.scenes() if s.perturbation
+    ]
+
+
 def test_short_motions_begin_the_long_ones() -> None:
     tiny = load_data_set("tiny")
     body = tiny.make_body()
@@ -154,7 +165,7 @@ def test_recorded_motions_reach_every_split(data_dir: Path) -> None:
     assert len(tiny.with_motions(found).scenes()) > len(tiny.scenes())
     # No path of the machine in what is stored.
     scene = tiny.with_motions(found).scenes()[len(tiny.motions)]
-    assert str(folder) not in str(scene.provenance({}))
+    assert str(folder) not in str(scene.provenance())
 
 
 @pytest.mark.parametrize(
@@ -187,5 +198,5 @@ def test_bad_files_say_where(tmp_path: Path, old: str, new: str, word: str) -> N
 
 
 def test_missing_files_name_the_presets() -> None:
-    with pytest.raises(FormatError, match="medium, small, tiny"):
-        load_data_set("large")
+    with pytest.raises(FormatError, match="large, medium, small, tiny"):
+        load_data_set("huge")

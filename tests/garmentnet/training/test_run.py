@@ -123,8 +123,7 @@ def test_which_clips(toy_store, toy_config):
 
 def test_a_corrupt_clip_is_named(tmp_path, toy_config):
     store = toy.make_store(tmp_path / "store", frames=40, train=2)
-    chunks = tmp_path / "store" / "clips" / "base-train-1" / "vertices" / "c"
-    chunk = next(p for p in chunks.rglob("*") if p.is_file())
+    chunk = next((tmp_path / "store" / "clips" / "base-train-1" / "vertices").glob("c.*"))
     data = bytearray(chunk.read_bytes())
     data[len(data) // 2] ^= 255
     chunk.write_bytes(bytes(data))

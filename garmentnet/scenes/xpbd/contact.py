@@ -1,0 +1,286 @@
+"""Contact of the cloth with the body: each vertex with the nearest triangle of the skin.
+
+The tree of the body's triangles is that of :mod:`ssdr.kernels.closest`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from .policy import REAL, TINY, kernel
+
+__all__ = ["find_contacts", "push_out", "skin_points"]
+
+_ZERO, _ONE, _FAR = REAL(0), REAL(1), REAL(1e9)
+# What a neighbouring triangle must gain for the search to move on to it.
+_GAIN = REAL(0.9999)
+# A point this near to the far edge (in barycentric coordinates) lies on it.
+_EDGE = REAL(0.99999)
+# Metres; a point nearer to the skin is pushed along the triangle's normal.
+_ON_SKIN = REAL(1e-5)
+# Triangles that are looked at in a substep, beginning with that of the substep before.
+_HOPS = 3
+
+
+@kernel
+def skin_points(skin: Any, transforms: Any, out: Any) -> None:
+    """Linear blend skinning of points.
+
+    skin        tuple     rest (n, 3) float32, indices (n, K) int32, weights (n, K) float32
+    transforms  (J, 12)   float32
+    out         (3 n,)    float32
+    """
+    rest, indices, weights = skin
+    blend = np.empty(12, transforms.dtype)
+    for i in range(len(rest)):
+        blend[:] = 0
+        for q in range(indices.shape[1]):
+            w, j = weights[i, q], indices[i, q]
+            for k in range(12):
+                blend[k] += w * transforms[j, k]
+        x, y, z = rest[i, 0], rest[i, 1], rest[i, 2]
+        for r in range(3):
+            out[3 * i + r] = (
+                blend[4 * r] * x + blend[4 * r + 1] * y + blend[4 * r + 2] * z + blend[4 * r + 3]
+            )
+
+
+@kernel
+def _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz):
+    """s and t of the closest point a + s u + t v of a triangle (Ericson 2005, section 5.1.5)."""
+    wx, wy, wz = px - ax, py - ay, pz - az
+    d1, d2 = ux * wx + uy * wy + uz * wz, vx * wx + vy * wy + vz * wz
+    uu = ux * ux + uy * uy + uz * uz
+    uv = ux * vx + uy * vy + uz * vz
+    vv = vx * vx + vy * vy + vz * vz
+    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+    vc, vb, va = d1 * d4 - d3 * d2, d5 * d2 - d1 * d6, d3 * d6 - d5 * d4
+    s, t = _ZERO, _ZERO
+    if d1 <= _ZERO and d2 <= _ZERO:
+        pass
+    elif d3 >= _ZERO and d4 <= d3:
+        s = _ONE
+    elif vc <= _ZERO and d1 >= _ZERO and d3 <= _ZERO:
+        s = d1 / (d1 - d3)
+    elif d6 >= _ZERO and d5 <= d6:
+        t = _ONE
+    elif vb <= _ZERO and d2 >= _ZERO and d6 <= _ZERO:
+        t = d2 / (d2 - d6)
+    elif va <= _ZERO and d4 - d3 >= _ZERO and d5 - d6 >= _ZERO:
+        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        s = _ONE - t
+    else:
+        share = _ONE / (va + vb + vc)
+        s, t = vb * share, vc * share
+    return s, t
+
+
+@kernel
+def _gap(px, py, pz, boxes, i):
+    """Squared distance to a box."""
+    a = max(_ZERO, max(boxes[i, 0] - px, px - boxes[i, 3]))
+    b = max(_ZERO, max(boxes[i, 1] - py, py - boxes[i, 4]))
+    c = max(_ZERO, max(boxes[i, 2] - pz, pz - boxes[i, 5]))
+    return a * a + b * b + c * c
+
+
+@kernel
+def _distance(px, py, pz, points, triangles, t):
+    """Squared distance to a triangle."""
+    i, j, k = 3 * triangles[t, 0], 3 * triangles[t, 1], 3 * triangles[t, 2]
+    ax, ay, az = points[i], points[i + 1], points[i + 2]
+    ux, uy, uz = points[j] - ax, points[j + 1] - ay, points[j + 2] - az
+    vx, vy, vz = points[k] - ax, points[k + 1] - ay, points[k + 2] - az
+    s, q = _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz)
+    dx, dy, dz = px - ax - s * ux - q * vx, py - ay - s * uy - q * vy, pz - az - s * uz - q * vz
+    return dx * dx + dy * dy + dz * dz
+
+
+@kernel
+def _find_nearest(px, py, pz, limit, hint, points, triangles, depth, boxes, nodes, gaps):
+    """The triangle nearest to a point; -1 if none is nearer than `limit` (squared).
+
+    The search begins with the triangle `hint`, if it is not -1.
+    """
+    count, base = len(triangles), (1 << depth) - 1
+    best, which = limit, -1
+    if hint >= 0:
+        d = _distance(px, py, pz, points, triangles, hint)
+        if d < best:
+            best, which = d, hint
+    nodes[0], gaps[0], top = 0, _gap(px, py, pz, boxes, 0), 1
+    while top > 0:
+        top -= 1
+        if gaps[top] >= best:
+            continue
+        node = nodes[top]
+        if node >= base:
+            j = node - base
+            for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+                d = _distance(px, py, pz, points, triangles, t)
+                if d < best:
+                    best, which = d, t
+            continue
+        left, right = 2 * node + 1, 2 * node + 2
+        near, far = _gap(px, py, pz, boxes, left), _gap(px, py, pz, boxes, right)
+        if near > far:
+            left, right, near, far = right, left, far, near
+        if far < best:
+            nodes[top], gaps[top] = right, far
+            top += 1
+        if near < best:
+            nodes[top], gaps[top] = left, near
+            top += 1
+    return which
+
+
+@kernel
+def find_contacts(
+    x: Any,
+    free: Any,
+    reach: Any,
+    points: Any,
+    triangles: Any,
+    depth: int,
+    boxes: Any,
+    nearest: Any,
+    close: Any,
+) -> int:
+    """Search the nearest triangle of every free vertex; the number of vertices near the skin.
+
+    x        (3 V,)  float32  positions of the cloth
+    free             int64    vertices that are searched for
+    reach            float32  metres from the skin
+    points   (3 n,)  float32  of the skin
+    nearest  (V,)    int32    triangle of each vertex, updated; -1: none within reach
+    close    (V,)    int32    vertices within reach, the first of them; out
+    """
+    nodes, gaps = np.empty(2 * depth + 4, np.int64), np.empty(2 * depth + 4, x.dtype)
+    count = 0
+    for i in free:
+        px, py, pz = x[3 * i], x[3 * i + 1], x[3 * i + 2]
+        nearest[i] = _find_nearest(
+            px, py, pz, reach * reach, nearest[i], points, triangles, depth, boxes, nodes, gaps
+        )
+        if nearest[i] >= 0:
+            close[count] = i
+            count += 1
+    return count
+
+
+@kernel
+def push_out(
+    x: Any,
+    previous: Any,
+    velocity: Any,
+    close: Any,
+    n_close: int,
+    nearest: Any,
+    skin: Any,
+    limits: Any,
+    rate: Any,
+) -> None:
+    """Push vertices out to a distance from the moving skin, with friction; set their velocities.
+
+    The constraint is C = n·(x − c) − distance ≥ 0, with the closest point c of the skin and the
+    direction n from it, outwards.  Coulomb friction limits what it takes from the tangential
+    displacement relative to the skin to `friction` times the push (Macklin et al., "Unified
+    Particle Physics for Real-Time Applications", 2014, section 6.1).
+
+    The skin moves linearly from its positions (3 n,) at the start of the block of substeps to those
+    at the end.  From the triangle of the substep before the search goes over edges to nearer ones.
+
+    x, previous, velocity  (3 V,)  float32  positions, those before the substep, velocities
+    close                  (V,)    int32    vertices near the skin, the first `n_close`
+    nearest                (V,)    int32    triangle of each vertex; updated
+    skin                           tuple    triangles (T, 3); triangle beyond each edge (T, 3), -1:
+                                            none; positions at the start and the end of the block;
+                                            fraction of the block at the end of this substep; share
+                                            of the block that a substep is
+    limits                         tuple    distance in metres; coefficient of friction; longest
+                                            push in metres: a vertex that a limb has passed over
+                                            comes out gently
+    rate                           float32  1 / h
+    """
+    triangles, beside, start, end, fraction, share = skin
+    distance, friction, most = limits
+    for n in range(n_close):
+        o = 3 * close[n]
+        px, py, pz = x[o], x[o + 1], x[o + 2]
+        t = at = nearest[close[n]]
+        best, s, r = _FAR, _ZERO, _ZERO
+        cx, cy, cz, nx, ny, nz = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+        for _ in range(_HOPS):
+            i, j, k = 3 * triangles[at, 0], 3 * triangles[at, 1], 3 * triangles[at, 2]
+            ax = start[i] + fraction * (end[i] - start[i])
+            ay = start[i + 1] + fraction * (end[i + 1] - start[i + 1])
+            az = start[i + 2] + fraction * (end[i + 2] - start[i + 2])
+            ux = start[j] + fraction * (end[j] - start[j]) - ax
+            uy = start[j + 1] + fraction * (end[j + 1] - start[j + 1]) - ay
+            uz = start[j + 2] + fraction * (end[j + 2] - start[j + 2]) - az
+            vx = start[k] + fraction * (end[k] - start[k]) - ax
+            vy = start[k + 1] + fraction * (end[k + 1] - start[k + 1]) - ay
+            vz = start[k + 2] + fraction * (end[k + 2] - start[k + 2]) - az
+            a, b = _closest(px, py, pz, ax, ay, az, ux, uy, uz, vx, vy, vz)
+            dx, dy, dz = (
+                px - ax - a * ux - b * vx,
+                py - ay - a * uy - b * vy,
+                pz - az - a * uz - b * vz,
+            )
+            square = dx * dx + dy * dy + dz * dz
+            if square >= best * _GAIN:
+                break
+            best, t, s, r = square, at, a, b
+            cx, cy, cz = dx, dy, dz
+            nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            if b <= _ZERO:
+                at = beside[t, 0]
+            elif a <= _ZERO:
+                at = beside[t, 2]
+            elif a + b >= _EDGE:
+                at = beside[t, 1]
+            else:
+                break
+            if at < 0:
+                break
+        nearest[close[n]] = t
+        gap = math.sqrt(best)
+        outside = cx * nx + cy * ny + cz * nz >= _ZERO
+        if outside and gap >= distance:
+            velocity[o] = (px - previous[o]) * rate
+            velocity[o + 1] = (py - previous[o + 1]) * rate
+            velocity[o + 2] = (pz - previous[o + 2]) * rate
+            continue
+        if gap > _ON_SKIN:
+            scale = _ONE / gap if outside else -_ONE / gap
+            nx, ny, nz = cx * scale, cy * scale, cz * scale
+        else:
+            scale = _ONE / math.sqrt(nx * nx + ny * ny + nz * nz + TINY)
+            nx, ny, nz = nx * scale, ny * scale, nz * scale
+        push = min(distance - gap if outside else distance + gap, most)
+        px, py, pz = px + push * nx, py + push * ny, pz + push * nz
+        # Displacement relative to the skin at the closest point, and its tangential part.
+        i, j, k = 3 * triangles[t, 0], 3 * triangles[t, 1], 3 * triangles[t, 2]
+        q = _ONE - s - r
+        mx = q * (end[i] - start[i]) + s * (end[j] - start[j]) + r * (end[k] - start[k])
+        i, j, k = i + 1, j + 1, k + 1
+        my = q * (end[i] - start[i]) + s * (end[j] - start[j]) + r * (end[k] - start[k])
+        i, j, k = i + 1, j + 1, k + 1
+        mz = q * (end[i] - start[i]) + s * (end[j] - start[j]) + r * (end[k] - start[k])
+        dx = px - previous[o] - share * mx
+        dy = py - previous[o + 1] - share * my
+        dz = pz - previous[o + 2] - share * mz
+        along = dx * nx + dy * ny + dz * nz
+        tx, ty, tz = dx - along * nx, dy - along * ny, dz - along * nz
+        slide = math.sqrt(tx * tx + ty * ty + tz * tz) + TINY
+        held = min(_ONE, friction * push / slide)
+        px, py, pz = px - held * tx, py - held * ty, pz - held * tz
+        x[o], x[o + 1], x[o + 2] = px, py, pz
+        # A vertex that was pushed leaves the skin no faster than the skin moves: no bounce.
+        leaving = max(_ZERO, along)
+        velocity[o] = (px - previous[o] - leaving * nx) * rate
+        velocity[o + 1] = (py - previous[o + 1] - leaving * ny) * rate
+        velocity[o + 2] = (pz - previous[o + 2] - leaving * nz) * rate

@@ -1,0 +1,173 @@
+"""The loop over frames and substeps of a clip, one compiled function without the GIL."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.kernels.closest import fit_boxes
+
+from .chunks import Chunks
+from .constraints import BUFFER_ROWS, bend, stretch
+from .contact import find_contacts, push_out, skin_points
+from .policy import LANES, REAL, kernel
+from .self_contact import find_pairs, separate
+
+__all__ = ["BodyArrays", "ClothArrays", "Step", "simulate_frames"]
+
+_GRAVITY = REAL(9.81)  # m/s², along -y
+_PAIRS = 20  # of the self-contact, at most, times the number of vertices
+
+
+class BodyArrays(NamedTuple):
+    """The collider: its skin and the tree of its triangles."""
+
+    skin: tuple[Any, ...]  # see skin_points
+    triangles: NDArray[np.int32]  # (T, 3) in the tree's order
+    beside: NDArray[np.int32]  # (T, 3) triangle beyond the edges 01, 12, 20; -1: none
+    depth: int
+
+
+class ClothArrays(NamedTuple):
+    """The garment and its constraints."""
+
+    rest: NDArray[np.float32]  # (V, 3)
+    free: NDArray[np.int64]
+    pinned: NDArray[np.int64]
+    pins: tuple[Any, ...]  # see skin_points, of the pinned vertices
+    weights: NDArray[np.float32]  # (V,) inverse masses
+    edges: Chunks
+    hinges: Chunks
+    near: NDArray[np.int32]  # vertices within two edges, CSR
+    near_starts: NDArray[np.int32]
+
+
+class Step(NamedTuple):
+    """Numbers of a substep; lengths in metres, times in the cloth's seconds."""
+
+    substeps: int  # in a frame
+    blocks: int  # in a frame: the body is posed, and the nearest triangles are searched, in each
+    h: Any  # length of a substep
+    damping: Any  # γ of the hinges
+    decay: Any  # of velocities in a substep, by drag
+    distance: Any  # of the cloth from the skin
+    friction: Any
+    push: Any  # the longest push out of the body in a substep
+    reach: Any  # within which contact is searched
+    thickness: Any  # of the self-contact; 0: none
+    pair_steps: int  # substeps for which the pairs of the self-contact are kept
+
+
+@kernel
+def simulate_frames(
+    body: Any,
+    cloth: Any,
+    joints: Any,
+    roots: Any,
+    step: Step,
+    first: int,
+    moved: Any,
+    out: Any,
+) -> None:
+    """Simulate a clip from the rest shape at the first pose.
+
+    joints  ((F - 1) * blocks + 1, J, 12) float64  from the rest pose, at each block's ends
+    roots   (F, 3)                        float64  place of the root in every frame
+    first                                 int      frame from which on the cloth is written
+    moved   (V, 3)                        float32  displacements added before that frame
+    out     (F - first, V, 3)             float32  out
+    """
+    n, free, n_pins = len(cloth.rest), cloth.free, len(cloth.pinned)
+    x, v, previous = np.zeros(3 * n, REAL), np.zeros(3 * n, REAL), np.zeros(3 * n, REAL)
+    buffer = np.zeros(BUFFER_ROWS * LANES, REAL)
+    transforms = np.empty(joints.shape[1:], REAL)
+    # Skin and pinned vertices at the start and the end of a block.
+    skin0, pins0 = np.empty(3 * len(body.skin[0]), REAL), np.empty(3 * n_pins, REAL)
+    skin1, pins1 = skin0.copy(), pins0.copy()
+    boxes = np.empty((2 ** (body.depth + 1) - 1, 6), REAL)
+    nearest, close = np.full(n, -1, np.int32), np.empty(n, np.int32)
+    pairs, n_pairs = np.zeros((_PAIRS * n if step.thickness > 0 else 0, 2), np.int32), 0
+    rate, per_block = REAL(1) / step.h, step.substeps // step.blocks
+    share = REAL(1) / REAL(per_block)
+    origin = roots[0].copy()
+
+    _pose(body, cloth, joints[0], origin, transforms, skin1, pins1)
+    for i in range(n):
+        for r in range(3):
+            x[3 * i + r] = transforms[0, 4 * r + 3]
+            for k in range(3):
+                x[3 * i + r] += transforms[0, 4 * r + k] * cloth.rest[i, k]
+    for frame in range(len(roots)):
+        if frame == first:
+            for i in range(n):
+                for k in range(3):
+                    x[3 * i + k] += moved[i, k]
+        if frame > 0:
+            # The origin follows the root, one frame behind.
+            for k in range(3):
+                shift = REAL(roots[frame - 1, k] - origin[k])
+                origin[k] = roots[frame - 1, k]
+                x[k::3] -= shift
+                skin1[k::3] -= shift
+                pins1[k::3] -= shift
+        for block in range(step.blocks if frame > 0 else 0):
+            skin0, skin1, pins0, pins1 = skin1, skin0, pins1, pins0
+            end = (frame - 1) * step.blocks + block + 1
+            _pose(body, cloth, joints[end], origin, transforms, skin1, pins1)
+            fit_boxes(skin0.reshape(-1, 3), body.triangles, body.depth, boxes)
+            n_close = find_contacts(
+                x, free, step.reach, skin0, body.triangles, body.depth, boxes, nearest, close
+            )
+            for substep in range(per_block):
+                fraction = REAL((substep + 1.0) / per_block)
+                _predict(x, previous, v, cloth, step.h, pins0, pins1, fraction)
+                bend(x, previous, cloth.hinges, step.damping, buffer)
+                stretch(x, cloth.edges, buffer)
+                if step.thickness > 0:
+                    if (block * per_block + substep) % step.pair_steps == 0:
+                        n_pairs = find_pairs(
+                            x, cloth.weights, cloth.near, cloth.near_starts, step.thickness, pairs
+                        )
+                    separate(x, cloth.weights, pairs, n_pairs, step.thickness)
+                for i in free:
+                    if nearest[i] < 0:
+                        for k in range(3):
+                            v[3 * i + k] = (x[3 * i + k] - previous[3 * i + k]) * rate
+                skin = (body.triangles, body.beside, skin0, skin1, fraction, share)
+                limits = (step.distance, step.friction, step.push)
+                push_out(x, previous, v, close, n_close, nearest, skin, limits, rate)
+                for i in free:
+                    for k in range(3):
+                        v[3 * i + k] *= step.decay
+        if frame >= first:
+            for i in range(n):
+                for k in range(3):
+                    out[frame - first, i, k] = x[3 * i + k] + origin[k]
+
+
+@kernel
+def _pose(body, cloth, joints, origin, transforms, skin, pins):
+    """Skin and pinned vertices under the transforms `joints` (J, 12), relative to `origin`."""
+    for j in range(len(joints)):
+        for k in range(12):
+            transforms[j, k] = joints[j, k] - (origin[k // 4] if k % 4 == 3 else 0.0)
+    skin_points(body.skin, transforms, skin)
+    skin_points(cloth.pins, transforms, pins)
+
+
+@kernel
+def _predict(x, previous, v, cloth, h, pins0, pins1, fraction):
+    """Move free vertices by their velocities and gravity, pinned ones with the body."""
+    for q in range(len(cloth.pinned)):
+        for k in range(3):
+            o = 3 * cloth.pinned[q] + k
+            previous[o] = x[o]
+            x[o] = pins0[3 * q + k] + fraction * (pins1[3 * q + k] - pins0[3 * q + k])
+    for i in cloth.free:
+        o = 3 * i
+        previous[o], previous[o + 1], previous[o + 2] = x[o], x[o + 1], x[o + 2]
+        x[o] += h * v[o]
+        x[o + 1] += h * (v[o + 1] - h * _GRAVITY)
+        x[o + 2] += h * v[o + 2]

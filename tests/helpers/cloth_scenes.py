@@ -1,0 +1,77 @@
+"""Sheets of cloth and bodies of one joint, with no clothes and no skeleton, for the simulator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from garmentnet.data.motion import Motion
+from garmentnet.data.skeleton import Skeleton
+from garmentnet.scenes.body import Body
+from garmentnet.scenes.garments import Garment
+from ssdr.skinning import Skinning
+
+
+def sheet(columns, rows, edge):
+    """Rest (V, 3) and triangles of a strip of equilateral triangles in the plane z = 0.
+
+    Rows are parallel to x; the first is at y = 0, the others below it.
+    """
+    r, c = np.indices((rows, columns))
+    x = edge * (c + 0.5 * (r % 2)) - edge * (columns - 0.5) / 2
+    rest = np.stack([x, -edge * math.sqrt(0.75) * r, np.zeros_like(x)], axis=-1)
+    faces = []
+    for i in range(rows - 1):
+        for j in range(columns - 1):
+            a, b = i * columns + j, i * columns + j + 1
+            d, e = a + columns, b + columns
+            faces += [[a, d, b], [b, d, e]] if i % 2 == 0 else [[a, d, e], [a, e, b]]
+    return rest.reshape(-1, 3), np.array(faces, np.int32)
+
+
+def garment(rest, faces, pinned=()):
+    mask = np.zeros(len(rest), bool)
+    mask[list(pinned)] = True
+    return Garment(
+        rest=rest.astype(np.float32),
+        faces=faces,
+        pinned=mask,
+        indices=np.zeros((len(rest), 1), np.int32),
+        weights=np.ones((len(rest), 1), np.float32),
+        mirror=None,
+    )
+
+
+def rigid_body(vertices, faces):
+    """A body of one joint at the origin."""
+    rig = Skinning(
+        np.asarray(vertices, np.float32),
+        np.zeros((len(vertices), 1), int),
+        np.ones((len(vertices), 1)),
+        np.eye(3, 4)[None, None],
+        faces=np.asarray(faces),
+        bone_names=("root",),
+    )
+    return Body(rig, Skeleton(("root",), [-1], [[0, 0, 0]]))
+
+
+def ball(radius, centre):
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    return rigid_body(mesh.vertices + np.asarray(centre), mesh.faces)
+
+
+def slope(degrees):
+    """A slab whose upper side passes through the origin and falls towards +x; its rotation."""
+    import trimesh
+
+    mesh = trimesh.creation.box(extents=(8, 1, 8))
+    turn = Rotation.from_euler("z", -degrees, degrees=True).as_matrix()
+    return rigid_body((mesh.vertices - [0, 0.5, 0]) @ turn.T, mesh.faces), turn
+
+
+def still(frames, joints=1):
+    return Motion(np.tile(np.eye(3, 4), (frames, joints, 1, 1)), np.zeros(frames, np.int8))
