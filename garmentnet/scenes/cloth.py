@@ -80,7 +80,7 @@ class Solver:
     substeps: int = 40
     blocks: int = 5
     stretch: float = 7e3
-    bending: float = 2.4e-4
+    bending: float = 1e-3
     bending_damping: float = 0.05
     friction: float = 0.1
     drag: float = 3.5
