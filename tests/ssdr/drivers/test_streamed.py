@@ -66,7 +66,7 @@ def test_a_loose_hierarchy_of_streamed_frames_leaves_the_bones_as_they_are() -> 
     frames = motions.rippled()
     flat = ssdr.decompose(frames, bones=5, effort="fast")
     loose = ssdr.decompose(frames, bones=5, effort="fast", rig="loose")
-    assert bits(flat) == bits(loose)
+    assert bits(flat) == bits(loose)[:4]  # rest pose, indices, weights, transforms
     assert (loose.skinning.parents >= 0).sum() == 4
 
 
