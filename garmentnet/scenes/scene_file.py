@@ -31,7 +31,7 @@ def presets() -> tuple[str, ...]:
     Examples
     --------
     >>> presets()
-    ('medium', 'small', 'tiny')
+    ('large', 'medium', 'small', 'tiny')
     """
     return tuple(sorted(p.stem for p in _PRESETS.glob("*.toml")))
 
