@@ -38,6 +38,7 @@ __all__ = [
     "describe",
     "format_of",
     "format_to_read",
+    "function_of",
     "is_many",
     "natural_key",
     "read_file",
@@ -97,16 +98,16 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """Module of a suffix and its functions by their names, None where it has none.
+    """Functions of a file format: each field named after one holds the module that has it, or None.
 
-    With `list_clips` a file may have several clips, and `read` takes the option `clip`.
-    With `copy` a file of the format passes through: `write_skinning` takes the option
-    `template`, and `template_problem` returns why a file cannot be one.
+    A format with `list_clips` may have several clips in a file, and its `read` takes the option
+    `clip`. A format with `copy` passes through: its `write_skinning` takes the option `template`,
+    and its `template_problem` returns why a file cannot be one.
     """
 
-    module: str
     title: str
-    read: str | None = "read"
+    extra: str | None = None
+    read: str | None = None
     write_sequence: str | None = None
     read_skinning: str | None = None
     write_skinning: str | None = None
@@ -114,38 +115,52 @@ class Format:
     copy: str | None = None
     left_out: str | None = None
     template_problem: str | None = None
-    extra: str | None = None
 
 
-def _format(module: str, title: str, *functions: str, extra: str | None = None) -> Format:
-    return Format(module, title, extra=extra, **{name: name for name in functions})
+def _format(title: str, extra: str | None = None, **modules: str) -> Format:
+    """A format from the functions of each module, dots in whose name are written ``__``."""
+    places = {
+        function: module.replace("__", ".")
+        for module, functions in modules.items()
+        for function in functions.split()
+    }
+    return Format(title, extra, **places)
 
 
-_SKINNING = ("read_skinning", "write_skinning", "list_clips")
-_PASSES = (*_SKINNING, "copy", "left_out", "template_problem")
-_WRITES = "write_sequence"
-_NUMBERED = _format("meshes", "numbered meshes")
-_GLTF = _format("gltf", "glTF 2.0", *_PASSES)
-_USD = _format("usd", "Universal Scene Description", _WRITES, *_PASSES, extra="usd")
+_READS = "read list_clips read_skinning"
+_PASSES = "copy left_out template_problem"
+_ALL = f"{_READS} write_sequence write_skinning"
+_NUMBERED = _format("numbered meshes", meshes__numbered="read")
+_CACHE = "read write_sequence"
+_GLTF = _format(
+    "glTF 2.0", gltf__reader=_READS, gltf__writer="write_skinning", gltf__passing=_PASSES
+)
+_USD = _format(
+    "Universal Scene Description",
+    "usd",
+    usd__reader=_READS,
+    usd__writer="write_sequence write_skinning",
+    usd__template=_PASSES,
+)
 
 FORMATS: dict[str, Format] = {
-    ".npz": _format("arrays.npz", "NumPy archive", _WRITES, *_SKINNING),
-    ".npy": _format("arrays.npy", "NumPy array", _WRITES),
-    ".zarr": _format("arrays.zarr_store", "zarr store", _WRITES, extra="zarr"),
-    ".obj": _format("meshes", "numbered Wavefront OBJ", _WRITES),
-    ".ply": _format("meshes", "numbered PLY", _WRITES),
-    ".off": _format("meshes", "numbered OFF"),
-    ".stl": _format("meshes", "numbered STL"),
-    ".pc2": _format("pointcache", "PC2 point cache", _WRITES),
-    ".mdd": _format("pointcache", "MDD point cache", _WRITES),
-    ".csv": Format("tables", "skin weights, CSV", read=None, write_skinning="write_skinning"),
+    ".npz": _format("NumPy archive", arrays__npz=_ALL),
+    ".npy": _format("NumPy array", arrays__npy=_CACHE),
+    ".zarr": _format("zarr store", "zarr", arrays__zarr_store=_CACHE),
+    ".obj": _format("numbered Wavefront OBJ", meshes__numbered=_CACHE),
+    ".ply": _format("numbered PLY", meshes__numbered=_CACHE),
+    ".off": _format("numbered OFF", meshes__numbered="read"),
+    ".stl": _format("numbered STL", meshes__numbered="read"),
+    ".pc2": _format("PC2 point cache", pointcache=_CACHE),
+    ".mdd": _format("MDD point cache", pointcache=_CACHE),
+    ".csv": _format("skin weights, CSV", tables="write_skinning"),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": _format("blender", "Alembic", extra="blender"),
-    ".fbx": _format("blender", "FBX", *_SKINNING, "left_out", extra="blender"),
+    ".abc": _format("Alembic", "blender", blender__bridge="read"),
+    ".fbx": _format("FBX", "blender", blender__bridge=f"{_READS} write_skinning left_out"),
 }
 
 
@@ -180,9 +195,15 @@ def format_to_read(path: Path) -> Format:
         If the suffix is not in the table.
     """
     stated = FORMATS.get(path.suffix.lower(), _NUMBERED)
-    if is_many(path) and stated.module in (_NUMBERED.module, _GLTF.module):
+    if is_many(path) and (stated is _GLTF or stated.read == _NUMBERED.read):
         return _NUMBERED
     return format_of(path)[1]
+
+
+def function_of(format_: Format, name: str) -> Callable[..., Any]:
+    """One of a format's functions, such as ``"read"``; its module is imported here."""
+    module = importlib.import_module(f".{getattr(format_, name)}", __package__)
+    return getattr(module, name)  # type: ignore[no-any-return]
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
@@ -193,9 +214,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
     InputError
         If the function has no such option or its value is of another kind.
     """
-    target: Callable[..., Any] = getattr(
-        importlib.import_module(f".{format_.module}", __package__), function
-    )
+    target = function_of(format_, function)
     parameters = inspect.signature(target).parameters
     if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
         known = [n for n, p in parameters.items() if p.kind is p.KEYWORD_ONLY]

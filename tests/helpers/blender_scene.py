@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ssdr.errors import SsdrError
-from ssdr.io.blender import command
+from ssdr.io.blender.finder import command
 
 try:
     command("")

@@ -11,11 +11,12 @@ from ..atomic import write_bytes
 from ..registry import SaveReport, reading
 from .animation import Nodes, animation_names, read_animation
 from .builder import Builder
+from .compression import DRACO
 from .document import Document
 from .numbering import remove, unknown_extensions, used
 from .parts import check_meshes, read_parts
 
-__all__ = ["copy", "left_out"]
+__all__ = ["copy", "left_out", "template_problem"]
 
 _MAPS = {
     "normalTexture": "normal maps",
@@ -62,6 +63,13 @@ def _keep_clips(json: dict[str, Any], kept: set[int]) -> None:
         if not unknown_extensions(json):
             remove(json, "accessors", accessors - used(json, "accessors"))
             remove(json, "bufferViews", views - used(json, "bufferViews"))
+
+
+def template_problem(path: Path) -> str:
+    """Reason why a readable file cannot be a template; empty if it can."""
+    with reading(path):
+        compressed = DRACO in Document(path).items("extensionsUsed")
+    return "its geometry is compressed with Draco" if compressed else ""
 
 
 def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[str, ...]:

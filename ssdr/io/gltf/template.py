@@ -28,18 +28,11 @@ from .numbering import remove, unknown_extensions, used
 from .parts import PrimitiveGroup, check_meshes, read_parts, triangles
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 
-__all__ = ["Template", "template_problem"]
+__all__ = ["Template"]
 
 _LINES = (1, 2, 3)
 _MOTION = ("translation", "rotation", "scale")
 _CONTENT = {"mesh", "camera", "extensions"}  # what a node has that does not serve a skeleton
-
-
-def template_problem(path: Path) -> str:
-    """Reason why a readable file cannot be a template; empty if it can."""
-    with reading(path):
-        compressed = DRACO in Document(path).items("extensionsUsed")
-    return "its geometry is compressed with Draco" if compressed else ""
 
 
 class Template:

@@ -188,9 +188,9 @@ def _compare(file: Path, mesh: Mesh, first_file: Path, first: Mesh) -> None:
 
 
 def _parse_gltf(path: Path, _like: Mesh | None = None) -> Mesh:
-    from .. import gltf
+    from ..gltf import reader
 
-    frame = gltf.read(path)
+    frame = reader.read(path)
     if len(frame) > 1:
         raise FormatError(
             f"{path}: an animation of {len(frame)} frames, where each file is one frame"
