@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError
 from ..sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import over_mesh
-from .registry import SaveReport, describe, reading, seconds, written_vertices
+from .registry import SaveReport, reading, seconds, written_vertices
+from .signatures import describe
+from .storage import StorageError
 
 __all__ = ["read", "write_sequence"]
 
@@ -105,26 +107,19 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
     else:
         header, kind = _MDD.pack(count, len(index)), ">f4"
         header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
-    total, worst = 0.0, 0.0
+    error = StorageError()
     with atomic_path(path) as temporary:
         with temporary.open("wb") as stream:
             stream.write(header)
             for start, block in sequence.chunks():
-                with np.errstate(over="ignore"):
-                    single = block.astype(np.float32)
-                if not np.isfinite(single).all():
-                    frames = f"larger ones in frames {start} to {start + len(block) - 1}"
-                    raise InputError("vertices", "numbers within float32", frames)
-                squared = ((single.astype(np.float64) - block) ** 2).sum(axis=2)
-                total, worst = total + float(squared.sum()), max(worst, float(squared.max()))
-                stream.write(single[:, index].astype(kind, copy=False).tobytes())
+                stored = error.round(block, start)
+                stream.write(stored[:, index].astype(kind, copy=False).tobytes())
         size = temporary.stat().st_size
-    exact = sequence.vertices.dtype == np.float32
     return SaveReport(
         path=path,
         bytes=size,
-        error=None if exact else float(np.sqrt(total / (count * sequence.n_vertices))),
-        max_error=None if exact else float(np.sqrt(worst)),
+        error=error.rmse or None,
+        max_error=error.largest or None,
         note=note,
     )
 

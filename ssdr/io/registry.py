@@ -6,15 +6,16 @@ import contextlib
 import dataclasses
 import importlib
 import inspect
+import logging
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import one_rate
+from ..clips import one_rate, pick
 from ..errors import (
     FormatError,
     InputError,
@@ -35,12 +36,12 @@ __all__ = [
     "SaveReport",
     "bake",
     "call",
-    "describe",
     "format_of",
     "format_to_read",
     "function_of",
     "is_many",
     "natural_key",
+    "pick_clip",
     "read_file",
     "reading",
     "refuse_device",
@@ -48,6 +49,9 @@ __all__ = [
     "seconds",
     "written_vertices",
 ]
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -242,6 +246,14 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
         raise InputError(name, "a positive number", value)
 
 
+def pick_clip(names: Sequence[str], clip: Any, path: Path, argument: str = "clip") -> int:
+    """Number of the clip of a file that a name or number states, as :func:`~ssdr.clips.pick`."""
+    index = pick(names, clip, argument)
+    if len(names) > 1:
+        _log.info("%s: clip %r of %s", path, names[index], list(names))
+    return index
+
+
 def bake(skinning: Skinning) -> MeshSequence:
     """Vertices of a skinning over its frames.
 
@@ -380,30 +392,3 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
         raise MissingDependencyError(
             f'{what} needs the package {module}: pip install "{requirement}"'
         ) from error
-
-
-_MAGIC = {
-    b"PK": "a zip archive such as .npz",
-    b"\x93NUMPY": "a NumPy .npy array",
-    b"glTF": "a binary glTF",
-    b"PXR-USDC": "a binary USD",
-    b"#usda": "a text USD",
-    b"Kaydara FBX": "an FBX file",
-    b"Ogawa": "an Alembic file",
-    b"ply": "a PLY file",
-    b"\x1f\x8b": "gzip data",
-    b"\x89PNG": "a PNG picture",
-    b"\xff\xd8\xff": "a JPEG picture",
-    b"\x80": "a Python pickle",
-}
-
-
-def describe(head: bytes) -> str:
-    """Format that the first bytes of a file look like, for error messages."""
-    if not head:
-        return "the file is empty"
-    for magic, name in _MAGIC.items():
-        if head.startswith(magic):
-            return f"it looks like {name}"
-    text = all(32 <= b < 127 or b in b"\t\r\n" for b in head)
-    return "it looks like text" if text else "its first bytes belong to no format known here"

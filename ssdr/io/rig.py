@@ -9,7 +9,6 @@ would sweep the bone along a chord.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -29,6 +28,7 @@ from ..hierarchy.transforms import (
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning, skin
 from .registry import SaveReport
+from .storage import StorageError, frame_blocks
 
 __all__ = [
     "Rig",
@@ -42,7 +42,6 @@ __all__ = [
 
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
-_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 
@@ -152,24 +151,15 @@ class Rig:
             a part of this number is the motion itself; it falls with the square of the frame time.
         """
         rest, weights = self.rest.astype(np.float64), weight_values(self.weights)
-        count = self.n_frames - len(self.clips) if between else self.n_frames
-        if count < 1:
-            return None, None
-        step = max(1, _CHUNK_BYTES // (len(rest) * 24))
-        total, largest = 0.0, 0.0
+        error = StorageError()
         for clip in self.clips:
-            stop = clip.stop - between  # nothing is between two clips
-            for first in range(clip.start, stop, step):
-                last = min(first + step, stop)
-                times = np.arange(first, last, dtype=np.float64) + 0.5 * between
+            # nothing is between two clips
+            for block in frame_blocks(clip.start, clip.stop - between, len(rest)):
+                times = np.arange(block.start, block.stop) + 0.5 * between
                 stored = skin(rest, self.indices, weights, self.matrices(times))
-                truth = model.skin(slice(first, last + between), dtype=np.float64)
-                if between:
-                    truth = (truth[1:] + truth[:-1]) / 2
-                squares = ((stored - truth) ** 2).sum(axis=2)
-                total += float(squares.sum())
-                largest = max(largest, float(squares.max()))
-        return math.sqrt(total / (count * len(rest))), math.sqrt(largest)
+                truth = model.skin(slice(block.start, block.stop + between), dtype=np.float64)
+                error.add(stored, (truth[1:] + truth[:-1]) / 2 if between else truth)
+        return error.rmse, error.largest
 
     def report(self, model: Skinning, **fields: Any) -> SaveReport:
         """A report with the errors and influences of what is stored, and further `fields`."""

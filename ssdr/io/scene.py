@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,12 @@ from ..skinning import BoneModel, Skinning
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .corners import corner_normals
+from .storage import frame_blocks
 
 __all__ = [
     "Bones",
     "Looks",
+    "Sample",
     "SceneBudget",
     "ScenePart",
     "Shape",
@@ -35,8 +37,6 @@ __all__ = [
 ]
 
 Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
-
-_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 
 
 class SceneBudget:
@@ -79,6 +79,10 @@ class SceneBudget:
 class ScenePart(Protocol):
     """Vertices of a scene that one skeleton moves, and the triangles over them.
 
+    Its methods take the `time` of a :class:`Sample`: `shape` returns the vertices (V, 3) before
+    skinning, or a function of the frame where they change; `transforms` those of the bones from
+    the rest pose, (F, B, 3, 4); `bones` the skeleton with such transforms.
+
     Attributes
     ----------
     skeleton : hashable
@@ -94,6 +98,31 @@ class ScenePart(Protocol):
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     faces: NDArray[np.int64]
+
+    def shape(self, time: Any, /) -> Shape: ...
+    def transforms(self, time: Any, /) -> NDArray[np.float64]: ...
+    def bones(self, transforms: NDArray[np.float64], /) -> Bones: ...
+
+
+Part = TypeVar("Part", bound=ScenePart)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sample(Generic[Part]):
+    """What a scene shows in one clip.
+
+    Attributes
+    ----------
+    clip : Clip
+    parts : sequence of ScenePart
+        The same parts in every clip of a file.
+    time : object
+        The frames of the clip, in the terms of the file format.
+    """
+
+    clip: Clip
+    parts: Sequence[Part]
+    time: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -167,36 +196,19 @@ def _join_surface(
     )
 
 
-def join_sequence(
-    parts: Sequence[ScenePart],
-    clip: Clip,
-    shapes: Sequence[Shape],
-    transforms: Iterable[NDArray[np.float64]],
-    looks: Looks,
-    name: str,
-) -> MeshSequence:
-    """A sequence of the skinned vertices of all parts.
-
-    Parameters
-    ----------
-    parts : sequence of ScenePart
-    clip : Clip
-    shapes : sequence
-        For each part its vertices (V, 3) before skinning, or a function that gives those of a
-        frame.
-    transforms : iterable of (F, B, 3, 4) arrays
-        For each part.
-    looks : Looks
-    name : str
-    """
+def join_sequence(sample: Sample[Any], looks: Looks, name: str) -> MeshSequence:
+    """A sequence of the skinned vertices of all parts."""
+    clip, parts = sample.clip, sample.parts
     starts = part_starts(parts)
     frames = np.empty((clip.n_frames, starts[-1], 3), dtype=np.float32)
-    for part, start, shape, moved in zip(parts, starts[:-1], shapes, transforms, strict=True):
-        out = frames[:, start : start + len(part.indices)]
-        step = 1 if callable(shape) else max(1, _CHUNK_BYTES // (24 * out.shape[1]))
-        for first in range(0, clip.n_frames, step):
-            block = slice(first, first + step)
-            rest = shape(first) if callable(shape) else shape
+    shapes = [part.shape(sample.time) for part in parts]
+    for part, start, shape in zip(parts, starts[:-1], shapes, strict=True):
+        out, moved = frames[:, start : start + len(part.indices)], part.transforms(sample.time)
+        blocks = frame_blocks(0, clip.n_frames, out.shape[1])
+        if callable(shape):
+            blocks = (slice(k, k + 1) for k in range(clip.n_frames))
+        for block in blocks:
+            rest = shape(block.start) if callable(shape) else shape
             out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
     rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
     surface = _join_surface(parts, rest_poses, looks)
@@ -205,32 +217,21 @@ def join_sequence(
     )
 
 
-def join_skinning(
-    parts: Sequence[ScenePart],
-    clips: Iterable[Clip],
-    shapes: Sequence[Shape],
-    bones: Mapping[Hashable, Bones],
-    looks: Looks,
-    name: str,
-) -> Skinning:
-    """A skinning of all parts together.
-
-    Parameters
-    ----------
-    parts : sequence of ScenePart
-    clips : iterable of Clip
-    shapes : sequence
-        Vertices before skinning of each part in the first clip, then in the others.
-    bones : mapping
-        Bones of each skeleton, the frames of all clips one after the other.
-    looks : Looks
-    name : str
+def join_skinning(samples: Sequence[Sample[Any]], looks: Looks, name: str) -> Skinning:
+    """A skinning of all parts together, with a clip for each sample.
 
     Raises
     ------
     FormatError
         If the vertices of a part change before they are skinned.
     """
+    parts = samples[0].parts
+    bones: dict[Hashable, Bones] = {}
+    for k, part in enumerate(parts):
+        if part.skeleton not in bones:
+            moved = [one.parts[k].transforms(one.time) for one in samples]
+            bones[part.skeleton] = part.bones(np.concatenate(moved))
+    shapes = [part.shape(one.time) for one in samples for part in one.parts]
     rest = [shape for shape in shapes if not callable(shape)]
     if len(rest) < len(shapes):
         raise FormatError(
@@ -238,10 +239,9 @@ def join_skinning(
             "ssdr.load bakes them"
         )
     rest = rest[: len(parts)]
-    keys = list(dict.fromkeys(part.skeleton for part in parts))
-    found = [bones[key] for key in keys]
+    found = list(bones.values())
     starts = np.cumsum([0, *(len(one.names) for one in found)])[:-1]
-    first = dict(zip(keys, starts, strict=True))
+    first = dict(zip(bones, starts, strict=True))
     width = max(part.indices.shape[1] for part in parts)
 
     def widened(part: ScenePart, values: NDArray[Any]) -> NDArray[Any]:
@@ -265,7 +265,7 @@ def join_skinning(
         faces=join_faces(parts),
         surface=_join_surface(parts, rest, looks),
         name=name,
-        clips=in_order(clips),
+        clips=in_order(one.clip for one in samples),
     )
 
 

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from ...errors import FormatError, InputError
 from ..atomic import atomic_path
 from ..budget import afford, refuse_bomb
-from ..registry import describe, reading
+from ..registry import reading
+from ..signatures import describe
 
 __all__ = ["names_in", "read_array", "read_arrays", "shape_of", "write_array", "write_arrays"]
 

@@ -22,7 +22,7 @@ from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
 from ...surface import Material, Surface
 from ..budget import afford
-from ..registry import SaveReport, bake, reading
+from ..registry import SaveReport, bake, pick_clip, reading
 from .archive import names_in, read_arrays, shape_of, write_arrays
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ __all__ = [
     "list_clips",
     "read",
     "read_skinning",
+    "surface_from",
     "write_sequence",
     "write_skinning",
 ]
@@ -79,9 +80,7 @@ def read(
     if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
         names = [one.name for one in _named(skinning.clips, skinning.name, path)]
-        index = pick(names, clip)
-        if len(names) > 1:
-            _log.info("%s: clip %r of %s", path, names[index], names)
+        index = pick_clip(names, clip, path)
         skinning = skinning.select(index)
         count, n = skinning.n_frames, skinning.n_vertices
         size = count * n * 3 * skinning.rest.itemsize
@@ -103,7 +102,7 @@ def read(
             _fps(arrays) if fps is None else fps,
             name=_text(arrays, "name") or path.stem,
             clip=_text(arrays, "clip"),
-            surface=_surface_from(arrays),
+            surface=surface_from(arrays),
             vertex_map=arrays.get("vertex_map"),
         )
     pick([sequence.clip or sequence.name], clip)
@@ -184,7 +183,7 @@ def read_skinning(
             fps=_fps(arrays) if fps is None else fps,
             clips=clips,
             bone_model=_text(arrays, "bone_model") or "rigid",  # type: ignore[arg-type]
-            surface=_surface_from(arrays),
+            surface=surface_from(arrays),
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
             **{key: arrays.get(key) for key in _WHERE_GIVEN},
@@ -273,7 +272,8 @@ def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
+def surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
+    """The surface that the arrays of an archive state; None without one."""
     fields: dict[str, Any] = {}
     for field, kind in _FIELDS.items():
         array = arrays.get(f"surface_{field}")
@@ -285,7 +285,8 @@ def _surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
     materials = []
     for k, record in enumerate(json.loads(_text(arrays, "materials") or "[]")):
         texture = arrays.get(f"texture_{k}")
-        record["base_color"] = tuple(float(c) for c in record["base_color"])
+        if "base_color" in record:
+            record["base_color"] = tuple(float(c) for c in record["base_color"])
         materials.append(Material(**record, texture=None if texture is None else texture.tobytes()))
     if not (fields or materials):
         return None

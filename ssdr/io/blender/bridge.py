@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import math
 import os
 import subprocess
 import tempfile
@@ -19,17 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order, one_rate, pick, readable
+from ...clips import Clip, in_order, one_rate, readable
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ...surface import Material, Surface
+from ..arrays.npz import surface_from
 from ..atomic import atomic_path
 from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
 from ..budget import MOST_BYTES
 from ..gltf import writer as gltf
-from ..registry import SaveReport, describe, reading
+from ..registry import SaveReport, pick_clip, reading
 from ..scene import Bones, make_skinning
+from ..signatures import describe
+from ..storage import StorageError, frame_blocks
 from .finder import command
 
 __all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
@@ -84,9 +85,7 @@ def read(
     arrays = _ask_blender("read", path, fps, time_limit, max_bytes, take=take)
     with reading(path):
         names = _names(arrays, path)
-    name = names[pick(names, clip)]
-    if len(names) > 1:
-        _log.info("%s: clip %r of %s", path, name, names)
+    name = names[pick_clip(names, clip, path)]
     if fps is None and path.suffix.lower() == ".abc":
         _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
     with reading(path):
@@ -96,7 +95,7 @@ def read(
             float(arrays["fps"].item()),
             name=_title(arrays, path),
             clip=name,
-            surface=turn_surface_up(_surface(arrays), "z", up),
+            surface=turn_surface_up(surface_from(arrays), "z", up),
         )
 
 
@@ -164,7 +163,7 @@ def read_skinning(
             arrays["weights"],
             Bones(json.loads(str(arrays["bones"])), parents, positions, arrays["transforms"]),
             faces=arrays["faces"],
-            surface=_surface(arrays),
+            surface=surface_from(arrays),
             name=_title(arrays, path),
             clips=clips,
         )
@@ -183,25 +182,6 @@ def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
 
 def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
     return [readable(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
-
-
-def _surface(arrays: dict[str, NDArray[Any]]) -> Surface | None:
-    uv, normals = arrays.get("uv"), arrays.get("normals")
-    materials = []
-    for record in json.loads(str(arrays["materials"])) if "materials" in arrays else []:
-        texture = record.pop("texture", None)
-        if "base_color" in record:
-            record["base_color"] = tuple(record["base_color"])
-        encoded = None if texture is None else arrays[texture].tobytes()
-        materials.append(Material(**record, texture=encoded))
-    if uv is None and normals is None and not materials:
-        return None
-    return Surface(
-        uv=None if uv is None else uv.astype(np.float32),
-        normals=None if normals is None else normals.astype(np.float32),
-        material_index=arrays["material_index"].astype(np.int32) if materials else None,
-        materials=tuple(materials),
-    )
 
 
 def _ask_blender(
@@ -313,21 +293,18 @@ def write_skinning(
             f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices, "
             f"not {skinning.n_frames} of {len(vertex)}"
         )
-    total, largest = 0.0, 0.0
-    step = max(1, (64 << 20) // (24 * len(vertex)))
-    for first in range(0, skinning.n_frames, step):
-        frames = slice(first, first + step)
-        truth = skinning.skin(frames, dtype=np.float64)[:, vertex]
-        squares = ((back.skin(frames, dtype=np.float64) - truth) ** 2).sum(axis=2)
-        total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
+    error = StorageError()
+    for block in frame_blocks(0, skinning.n_frames, len(vertex)):
+        truth = skinning.skin(block, dtype=np.float64)[:, vertex]
+        error.add(back.skin(block, dtype=np.float64), truth)
     dropped = len(skinning.faces) - int(written["triangles"])
     lost = f"{dropped} triangles, which Blender drops: without area, or on the vertices of another"
     return dataclasses.replace(
         stored,
         path=path,
         bytes=path.stat().st_size,
-        error=math.sqrt(total / (skinning.n_frames * len(vertex))),
-        max_error=math.sqrt(largest),
+        error=error.rmse,
+        max_error=error.largest,
         note=stored.note.replace("glTF takes the unit for metres", "the unit is taken for metres"),
         lost=(lost,) if dropped else (),
     )

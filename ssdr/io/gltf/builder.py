@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ..atomic import write_bytes
+from ..signatures import picture_type
 from .compression import MESHOPT
 from .document import Document
 
@@ -150,6 +151,5 @@ class Builder:
             beside = path.parent.resolve() == self.document.path.parent.resolve()
             if path.suffix.lower() == ".glb" or not beside:
                 del image["uri"]
-                jpeg = data.startswith(b"\xff\xd8\xff")
-                image.setdefault("mimeType", "image/jpeg" if jpeg else "image/png")
+                image.setdefault("mimeType", picture_type(data) or "image/png")
                 image["bufferView"] = self.view(data)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ...errors import FormatError
 from ..references import is_inside
-from ..registry import describe
 from ..scene import SceneBudget
+from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
 from .numbering import check_numbers
 

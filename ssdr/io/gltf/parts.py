@@ -13,6 +13,7 @@ from ...errors import InputError
 from ...surface import Material
 from ..corners import unit
 from ..scene import Bones, Looks, Shape
+from ..signatures import picture_type
 from .animation import Nodes
 from .compression import DRACO, decode_mesh
 from .document import Document
@@ -56,6 +57,7 @@ class PrimitiveGroup:
         primitives: dict[int, dict[str, Any]],
     ) -> None:
         self.document, self.node, self.mesh, self.primitives = document, node, mesh, primitives
+        self._nodes = nodes
         group = list(primitives.values())
         self._attributes = group[0]["attributes"]
         positions = self._attribute("POSITION", "VEC3")
@@ -201,17 +203,16 @@ class PrimitiveGroup:
             result[:, k] = (nodes.matrices(joint) @ self._inverse[k])[:, :3]
         return result
 
-    def bones(self, clips: Sequence[Nodes]) -> Bones:
-        """Bones over the frames of all clips."""
-        nodes, joints = clips[0], self._joints
+    def bones(self, transforms: NDArray[np.float64]) -> Bones:
+        """Bones with these transforms."""
+        nodes, joints = self._nodes, self._joints
         number = {joint: k for k, joint in enumerate(joints)}
         parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
         # a joint of size 0 in the rest pose is nowhere
         usable = np.abs(np.linalg.det(self._inverse[:, :3, :3])) > 1e-30
         bind = np.linalg.inv(np.where(usable[:, None, None], self._inverse, np.eye(4)))
         names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
-        moved = np.concatenate([self.transforms(one) for one in clips])
-        return Bones(names, np.array(parents), bind[:, :3, 3], moved)
+        return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
 
     @property
     def has_axes(self) -> bool:
@@ -358,8 +359,7 @@ def _material(document: Document, item: dict[str, Any]) -> Material:
         else:
             image = document.items("images")[source]
             texture = document.picture(image)
-            jpeg = texture.startswith(b"\xff\xd8\xff")
-            kind = str(image.get("mimeType", "image/jpeg" if jpeg else "image/png"))
+            kind = str(image.get("mimeType") or picture_type(texture) or kind)
     return Material(
         name=str(item.get("name", "material")),
         base_color=(r, g, b, a),

@@ -19,15 +19,13 @@ from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..corners import corner_normals
 from ..references import find_inside
-from ..registry import describe, read_file, reading
+from ..registry import read_file, reading
+from ..signatures import PICTURE_SUFFIXES, describe, picture_type
 from .polygons import Mesh, fan, vertex_rows
 
 __all__ = ["ObjWriter", "parse_obj"]
 
 _log = logging.getLogger(__name__)
-
-_IMAGES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
@@ -176,9 +174,9 @@ def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
     if file is not None:
         with reading(file):
             data = read_file(file)
-        for magic, kind in _IMAGES.items():
-            if data.startswith(magic):
-                return data, kind
+        kind = picture_type(data)
+        if kind is not None:
+            return data, kind
         _log.warning("%s: the texture %s is neither PNG nor JPEG; left out", path, file.name)
     return None, "image/png"
 
@@ -238,7 +236,7 @@ class ObjWriter:
             lines += [f"newmtl {_word(m.name)}", f"Kd {r:.9g} {g:.9g} {b:.9g}", f"d {a:.9g}"]
             lines += [f"Pr {m.roughness:.9g}", f"Pm {m.metallic:.9g}"]
             if m.texture is not None:
-                file = f"{stem}_texture_{k}{_SUFFIX.get(m.texture_type, '.png')}"
+                file = f"{stem}_texture_{k}{PICTURE_SUFFIXES.get(m.texture_type, '.png')}"
                 lines.append(f"map_Kd {file}")
                 self.bytes += write_bytes(folder / file, m.texture)
         text = "\n".join(lines) + "\n"

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ..registry import describe, read_file, reading
+from ..registry import read_file, reading
+from ..signatures import describe
 from .polygons import Mesh, fan, vertex_rows
 
 __all__ = ["parse_off", "parse_stl"]

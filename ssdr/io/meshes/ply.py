@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ...surface import Surface
 from ..atomic import write_bytes
-from ..registry import describe, read_file, reading
+from ..registry import read_file, reading
+from ..signatures import describe
 from .polygons import Mesh, fan
 
 __all__ = ["parse_ply", "write_ply"]

@@ -35,7 +35,7 @@ def template_problem(path: Path) -> str:
     """Reason why a readable file cannot be a template; empty if it can."""
     with reading(path):
         reader = StageReader(path)
-        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0])[1]])
+        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0]).parts])
 
 
 def _problem(prims: list[Any]) -> str:
@@ -64,9 +64,9 @@ def put(
     """
     with reading(template):
         reader = StageReader(template)
-        sampled = [reader.sample(clip) for clip in reader.clips]
-        starts = {clip_names.get(c.name, c.name): float(codes[0]) for c, _, codes in sampled}
-        meshes = sampled[0][1]
+        samples = [reader.sample(clip) for clip in reader.clips]
+        starts = {clip_names.get(s.clip.name, s.clip.name): float(s.time[0]) for s in samples}
+        meshes = samples[0].parts
         problem = _problem([mesh.prim for mesh in meshes])
         if problem:
             raise FormatError(f"{template}: {problem}; it cannot be a template")
@@ -88,7 +88,7 @@ def put(
     tokens = put_skeleton(stage, place, rig, "", tempo, starts)
     # The model's bones move the mesh in the world, not relative to the skeleton's parents.
     UsdGeom.Xformable(stage.GetPrimAtPath(place)).SetResetXformStack(True)
-    first = float(sampled[0][2][0])
+    first = float(samples[0].time[0])
     for mesh, index in zip(meshes, vertices, strict=True):
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
         matrix = _put_points(prim, mesh, rig.rest[index], first)
@@ -127,7 +127,7 @@ def _free_path(stage: Any, scope: Any, name: str) -> Any:
     return place
 
 
-def _remove_skeletons(stage: Any, meshes: list[MeshPrim], animations: list[Any]) -> None:
+def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[Any]) -> None:
     """Remove the skeletons that moved these meshes, and the animations."""
     queries = [mesh.joints for mesh in meshes if mesh.joints is not None]
     for path in {query.GetSkeleton().GetPrim().GetPath() for query in queries}:
@@ -239,7 +239,7 @@ def left_out(path: Path) -> tuple[str, ...]:
     found: dict[str, None] = {}
     with reading(path):
         reader = StageReader(path)
-        _, meshes, _ = reader.sample(reader.clips[0])
+        meshes = reader.sample(reader.clips[0]).parts
         for mesh in meshes:
             for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithValues():
                 name = str(primvar.GetPrimvarName())

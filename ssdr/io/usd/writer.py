@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,6 +21,7 @@ from ..axes import Up, check_up
 from ..corners import corner_normals
 from ..registry import SaveReport
 from ..rig import build_rig
+from ..storage import StorageError
 from .materials import write_materials
 from .skeleton import bind, identifier, put_skeleton
 from .stage import system_errors
@@ -136,7 +136,7 @@ def write_sequence(
         As in :func:`write_skinning`.
     """
     notes = [f"{up} up, {meters_per_unit:g} m a unit"]
-    total, largest = 0.0, 0.0
+    error = StorageError()
     with _new_stage(path, sequence.fps, sequence.n_frames, up, meters_per_unit) as stage:
         top = Sdf.Path("/" + identifier(name or sequence.name or path.stem))
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, top).GetPrim())
@@ -145,20 +145,14 @@ def write_sequence(
             notes.append("normals, of the first frame alone, are not kept")
         points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
         for first, block in sequence.chunks():
-            stored = block.astype(np.float32)
-            if not np.isfinite(stored).all():
-                raise InputError("thing", "coordinates that float32 can hold", "an overflow")
-            squares = ((stored.astype(np.float64) - block) ** 2).sum(axis=2)
-            total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
-            for frame, values in enumerate(stored, start=first):
+            for frame, values in enumerate(error.round(block, first), start=first):
                 points.Set(Vt.Vec3fArray.FromNumpy(values), float(frame))
                 extent.Set(_extent(values), float(frame))
-    count = sequence.n_frames * sequence.n_vertices
     return SaveReport(
         path=path,
         bytes=path.stat().st_size,
-        error=math.sqrt(total / count) if total else None,
-        max_error=math.sqrt(largest) if total else None,
+        error=error.rmse or None,
+        max_error=error.largest or None,
         note="; ".join(notes),
     )
 
