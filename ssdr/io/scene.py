@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -28,6 +29,7 @@ __all__ = [
     "ScenePart",
     "Shape",
     "check_kept",
+    "file_weights",
     "join_faces",
     "join_sequence",
     "join_skinning",
@@ -35,6 +37,8 @@ __all__ = [
     "match_template",
     "part_starts",
 ]
+
+_log = logging.getLogger(__name__)
 
 Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
 
@@ -152,6 +156,30 @@ class Looks:
     normals: list[NDArray[np.float32] | None]
     material_index: list[NDArray[np.int64]]
     materials: list[Material]
+
+
+def file_weights(
+    indices: NDArray[np.integer], weights: NDArray[np.floating], n_joints: int, what: object
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Skin weights (V, K) of a file, which sum to 1, and their indices, 0 where the weight is 0.
+
+    Raises
+    ------
+    FormatError
+        If a weight is negative or not finite, a vertex has none, or a joint is not there.
+    """
+    if not np.isfinite(weights).all() or (weights < 0).any():
+        raise FormatError(f"{what}: skin weights that are negative or not finite")
+    used = np.where(weights > 0, indices, 0).astype(np.int32)
+    for index in (used.min(initial=0), used.max(initial=0)):
+        if not 0 <= index < n_joints:
+            raise FormatError(f"{what}: joint {index} of a skin of {n_joints}")
+    total = weights.sum(axis=1, keepdims=True)
+    if (total <= 0).any():
+        raise FormatError(f"{what}: {(total <= 0).sum()} vertices have no skin weight")
+    if np.abs(total - 1).max() > 1e-3:
+        _log.warning("%s: skin weights that do not sum to 1 are scaled", what)
+    return used, weights / total
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:

@@ -87,8 +87,7 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
     count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
     if "fps" in stated and "frames" in stated:
         own = document.number(stated["fps"], "fps")
-        if own <= 0:
-            raise document.error(f"fps is {own}")
+        document.check(own > 0, f"fps is {own}")
         if fps in (None, own):
             rate, count = own, document.integer(stated, "frames", f"the clip {name}")
             first = document.number(stated.get("start", 0.0), "start")
@@ -104,15 +103,14 @@ def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str],
             continue  # KHR_animation_pointer and the like move no vertex
         sampler = item["samplers"][document.integer(channel, "sampler", "a channel", 0)]
         how = sampler.get("interpolation", "LINEAR")
-        if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
-            raise document.error(f"the interpolation {how!r}")
+        document.check(how in ("LINEAR", "STEP", "CUBICSPLINE"), f"the interpolation {how!r}")
         keys = document.accessor(sampler["input"], "SCALAR", "key times")
-        if (np.diff(keys) <= 0).any() or keys[0] < 0:
-            raise document.error("key times do not rise from 0")
+        rising = keys[0] >= 0 and (np.diff(keys) > 0).all()
+        document.check(rising, "key times do not rise from 0")
         values = document.accessor(sampler["output"], _KINDS[path], f"keys of {path}")
         rows = len(keys) * (3 if how == "CUBICSPLINE" else 1)
-        if values.size % rows or (path != "weights" and len(values) != rows):
-            raise document.error(f"{len(values)} keys of {path} for {rows}")
+        fits = len(values) == rows if path != "weights" else values.size % rows == 0
+        document.check(fits, f"{len(values)} keys of {path} for {rows}")
         channels[node, path] = keys, values.reshape(rows, -1), how
     return channels
 
@@ -187,8 +185,7 @@ class Nodes:
         self._parent: dict[int, int] = {}
         for parent, node in enumerate(self.items):
             for child in node.get("children", []):
-                if child in self._parent:
-                    raise document.error(f"node {child} has two parents")
+                document.check(child not in self._parent, f"node {child} has two parents")
                 self._parent[child] = parent
         every = set(range(len(self.items)))
         self.order = descendants(self.items, sorted(every - self._parent.keys()))
