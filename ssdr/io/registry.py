@@ -36,6 +36,7 @@ __all__ = [
     "SaveReport",
     "bake",
     "call",
+    "check",
     "format_of",
     "format_to_read",
     "function_of",
@@ -326,6 +327,12 @@ def reading(path: Path) -> Iterator[None]:
         raise FormatError(f"{path}: {what}") from error
 
 
+def check(valid: Any, problem: str) -> None:
+    """Raise a FormatError that states the problem, unless what a file holds is valid."""
+    if not valid:
+        raise FormatError(problem)
+
+
 def refuse_device(path: Path) -> None:
     """Refuse a device, a pipe or a socket, which may never end, before it is opened.
 
@@ -334,8 +341,8 @@ def refuse_device(path: Path) -> None:
     FormatError
         If `path` is neither a file nor a folder, nor missing.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
+    usual = path.is_file() or path.is_dir() or not path.exists()
+    check(usual, f"{path}: a device, a pipe or a socket, not a file")
 
 
 def read_file(path: Path) -> bytes:

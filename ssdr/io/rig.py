@@ -29,6 +29,7 @@ from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unfli
 from ..skinning import Skinning, skin
 from .registry import SaveReport
 from .storage import StorageError, frame_blocks
+from .tables import weight_rows
 
 __all__ = [
     "Rig",
@@ -250,14 +251,8 @@ def build_rig(
 
 
 def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    matrix = skinning.sparse_weights().astype(np.float64)
-    row = np.repeat(np.arange(skinning.n_vertices), np.diff(matrix.indptr))
-    order = np.lexsort((matrix.indices, -matrix.data, row))
-    place = np.arange(len(row)) - matrix.indptr[row]
-    width = int(np.diff(matrix.indptr).max())
-    indices = np.zeros((skinning.n_vertices, width), dtype=np.int32)
-    weights = np.zeros(indices.shape)
-    indices[row, place], weights[row, place] = matrix.indices[order], matrix.data[order]
+    matrix = skinning.sparse_weights().astype(np.float64).tocoo()
+    indices, weights = weight_rows(matrix.row, matrix.col, matrix.data)
     return indices, weights / weights.sum(axis=1, keepdims=True)
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...clips import Clip, pick
-from ...errors import FormatError, InputError
+from ...errors import InputError
 from ...sequence import MeshSequence
 from ...surface import Material, Surface
 from ..budget import afford
-from ..registry import SaveReport, bake, pick_clip, reading
+from ..registry import SaveReport, bake, check, pick_clip, reading
 from .archive import names_in, read_arrays, shape_of, write_arrays
 
 if TYPE_CHECKING:
@@ -163,13 +163,10 @@ def read_skinning(
     )
     with reading(path):
         version = int(_scalar(arrays, "format_version"))
-        if not 1 <= version <= FORMAT_VERSION:
-            raise FormatError(
-                f"format_version {version}; this release reads up to {FORMAT_VERSION}"
-            )
+        problem = f"format_version {version}; this release reads up to {FORMAT_VERSION}"
+        check(1 <= version <= FORMAT_VERSION, problem)
         indices = "joints" if version == 1 else "indices"
-        if indices not in arrays:
-            raise FormatError(f"no array {indices}, as format_version {version} has it")
+        check(indices in arrays, f"no array {indices}, as format_version {version} has it")
         names = _text(arrays, "bone_names")
         clips = _clips_from(arrays)
         if fps is not None and clips is not None:

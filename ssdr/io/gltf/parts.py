@@ -132,9 +132,9 @@ class PrimitiveGroup:
         found = [self._attribute(f"JOINTS_{k}", "VEC4", integers=True) for k in sets]
         joint = np.concatenate(found, axis=1).astype(np.int64)  # may be uint32
         weight = np.concatenate([self._attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
-        joint, weight = file_weights(joint, weight, len(self._joints), document.path)
-        width = int(np.flatnonzero(weight.max(axis=0) > 0).max()) + 1
-        return joint[:, :width], weight[:, :width]
+        indices, weights = file_weights(joint, weight, len(self._joints), document.path)
+        width = int(np.flatnonzero(weights.max(axis=0) > 0).max()) + 1
+        return indices[:, :width], weights[:, :width]
 
     def _close_seams(
         self, compared: list[NDArray[Any]]

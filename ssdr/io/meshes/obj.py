@@ -19,7 +19,7 @@ from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..corners import corner_normals
 from ..references import find_inside
-from ..registry import read_file, reading
+from ..registry import check, read_file, reading
 from ..signatures import PICTURE_SUFFIXES, describe, picture_type
 from .polygons import Mesh, fan, vertex_rows
 
@@ -40,13 +40,11 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
     """
     with reading(path):
         data = read_file(path)
-        if b"\0" in data:
-            raise FormatError(f"not an OBJ file: {describe(data[:64])}")
+        check(b"\0" not in data, f"not an OBJ file: {describe(data[:64])}")
         lines = [line.strip() for line in data.replace(b"\\\n", b" ").splitlines()]
         lines = [line.replace(b"\t", b" ") for line in lines if line and line[0] != 35]
         rows = [line.split()[1:] for line in lines if line.startswith(b"v ")]
-        if not rows:
-            raise FormatError(f"no vertices: {describe(data[:64])}")
+        check(rows, f"no vertices: {describe(data[:64])}")
         vertices = vertex_rows(rows)
         topology = b"\n".join(line for line in lines if line.startswith(b"f "))
         # Negative indices count from where they stand, so that equal text may differ in meaning.
@@ -109,8 +107,8 @@ def _corner(word: bytes, tables: dict[bytes, list[list[bytes]]]) -> list[int]:
     parts = [*word.split(b"/"), b"", b""]
     for part, table in zip(parts, tables.values(), strict=False):
         number = int(part) if part else 0
-        if (part and number == 0) or number < -len(table):
-            raise FormatError(f"a face names index {number} where {len(table)} were defined")
+        known = number >= -len(table) and not (part and number == 0)
+        check(known, f"a face names index {number} where {len(table)} were defined")
         corner.append(number - 1 if number >= 0 else len(table) + number)
     return corner
 
@@ -120,8 +118,7 @@ def _at_corners(
 ) -> NDArray[np.float32] | None:
     if index.size == 0 or index.max() < 0:
         return None
-    if not np.isfinite(table).all():
-        raise FormatError(f"{what} are not finite")
+    check(np.isfinite(table).all(), f"{what} are not finite")
     if index.min() < 0:
         _log.warning("%s: %d corners have no %s; they get 0", path, (index < 0).sum(), what)
     return np.asarray(np.where(index[..., None] >= 0, table[index], np.float32(0)))
