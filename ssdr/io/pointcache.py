@@ -130,4 +130,4 @@ def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
     mean, least, most = float(steps.mean()), float(steps.min()), float(steps.max())
     if max(mean - least, most - mean) > 0.01 * mean:
         _log.warning("%s: uneven times, %g to %g s apart, are taken as even", path, least, most)
-    return round(1 / mean, 3) or 1 / mean  # the times are float32: 1/24 s comes back as 23.9999996
+    return round(1 / mean, 3) or 1 / mean  # the times are float32, in which 1/24 s gives 23.9999996

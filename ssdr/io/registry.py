@@ -292,7 +292,7 @@ def written_vertices(
     Raises
     ------
     InputError
-        If `unweld` is asked of what was not welded.
+        If `unweld` is true and `thing` was not welded.
     """
     n, before = thing.n_vertices, thing.vertex_map
     if not unweld:

@@ -51,7 +51,7 @@ _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 class Rig:
     """A skinning as a skeleton of joints, in the precision of its storage.
 
-    Keys of a joint are relative to its parent's frame; at a root and without a hierarchy they are
+    Keys of a joint are relative to its parent; those of a root, and all without a hierarchy, are
     relative to the world.
 
     Attributes
@@ -224,7 +224,8 @@ def build_rig(
         moving = translating(
             transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
         )
-        # A bind matrix and a node of float32 differ in their last bits: the mean has neither's.
+        # In float32, a bind matrix and a node differ in their last bits; the mean of all frames
+        # takes neither.
         steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
         offsets = steady.astype(np.float32)
         local[..., 3] = np.where(moving[:, None], local[..., 3], offsets)

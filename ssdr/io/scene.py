@@ -1,4 +1,4 @@
-"""Meshes of a scene joined into one sequence or skinning, for glTF, USD and FBX."""
+"""Meshes of a scene, joined into one sequence or skinning, for glTF, USD and FBX."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def read(
     FormatError
         If the archive is damaged, hostile, or lacks a key.
     InputError
-        If `mmap` is asked of a compressed archive.
+        If `mmap` is true and the archive is compressed.
     """
     if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)

@@ -24,7 +24,7 @@ from ...sequence import MeshSequence
 from ...skinning import Skinning
 from ..arrays.npz import surface_from
 from ..atomic import atomic_path
-from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
+from ..axes import Up, check_up, turn_sequence_up, turn_skinning_up
 from ..budget import MOST_BYTES
 from ..gltf import writer as gltf
 from ..registry import SaveReport, pick_clip, reading
@@ -89,14 +89,15 @@ def read(
     if fps is None and path.suffix.lower() == ".abc":
         _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
     with reading(path):
-        return MeshSequence(
-            turn_up(arrays["vertices"], "z", up),
+        sequence = MeshSequence(
+            arrays["vertices"],
             arrays["faces"],
             float(arrays["fps"].item()),
             name=_title(arrays, path),
             clip=name,
-            surface=turn_surface_up(surface_from(arrays), "z", up),
+            surface=surface_from(arrays),
         )
+        return turn_sequence_up(sequence, "z", up)
 
 
 def list_clips(
@@ -194,7 +195,7 @@ def _ask_blender(
 ) -> dict[str, NDArray[Any]]:
     """Arrays that ``script.py`` reads from a file; its failures become FormatErrors."""
     _check_limit(time_limit)
-    command(_SCRIPT)  # whether there is a Blender comes before what may be wrong with the file
+    command(_SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
@@ -258,15 +259,15 @@ def write_skinning(
     command(_SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
-        # Blender knows the takes by these names, whatever the clips' own, and its glTF importer
-        # puts keys on frames at whole rates alone.
+        # Takes get short names for Blender, since clips may have any, and a whole frame rate, since
+        # Blender's glTF importer puts keys on frames only then.
         numbered = [
             dataclasses.replace(c, name=f"c{k}", fps=_IMPORT_FPS)
             for k, c in enumerate(skinning.clips)
         ]
         model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
         settings: dict[str, Any] = {"influences": influences, "up": up, "name": title}
-        lengths = None  # without a hierarchy nothing says along what a bone lies
+        lengths = None  # without a hierarchy a bone has no direction
         if skinning.parents is None:
             stored = gltf.write_skinning(model, source, **settings)
         else:

@@ -175,8 +175,8 @@ def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
         strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
 
 
-def sew(item: Any) -> None:
-    """Merge the copies of vertices that glTF needs for different normals and UVs.
+def merge_copies(item: Any) -> None:
+    """Merge the copies of vertices that glTF needs where normals or UVs differ.
 
     Normals and UVs become those of corners, as in FBX. Blender keeps only one triangle on the same
     three vertices, so further triangles there get copies of the vertices.
@@ -241,7 +241,7 @@ def write(job: dict[str, Any]) -> None:
     takes.set_rate(job["fps"])
     items = meshes()
     for item in items:
-        sew(item)
+        merge_copies(item)
     triangles = sum(len(item.data.polygons) for item in items)
     np.savez(job["out"], vertex=vertex_numbers(items), triangles=np.array(triangles))
     armatures = [item for item in bpy.context.scene.objects if item.type == "ARMATURE"]

@@ -37,7 +37,7 @@ class Timeline:
 
 
 def set_rate(fps: float) -> None:
-    """Set frames per second of the scene, which Blender stores as an integer over a float32."""
+    """Set the frames per second of the scene, which Blender stores as an integer over a float32."""
     render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
     if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
         render.fps, render.fps_base = ratio.numerator, ratio.denominator
@@ -50,7 +50,7 @@ def stated_rate() -> float:
     """Frames per second of the scene, without the rounding of float32."""
     render = bpy.context.scene.render
     rate = float(render.fps / render.fps_base)
-    simple = (round(rate, 3), round(rate * 1.001) / 1.001)  # the latter those of television
+    simple = (round(rate, 3), round(rate * 1.001) / 1.001)  # the second is a rate of television
     return next((one for one in simple if abs(one - rate) <= 2e-7 * rate), rate)
 
 
@@ -109,7 +109,7 @@ def key_frames(pairs: Pairs) -> Any:
 
 
 def pose() -> list[tuple[Any, Any]]:
-    """Transforms and values without any action, as a take need not move everything."""
+    """Transforms and values without any action; a take may leave some of them as they are."""
     found: list[tuple[Any, Any]] = [(o, o.matrix_basis.copy()) for o in bpy.data.objects]
     for item in bpy.data.objects:
         if item.type == "ARMATURE":

@@ -122,7 +122,7 @@ def _interpolate(
     times: NDArray[np.float64],
     rotation: bool,
 ) -> NDArray[np.float64]:
-    # Key times are float32: a frame must not fall just before its own key.
+    # Key times are float32: a frame must not lie just before its own key by their rounding.
     slack = 1e-6 * max(1.0, float(keys[-1]))
     right = np.clip(np.searchsorted(keys, times + slack, side="right"), 1, max(1, len(keys) - 1))
     left = right - 1
@@ -149,7 +149,7 @@ def _interpolate(
 
 
 def descendants(nodes: Sequence[dict[str, Any]], roots: Iterable[int]) -> list[int]:
-    """Nodes and all that hangs on them, each before its children."""
+    """Nodes and all nodes below them, each before its children."""
     order: dict[int, None] = {}
     stack = list(roots)[::-1]
     while stack:
@@ -191,7 +191,7 @@ class Nodes:
         self.order = descendants(self.items, sorted(every - self._parent.keys()))
         if len(self.order) < len(every):
             node = min(every.difference(self.order))
-            raise document.error(f"node {node} is its own ancestor, or hangs on one that is")
+            raise document.error(f"node {node} is its own ancestor, or is below one that is")
         self.shown = self.order
         if document.items("scenes"):
             scene = document.items("scenes")[document.json.get("scene", 0)]

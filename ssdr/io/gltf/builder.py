@@ -36,9 +36,10 @@ class Builder:
     ----------
     json : dict
     blocks : list of bytes
-        Of each view, by the number in its field "buffer" until the file is written.
+        Bytes of the views. Until the file is written, the field "buffer" of a view is the index of
+        its bytes in this list.
     lost, notes : list of str
-        What of the document cannot be kept, and what else the user should know.
+        Contents of the document that cannot be kept, and what else the user should know.
     """
 
     def __init__(self, document: Document | None = None) -> None:
@@ -56,7 +57,9 @@ class Builder:
                     del view["extensions"]
             whole = sum(item["byteLength"] for item in document.items("buffers"))
             if sum(map(len, self.blocks)) > 16 * whole + (64 << 20):
-                raise document.error("its buffer views overlap so much that a copy would explode")
+                raise document.error(
+                    "its buffer views overlap so much that a copy would be many times larger"
+                )
             for key in ("extensionsUsed", "extensionsRequired"):
                 self.json[key] = [e for e in self.json.get(key, []) if e not in MESHOPT]
         for key in ("accessors", "bufferViews"):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ..references import is_inside
+from ..references import locate
 from ..scene import SceneBudget
 from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
@@ -140,14 +140,9 @@ class Document:
                 return base64.b64decode(body, validate=True)
             except binascii.Error as error:
                 raise self.error(f"the data URI of {what}: {error}") from error
-        target = self.path.parent / unquote(uri)
-        try:
-            outside = "://" in uri or not is_inside(target, self.path.parent)
-            missing = not target.is_file()  # nor is a pipe or a device
-        except (OSError, ValueError, RuntimeError):  # a name that no file can have
-            outside, missing = False, True
-        problem = "lies outside the file's folder" if outside else "is missing"
-        self.check(not outside and not missing, f"{what} {problem}: {uri[:200]!r}")
+        target, problem = locate(self.path, unquote(uri))
+        problem = "lies outside its folder" if "://" in uri else problem
+        self.check(not problem, f"{what} {problem}: {uri[:200]!r}")
         return target.read_bytes()
 
     def picture(self, image: dict[str, Any]) -> bytes:

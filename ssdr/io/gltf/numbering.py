@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["check_numbers", "remove", "unknown_extensions", "used"]
+__all__ = ["check_numbers", "remove", "remove_unused", "unknown_extensions", "used"]
 
 # Every place that holds the index of an item; * stands for each entry of a list or object.
 _PLACES = {
@@ -72,6 +72,15 @@ def _references(json: dict[str, Any], kind: str) -> Iterator[tuple[Any, Any]]:
 def used(json: dict[str, Any], kind: str) -> set[int]:
     """Indices of the items that something refers to."""
     return {holder[key] for holder, key in _references(json, kind)}
+
+
+def remove_unused(json: dict[str, Any], before: dict[str, Any]) -> None:
+    """Remove accessors and views to which something referred `before`, and nothing does any more.
+
+    What nothing used before is left.
+    """
+    for kind in ("accessors", "bufferViews"):
+        remove(json, kind, used(before, kind) - used(json, kind))
 
 
 def remove(json: dict[str, Any], kind: str, dead: set[int]) -> None:

@@ -37,7 +37,7 @@ def read(
     clip : int or str, optional
         Which animation, by number or name; the first by default. The log lists them all.
     animation : int or str, optional
-        The same by glTF's word.
+        The same as `clip`, under glTF's name for it.
     meshes : str or several of them, optional
         Names of meshes, or of nodes that have one; the others are left out.
     max_bytes : int, optional

@@ -56,8 +56,8 @@ def write_skinning(
     up : {"y", "z"}
         The model's up axis; glTF's is y, so a model with z up is turned.
     name : str, optional
-        Of scene and mesh; by default that of the skinning, else of the file. Animations are named
-        after the clips, a clip without a name after the mesh.
+        Name of scene and mesh; by default that of the skinning, else of the file. Animations are
+        named after the clips, a clip without a name after the mesh.
     template : path, optional
         The glTF file that the model was made from, or one with the same vertices and triangles.
         It is written again with the model's skin and clips; all else in it stays as it is: names,

@@ -16,7 +16,7 @@ from ...clips import Clip, in_order, unique_names
 from ...errors import FormatError, is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
+from ..axes import Up, check_up, turn_sequence_up, turn_skinning_up
 from ..registry import pick_clip, reading
 from ..rig import frame_rate
 from ..scene import Sample, SceneBudget, join_sequence, join_skinning
@@ -62,9 +62,9 @@ class StageReader:
     Attributes
     ----------
     name : str
-        Of the root prim, else of the file.
+        Name of the root prim, else of the file.
     clips : list of StageClip
-        That of the bound animation first.
+        The clip of the bound animation comes first.
     up : {"y", "z"}
 
     Raises
@@ -239,13 +239,7 @@ def read(
     with reading(path):
         sample = reader.sample(reader.clips[index], fps)
         sequence = join_sequence(sample, read_looks(path, sample.parts), reader.name)
-        if up is None:
-            return sequence
-        return dataclasses.replace(
-            sequence,
-            vertices=turn_up(sequence.vertices, reader.up, up),
-            surface=turn_surface_up(sequence.surface, reader.up, up),
-        )
+        return turn_sequence_up(sequence, reader.up, up or reader.up)
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -278,4 +272,4 @@ def read_skinning(
         reader = StageReader(path, max_bytes)
         samples = [reader.sample(clip, fps) for clip in reader.clips]
         model = join_skinning(samples, read_looks(path, samples[0].parts), reader.name)
-        return model if up is None else turn_skinning_up(model, reader.up, up)
+        return turn_skinning_up(model, reader.up, up or reader.up)

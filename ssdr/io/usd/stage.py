@@ -20,8 +20,8 @@ from ..registry import refuse_device
 
 __all__ = ["open_stage", "system_errors"]
 
-_DEEPEST = 1000  # levels of nested text; usd-core ends the process at some tens of thousands
-# Strings, asset paths and comments of a text layer, closed or not: brackets in them do not nest.
+_DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
+# Strings, asset paths and comments of a text layer, closed or not. Brackets inside do not nest.
 _QUOTED = re.compile(
     rb'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*"?'
     rb"|'''(?:\\.|[^\\])*?(?:'''|\Z)|'(?:\\.|[^'\\\n])*'?"
@@ -91,7 +91,7 @@ def _check_layers(path: Path) -> None:
 
 
 def _check_nesting(file: Path, path: Path) -> None:
-    """Refuse text whose brackets are nested too deeply: usd-core would end the process."""
+    """Refuse text whose brackets are nested so deeply that usd-core would crash the process."""
     if not file.is_file():
         return
     data = file.read_bytes()

@@ -60,7 +60,7 @@ def write_skinning(
     meters_per_unit : float
         The model's unit, stated in the file.
     name : str, optional
-        Of the root prim; by default that of the skinning, else of the file.
+        Name of the root prim; by default that of the skinning, else of the file.
     template : path, optional
         The USD file that the model was made from, or one with the same points and triangles. Its
         root layer is written again with the model's skin and clips; all else stays: materials

@@ -129,7 +129,7 @@ def test_a_companion_that_is_a_pipe_or_a_device_is_not_opened(make, tmp_path, ca
             ssdr.load(tmp_path / "a.npy", faces=tmp_path / faces)
     (tmp_path / "b.obj").write_text(OBJ.format(library="a.mtl"))
     assert ssdr.load(tmp_path / "b.obj").n_vertices == 3
-    assert "material library a.mtl is not there" in caplog.text
+    assert "material library a.mtl is missing" in caplog.text
 
 
 @pytest.mark.parametrize("value", ["banana", 1, 0, None, "true", [], 1.0])

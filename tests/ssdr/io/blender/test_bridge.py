@@ -41,7 +41,7 @@ def test_blender_plays_our_gltf(tmp_path, options):
     assert largest_distance(vertices, truth) < 1e-6 * 6
     assert len(arrays["faces"]) == len(model.faces)
     np.testing.assert_array_equal(
-        np.bincount(arrays["material_index"]), np.bincount(model.surface.material_index)
+        np.bincount(arrays["surface_material_index"]), np.bincount(model.surface.material_index)
     )
     assert arrays["texture_0"].tobytes() == model.surface.materials[0].texture
 

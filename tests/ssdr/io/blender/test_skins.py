@@ -454,7 +454,7 @@ mesh.modifiers.new("other", "ARMATURE").object = b
 turn(a, "wave", (0,))
 save()
 """,
-        r"coat hangs on several armatures \(a, b\), one was expected",
+        r"coat has several armatures \(a, b\), one was expected",
     ),
 }
 
