@@ -62,22 +62,6 @@ def test_blender_plays_our_usd(tmp_path):
 
 @needs_blender
 @pytest.mark.slow
-@pytest.mark.parametrize("up", ["y", "z"])
-def test_fbx_round_trip(tmp_path, up):
-    model = tube(frames=7)
-    report = ssdr.save(model, tmp_path / "a.fbx", up=up)
-    assert report.max_error < 3e-6
-    assert report.influences == 4
-    back = ssdr.load(tmp_path / "a.fbx", up=up)
-    assert (back.n_frames, back.fps) == (7, 24)
-    assert_twins(model.skin(), back.vertices)
-    assert len(back.faces) == len(model.faces)
-    assert back.surface.materials[0].texture == model.surface.materials[0].texture
-    assert ssdr.load(tmp_path / "a.fbx", fps=48).n_frames == 13
-
-
-@needs_blender
-@pytest.mark.slow
 def test_alembic_of_blender(tmp_path):
     model = tube(frames=5)
     ssdr.save(model, tmp_path / "a.glb")
