@@ -12,8 +12,6 @@ from pathlib import Path
 
 from ..errors import InputError
 
-__all__ = ["atomic_path", "check_writable", "free_name", "naming", "remove", "write_bytes"]
-
 _LONGEST_NAME = 255  # bytes, in every file system in common use
 
 

@@ -13,8 +13,6 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..surface import Surface
 
-__all__ = ["Up", "check_up", "turn_sequence_up", "turn_skinning_up", "turn_up"]
-
 Up = Literal["y", "z"]
 
 # a quarter turn about x, which carries z up to y up

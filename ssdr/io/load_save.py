@@ -30,7 +30,6 @@ from .registry import (
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["copy", "left_out", "list_clips", "load", "load_skinning", "save"]
 
 _log = logging.getLogger(__name__)
 

@@ -22,8 +22,6 @@ from .registry import SaveReport, check, reading, seconds, written_vertices
 from .signatures import describe
 from .storage import StorageError
 
-__all__ = ["read", "write_sequence"]
-
 _log = logging.getLogger(__name__)
 
 _PC2 = struct.Struct("<12siiffi")

@@ -10,8 +10,6 @@ import logging
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["find_inside", "is_inside", "locate"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -30,27 +30,6 @@ from .budget import afford
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = [
-    "FORMATS",
-    "Format",
-    "SaveReport",
-    "bake",
-    "call",
-    "check",
-    "format_of",
-    "format_to_read",
-    "function_of",
-    "is_many",
-    "natural_key",
-    "pick_clip",
-    "read_file",
-    "reading",
-    "refuse_device",
-    "require",
-    "seconds",
-    "written_vertices",
-]
-
 
 _log = logging.getLogger(__name__)
 

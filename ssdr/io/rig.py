@@ -31,16 +31,6 @@ from .registry import SaveReport
 from .storage import StorageError, frame_blocks
 from .tables import weight_rows
 
-__all__ = [
-    "Rig",
-    "WeightStorage",
-    "build_rig",
-    "frame_rate",
-    "interpolate_quaternions",
-    "quantise",
-    "weight_values",
-]
-
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
 # frames per second in use in film, television and motion capture

@@ -21,23 +21,6 @@ from .budget import MOST_BYTES, afford
 from .corners import corner_normals
 from .storage import frame_blocks
 
-__all__ = [
-    "Bones",
-    "Looks",
-    "Sample",
-    "SceneBudget",
-    "ScenePart",
-    "Shape",
-    "check_kept",
-    "file_weights",
-    "join_faces",
-    "join_sequence",
-    "join_skinning",
-    "make_skinning",
-    "match_template",
-    "part_starts",
-]
-
 _log = logging.getLogger(__name__)
 
 Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["PICTURE_SUFFIXES", "describe", "picture_type"]
-
 PICTURE_SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 _PICTURES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _FORMATS = {

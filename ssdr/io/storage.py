@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-__all__ = ["StorageError", "frame_blocks"]
-
 _BLOCK_BYTES = 64 << 20  # bytes of float64 positions in a block: more only takes more memory
 
 

@@ -22,7 +22,6 @@ from .registry import SaveReport, check, natural_key, read_file, reading, writte
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["SkinWeights", "read_weights", "weight_rows", "write_skinning"]
 
 _COLUMNS = ["vertex", "bone", "weight"]
 _NUMBER = re.compile(r"\s*[0-9]{1,9}\s*")

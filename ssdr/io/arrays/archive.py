@@ -25,8 +25,6 @@ from ..budget import afford, refuse_bomb
 from ..registry import check, reading
 from ..signatures import describe
 
-__all__ = ["names_in", "read_array", "read_arrays", "shape_of", "write_array", "write_arrays"]
-
 _npy: Any = np.lib.format  # NumPy types it only in part
 _MOST_HEADER = 10_000  # characters of an .npy header; NumPy's own limit, against costly parsing
 _CHUNK = 16 << 20  # bytes written at a time: more only takes more memory

@@ -12,8 +12,6 @@ from ..companion import over_mesh
 from ..registry import SaveReport
 from .archive import read_array, write_array
 
-__all__ = ["read", "write_sequence"]
-
 
 def read(
     path: Path, *, fps: float | None = None, faces: Any = None, mmap: bool = False

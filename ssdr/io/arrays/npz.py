@@ -28,15 +28,6 @@ from .archive import names_in, read_arrays, shape_of, write_arrays
 if TYPE_CHECKING:
     from ...skinning import Skinning
 
-__all__ = [
-    "FORMAT_VERSION",
-    "list_clips",
-    "read",
-    "read_skinning",
-    "surface_from",
-    "write_sequence",
-    "write_skinning",
-]
 
 _log = logging.getLogger(__name__)
 

@@ -17,8 +17,6 @@ from ..budget import afford, refuse_bomb
 from ..companion import over_mesh
 from ..registry import SaveReport, check, reading, refuse_device, require
 
-__all__ = ["read", "write_sequence"]
-
 _CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
 _METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
 

@@ -33,8 +33,6 @@ from ..signatures import describe
 from ..storage import StorageError, frame_blocks
 from .finder import command
 
-__all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
-
 _log = logging.getLogger(__name__)
 _IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes, of anything in Blender

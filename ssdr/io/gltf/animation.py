@@ -15,16 +15,6 @@ from ...rigid import matrix_from_quaternion
 from ..rig import frame_rate, interpolate_quaternions
 from .document import Document
 
-__all__ = [
-    "Animation",
-    "Nodes",
-    "animation_names",
-    "descendants",
-    "mesh_name",
-    "read_animation",
-    "read_animations",
-]
-
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
 _AT_REST = {
     "translation": [0.0, 0.0, 0.0],

@@ -18,8 +18,6 @@ from ..signatures import picture_type
 from .compression import MESHOPT
 from .document import Document
 
-__all__ = ["ARRAY", "ELEMENTS", "Builder"]
-
 _COMPONENT = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
 ARRAY, ELEMENTS = 34962, 34963
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ..registry import check, require
 
-__all__ = ["DRACO", "MESHOPT", "decode_mesh", "decode_view"]
-
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 

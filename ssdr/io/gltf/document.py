@@ -21,8 +21,6 @@ from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
 from .numbering import check_numbers
 
-__all__ = ["COMPONENTS", "Document"]
-
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"),
     5121: np.dtype("<u1"),

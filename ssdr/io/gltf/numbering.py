@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["check_numbers", "remove", "remove_unused", "unknown_extensions", "used"]
-
 # Every place that holds the index of an item; * stands for each entry of a list or object.
 _PLACES = {
     "scenes": "scene",

@@ -18,8 +18,6 @@ from .animation import Nodes
 from .compression import DRACO, decode_mesh
 from .document import Document
 
-__all__ = ["PrimitiveGroup", "check_meshes", "read_looks", "read_parts", "triangles"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -16,8 +16,6 @@ from .document import Document
 from .numbering import remove_unused, unknown_extensions
 from .parts import check_meshes, read_parts
 
-__all__ = ["copy", "left_out", "template_problem"]
-
 _MAPS = {
     "normalTexture": "normal maps",
     "occlusionTexture": "occlusion maps",

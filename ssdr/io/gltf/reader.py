@@ -15,8 +15,6 @@ from .animation import Nodes, animation_names, mesh_name, read_animation, read_a
 from .document import Document
 from .parts import check_meshes, read_looks, read_parts
 
-__all__ = ["list_clips", "read", "read_skinning"]
-
 
 def read(
     path: Path,

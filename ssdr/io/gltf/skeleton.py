@@ -13,8 +13,6 @@ from ..registry import seconds
 from ..rig import Rig
 from .builder import ARRAY, Builder
 
-__all__ = ["add_animation", "add_skin", "add_weights", "skeleton_nodes"]
-
 
 def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
     """Attributes of skin weights for vertices (N,) of the rig, four influences in each."""

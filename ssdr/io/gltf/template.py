@@ -29,8 +29,6 @@ from .numbering import remove, remove_unused, unknown_extensions, used
 from .parts import PrimitiveGroup, check_meshes, read_parts, triangles
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 
-__all__ = ["Template"]
-
 _LINES = (1, 2, 3)
 _MOTION = ("translation", "rotation", "scale")
 _CONTENT = {"mesh", "camera", "extensions"}  # fields of a node that a skeleton does not need

@@ -25,8 +25,6 @@ from .builder import ARRAY, ELEMENTS, Builder
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 from .template import Template
 
-__all__ = ["orient_joints", "write_along_bones", "write_skinning"]
-
 
 def write_skinning(
     skinning: Skinning,

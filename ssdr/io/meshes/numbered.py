@@ -17,8 +17,6 @@ from .off_stl import parse_off, parse_stl
 from .ply import parse_ply, write_ply
 from .polygons import Mesh
 
-__all__ = ["check_pattern", "read", "write_sequence"]
-
 _log = logging.getLogger(__name__)
 
 _PRINTF = re.compile(r"%0?([0-9]{0,2})d")

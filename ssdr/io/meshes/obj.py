@@ -23,8 +23,6 @@ from ..registry import check, read_file, reading
 from ..signatures import PICTURE_SUFFIXES, describe, picture_type
 from .polygons import Mesh, fan, vertex_rows
 
-__all__ = ["ObjWriter", "parse_obj"]
-
 _log = logging.getLogger(__name__)
 
 

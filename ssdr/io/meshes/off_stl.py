@@ -17,8 +17,6 @@ from ..registry import check, read_file, reading
 from ..signatures import describe
 from .polygons import Mesh, fan, vertex_rows
 
-__all__ = ["parse_off", "parse_stl"]
-
 
 def parse_off(path: Path, _like: Mesh | None = None) -> Mesh:
     """Read one OFF file; colours and normals of vertices are not kept."""

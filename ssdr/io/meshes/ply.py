@@ -20,8 +20,6 @@ from ..registry import check, read_file, reading
 from ..signatures import describe
 from .polygons import Mesh, fan
 
-__all__ = ["parse_ply", "write_ply"]
-
 _KINDS = {  # as struct and NumPy call them
     **dict.fromkeys(("char", "int8"), "b"),
     **dict.fromkeys(("uchar", "uint8"), "B"),

@@ -21,8 +21,6 @@ from ..signatures import PICTURE_SUFFIXES, picture_type
 from .parts import MeshPrim
 from .skeleton import identifier
 
-__all__ = ["read_looks", "write_materials"]
-
 _log = logging.getLogger(__name__)
 
 

@@ -15,8 +15,6 @@ from ..corners import unit
 from ..meshes.polygons import fan
 from ..scene import Bones, Shape, file_weights
 
-__all__ = ["MeshPrim"]
-
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()
 

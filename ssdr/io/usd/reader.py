@@ -24,8 +24,6 @@ from .materials import read_looks
 from .parts import MeshPrim
 from .stage import open_stage
 
-__all__ = ["StageReader", "list_clips", "read", "read_skinning"]
-
 _log = logging.getLogger(__name__)
 _ALL = Usd.TraverseInstanceProxies()
 

@@ -13,8 +13,6 @@ from ...clips import Clip, readable, unique_names
 from ...hierarchy.transforms import parents_first
 from ..rig import Rig
 
-__all__ = ["bind", "identifier", "put_skeleton"]
-
 
 def put_skeleton(
     stage: Any,

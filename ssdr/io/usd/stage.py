@@ -18,8 +18,6 @@ from ...errors import FormatError
 from ..references import is_inside
 from ..registry import refuse_device
 
-__all__ = ["open_stage", "system_errors"]
-
 _DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
 # Strings, asset paths and comments of a text layer, closed or not. Brackets inside do not nest.
 _QUOTED = re.compile(

@@ -24,8 +24,6 @@ from .reader import StageReader
 from .skeleton import bind, put_skeleton
 from .stage import system_errors
 
-__all__ = ["copy", "left_out", "put", "template_problem"]
-
 _REMOVED = ("velocities", "accelerations", "skel:blendShapes", "skel:blendShapeTargets")
 _READ = ("diffuseColor", "opacity", "metallic", "roughness")
 _FIRST = Usd.TimeCode.EarliestTime()

@@ -27,8 +27,6 @@ from .skeleton import bind, identifier, put_skeleton
 from .stage import system_errors
 from .template import put
 
-__all__ = ["write_sequence", "write_skinning"]
-
 
 def write_skinning(
     skinning: Skinning,
