@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import shutil
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +15,7 @@ from pathlib import Path
 from ..errors import InputError
 
 _LONGEST_NAME = 255  # bytes, in every file system in common use
+_STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its file
 
 
 @contextlib.contextmanager
@@ -20,15 +23,17 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     """Temporary file that becomes `path` when the block ends without an error.
 
     It lies in the same folder and has the suffix of `path`, for writers that look at it.
-    If the block raises, `path` is untouched and the temporary file is removed.  Where
-    `path` is a symbolic link, the file at its end is replaced and the link stays.
+    If the block raises, `path` is untouched and the temporary file is removed.  A process that
+    is killed leaves it, until `path` is written again an hour or more later.  Where `path` is a
+    symbolic link, the file at its end is replaced and the link stays.
 
     Parameters
     ----------
     path : path
     flush : bool
         Write the file to the disk before the renaming and the renaming before this returns, so
-        that a power cut leaves the old file or the new one.  Slow for hundreds of files.
+        that a power cut leaves the old file or the new one, and look for files that killed
+        processes left.  Slow for hundreds of files.
 
     Raises
     ------
@@ -39,6 +44,8 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     """
     target = _file_behind(path)
     temporary = free_name(target)
+    if flush:
+        _remove_stale(target)
     try:
         with naming(path, temporary):
             yield temporary
@@ -97,6 +104,16 @@ def free_name(target: Path) -> Path:
     most = _LONGEST_NAME - len(os.fsencode(f"..{mark}{target.suffix}"))
     stem = os.fsencode(target.stem)[: max(most, 0)].decode("utf-8", "ignore")
     return target.with_name(f".{stem}.{mark}{target.suffix}")
+
+
+def _remove_stale(target: Path) -> None:
+    """Remove the temporary files of `target` that killed processes left over an hour ago."""
+    start, end = re.escape(f".{target.stem}."), re.escape(target.suffix)
+    with contextlib.suppress(OSError):  # another process may remove them at the same time
+        for entry in os.scandir(target.parent):
+            left = re.fullmatch(rf"{start}[0-9]+-[0-9a-f]{{8}}{end}", entry.name)
+            if left and entry.is_file() and time.time() - entry.stat().st_mtime > _STALE_SECONDS:
+                os.unlink(entry)
 
 
 def remove(path: Path) -> None:

@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, in_order, unique_names
-from ..errors import FormatError, InputError
+from ..errors import InputError
 from ..lbs import skin
 from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .corners import corner_normals
+from .registry import check
 from .storage import frame_blocks
 
 _log = logging.getLogger(__name__)
@@ -151,15 +152,14 @@ def file_weights(
     FormatError
         If a weight is negative or not finite, a vertex has none, or a joint is not there.
     """
-    if not np.isfinite(weights).all() or (weights < 0).any():
-        raise FormatError(f"{what}: skin weights that are negative or not finite")
+    usable = np.isfinite(weights).all() and (weights >= 0).all()
+    check(usable, f"{what}: skin weights that are negative or not finite")
     used = np.where(weights > 0, indices, 0).astype(np.int32)
     for index in (used.min(initial=0), used.max(initial=0)):
-        if not 0 <= index < n_joints:
-            raise FormatError(f"{what}: joint {index} of a skin of {n_joints}")
+        check(0 <= index < n_joints, f"{what}: joint {index} of a skin of {n_joints}")
     total = weights.sum(axis=1, keepdims=True)
-    if (total <= 0).any():
-        raise FormatError(f"{what}: {(total <= 0).sum()} vertices have no skin weight")
+    bare = np.count_nonzero(total <= 0)
+    check(not bare, f"{what}: {bare} vertices have no skin weight")
     if np.abs(total - 1).max() > 1e-3:
         _log.warning("%s: skin weights that do not sum to 1 are scaled", what)
     return used, weights / total
@@ -244,11 +244,8 @@ def join_skinning(samples: Sequence[Sample[Any]], looks: Looks, name: str) -> Sk
             bones[part.skeleton] = part.bones(np.concatenate(moved))
     shapes = [part.shape(one.time) for one in samples for part in one.parts]
     rest = [shape for shape in shapes if not callable(shape)]
-    if len(rest) < len(shapes):
-        raise FormatError(
-            "morph targets, blend shapes or points move a mesh, which no skinning holds; "
-            "ssdr.load bakes them"
-        )
+    problem = "morph targets, blend shapes or points move a mesh, which no skinning holds"
+    check(len(rest) == len(shapes), f"{problem}; ssdr.load bakes them")
     rest = rest[: len(parts)]
     found = list(bones.values())
     starts = np.cumsum([0, *(len(one.names) for one in found)])[:-1]
