@@ -61,7 +61,7 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path | str, temporary: Path) -> Iterator[None]:
-    """Make the system's errors inside the block name `path` instead of `temporary` or nothing.
+    """Name `path` in the system's errors inside the block, instead of `temporary` or no file.
 
     An error of writing to an open file, such as a full disk, names no file.
     """
@@ -74,7 +74,7 @@ def naming(path: Path | str, temporary: Path) -> Iterator[None]:
 
 
 def check_writable(path: Path | str) -> None:
-    """Find out, before hours of work, whether a file can be made there.
+    """Refuse a path at which no file can be made, before hours of work.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def remove(path: Path) -> None:
 
 
 def _file_behind(path: Path | str) -> Path:
-    """File that writing to `path` replaces, at the end of its links."""
+    """File that a write to `path` replaces: the one at the end of its symbolic links."""
     link = Path(path)
     try:
         target = link.resolve() if link.is_symlink() else link

@@ -26,7 +26,7 @@ def check_up(up: object, *, optional: bool = False) -> None:
 
 
 def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
-    """Vectors ``(..., 3)`` with the `source` axis up, turned to have `target` up."""
+    """Vectors ``(..., 3)``, turned from the up axis `source` to `target`."""
     if source == target:
         return values
     turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T

@@ -198,7 +198,7 @@ def load_skinning(
 def _readable(
     path: Any, fps: float | None, scale: float = 1.0, function: str = "read"
 ) -> tuple[Path, Format]:
-    """Path and format of a file that is there, after a check of the options of all formats."""
+    """Path and format of an existing file, after a check of the options that all formats have."""
     for argument, value in (("fps", fps), ("scale", scale)):
         if value is not None and not (is_real(value) and value > 0):
             raise InputError(argument, "a positive number", repr(value))

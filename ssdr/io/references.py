@@ -19,7 +19,7 @@ def is_inside(file: Path, folder: Path) -> bool:
 
 
 def locate(path: Path, name: str) -> tuple[Path, str]:
-    """File of a name that `path` states, and why it must not be read; "" if it may.
+    """File to which `path` refers by a name, and why it must not be read ("" if it may).
 
     A pipe or a device is no file, nor is a name that no file can have.
     """
@@ -33,7 +33,7 @@ def locate(path: Path, name: str) -> tuple[Path, str]:
 
 
 def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
-    """First of several names that is a file in the folder of `path` or below it.
+    """First file of several names that lies in the folder of `path` or below it.
 
     Logs a warning if there is none, or only one outside.
 

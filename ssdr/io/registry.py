@@ -82,7 +82,7 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """Functions of a file format: each field named after one holds the module that has it, or None.
+    """Functions of a file format: each field is named after one and holds its module, or None.
 
     A format with `list_clips` may have several clips in a file, and its `read` takes the option
     `clip`. A format with `copy` passes through: its `write_skinning` takes the option `template`,
@@ -102,7 +102,7 @@ class Format:
 
 
 def _format(title: str, extra: str | None = None, **modules: str) -> Format:
-    """A format from the functions of each module, dots in whose name are written ``__``."""
+    """Format from the names of its functions by module; ``__`` stands for a dot in a module."""
     places = {
         function: module.replace("__", ".")
         for module, functions in modules.items()
@@ -213,7 +213,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
 
 
 def _check_option(name: str, value: Any, annotation: str) -> None:
-    """Refuse a value of another kind than the annotation, where any text would count as true."""
+    """Refuse a value that is not of the annotated type: any text would count as true."""
     kind, _, rest = annotation.partition(" | ")
     if rest not in ("", "None") or (value is None and rest):
         return
@@ -227,7 +227,7 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
 
 
 def pick_clip(names: Sequence[str], clip: Any, path: Path, argument: str = "clip") -> int:
-    """Number of the clip of a file that a name or number states, as :func:`~ssdr.clips.pick`."""
+    """Index of the clip that a name or number chooses, by :func:`~ssdr.clips.pick`."""
     index = pick(names, clip, argument)
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, names[index], list(names))
@@ -264,7 +264,7 @@ def bake(skinning: Skinning) -> MeshSequence:
 def written_vertices(
     thing: MeshSequence | Skinning, unweld: bool
 ) -> tuple[NDArray[np.integer], str]:
-    """Vertices that a file gets, as indices, and what to tell the user of them.
+    """Indices of the vertices that are written, and a note on them for the user.
 
     They are all of `thing` or, with `unweld`, those of the mesh before it was welded.
 
@@ -284,10 +284,10 @@ def written_vertices(
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn whatever a parser raises inside the block into a FormatError that names the file.
+    """Turn every error of a parser inside the block into a FormatError that names the file.
 
-    An InputError inside is about what the file holds and becomes one too:
-    arguments of the caller are checked outside.
+    An InputError inside the block is about the contents of the file and becomes one, too; arguments
+    of the caller are checked outside.
     """
     try:
         refuse_device(path)

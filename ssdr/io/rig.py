@@ -129,7 +129,7 @@ class Rig:
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
     def error(self, model: Skinning, *, between: bool = False) -> tuple[float | None, float | None]:
-        """Root mean square and largest distance of a vertex from what `model` gives.
+        """Root mean square and largest distance of vertices between this rig and `model`.
 
         What is stored is skinned again in float64. Both are None where there is nothing to compare.
 
@@ -171,7 +171,7 @@ def build_rig(
     most: int | None = None,
     storage: WeightStorage = "float32",
 ) -> Rig:
-    """A skeleton with joints of the hierarchy, else at the centroids of what bones move.
+    """Rig of a skinning: the joints of its hierarchy, else joints at the centroids of the bones.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
 def interpolate_quaternions(
     a: NDArray[Any], b: NDArray[Any], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """:func:`slerp` of quaternions ``(..., 4)`` that need not have unit length, as in files."""
+    """:func:`slerp` of quaternions ``(..., 4)`` that need not have unit length."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
     return slerp(p, q, u)
 
@@ -289,7 +289,7 @@ def interpolate_quaternions(
 def quantise(
     indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
 ) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Weights as stored, summing to exactly 1 in their own steps.
+    """Weights as a file stores them, in steps that sum to exactly 1.
 
     Returns
     -------
@@ -319,13 +319,13 @@ def quantise(
 
 
 def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
-    """Weights as float64 from those that are stored."""
+    """Weights as float64, from stored ones."""
     steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
     return np.asarray(stored / np.float64(steps))
 
 
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:
-    """Frames per second of key times in seconds; None where they do not determine it.
+    """Frames per second that key times in seconds imply; None if they imply none.
 
     The rate on whose frames all keys lie: that of the closest two keys, else the lowest usual
     rate. Sparse keys say little, so rates below 10 do not count.

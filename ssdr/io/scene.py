@@ -145,7 +145,7 @@ class Looks:
 def file_weights(
     indices: NDArray[np.integer], weights: NDArray[np.floating], n_joints: int, what: object
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Skin weights (V, K) of a file, which sum to 1, and their indices, 0 where the weight is 0.
+    """Indices and weights (V, K) of a file; weights sum to 1, indices of zero weights are 0.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
 def match_template(
     parts: Sequence[ScenePart], model: Skinning, path: Path
 ) -> list[NDArray[np.integer]]:
-    """Index of the model's vertex for each vertex of each part of a template.
+    """For each part of a template, indices of the model's vertices at its vertices.
 
     Raises
     ------
@@ -333,7 +333,7 @@ def match_template(
 
 
 def check_kept(lost: Sequence[str], strict: bool) -> None:
-    """Refuse to lose contents of a template if `strict`.
+    """Refuse, if `strict`, to lose contents of a template.
 
     Raises
     ------

@@ -34,7 +34,7 @@ class StorageError:
         self._largest = max(self._largest, float(squares.max()))
 
     def round(self, block: NDArray[np.floating], first: int) -> NDArray[np.float32]:
-        """A block of frames, which begins with frame `first`, as float32; its error is counted.
+        """Round a block that begins with frame `first` to float32, and count its error.
 
         Raises
         ------

@@ -56,7 +56,7 @@ class SkinWeights:
 
 
 def write_skinning(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
-    """Write one row ``vertex,bone,weight`` for every weight above 0; exact.
+    """Write one row ``vertex,bone,weight`` for every weight above 0, without loss.
 
     A bone that moves nothing gets a row of vertex 0 and weight 0, so that it is
     not lost.
@@ -183,7 +183,7 @@ def _pack(
 def weight_rows(
     vertex: NDArray[np.integer], bone: NDArray[np.integer], weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices and weights (V, K), descending, from one entry for each; every vertex has one."""
+    """Indices and weights (V, K), largest first, from a list of entries; each vertex has one."""
     order = np.lexsort((bone, -weight, vertex))
     count = np.bincount(vertex)
     row, place = vertex[order], np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)

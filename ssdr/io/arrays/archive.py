@@ -38,7 +38,7 @@ def read_arrays(
     mapped: Sequence[str] = (),
     max_bytes: int | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Read arrays of an archive by name; other members are not looked at.
+    """Read arrays of an archive by name and ignore its other members.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def names_in(path: Path) -> set[str]:
 
 
 def shape_of(path: Path, key: str) -> tuple[int, ...]:
-    """Shape of an array of an archive, which is not read."""
+    """Shape of an array of an archive, from its header alone."""
     with _open(path) as (_, archive, members):
         return _header_of(archive, members[key])[1]
 
@@ -151,7 +151,7 @@ _Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
-    """File, archive and members by the name of their array; errors become FormatErrors."""
+    """Open an archive: its file, the archive, and its members by the name of their array."""
     with reading(path), path.open("rb") as stream:
         head = stream.read(64)
         check(head.startswith(b"PK\x03\x04"), f"not an .npz archive: {describe(head)}")
@@ -167,7 +167,7 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
 
 
 def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
-    """Type, shape and order of a ``.npy`` stream, left at its data.
+    """Type, shape and order that a ``.npy`` stream states; the stream is left at its data.
 
     Raises
     ------

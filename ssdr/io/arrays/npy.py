@@ -37,7 +37,7 @@ def read(
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
-    """Write the vertices to `path` and the faces to ``<stem>.faces.npy``; exact."""
+    """Write the vertices to `path` and the faces to ``<stem>.faces.npy``, without loss."""
     size = 0
     beside = path.with_suffix(".faces.npy")
     for target, array in ((beside, sequence.faces), (path, sequence.vertices)):

@@ -125,7 +125,7 @@ def _named(clips: tuple[Clip, ...], name: str, path: Path) -> tuple[Clip, ...]:
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``vertices, faces, fps`` and, where given, name, surface and map; exact.
+    """Write ``vertices, faces, fps`` and, where given, name, surface and map, without loss.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
 def read_skinning(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> Skinning:
-    """Read what :func:`write_skinning` wrote; `fps` replaces the rate of every clip."""
+    """Read a file of :func:`write_skinning`; `fps` replaces the rate of every clip."""
     from ...skinning import Skinning
 
     arrays = read_arrays(
@@ -179,7 +179,7 @@ def read_skinning(
 
 
 def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``rest, indices, weights, transforms, faces, fps, format_version`` and more; exact."""
+    """Write ``rest, indices, weights, transforms, faces, fps`` and more, without loss."""
     arrays: dict[str, Any] = {
         "rest": skinning.rest,
         "indices": skinning.indices,

@@ -69,7 +69,7 @@ def read(
 
 
 def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
-    """Refuse an array with missing chunks or with chunks that take more memory than they may.
+    """Refuse an array whose chunks are missing or take more memory than allowed.
 
     A missing chunk reads as zeros: a damaged store would give wrong positions, and a store
     without data could state any number of frames.
@@ -124,7 +124,7 @@ def _zstd_size(data: Any) -> int:
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
-    """Write a group of ``vertices`` (chunks of whole frames), ``faces`` and ``fps``; exact."""
+    """Write a group of ``vertices`` in chunks of whole frames, ``faces`` and ``fps``; no loss."""
     zarr = require("zarr", "zarr", str(path))
     if not path.parent.is_dir():
         raise InputError("path", "a folder in a folder that exists", str(path))

@@ -35,7 +35,7 @@ class Skin:
         self.modifiers = [m for m in item.modifiers if m.type == "ARMATURE" and m.object]
         if len(self.modifiers) > 1:
             names = ", ".join(m.object.name for m in self.modifiers)
-            raise ValueError(f"{item.name} hangs on several armatures ({names}), one was expected")
+            raise ValueError(f"{item.name} has several armatures ({names}), one was expected")
         self.armature: Any = self.modifiers[0].object if self.modifiers else None
         self.keys: Any = None  # values of the shape keys, which must stay
         self.motions: list[Any] = []  # O O₀⁻¹ of each frame
@@ -88,7 +88,7 @@ class Skin:
 
 
 class Armature:
-    """An armature, and those of its bones that meshes name."""
+    """An armature and those of its bones to which meshes refer."""
 
     def __init__(self, item: Any, named: set[str]) -> None:
         self.item = item

@@ -237,7 +237,7 @@ class Document:
         return values[:, 0] if width == 1 else values
 
     def replace(self, index: int, values: NDArray[Any], what: str) -> None:
-        """Set the numbers of an accessor whose data stand elsewhere in the file."""
+        """Set the numbers of an accessor, which the file holds in compressed form."""
         same = index not in self._decoded or np.array_equal(self._decoded[index], values)
         self.check(same, f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values
@@ -245,7 +245,7 @@ class Document:
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        """Elements of a view at which an accessor or a part of a sparse one begins."""
+        """Elements of a buffer view from the offset of an accessor, or of part of a sparse one."""
         data, stride = self.view(item["bufferView"])
         offset = self.integer(item, "byteOffset", what, 0)
         size = dtype.itemsize * width

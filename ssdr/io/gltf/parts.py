@@ -96,7 +96,7 @@ class PrimitiveGroup:
         self.faces = self.label[faces]
 
     def _attribute(self, name: str, kind: str, **options: Any) -> Any:
-        """An attribute of all vertices, None where there is none."""
+        """Values of an attribute at all vertices; None if there is none."""
         if name not in self._attributes:
             return None
         values = self.document.accessor(self._attributes[name], kind, name, **options)

@@ -25,7 +25,7 @@ def read(
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read all meshes of the scene, every animation channel baked to vertices.
+    """Read all meshes of the scene, with every animation channel baked to vertices.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def read(
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
-    """The animations of a file, in the frames of :func:`read_skinning`."""
+    """Clips of a file, with frames numbered as in :func:`read_skinning`."""
     with reading(path):
         return in_order(one.clip for one in read_animations(Document(path), fps))
 

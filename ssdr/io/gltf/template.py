@@ -301,7 +301,7 @@ class Template:
         return self._subtrees(bare)
 
     def _subtrees(self, fits: Callable[[int, dict[str, Any]], bool]) -> set[int]:
-        """Nodes that fit, as do all below them."""
+        """Nodes for which `fits` is true, as for all nodes below them."""
         nodes = self.json["nodes"]
         children = (n.get("children", []) for n in nodes)
         found: set[int] = set()

@@ -135,7 +135,7 @@ def write_along_bones(
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """The same rig with orientations `axes` (B, 3, 3) of its joints in the rest pose."""
+    """Rig with the orientations `axes` (B, 3, 3) of its joints in the rest pose."""
     assert rig.parents is not None
     parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
     turn = matrix_from_quaternion(rig.rotations.astype(np.float64))
@@ -181,7 +181,7 @@ def _save_rig(model: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
 
 
 def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveReport:
-    """Write the file and report what storing costs."""
+    """Write the file and report the error of its storage."""
     size, notes = builder.save(path), builder.notes
     if rig.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")

@@ -70,7 +70,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> SaveReport:
-    """Write one OBJ or PLY file a frame; exact.
+    """Write one OBJ or PLY file per frame, without loss.
 
     Parameters
     ----------

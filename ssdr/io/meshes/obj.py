@@ -177,7 +177,7 @@ def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
 
 
 class ObjWriter:
-    """Writer of the frames of one mesh, which makes the text that they share once."""
+    """Writer of the frames of one mesh; the text that all frames share is made once."""
 
     def __init__(
         self, faces: NDArray[np.int32], surface: Surface | None, folder: Path, stem: str
@@ -215,7 +215,7 @@ class ObjWriter:
         self._f = "".join(f"{line}\n" for line in lines).encode()
 
     def write(self, path: Path, vertices: NDArray[Any], *, first: bool) -> None:
-        """Write one frame, with the given normals if it is the first, else with new ones."""
+        """Write one frame, with the given normals in the first and computed ones in others."""
         parts = [self._head, _rows("v", vertices), self._vt]
         normals = self._surface.normals
         if normals is not None:

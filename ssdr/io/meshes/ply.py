@@ -90,7 +90,7 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
 
 
 def _header(data: bytes) -> tuple[_Elements, bool, int]:
-    """Elements, whether the rest is ASCII, and where that begins."""
+    """Elements of a file, whether its body is ASCII, and the byte where the body begins."""
     check(data.startswith((b"ply\n", b"ply\r")), f"not a PLY file: {describe(data[:64])}")
     end = data.find(b"end_header", 0, _MOST_HEADER)
     newline = data.find(b"\n", end, end + 16)
@@ -125,7 +125,7 @@ def _header(data: bytes) -> tuple[_Elements, bool, int]:
 def _even(
     length: int, properties: list[_Property], body: memoryview
 ) -> tuple[_Columns, int] | None:
-    """Columns and size of an element whose rows are all laid out like the first, else None."""
+    """Columns and size of an element whose rows have the layout of the first; None otherwise."""
     fields: list[Any] = []
     at = 0
     for name, kind, count in properties:

@@ -152,7 +152,7 @@ class MeshPrim:
         self.skeleton = place, tuple(self._order), self._bind.tobytes()
 
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
-        """Matrices (B, 4, 4) of this mesh's bones from those of all joints, for column vectors."""
+        """Matrices (B, 4, 4) of this mesh's joints, for column vectors, from those of all."""
         usable = transforms and len(transforms) == len(self.joints.GetJointOrder())
         self._check(usable, "its skeleton has no usable bind or rest transforms")
         frames = np.array(transforms, dtype=np.float64).reshape(-1, 4, 4)
@@ -193,7 +193,7 @@ class MeshPrim:
         return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
     def stamps(self) -> NDArray[np.float64]:
-        """Time codes at which anything about this mesh is sampled."""
+        """Time codes at which the mesh, or what moves it, has a sample."""
         found = list(self.attribute.GetTimeSamples())
         if self.joints is not None and self.joints.GetAnimQuery():
             found += self.joints.GetAnimQuery().GetJointTransformTimeSamples()

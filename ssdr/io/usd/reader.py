@@ -30,7 +30,7 @@ _ALL = Usd.TraverseInstanceProxies()
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StageClip:
-    """A clip of a stage: a SkelAnimation of its only skeleton, or all that moves.
+    """A clip of a stage: one SkelAnimation of its only skeleton, else everything that moves.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class StageClip:
 
 
 class StageReader:
-    """An open stage.
+    """An open stage and its clips.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ def read(
     up: Up | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read all visible meshes in world space, UsdSkel and blend shapes baked.
+    """Read all visible meshes in world space, with UsdSkel and blend shapes baked to vertices.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def read(
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
-    """The animations of a file, in the frames of :func:`read_skinning`."""
+    """Clips of a file, with frames numbered as in :func:`read_skinning`."""
     with reading(path):
         reader = StageReader(path)
         return in_order(reader.sample(clip, fps).clip for clip in reader.clips)

@@ -32,7 +32,7 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage as its file holds it now.
+    """Open a stage from the present contents of its file.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def _check_nesting(file: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def system_errors(path: Path) -> Iterator[None]:
-    """Raise the errors of USD about writing as the OSError behind them."""
+    """Raise USD's errors about writing as the OSErrors that caused them."""
     try:
         yield
     except Tf.ErrorException as error:

@@ -139,7 +139,7 @@ def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[A
 
 
 def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
-    """Replace the points of a mesh by a rest pose in the world, and return the mesh's matrix."""
+    """Replace the points of a mesh by a rest pose in world space; returns the mesh's matrix."""
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
         world = Gf.Matrix4d(1.0)

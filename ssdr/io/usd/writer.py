@@ -125,7 +125,7 @@ def write_sequence(
     meters_per_unit: float = 1.0,
     name: str | None = None,
 ) -> SaveReport:
-    """Write a point cache: one mesh with a sample of its points per frame, float32.
+    """Write a point cache: one mesh with a float32 sample of its points per frame.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _extent(points: NDArray[np.float32]) -> Any:
 
 
 def _put_primvar(mesh: Any, name: str, kind: Any, values: NDArray[Any]) -> None:
-    """Face-varying values with an index, so that equal corners are stored once."""
+    """Add face-varying values with an index, so that equal corners are stored once."""
     rows = np.asarray(values, dtype=np.float32).reshape(-1, values.shape[-1])
     distinct, index = np.unique(rows, axis=0, return_inverse=True)
     holder = Vt.Vec2fArray if rows.shape[1] == 2 else Vt.Vec3fArray
