@@ -28,7 +28,7 @@ class StorageError:
 
     def add(self, stored: NDArray[np.floating], given: NDArray[np.floating]) -> None:
         """Count a block of frames ``(F, V, 3)``."""
-        squares = ((stored.astype(np.float64) - given) ** 2).sum(axis=2)
+        squares = ((np.asarray(stored, dtype=np.float64) - given) ** 2).sum(axis=2)
         self._squares += float(squares.sum())
         self._count += squares.size
         self._largest = max(self._largest, float(squares.max()))

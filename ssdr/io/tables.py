@@ -147,8 +147,8 @@ def _parse(text: str) -> tuple[NDArray[np.int64], list[str], NDArray[np.float64]
     problem = f"the header is {','.join(header)[:80]!r}, not vertex,bone,weight"
     check(header == _COLUMNS, problem)
     for k, row in enumerate(rows[1:], 1):
-        usable = len(row) == 3 and _NUMBER.fullmatch(row[0])
-        check(usable, f"row {k} is not vertex,bone,weight")
+        if len(row) != 3 or not _NUMBER.fullmatch(row[0]):
+            raise FormatError(f"row {k} is not vertex,bone,weight")
     vertex = np.array([int(row[0]) for row in rows[1:]], dtype=np.int64)
     weight = np.array([float(row[2]) for row in rows[1:]], dtype=np.float64)
     return vertex, [row[1] for row in rows[1:]], weight

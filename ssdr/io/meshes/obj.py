@@ -105,8 +105,8 @@ def _corner(word: bytes, tables: dict[bytes, list[list[bytes]]]) -> list[int]:
     parts = [*word.split(b"/"), b"", b""]
     for part, table in zip(parts, tables.values(), strict=False):
         number = int(part) if part else 0
-        known = number >= -len(table) and not (part and number == 0)
-        check(known, f"a face names index {number} where {len(table)} were defined")
+        if (part and number == 0) or number < -len(table):
+            raise FormatError(f"a face names index {number} where {len(table)} were defined")
         corner.append(number - 1 if number >= 0 else len(table) + number)
     return corner
 
