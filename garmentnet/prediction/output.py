@@ -69,7 +69,7 @@ def check_output(path: Path | str) -> None:
     if suffix.startswith(".usd"):
         require("pxr", "ssdr[usd]", f"a {suffix} file")
     if suffix == ".fbx":
-        from ssdr.io.blender import command
+        from ssdr.io.blender.finder import command
 
         command("")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import json
 import re
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError, InputError
-from ..io.registry import FORMATS, Format, format_to_read
+from ..io.registry import FORMATS, Format, format_to_read, function_of
 from .options import Options
 
 _PREFIX = re.compile(r"\.?(\w+):(?=\w+=)")
@@ -75,11 +74,9 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
 
 def keywords(format_: Format | None, role: str) -> set[str]:
     """Names of the options of one of a format's functions, such as ``"read"``."""
-    name = getattr(format_, role, None)
-    if format_ is None or name is None:
+    if format_ is None or getattr(format_, role) is None:
         return set()
-    function = getattr(importlib.import_module(f"ssdr.io.{format_.module}"), name)
-    parameters = inspect.signature(function).parameters.values()
+    parameters = inspect.signature(function_of(format_, role)).parameters.values()
     return {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
 
 

@@ -97,7 +97,7 @@ def try_format(
     """
     from .. import io
 
-    if format_of(path)[1].module == "blender":  # starts another program, for seconds
+    if format_of(path)[1].extra == "blender":  # starts another program, for seconds
         return
     n = mesh.n_vertices
     bones = min(options.influences, options.bones or n, _TRIED_INFLUENCES)

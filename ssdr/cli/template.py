@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..io.registry import Format, call, format_of
+from ..io.registry import FORMATS, Format, call, format_of
 from .format_options import STRICT, readable_format, write_options
 from .output import Output
 
@@ -81,11 +81,10 @@ def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | N
         format_ = shared_format(source, target)
         if format_ is None:
             continue
-        assert format_.template_problem is not None
-        problem = call(format_, format_.template_problem, source)
+        problem = call(format_, "template_problem", source)
         if not problem:
             # A model with another up axis does not fit the rest of the file.
-            up = options.get("up", "y" if format_.module == "gltf" else None)
+            up = options.get("up", "y" if format_ is FORMATS[".glb"] else None)
             return source if up in (read.get("up"), "y") else None
         Output.current.warn(f"{target} is written anew: {source}: {problem}")
     return None

@@ -5,16 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import shutil
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import InputError
 
-__all__ = ["atomic_path", "check_writable", "free_name", "naming", "remove", "write_bytes"]
-
 _LONGEST_NAME = 255  # bytes, in every file system in common use
+_STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its file
 
 
 @contextlib.contextmanager
@@ -22,15 +23,17 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     """Temporary file that becomes `path` when the block ends without an error.
 
     It lies in the same folder and has the suffix of `path`, for writers that look at it.
-    If the block raises, `path` is untouched and the temporary file is removed.  Where
-    `path` is a symbolic link, the file at its end is replaced and the link stays.
+    If the block raises, `path` is untouched and the temporary file is removed.  A process that
+    is killed leaves it, until `path` is written again an hour or more later.  Where `path` is a
+    symbolic link, the file at its end is replaced and the link stays.
 
     Parameters
     ----------
     path : path
     flush : bool
         Write the file to the disk before the renaming and the renaming before this returns, so
-        that a power cut leaves the old file or the new one.  Slow for hundreds of files.
+        that a power cut leaves the old file or the new one, and look for files that killed
+        processes left.  Slow for hundreds of files.
 
     Raises
     ------
@@ -41,6 +44,8 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     """
     target = _file_behind(path)
     temporary = free_name(target)
+    if flush:
+        _remove_stale(target)
     try:
         with naming(path, temporary):
             yield temporary
@@ -56,7 +61,7 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path | str, temporary: Path) -> Iterator[None]:
-    """Make the system's errors inside the block name `path` instead of `temporary` or nothing.
+    """Name `path` in the system's errors inside the block, instead of `temporary` or no file.
 
     An error of writing to an open file, such as a full disk, names no file.
     """
@@ -69,7 +74,7 @@ def naming(path: Path | str, temporary: Path) -> Iterator[None]:
 
 
 def check_writable(path: Path | str) -> None:
-    """Find out, before hours of work, whether a file can be made there.
+    """Refuse a path at which no file can be made, before hours of work.
 
     Raises
     ------
@@ -101,6 +106,16 @@ def free_name(target: Path) -> Path:
     return target.with_name(f".{stem}.{mark}{target.suffix}")
 
 
+def _remove_stale(target: Path) -> None:
+    """Remove the temporary files of `target` that killed processes left over an hour ago."""
+    start, end = re.escape(f".{target.stem}."), re.escape(target.suffix)
+    with contextlib.suppress(OSError):  # another process may remove them at the same time
+        for entry in os.scandir(target.parent):
+            left = re.fullmatch(rf"{start}[0-9]+-[0-9a-f]{{8}}{end}", entry.name)
+            if left and entry.is_file() and time.time() - entry.stat().st_mtime > _STALE_SECONDS:
+                os.unlink(entry)
+
+
 def remove(path: Path) -> None:
     """Remove a file or a folder, if it is there."""
     if path.is_dir():
@@ -110,7 +125,7 @@ def remove(path: Path) -> None:
 
 
 def _file_behind(path: Path | str) -> Path:
-    """File that writing to `path` replaces, at the end of its links."""
+    """File that a write to `path` replaces: the one at the end of its symbolic links."""
     link = Path(path)
     try:
         target = link.resolve() if link.is_symlink() else link

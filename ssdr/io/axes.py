@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..surface import Surface
-
-__all__ = ["Up", "check_up", "turn_skinning_up", "turn_surface_up", "turn_up"]
 
 Up = Literal["y", "z"]
 
@@ -27,15 +26,25 @@ def check_up(up: object, *, optional: bool = False) -> None:
 
 
 def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
-    """Vectors ``(..., 3)`` with the `source` axis up, turned to have `target` up."""
+    """Vectors ``(..., 3)``, turned from the up axis `source` to `target`."""
     if source == target:
         return values
     turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
     return np.asarray(values @ turn.T.astype(values.dtype))
 
 
-def turn_surface_up(surface: Surface | None, source: Up, target: Up) -> Surface | None:
-    """A surface with another axis up."""
+def turn_sequence_up(sequence: MeshSequence, source: Up, target: Up) -> MeshSequence:
+    """A sequence with another axis up."""
+    if source == target:
+        return sequence
+    return dataclasses.replace(
+        sequence,
+        vertices=turn_up(sequence.vertices, source, target),
+        surface=_turn_surface_up(sequence.surface, source, target),
+    )
+
+
+def _turn_surface_up(surface: Surface | None, source: Up, target: Up) -> Surface | None:
     if surface is None or surface.normals is None:
         return surface
     return dataclasses.replace(surface, normals=turn_up(surface.normals, source, target))
@@ -49,13 +58,11 @@ def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
     m = np.asarray(skinning.transforms, dtype=np.float64)
     linear = turn @ m[..., :3] @ turn.T
     moved = np.concatenate([linear, (m[..., 3] @ turn.T)[..., None]], axis=-1)
-    positions = skinning.joint_positions
-    if positions is not None:
-        positions = turn_up(positions, source, target)
+    at = skinning.joint_positions
     return dataclasses.replace(
         skinning,
         rest=turn_up(skinning.rest, source, target),
-        joint_positions=positions,
+        joint_positions=None if at is None else turn_up(at, source, target),
         transforms=moved.astype(skinning.transforms.dtype),
-        surface=turn_surface_up(skinning.surface, source, target),
+        surface=_turn_surface_up(skinning.surface, source, target),
     )

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from ..errors import FormatError
 
-__all__ = ["MOST_BYTES", "afford", "refuse_bomb"]
-
 MOST_BYTES = 16 << 30  # 16 GiB: more than a mesh needs, less than a false count can ask for
 # Compression of more than this ratio is refused in what is larger than this size: frames of a
 # real animation shrink to a tenth at best, and a small file must not fill the memory.

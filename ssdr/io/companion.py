@@ -14,8 +14,6 @@ from ..sequence import MeshSequence
 from .arrays.archive import read_array
 from .registry import reading
 
-__all__ = ["over_mesh"]
-
 _SUFFIXES = (".obj", ".ply", ".off", ".npz")
 
 

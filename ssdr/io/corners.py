@@ -10,14 +10,6 @@ from numpy.typing import NDArray
 
 from ..surface import Surface
 
-__all__ = [
-    "Corners",
-    "Deformation",
-    "corner_normals",
-    "split_corners",
-    "unit",
-]
-
 _UP = np.array([0.0, 1.0, 0.0])
 
 

@@ -30,7 +30,6 @@ from .registry import (
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["copy", "left_out", "list_clips", "load", "load_skinning", "save"]
 
 _log = logging.getLogger(__name__)
 
@@ -93,10 +92,9 @@ def load(
     ((24, 799, 3), 8.0)
     """
     source, format_ = _readable(path, fps, scale)
-    assert format_.read is not None
     if format_.list_clips is not None and clip is not None:
         options["clip"] = clip
-    sequence: MeshSequence = call(format_, format_.read, source, fps=fps, **options)
+    sequence: MeshSequence = call(format_, "read", source, fps=fps, **options)
     if format_.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
     if scale != 1:
@@ -134,7 +132,7 @@ def list_clips(
     source, format_ = _readable(path, fps)
     if format_.list_clips is None:
         return (_only_clip(load(source, fps=fps, **options), source),)
-    clips: tuple[Clip, ...] = call(format_, format_.list_clips, source, fps=fps, **options)
+    clips: tuple[Clip, ...] = call(format_, "list_clips", source, fps=fps, **options)
     return clips
 
 
@@ -182,8 +180,7 @@ def load_skinning(
     4
     """
     source, format_ = _readable(path, fps, scale, "read_skinning")
-    assert format_.read_skinning is not None
-    skinning: Skinning = call(format_, format_.read_skinning, source, fps=fps, **options)
+    skinning: Skinning = call(format_, "read_skinning", source, fps=fps, **options)
     if scale != 1:
         transforms, at = skinning.transforms.copy(), skinning.joint_positions
         transforms[..., 3] *= scale
@@ -201,7 +198,7 @@ def load_skinning(
 def _readable(
     path: Any, fps: float | None, scale: float = 1.0, function: str = "read"
 ) -> tuple[Path, Format]:
-    """Path and format of a file that is there, after a check of the options of all formats."""
+    """Path and format of an existing file, after a check of the options that all formats have."""
     for argument, value in (("fps", fps), ("scale", scale)):
         if value is not None and not (is_real(value) and value > 0):
             raise InputError(argument, "a positive number", repr(value))
@@ -210,7 +207,7 @@ def _readable(
     if getattr(format_, function) is None:
         able = ", ".join(sorted(s for s, f in FORMATS.items() if getattr(f, function)))
         what = "mesh" if function == "read" else "skinning"
-        hint = "; ssdr.io.read_weights reads skin weights" if format_.module == "tables" else ""
+        hint = "; ssdr.io.read_weights reads skin weights" if format_ is FORMATS[".csv"] else ""
         raise FormatError(
             f"{source}: no {what} can be read from {source.suffix}, only from {able}{hint}"
         )
@@ -267,16 +264,16 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
         thing = getattr(thing, "skinning", thing)
     if not isinstance(thing, (MeshSequence, Skinning)):
         raise InputError("thing", "a MeshSequence, Skinning or Decomposition", type(thing).__name__)
-    writer, joined = format_.write_sequence, ""
+    writer, joined = "write_sequence", ""
     if isinstance(thing, Skinning):
         if format_.write_skinning is not None:
-            writer = format_.write_skinning
-        elif writer is not None:
+            writer = "write_skinning"
+        elif format_.write_sequence is not None:
             if len(thing.clips) > 1:
                 names = ", ".join(f"{c.name} from frame {c.start}" for c in thing.clips)
                 joined = f"clips are not kept apart: {names}"
             thing = bake(thing)
-    if writer is None:
+    if getattr(format_, writer) is None:
         able = _writable(type(thing))
         raise InputError(
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
@@ -326,7 +323,7 @@ def copy(
         raise InputError("target", f"a file of the format of {source}", str(to))
     if not source.exists():
         raise FileNotFoundError(f"{source}: no such file")
-    report: SaveReport = call(format_, format_.copy, source, to, clips=clips)
+    report: SaveReport = call(format_, "copy", source, to, clips=clips)
     return report
 
 
@@ -355,7 +352,7 @@ def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
     if format_ is None or format_.left_out is None:
         return ()
     chosen = {k: v for k, v in options.items() if k == "meshes"}
-    found: tuple[str, ...] = call(format_, format_.left_out, source, **chosen)
+    found: tuple[str, ...] = call(format_, "left_out", source, **chosen)
     return found
 
 

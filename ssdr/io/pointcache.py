@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from .atomic import atomic_path
 from .companion import over_mesh
-from .registry import SaveReport, describe, reading, seconds, written_vertices
-
-__all__ = ["read", "write_sequence"]
+from .registry import SaveReport, check, reading, seconds, written_vertices
+from .signatures import describe
+from .storage import StorageError
 
 _log = logging.getLogger(__name__)
 
@@ -55,22 +54,19 @@ def read(
     layout = _PC2 if path.suffix.lower() == ".pc2" else _MDD
     with reading(path), path.open("rb") as stream:
         head = stream.read(layout.size)
-        if len(head) < layout.size or (layout is _PC2 and not head.startswith(b"POINTCACHE2\0")):
-            raise FormatError(f"{path}: not such a cache: {describe(head)}")
+        known = layout is _MDD or head.startswith(b"POINTCACHE2\0")
+        check(known and len(head) == layout.size, f"not such a cache: {describe(head)}")
         if layout is _PC2:
             _, version, points, _, _, samples = layout.unpack(head)
             start, kind = layout.size, "<f4"
-            if version != 1:
-                raise FormatError(f"{path}: PC2 of version {version}; 1 is known")
+            check(version == 1, f"PC2 of version {version}; 1 is known")
         else:
             samples, points = layout.unpack(head)
             start, kind = layout.size + 4 * samples, ">f4"
         stated, held = start + 12 * samples * points, path.stat().st_size
-        if samples < 1 or points < 1 or held != stated:
-            raise FormatError(
-                f"{path}: states {samples} samples of {points} points, {stated} bytes, "
-                f"but holds {held}"
-            )
+        count = f"{samples} samples of {points} points, {stated} bytes"
+        whole = samples > 0 and points > 0 and held == stated
+        check(whole, f"states {count}, but holds {held}")
         if layout is _MDD:
             fps = fps or _rate(path, np.fromfile(stream, dtype=kind, count=samples))
         shape = (samples, points, 3)
@@ -105,26 +101,19 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
     else:
         header, kind = _MDD.pack(count, len(index)), ">f4"
         header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
-    total, worst = 0.0, 0.0
+    error = StorageError()
     with atomic_path(path) as temporary:
         with temporary.open("wb") as stream:
             stream.write(header)
             for start, block in sequence.chunks():
-                with np.errstate(over="ignore"):
-                    single = block.astype(np.float32)
-                if not np.isfinite(single).all():
-                    frames = f"larger ones in frames {start} to {start + len(block) - 1}"
-                    raise InputError("vertices", "numbers within float32", frames)
-                squared = ((single.astype(np.float64) - block) ** 2).sum(axis=2)
-                total, worst = total + float(squared.sum()), max(worst, float(squared.max()))
-                stream.write(single[:, index].astype(kind, copy=False).tobytes())
+                stored = error.round(block, start)
+                stream.write(stored[:, index].astype(kind, copy=False).tobytes())
         size = temporary.stat().st_size
-    exact = sequence.vertices.dtype == np.float32
     return SaveReport(
         path=path,
         bytes=size,
-        error=None if exact else float(np.sqrt(total / (count * sequence.n_vertices))),
-        max_error=None if exact else float(np.sqrt(worst)),
+        error=error.rmse or None,
+        max_error=error.largest or None,
         note=note,
     )
 
@@ -134,9 +123,9 @@ def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
     if len(times) < 2:
         return None
     steps = np.diff(times.astype(np.float64))
-    if not np.isfinite(times).all() or not (steps > 0).all():
-        raise FormatError(f"{path}: its times are not increasing numbers")
+    increasing = np.isfinite(times).all() and (steps > 0).all()
+    check(increasing, "its times are not increasing numbers")
     mean, least, most = float(steps.mean()), float(steps.min()), float(steps.max())
     if max(mean - least, most - mean) > 0.01 * mean:
         _log.warning("%s: uneven times, %g to %g s apart, are taken as even", path, least, most)
-    return round(1 / mean, 3) or 1 / mean  # the times are float32: 1/24 s comes back as 23.9999996
+    return round(1 / mean, 3) or 1 / mean  # the times are float32, in which 1/24 s gives 23.9999996

@@ -10,8 +10,6 @@ import logging
 from collections.abc import Iterable
 from pathlib import Path
 
-__all__ = ["find_inside", "is_inside"]
-
 _log = logging.getLogger(__name__)
 
 
@@ -20,8 +18,22 @@ def is_inside(file: Path, folder: Path) -> bool:
     return file.resolve().is_relative_to(folder.resolve())
 
 
+def locate(path: Path, name: str) -> tuple[Path, str]:
+    """File to which `path` refers by a name, and why it must not be read ("" if it may).
+
+    A pipe or a device is no file, nor is a name that no file can have.
+    """
+    file = path.parent / name
+    try:
+        if not is_inside(file, path.parent):
+            return file, "lies outside its folder"
+        return file, "" if file.is_file() else "is missing"
+    except (OSError, ValueError, RuntimeError):
+        return file, "is missing"
+
+
 def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
-    """First of several names that is a file in the folder of `path` or below it.
+    """First file of several names that lies in the folder of `path` or below it.
 
     Logs a warning if there is none, or only one outside.
 
@@ -35,17 +47,10 @@ def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
         Names to try, in this order.
     """
     names = list(spellings)
-    outside = False
-    for name in names:
-        try:
-            file = path.parent / name
-            if not file.is_file():
-                continue
-            if is_inside(file, path.parent):
-                return file
-            outside = True
-        except (OSError, ValueError, RuntimeError):  # a name that no file can have
-            continue
-    state = "lies outside its folder and is left out" if outside else "is not there"
-    _log.warning("%s: its %s %s %s", path, what, names[0][:200], state)
+    found = [locate(path, name) for name in names]
+    for file, problem in found:
+        if not problem:
+            return file
+    problem = next((p for f, p in found if p != "is missing" and f.is_file()), "is missing")
+    _log.warning("%s: its %s %s %s and is left out", path, what, names[0][:200], problem)
     return None

@@ -6,15 +6,16 @@ import contextlib
 import dataclasses
 import importlib
 import inspect
+import logging
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import one_rate
+from ..clips import one_rate, pick
 from ..errors import (
     FormatError,
     InputError,
@@ -29,24 +30,8 @@ from .budget import afford
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = [
-    "FORMATS",
-    "Format",
-    "SaveReport",
-    "bake",
-    "call",
-    "describe",
-    "format_of",
-    "format_to_read",
-    "is_many",
-    "natural_key",
-    "read_file",
-    "reading",
-    "refuse_device",
-    "require",
-    "seconds",
-    "written_vertices",
-]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -97,16 +82,16 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """Module of a suffix and its functions by their names, None where it has none.
+    """Functions of a file format: each field is named after one and holds its module, or None.
 
-    With `list_clips` a file may have several clips, and `read` takes the option `clip`.
-    With `copy` a file of the format passes through: `write_skinning` takes the option
-    `template`, and `template_problem` returns why a file cannot be one.
+    A format with `list_clips` may have several clips in a file, and its `read` takes the option
+    `clip`. A format with `copy` passes through: its `write_skinning` takes the option `template`,
+    and its `template_problem` returns why a file cannot be one.
     """
 
-    module: str
     title: str
-    read: str | None = "read"
+    extra: str | None = None
+    read: str | None = None
     write_sequence: str | None = None
     read_skinning: str | None = None
     write_skinning: str | None = None
@@ -114,38 +99,52 @@ class Format:
     copy: str | None = None
     left_out: str | None = None
     template_problem: str | None = None
-    extra: str | None = None
 
 
-def _format(module: str, title: str, *functions: str, extra: str | None = None) -> Format:
-    return Format(module, title, extra=extra, **{name: name for name in functions})
+def _format(title: str, extra: str | None = None, **modules: str) -> Format:
+    """Format from the names of its functions by module; ``__`` stands for a dot in a module."""
+    places = {
+        function: module.replace("__", ".")
+        for module, functions in modules.items()
+        for function in functions.split()
+    }
+    return Format(title, extra, **places)
 
 
-_SKINNING = ("read_skinning", "write_skinning", "list_clips")
-_PASSES = (*_SKINNING, "copy", "left_out", "template_problem")
-_WRITES = "write_sequence"
-_NUMBERED = _format("meshes", "numbered meshes")
-_GLTF = _format("gltf", "glTF 2.0", *_PASSES)
-_USD = _format("usd", "Universal Scene Description", _WRITES, *_PASSES, extra="usd")
+_READS = "read list_clips read_skinning"
+_PASSES = "copy left_out template_problem"
+_ALL = f"{_READS} write_sequence write_skinning"
+_NUMBERED = _format("numbered meshes", meshes__numbered="read")
+_CACHE = "read write_sequence"
+_GLTF = _format(
+    "glTF 2.0", gltf__reader=_READS, gltf__writer="write_skinning", gltf__passing=_PASSES
+)
+_USD = _format(
+    "Universal Scene Description",
+    "usd",
+    usd__reader=_READS,
+    usd__writer="write_sequence write_skinning",
+    usd__template=_PASSES,
+)
 
 FORMATS: dict[str, Format] = {
-    ".npz": _format("arrays.npz", "NumPy archive", _WRITES, *_SKINNING),
-    ".npy": _format("arrays.npy", "NumPy array", _WRITES),
-    ".zarr": _format("arrays.zarr_store", "zarr store", _WRITES, extra="zarr"),
-    ".obj": _format("meshes", "numbered Wavefront OBJ", _WRITES),
-    ".ply": _format("meshes", "numbered PLY", _WRITES),
-    ".off": _format("meshes", "numbered OFF"),
-    ".stl": _format("meshes", "numbered STL"),
-    ".pc2": _format("pointcache", "PC2 point cache", _WRITES),
-    ".mdd": _format("pointcache", "MDD point cache", _WRITES),
-    ".csv": Format("tables", "skin weights, CSV", read=None, write_skinning="write_skinning"),
+    ".npz": _format("NumPy archive", arrays__npz=_ALL),
+    ".npy": _format("NumPy array", arrays__npy=_CACHE),
+    ".zarr": _format("zarr store", "zarr", arrays__zarr_store=_CACHE),
+    ".obj": _format("numbered Wavefront OBJ", meshes__numbered=_CACHE),
+    ".ply": _format("numbered PLY", meshes__numbered=_CACHE),
+    ".off": _format("numbered OFF", meshes__numbered="read"),
+    ".stl": _format("numbered STL", meshes__numbered="read"),
+    ".pc2": _format("PC2 point cache", pointcache=_CACHE),
+    ".mdd": _format("MDD point cache", pointcache=_CACHE),
+    ".csv": _format("skin weights, CSV", tables="write_skinning"),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
-    ".abc": _format("blender", "Alembic", extra="blender"),
-    ".fbx": _format("blender", "FBX", *_SKINNING, "left_out", extra="blender"),
+    ".abc": _format("Alembic", "blender", blender__bridge="read"),
+    ".fbx": _format("FBX", "blender", blender__bridge=f"{_READS} write_skinning left_out"),
 }
 
 
@@ -180,9 +179,15 @@ def format_to_read(path: Path) -> Format:
         If the suffix is not in the table.
     """
     stated = FORMATS.get(path.suffix.lower(), _NUMBERED)
-    if is_many(path) and stated.module in (_NUMBERED.module, _GLTF.module):
+    if is_many(path) and (stated is _GLTF or stated.read == _NUMBERED.read):
         return _NUMBERED
     return format_of(path)[1]
+
+
+def function_of(format_: Format, name: str) -> Callable[..., Any]:
+    """One of a format's functions, such as ``"read"``; its module is imported here."""
+    module = importlib.import_module(f".{getattr(format_, name)}", __package__)
+    return getattr(module, name)  # type: ignore[no-any-return]
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
@@ -193,9 +198,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
     InputError
         If the function has no such option or its value is of another kind.
     """
-    target: Callable[..., Any] = getattr(
-        importlib.import_module(f".{format_.module}", __package__), function
-    )
+    target = function_of(format_, function)
     parameters = inspect.signature(target).parameters
     if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
         known = [n for n, p in parameters.items() if p.kind is p.KEYWORD_ONLY]
@@ -210,7 +213,7 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
 
 
 def _check_option(name: str, value: Any, annotation: str) -> None:
-    """Refuse a value of another kind than the annotation, where any text would count as true."""
+    """Refuse a value that is not of the annotated type: any text would count as true."""
     kind, _, rest = annotation.partition(" | ")
     if rest not in ("", "None") or (value is None and rest):
         return
@@ -221,6 +224,14 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
         raise InputError(name, words[kind], repr(value))
     if name == "max_bytes" and value <= 0:
         raise InputError(name, "a positive number", value)
+
+
+def pick_clip(names: Sequence[str], clip: Any, path: Path, argument: str = "clip") -> int:
+    """Index of the clip that a name or number chooses, by :func:`~ssdr.clips.pick`."""
+    index = pick(names, clip, argument)
+    if len(names) > 1:
+        _log.info("%s: clip %r of %s", path, names[index], list(names))
+    return index
 
 
 def bake(skinning: Skinning) -> MeshSequence:
@@ -253,14 +264,14 @@ def bake(skinning: Skinning) -> MeshSequence:
 def written_vertices(
     thing: MeshSequence | Skinning, unweld: bool
 ) -> tuple[NDArray[np.integer], str]:
-    """Vertices that a file gets, as indices, and what to tell the user of them.
+    """Indices of the vertices that are written, and a note on them for the user.
 
     They are all of `thing` or, with `unweld`, those of the mesh before it was welded.
 
     Raises
     ------
     InputError
-        If `unweld` is asked of what was not welded.
+        If `unweld` is true and `thing` was not welded.
     """
     n, before = thing.n_vertices, thing.vertex_map
     if not unweld:
@@ -273,10 +284,10 @@ def written_vertices(
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn whatever a parser raises inside the block into a FormatError that names the file.
+    """Turn every error of a parser inside the block into a FormatError that names the file.
 
-    An InputError inside is about what the file holds and becomes one too:
-    arguments of the caller are checked outside.
+    An InputError inside the block is about the contents of the file and becomes one, too; arguments
+    of the caller are checked outside.
     """
     try:
         refuse_device(path)
@@ -295,6 +306,12 @@ def reading(path: Path) -> Iterator[None]:
         raise FormatError(f"{path}: {what}") from error
 
 
+def check(valid: Any, problem: str) -> None:
+    """Raise a FormatError that states the problem, unless what a file holds is valid."""
+    if not valid:
+        raise FormatError(problem)
+
+
 def refuse_device(path: Path) -> None:
     """Refuse a device, a pipe or a socket, which may never end, before it is opened.
 
@@ -303,8 +320,8 @@ def refuse_device(path: Path) -> None:
     FormatError
         If `path` is neither a file nor a folder, nor missing.
     """
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise FormatError(f"{path}: a device, a pipe or a socket, not a file")
+    usual = path.is_file() or path.is_dir() or not path.exists()
+    check(usual, f"{path}: a device, a pipe or a socket, not a file")
 
 
 def read_file(path: Path) -> bytes:
@@ -361,30 +378,3 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
         raise MissingDependencyError(
             f'{what} needs the package {module}: pip install "{requirement}"'
         ) from error
-
-
-_MAGIC = {
-    b"PK": "a zip archive such as .npz",
-    b"\x93NUMPY": "a NumPy .npy array",
-    b"glTF": "a binary glTF",
-    b"PXR-USDC": "a binary USD",
-    b"#usda": "a text USD",
-    b"Kaydara FBX": "an FBX file",
-    b"Ogawa": "an Alembic file",
-    b"ply": "a PLY file",
-    b"\x1f\x8b": "gzip data",
-    b"\x89PNG": "a PNG picture",
-    b"\xff\xd8\xff": "a JPEG picture",
-    b"\x80": "a Python pickle",
-}
-
-
-def describe(head: bytes) -> str:
-    """Format that the first bytes of a file look like, for error messages."""
-    if not head:
-        return "the file is empty"
-    for magic, name in _MAGIC.items():
-        if head.startswith(magic):
-            return f"it looks like {name}"
-    text = all(32 <= b < 127 or b in b"\t\r\n" for b in head)
-    return "it looks like text" if text else "its first bytes belong to no format known here"

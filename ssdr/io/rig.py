@@ -9,7 +9,6 @@ would sweep the bone along a chord.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -29,20 +28,11 @@ from ..hierarchy.transforms import (
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning, skin
 from .registry import SaveReport
-
-__all__ = [
-    "Rig",
-    "WeightStorage",
-    "build_rig",
-    "frame_rate",
-    "interpolate_quaternions",
-    "quantise",
-    "weight_values",
-]
+from .storage import StorageError, frame_blocks
+from .tables import weight_rows
 
 WeightStorage = Literal["float32", "uint16", "uint8"]
 
-_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 
@@ -51,7 +41,7 @@ _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 class Rig:
     """A skinning as a skeleton of joints, in the precision of its storage.
 
-    Keys of a joint are relative to its parent's frame; at a root and without a hierarchy they are
+    Keys of a joint are relative to its parent; those of a root, and all without a hierarchy, are
     relative to the world.
 
     Attributes
@@ -139,7 +129,7 @@ class Rig:
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
     def error(self, model: Skinning, *, between: bool = False) -> tuple[float | None, float | None]:
-        """Root mean square and largest distance of a vertex from what `model` gives.
+        """Root mean square and largest distance of vertices between this rig and `model`.
 
         What is stored is skinned again in float64. Both are None where there is nothing to compare.
 
@@ -152,24 +142,15 @@ class Rig:
             a part of this number is the motion itself; it falls with the square of the frame time.
         """
         rest, weights = self.rest.astype(np.float64), weight_values(self.weights)
-        count = self.n_frames - len(self.clips) if between else self.n_frames
-        if count < 1:
-            return None, None
-        step = max(1, _CHUNK_BYTES // (len(rest) * 24))
-        total, largest = 0.0, 0.0
+        error = StorageError()
         for clip in self.clips:
-            stop = clip.stop - between  # nothing is between two clips
-            for first in range(clip.start, stop, step):
-                last = min(first + step, stop)
-                times = np.arange(first, last, dtype=np.float64) + 0.5 * between
+            # nothing is between two clips
+            for block in frame_blocks(clip.start, clip.stop - between, len(rest)):
+                times = np.arange(block.start, block.stop) + 0.5 * between
                 stored = skin(rest, self.indices, weights, self.matrices(times))
-                truth = model.skin(slice(first, last + between), dtype=np.float64)
-                if between:
-                    truth = (truth[1:] + truth[:-1]) / 2
-                squares = ((stored - truth) ** 2).sum(axis=2)
-                total += float(squares.sum())
-                largest = max(largest, float(squares.max()))
-        return math.sqrt(total / (count * len(rest))), math.sqrt(largest)
+                truth = model.skin(slice(block.start, block.stop + between), dtype=np.float64)
+                error.add(stored, (truth[1:] + truth[:-1]) / 2 if between else truth)
+        return error.rmse, error.largest
 
     def report(self, model: Skinning, **fields: Any) -> SaveReport:
         """A report with the errors and influences of what is stored, and further `fields`."""
@@ -190,7 +171,7 @@ def build_rig(
     most: int | None = None,
     storage: WeightStorage = "float32",
 ) -> Rig:
-    """A skeleton with joints of the hierarchy, else at the centroids of what bones move.
+    """Rig of a skinning: the joints of its hierarchy, else joints at the centroids of the bones.
 
     Parameters
     ----------
@@ -233,7 +214,8 @@ def build_rig(
         moving = translating(
             transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
         )
-        # A bind matrix and a node of float32 differ in their last bits: the mean has neither's.
+        # In float32, a bind matrix and a node differ in their last bits; the mean of all frames
+        # takes neither.
         steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
         offsets = steady.astype(np.float32)
         local[..., 3] = np.where(moving[:, None], local[..., 3], offsets)
@@ -260,14 +242,8 @@ def build_rig(
 
 
 def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    matrix = skinning.sparse_weights().astype(np.float64)
-    row = np.repeat(np.arange(skinning.n_vertices), np.diff(matrix.indptr))
-    order = np.lexsort((matrix.indices, -matrix.data, row))
-    place = np.arange(len(row)) - matrix.indptr[row]
-    width = int(np.diff(matrix.indptr).max())
-    indices = np.zeros((skinning.n_vertices, width), dtype=np.int32)
-    weights = np.zeros(indices.shape)
-    indices[row, place], weights[row, place] = matrix.indices[order], matrix.data[order]
+    matrix = skinning.sparse_weights().astype(np.float64).tocoo()
+    indices, weights = weight_rows(matrix.row, matrix.col, matrix.data)
     return indices, weights / weights.sum(axis=1, keepdims=True)
 
 
@@ -305,7 +281,7 @@ def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
 def interpolate_quaternions(
     a: NDArray[Any], b: NDArray[Any], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """:func:`slerp` of quaternions ``(..., 4)`` that need not have unit length, as in files."""
+    """:func:`slerp` of quaternions ``(..., 4)`` that need not have unit length."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
     return slerp(p, q, u)
 
@@ -313,7 +289,7 @@ def interpolate_quaternions(
 def quantise(
     indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
 ) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Weights as stored, summing to exactly 1 in their own steps.
+    """Weights as a file stores them, in steps that sum to exactly 1.
 
     Returns
     -------
@@ -343,13 +319,13 @@ def quantise(
 
 
 def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
-    """Weights as float64 from those that are stored."""
+    """Weights as float64, from stored ones."""
     steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
     return np.asarray(stored / np.float64(steps))
 
 
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:
-    """Frames per second of key times in seconds; None where they do not determine it.
+    """Frames per second that key times in seconds imply; None if they imply none.
 
     The rate on whose frames all keys lie: that of the closest two keys, else the lowest usual
     rate. Sparse keys say little, so rates below 10 do not count.

@@ -1,42 +1,30 @@
-"""Meshes of a scene joined into one sequence or skinning, for glTF, USD and FBX."""
+"""Meshes of a scene, joined into one sequence or skinning, for glTF, USD and FBX."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, in_order, unique_names
-from ..errors import FormatError, InputError
+from ..errors import InputError
 from ..lbs import skin
 from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .corners import corner_normals
+from .registry import check
+from .storage import frame_blocks
 
-__all__ = [
-    "Bones",
-    "Looks",
-    "SceneBudget",
-    "ScenePart",
-    "Shape",
-    "check_kept",
-    "join_faces",
-    "join_sequence",
-    "join_skinning",
-    "make_skinning",
-    "match_template",
-    "part_starts",
-]
+_log = logging.getLogger(__name__)
 
 Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
-
-_CHUNK_BYTES = 64 << 20  # bytes of float64 positions skinned at a time: more takes more memory
 
 
 class SceneBudget:
@@ -79,6 +67,10 @@ class SceneBudget:
 class ScenePart(Protocol):
     """Vertices of a scene that one skeleton moves, and the triangles over them.
 
+    Its methods take the `time` of a :class:`Sample`: `shape` returns the vertices (V, 3) before
+    skinning, or a function of the frame where they change; `transforms` those of the bones from
+    the rest pose, (F, B, 3, 4); `bones` the skeleton with such transforms.
+
     Attributes
     ----------
     skeleton : hashable
@@ -94,6 +86,31 @@ class ScenePart(Protocol):
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     faces: NDArray[np.int64]
+
+    def shape(self, time: Any, /) -> Shape: ...
+    def transforms(self, time: Any, /) -> NDArray[np.float64]: ...
+    def bones(self, transforms: NDArray[np.float64], /) -> Bones: ...
+
+
+Part = TypeVar("Part", bound=ScenePart)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sample(Generic[Part]):
+    """What a scene shows in one clip.
+
+    Attributes
+    ----------
+    clip : Clip
+    parts : sequence of ScenePart
+        The same parts in every clip of a file.
+    time : object
+        The frames of the clip, in the terms of the file format.
+    """
+
+    clip: Clip
+    parts: Sequence[Part]
+    time: Any
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -123,6 +140,29 @@ class Looks:
     normals: list[NDArray[np.float32] | None]
     material_index: list[NDArray[np.int64]]
     materials: list[Material]
+
+
+def file_weights(
+    indices: NDArray[np.integer], weights: NDArray[np.floating], n_joints: int, what: object
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Indices and weights (V, K) of a file; weights sum to 1, indices of zero weights are 0.
+
+    Raises
+    ------
+    FormatError
+        If a weight is negative or not finite, a vertex has none, or a joint is not there.
+    """
+    usable = np.isfinite(weights).all() and (weights >= 0).all()
+    check(usable, f"{what}: skin weights that are negative or not finite")
+    used = np.where(weights > 0, indices, 0).astype(np.int32)
+    for index in (used.min(initial=0), used.max(initial=0)):
+        check(0 <= index < n_joints, f"{what}: joint {index} of a skin of {n_joints}")
+    total = weights.sum(axis=1, keepdims=True)
+    bare = np.count_nonzero(total <= 0)
+    check(not bare, f"{what}: {bare} vertices have no skin weight")
+    if np.abs(total - 1).max() > 1e-3:
+        _log.warning("%s: skin weights that do not sum to 1 are scaled", what)
+    return used, weights / total
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
@@ -167,36 +207,19 @@ def _join_surface(
     )
 
 
-def join_sequence(
-    parts: Sequence[ScenePart],
-    clip: Clip,
-    shapes: Sequence[Shape],
-    transforms: Iterable[NDArray[np.float64]],
-    looks: Looks,
-    name: str,
-) -> MeshSequence:
-    """A sequence of the skinned vertices of all parts.
-
-    Parameters
-    ----------
-    parts : sequence of ScenePart
-    clip : Clip
-    shapes : sequence
-        For each part its vertices (V, 3) before skinning, or a function that gives those of a
-        frame.
-    transforms : iterable of (F, B, 3, 4) arrays
-        For each part.
-    looks : Looks
-    name : str
-    """
+def join_sequence(sample: Sample[Any], looks: Looks, name: str) -> MeshSequence:
+    """A sequence of the skinned vertices of all parts."""
+    clip, parts = sample.clip, sample.parts
     starts = part_starts(parts)
     frames = np.empty((clip.n_frames, starts[-1], 3), dtype=np.float32)
-    for part, start, shape, moved in zip(parts, starts[:-1], shapes, transforms, strict=True):
-        out = frames[:, start : start + len(part.indices)]
-        step = 1 if callable(shape) else max(1, _CHUNK_BYTES // (24 * out.shape[1]))
-        for first in range(0, clip.n_frames, step):
-            block = slice(first, first + step)
-            rest = shape(first) if callable(shape) else shape
+    shapes = [part.shape(sample.time) for part in parts]
+    for part, start, shape in zip(parts, starts[:-1], shapes, strict=True):
+        out, moved = frames[:, start : start + len(part.indices)], part.transforms(sample.time)
+        blocks = frame_blocks(0, clip.n_frames, out.shape[1])
+        if callable(shape):
+            blocks = (slice(k, k + 1) for k in range(clip.n_frames))
+        for block in blocks:
+            rest = shape(block.start) if callable(shape) else shape
             out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
     rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
     surface = _join_surface(parts, rest_poses, looks)
@@ -205,43 +228,28 @@ def join_sequence(
     )
 
 
-def join_skinning(
-    parts: Sequence[ScenePart],
-    clips: Iterable[Clip],
-    shapes: Sequence[Shape],
-    bones: Mapping[Hashable, Bones],
-    looks: Looks,
-    name: str,
-) -> Skinning:
-    """A skinning of all parts together.
-
-    Parameters
-    ----------
-    parts : sequence of ScenePart
-    clips : iterable of Clip
-    shapes : sequence
-        Vertices before skinning of each part in the first clip, then in the others.
-    bones : mapping
-        Bones of each skeleton, the frames of all clips one after the other.
-    looks : Looks
-    name : str
+def join_skinning(samples: Sequence[Sample[Any]], looks: Looks, name: str) -> Skinning:
+    """A skinning of all parts together, with a clip for each sample.
 
     Raises
     ------
     FormatError
         If the vertices of a part change before they are skinned.
     """
+    parts = samples[0].parts
+    bones: dict[Hashable, Bones] = {}
+    for k, part in enumerate(parts):
+        if part.skeleton not in bones:
+            moved = [one.parts[k].transforms(one.time) for one in samples]
+            bones[part.skeleton] = part.bones(np.concatenate(moved))
+    shapes = [part.shape(one.time) for one in samples for part in one.parts]
     rest = [shape for shape in shapes if not callable(shape)]
-    if len(rest) < len(shapes):
-        raise FormatError(
-            "morph targets, blend shapes or points move a mesh, which no skinning holds; "
-            "ssdr.load bakes them"
-        )
+    problem = "morph targets, blend shapes or points move a mesh, which no skinning holds"
+    check(len(rest) == len(shapes), f"{problem}; ssdr.load bakes them")
     rest = rest[: len(parts)]
-    keys = list(dict.fromkeys(part.skeleton for part in parts))
-    found = [bones[key] for key in keys]
+    found = list(bones.values())
     starts = np.cumsum([0, *(len(one.names) for one in found)])[:-1]
-    first = dict(zip(keys, starts, strict=True))
+    first = dict(zip(bones, starts, strict=True))
     width = max(part.indices.shape[1] for part in parts)
 
     def widened(part: ScenePart, values: NDArray[Any]) -> NDArray[Any]:
@@ -265,7 +273,7 @@ def join_skinning(
         faces=join_faces(parts),
         surface=_join_surface(parts, rest, looks),
         name=name,
-        clips=in_order(clips),
+        clips=in_order(one.clip for one in samples),
     )
 
 
@@ -305,7 +313,7 @@ def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
 def match_template(
     parts: Sequence[ScenePart], model: Skinning, path: Path
 ) -> list[NDArray[np.integer]]:
-    """Index of the model's vertex for each vertex of each part of a template.
+    """For each part of a template, indices of the model's vertices at its vertices.
 
     Raises
     ------
@@ -325,7 +333,7 @@ def match_template(
 
 
 def check_kept(lost: Sequence[str], strict: bool) -> None:
-    """Refuse to lose contents of a template if `strict`.
+    """Refuse, if `strict`, to lose contents of a template.
 
     Raises
     ------

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from ..errors import FormatError, InputError
 from .atomic import write_bytes
 from .budget import afford
-from .registry import SaveReport, natural_key, read_file, reading, written_vertices
+from .registry import SaveReport, check, natural_key, read_file, reading, written_vertices
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
 
-__all__ = ["SkinWeights", "read_weights", "write_skinning"]
 
 _COLUMNS = ["vertex", "bone", "weight"]
 _NUMBER = re.compile(r"\s*[0-9]{1,9}\s*")
@@ -57,7 +56,7 @@ class SkinWeights:
 
 
 def write_skinning(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
-    """Write one row ``vertex,bone,weight`` for every weight above 0; exact.
+    """Write one row ``vertex,bone,weight`` for every weight above 0, without loss.
 
     A bone that moves nothing gets a row of vertex 0 and weight 0, so that it is
     not lost.
@@ -137,16 +136,16 @@ def read_weights(
         place = {name: k for k, name in enumerate(order)}
         bone = np.array([place[name] for name in named], dtype=np.int64)
         table = _pack(source, vertex, bone, weight, order)
-        if n_vertices not in (None, len(table.weights)):
-            raise FormatError(f"{len(table.weights)} vertices, expected {n_vertices}")
+        found = len(table.weights)
+        check(n_vertices in (None, found), f"{found} vertices, expected {n_vertices}")
         return table
 
 
 def _parse(text: str) -> tuple[NDArray[np.int64], list[str], NDArray[np.float64]]:
     rows = list(filter(None, csv.reader(io.StringIO(text, newline=""), strict=True)))
     header = [cell.strip() for cell in rows[0]] if rows else []
-    if header != _COLUMNS:
-        raise FormatError(f"the header is {','.join(header)[:80]!r}, not vertex,bone,weight")
+    problem = f"the header is {','.join(header)[:80]!r}, not vertex,bone,weight"
+    check(header == _COLUMNS, problem)
     for k, row in enumerate(rows[1:], 1):
         if len(row) != 3 or not _NUMBER.fullmatch(row[0]):
             raise FormatError(f"row {k} is not vertex,bone,weight")
@@ -163,25 +162,32 @@ def _pack(
     names: tuple[str, ...],
 ) -> SkinWeights:
     """Rows of the table as arrays (V, K), descending."""
-    if not np.isfinite(weight).all() or (weight < 0).any():
-        raise FormatError("a weight is negative or not finite")
+    usable = np.isfinite(weight).all() and (weight >= 0).all()
+    check(usable, "a weight is negative or not finite")
     used = weight > 0
     vertex, bone, weight = vertex[used], bone[used], weight[used]
-    present = np.unique(vertex)
-    if len(present) == 0 or present[-1] != len(present) - 1:
-        raise FormatError("not every vertex from 0 on has weights")
-    if len(np.unique(vertex * len(names) + bone)) != len(vertex):
-        raise FormatError("a vertex names the same bone twice")
+    every = np.unique(vertex).size == vertex.max(initial=0) + 1
+    check(every, "not every vertex from 0 on has weights")
+    once = np.unique(vertex * len(names) + bone).size == vertex.size
+    check(once, "a vertex names the same bone twice")
     count = np.bincount(vertex)
     afford(12 * len(count) * int(count.max()), f"{len(count)} times {count.max()} weights", path)
     sums = np.bincount(vertex, weights=weight)
     worst = int(np.abs(sums - 1).argmax())
-    if abs(sums[worst] - 1) > 1e-4:
-        raise FormatError(f"the weights of vertex {worst} sum to {sums[worst]:.6g}, not 1")
-    order = np.lexsort((-weight, vertex))
-    slot = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    problem = f"the weights of vertex {worst} sum to {sums[worst]:.6g}, not 1"
+    check(abs(sums[worst] - 1) <= 1e-4, problem)
+    indices, weights = weight_rows(vertex, bone, weight)
+    return SkinWeights(indices=indices, weights=weights, bone_names=names)
+
+
+def weight_rows(
+    vertex: NDArray[np.integer], bone: NDArray[np.integer], weight: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Indices and weights (V, K), largest first, from a list of entries; each vertex has one."""
+    order = np.lexsort((bone, -weight, vertex))
+    count = np.bincount(vertex)
+    row, place = vertex[order], np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
     indices = np.zeros((len(count), count.max()), dtype=np.int32)
     weights = np.zeros(indices.shape)
-    indices[vertex[order], slot] = bone[order]
-    weights[vertex[order], slot] = weight[order]
-    return SkinWeights(indices=indices, weights=weights, bone_names=names)
+    indices[row, place], weights[row, place] = bone[order], weight[order]
+    return indices, weights

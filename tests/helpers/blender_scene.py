@@ -5,10 +5,13 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import ssdr
+from helpers.rig_model import largest_distance
 from ssdr.errors import SsdrError
-from ssdr.io.blender import command
+from ssdr.io.blender.finder import command
 
 try:
     command("")
@@ -101,3 +104,16 @@ def export(path: Path, code: str) -> Path:
     run_blender(path.with_suffix(".scene.py"), _HEAD + code, path)
     assert path.is_file()
     return path
+
+
+def as_blender_shows(path, **options):
+    """A file's skinning, each clip compared with the vertices that Blender evaluates."""
+    model = ssdr.load_skinning(path, **options)
+    assert ssdr.list_clips(path) == model.clips
+    for clip in model.clips:
+        shown = ssdr.load(path, clip=clip.name, **options)
+        assert (shown.clip, shown.fps, len(shown)) == (clip.name, clip.fps, clip.n_frames)
+        np.testing.assert_array_equal(shown.faces, model.faces)
+        off = largest_distance(model.skin(clip.frames, dtype=np.float64), shown.vertices)
+        assert off < 1e-6 * shown.diagonal()
+    return model

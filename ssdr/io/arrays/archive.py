@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from ...errors import FormatError, InputError
 from ..atomic import atomic_path
 from ..budget import afford, refuse_bomb
-from ..registry import describe, reading
-
-__all__ = ["names_in", "read_array", "read_arrays", "shape_of", "write_array", "write_arrays"]
+from ..registry import check, reading
+from ..signatures import describe
 
 _npy: Any = np.lib.format  # NumPy types it only in part
 _MOST_HEADER = 10_000  # characters of an .npy header; NumPy's own limit, against costly parsing
@@ -39,7 +38,7 @@ def read_arrays(
     mapped: Sequence[str] = (),
     max_bytes: int | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Read arrays of an archive by name; other members are not looked at.
+    """Read arrays of an archive by name and ignore its other members.
 
     Parameters
     ----------
@@ -62,14 +61,10 @@ def read_arrays(
     arrays: dict[str, NDArray[Any]] = {}
     with _open(path) as (stream, archive, members):
         missing = [key for key in required if key not in members]
-        if missing:
-            found = ", ".join(list(members)[:12]) or "nothing"
-            raise FormatError(f"{path}: no array {', '.join(missing)}; it holds {found}")
-        chosen = [
-            key
-            for key in members
-            if any(fnmatch.fnmatchcase(key, p) for p in (*required, *optional))
-        ]
+        found = ", ".join(list(members)[:12]) or "nothing"
+        check(not missing, f"no array {', '.join(missing)}; it holds {found}")
+        patterns = (*required, *optional)
+        chosen = [k for k in members if any(fnmatch.fnmatchcase(k, p) for p in patterns)]
         headers = {key: _header_of(archive, members[key]) for key in chosen}
         read = [members[key] for key in chosen if key not in mapped]
         size, stored = sum(i.file_size for i in read), sum(i.compress_size for i in read)
@@ -109,8 +104,7 @@ def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
     """Read or map the array of a ``.npy`` file, whose size must be what its header states."""
     with reading(path), path.open("rb") as stream:
         head = stream.read(64)
-        if not head.startswith(b"\x93NUMPY"):
-            raise FormatError(f"{path}: not a .npy array: {describe(head)}")
+        check(head.startswith(b"\x93NUMPY"), f"not a .npy array: {describe(head)}")
         stream.seek(0)
         dtype, shape, order = _read_header(stream)
         offset = stream.tell()
@@ -146,7 +140,7 @@ def names_in(path: Path) -> set[str]:
 
 
 def shape_of(path: Path, key: str) -> tuple[int, ...]:
-    """Shape of an array of an archive, which is not read."""
+    """Shape of an array of an archive, from its header alone."""
     with _open(path) as (_, archive, members):
         return _header_of(archive, members[key])[1]
 
@@ -157,25 +151,23 @@ _Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
-    """File, archive and members by the name of their array; errors become FormatErrors."""
+    """Open an archive: its file, the archive, and its members by the name of their array."""
     with reading(path), path.open("rb") as stream:
         head = stream.read(64)
-        if not head.startswith(b"PK\x03\x04"):
-            raise FormatError(f"{path}: not an .npz archive: {describe(head)}")
+        check(head.startswith(b"PK\x03\x04"), f"not an .npz archive: {describe(head)}")
         stream.seek(0)
         with zipfile.ZipFile(stream) as archive:
             members: _Members = {}
             for info in archive.infolist():
                 key = info.filename.removesuffix(".npy")
-                if key in members:
-                    raise FormatError(f"{path}: two members are called {key!r}")
+                check(key not in members, f"two members are called {key!r}")
                 if key != info.filename:
                     members[key] = info
             yield stream, archive, members
 
 
 def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
-    """Type, shape and order of a ``.npy`` stream, left at its data.
+    """Type, shape and order that a ``.npy`` stream states; the stream is left at its data.
 
     Raises
     ------
@@ -190,26 +182,23 @@ def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
             shape, fortran, dtype = read(stream, max_header_size=_MOST_HEADER)
         except Exception as error:
             raise FormatError(f"{member} has no usable .npy header ({error})") from error
-    if dtype.hasobject:
-        raise FormatError(f"{member} holds pickled Python objects, which are never read")
-    if dtype.kind not in "fiubU" or (dtype.itemsize == 0 and dtype.kind != "U"):
-        raise FormatError(f"{member} holds {dtype}, neither numbers nor text")
-    if any(type(n) is not int or n < 0 for n in shape):
-        raise FormatError(f"{member} has the shape {shape}")
+    problem = f"{member} holds pickled Python objects, which are never read"
+    check(not dtype.hasobject, problem)
+    plain = dtype.kind == "U" or (dtype.kind in "fiub" and dtype.itemsize)
+    check(plain, f"{member} holds {dtype}, neither numbers nor text")
+    check(all(type(n) is int and n >= 0 for n in shape), f"{member} has the shape {shape}")
     return dtype, shape, "F" if fortran else "C"
 
 
 def _check_size(member: str, dtype: np.dtype[Any], shape: tuple[int, ...], held: int) -> None:
     stated = math.prod(shape) * dtype.itemsize
-    if held != stated:
-        raise FormatError(
-            f"{member} states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
-        )
+    problem = f"{member} states the shape {shape} of {dtype}, {stated} bytes, but holds {held}"
+    check(held == stated, problem)
 
 
 def _header_of(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> _Header:
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise FormatError(f"{info.filename} is neither stored nor deflated")
+    known = info.compress_type in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+    check(known, f"{info.filename} is neither stored nor deflated")
     with archive.open(info) as member:
         dtype, shape, order = _read_header(member, info.filename)
         _check_size(info.filename, dtype, shape, info.file_size - member.tell())

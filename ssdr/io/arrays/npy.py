@@ -12,8 +12,6 @@ from ..companion import over_mesh
 from ..registry import SaveReport
 from .archive import read_array, write_array
 
-__all__ = ["read", "write_sequence"]
-
 
 def read(
     path: Path, *, fps: float | None = None, faces: Any = None, mmap: bool = False
@@ -39,7 +37,7 @@ def read(
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
-    """Write the vertices to `path` and the faces to ``<stem>.faces.npy``; exact."""
+    """Write the vertices to `path` and the faces to ``<stem>.faces.npy``, without loss."""
     size = 0
     beside = path.with_suffix(".faces.npy")
     for target, array in ((beside, sequence.faces), (path, sequence.vertices)):

@@ -18,24 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...clips import Clip, pick
-from ...errors import FormatError, InputError
+from ...errors import InputError
 from ...sequence import MeshSequence
 from ...surface import Material, Surface
 from ..budget import afford
-from ..registry import SaveReport, bake, reading
+from ..registry import SaveReport, bake, check, pick_clip, reading
 from .archive import names_in, read_arrays, shape_of, write_arrays
 
 if TYPE_CHECKING:
     from ...skinning import Skinning
 
-__all__ = [
-    "FORMAT_VERSION",
-    "list_clips",
-    "read",
-    "read_skinning",
-    "write_sequence",
-    "write_skinning",
-]
 
 _log = logging.getLogger(__name__)
 
@@ -74,14 +66,12 @@ def read(
     FormatError
         If the archive is damaged, hostile, or lacks a key.
     InputError
-        If `mmap` is asked of a compressed archive.
+        If `mmap` is true and the archive is compressed.
     """
     if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
         names = [one.name for one in _named(skinning.clips, skinning.name, path)]
-        index = pick(names, clip)
-        if len(names) > 1:
-            _log.info("%s: clip %r of %s", path, names[index], names)
+        index = pick_clip(names, clip, path)
         skinning = skinning.select(index)
         count, n = skinning.n_frames, skinning.n_vertices
         size = count * n * 3 * skinning.rest.itemsize
@@ -103,7 +93,7 @@ def read(
             _fps(arrays) if fps is None else fps,
             name=_text(arrays, "name") or path.stem,
             clip=_text(arrays, "clip"),
-            surface=_surface_from(arrays),
+            surface=surface_from(arrays),
             vertex_map=arrays.get("vertex_map"),
         )
     pick([sequence.clip or sequence.name], clip)
@@ -135,7 +125,7 @@ def _named(clips: tuple[Clip, ...], name: str, path: Path) -> tuple[Clip, ...]:
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``vertices, faces, fps`` and, where given, name, surface and map; exact.
+    """Write ``vertices, faces, fps`` and, where given, name, surface and map, without loss.
 
     Parameters
     ----------
@@ -150,7 +140,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
 def read_skinning(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> Skinning:
-    """Read what :func:`write_skinning` wrote; `fps` replaces the rate of every clip."""
+    """Read a file of :func:`write_skinning`; `fps` replaces the rate of every clip."""
     from ...skinning import Skinning
 
     arrays = read_arrays(
@@ -164,13 +154,10 @@ def read_skinning(
     )
     with reading(path):
         version = int(_scalar(arrays, "format_version"))
-        if not 1 <= version <= FORMAT_VERSION:
-            raise FormatError(
-                f"format_version {version}; this release reads up to {FORMAT_VERSION}"
-            )
+        problem = f"format_version {version}; this release reads up to {FORMAT_VERSION}"
+        check(1 <= version <= FORMAT_VERSION, problem)
         indices = "joints" if version == 1 else "indices"
-        if indices not in arrays:
-            raise FormatError(f"no array {indices}, as format_version {version} has it")
+        check(indices in arrays, f"no array {indices}, as format_version {version} has it")
         names = _text(arrays, "bone_names")
         clips = _clips_from(arrays)
         if fps is not None and clips is not None:
@@ -184,7 +171,7 @@ def read_skinning(
             fps=_fps(arrays) if fps is None else fps,
             clips=clips,
             bone_model=_text(arrays, "bone_model") or "rigid",  # type: ignore[arg-type]
-            surface=_surface_from(arrays),
+            surface=surface_from(arrays),
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
             **{key: arrays.get(key) for key in _WHERE_GIVEN},
@@ -192,7 +179,7 @@ def read_skinning(
 
 
 def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``rest, indices, weights, transforms, faces, fps, format_version`` and more; exact."""
+    """Write ``rest, indices, weights, transforms, faces, fps`` and more, without loss."""
     arrays: dict[str, Any] = {
         "rest": skinning.rest,
         "indices": skinning.indices,
@@ -273,7 +260,8 @@ def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
+def surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
+    """The surface that the arrays of an archive state; None without one."""
     fields: dict[str, Any] = {}
     for field, kind in _FIELDS.items():
         array = arrays.get(f"surface_{field}")
@@ -285,7 +273,8 @@ def _surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
     materials = []
     for k, record in enumerate(json.loads(_text(arrays, "materials") or "[]")):
         texture = arrays.get(f"texture_{k}")
-        record["base_color"] = tuple(float(c) for c in record["base_color"])
+        if "base_color" in record:
+            record["base_color"] = tuple(float(c) for c in record["base_color"])
         materials.append(Material(**record, texture=None if texture is None else texture.tobytes()))
     if not (fields or materials):
         return None

@@ -15,9 +15,7 @@ from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
 from ..budget import afford, refuse_bomb
 from ..companion import over_mesh
-from ..registry import SaveReport, reading, refuse_device, require
-
-__all__ = ["read", "write_sequence"]
+from ..registry import SaveReport, check, reading, refuse_device, require
 
 _CHUNK = 8 << 20  # bytes of a stored chunk: larger ones make reading single frames slower
 _METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
@@ -47,21 +45,20 @@ def read(
     """
     zarr = require("zarr", "zarr", str(path))
     with reading(path):
-        if not path.is_dir():
-            raise FormatError(f"{path}: not a folder, as a zarr store is")
+        check(path.is_dir(), "not a folder, as a zarr store is")
         for folder, folders, files in os.walk(path):
             for name in files:
                 refuse_device(Path(folder, name))
             for name in folders:
-                if os.path.islink(Path(folder, name)):
-                    raise FormatError(f"{Path(folder, name)}: a link to a folder, not followed")
+                link = Path(folder, name)
+                check(not link.is_symlink(), f"{link}: a link to a folder, not followed")
         node = zarr.open(path, mode="r")
         group = {"vertices": node} if hasattr(node, "shape") else node
         if "vertices" not in group:
-            raise FormatError(f"{path}: no array vertices; it holds {sorted(node.keys())}")
+            raise FormatError(f"no array vertices; it holds {sorted(node.keys())}")
         vertices = group["vertices"]
-        if len(vertices.shape) != 3 or vertices.shape[2] != 3:
-            raise FormatError(f"{path}: expected the shape (F, V, 3), got {vertices.shape}")
+        points = len(vertices.shape) == 3 and vertices.shape[2] == 3
+        check(points, f"expected the shape (F, V, 3), got {vertices.shape}")
         _check_chunks(vertices, path / vertices.path, max_bytes)
         if faces is None and "faces" in group:
             _check_chunks(group["faces"], path / "faces", max_bytes)
@@ -72,21 +69,19 @@ def read(
 
 
 def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
-    """Refuse an array with missing chunks or with chunks that take more memory than they may.
+    """Refuse an array whose chunks are missing or take more memory than allowed.
 
     A missing chunk reads as zeros: a damaged store would give wrong positions, and a store
     without data could state any number of frames.
     """
     codecs = [type(codec).__name__.removesuffix("Codec") for codec in array.compressors]
-    if array.shards or codecs not in ([], ["Zstd"], ["Blosc"]):
-        kind = "shards" if array.shards else f"chunks compressed by {' and '.join(codecs)}"
-        raise FormatError(f"{folder}: holds {kind}; whole chunks by zstd or Blosc are read")
+    kind = "shards" if array.shards else f"chunks compressed by {' and '.join(codecs)}"
+    problem = f"{folder}: holds {kind}; whole chunks by zstd or Blosc are read"
+    check(not array.shards and codecs in ([], ["Zstd"], ["Blosc"]), problem)
     files = [f for f in folder.rglob("*") if f.is_file() and f.name not in _METADATA]
-    if len(files) != array.nchunks:
-        raise FormatError(
-            f"{folder}: holds {len(files)} of {array.nchunks} chunks of the shape {array.shape} "
-            "(a store written with write_empty_chunks=True has them all)"
-        )
+    problem = f"{folder}: holds {len(files)} of {array.nchunks} chunks of the shape {array.shape}"
+    hint = "a store written with write_empty_chunks=True has them all"
+    check(len(files) == array.nchunks, f"{problem} ({hint})")
     size = math.prod(array.chunks) * array.dtype.itemsize
     afford(size, "a chunk", folder, max_bytes)
     if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):  # is converted as a whole
@@ -114,15 +109,14 @@ def _zstd_size(data: Any) -> int:
         flags = _number(data, at + 4, 1)
         single = flags >> 5 & 1  # segment, without a window descriptor
         width = (single, 2, 4, 8)[flags >> 6]
-        if _number(data, at, 4) != 0xFD2FB528 or not width:
-            raise FormatError("a chunk is no zstd frame that states its size")
+        known = _number(data, at, 4) == 0xFD2FB528 and width
+        check(known, "a chunk is no zstd frame that states its size")
         at += 6 - single + (0, 1, 2, 4)[flags & 3]
         size += _number(data, at, width) + 256 * (width == 2)
         at += width
         block = 0
         while not block & 1:  # the last block
-            if at >= len(data):
-                raise FormatError("a chunk is truncated")
+            check(at < len(data), "a chunk is truncated")
             block = _number(data, at, 3)
             at += 3 + (1 if block >> 1 & 3 == 1 else block >> 3)
         at += flags & 4  # a checksum of four bytes
@@ -130,7 +124,7 @@ def _zstd_size(data: Any) -> int:
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
-    """Write a group of ``vertices`` (chunks of whole frames), ``faces`` and ``fps``; exact."""
+    """Write a group of ``vertices`` in chunks of whole frames, ``faces`` and ``fps``; no loss."""
     zarr = require("zarr", "zarr", str(path))
     if not path.parent.is_dir():
         raise InputError("path", "a folder in a folder that exists", str(path))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-import math
 import os
 import subprocess
 import tempfile
@@ -19,20 +18,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order, one_rate, pick, readable
+from ...clips import Clip, in_order, one_rate, readable
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ...surface import Material, Surface
+from ..arrays.npz import surface_from
 from ..atomic import atomic_path
-from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
+from ..axes import Up, check_up, turn_sequence_up, turn_skinning_up
 from ..budget import MOST_BYTES
 from ..gltf import writer as gltf
-from ..registry import SaveReport, describe, reading
+from ..registry import SaveReport, pick_clip, reading
 from ..scene import Bones, make_skinning
+from ..signatures import describe
+from ..storage import StorageError, frame_blocks
 from .finder import command
-
-__all__ = ["left_out", "list_clips", "read", "read_skinning", "run", "write_skinning"]
 
 _log = logging.getLogger(__name__)
 _IMPORT_FPS = 24.0
@@ -84,20 +83,19 @@ def read(
     arrays = _ask_blender("read", path, fps, time_limit, max_bytes, take=take)
     with reading(path):
         names = _names(arrays, path)
-    name = names[pick(names, clip)]
-    if len(names) > 1:
-        _log.info("%s: clip %r of %s", path, name, names)
+    name = names[pick_clip(names, clip, path)]
     if fps is None and path.suffix.lower() == ".abc":
         _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
     with reading(path):
-        return MeshSequence(
-            turn_up(arrays["vertices"], "z", up),
+        sequence = MeshSequence(
+            arrays["vertices"],
             arrays["faces"],
             float(arrays["fps"].item()),
             name=_title(arrays, path),
             clip=name,
-            surface=turn_surface_up(_surface(arrays), "z", up),
+            surface=surface_from(arrays),
         )
+        return turn_sequence_up(sequence, "z", up)
 
 
 def list_clips(
@@ -164,7 +162,7 @@ def read_skinning(
             arrays["weights"],
             Bones(json.loads(str(arrays["bones"])), parents, positions, arrays["transforms"]),
             faces=arrays["faces"],
-            surface=_surface(arrays),
+            surface=surface_from(arrays),
             name=_title(arrays, path),
             clips=clips,
         )
@@ -177,31 +175,12 @@ def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
-    """Name of the file's only mesh, else of the file."""
+    """Name of the only mesh of the file; that of the file where it has several."""
     return readable(arrays["title"]) if "title" in arrays else path.stem
 
 
 def _names(arrays: dict[str, NDArray[Any]], path: Path) -> list[str]:
     return [readable(name) for name in json.loads(str(arrays["names"]))] or [path.stem]
-
-
-def _surface(arrays: dict[str, NDArray[Any]]) -> Surface | None:
-    uv, normals = arrays.get("uv"), arrays.get("normals")
-    materials = []
-    for record in json.loads(str(arrays["materials"])) if "materials" in arrays else []:
-        texture = record.pop("texture", None)
-        if "base_color" in record:
-            record["base_color"] = tuple(record["base_color"])
-        encoded = None if texture is None else arrays[texture].tobytes()
-        materials.append(Material(**record, texture=encoded))
-    if uv is None and normals is None and not materials:
-        return None
-    return Surface(
-        uv=None if uv is None else uv.astype(np.float32),
-        normals=None if normals is None else normals.astype(np.float32),
-        material_index=arrays["material_index"].astype(np.int32) if materials else None,
-        materials=tuple(materials),
-    )
 
 
 def _ask_blender(
@@ -214,7 +193,7 @@ def _ask_blender(
 ) -> dict[str, NDArray[Any]]:
     """Arrays that ``script.py`` reads from a file; its failures become FormatErrors."""
     _check_limit(time_limit)
-    command(_SCRIPT)  # whether there is a Blender comes before what may be wrong with the file
+    command(_SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
     with path.open("rb") as stream:
         head = stream.read(64)
@@ -278,15 +257,15 @@ def write_skinning(
     command(_SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
-        # Blender knows the takes by these names, whatever the clips' own, and its glTF importer
-        # puts keys on frames at whole rates alone.
+        # Takes get short names for Blender, since clips may have any, and a whole frame rate, since
+        # Blender's glTF importer puts keys on frames only then.
         numbered = [
             dataclasses.replace(c, name=f"c{k}", fps=_IMPORT_FPS)
             for k, c in enumerate(skinning.clips)
         ]
         model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
         settings: dict[str, Any] = {"influences": influences, "up": up, "name": title}
-        lengths = None  # without a hierarchy nothing says along what a bone lies
+        lengths = None  # without a hierarchy a bone has no direction
         if skinning.parents is None:
             stored = gltf.write_skinning(model, source, **settings)
         else:
@@ -313,21 +292,18 @@ def write_skinning(
             f"Blender's FBX holds {back.n_frames} frames of {back.n_vertices} vertices, "
             f"not {skinning.n_frames} of {len(vertex)}"
         )
-    total, largest = 0.0, 0.0
-    step = max(1, (64 << 20) // (24 * len(vertex)))
-    for first in range(0, skinning.n_frames, step):
-        frames = slice(first, first + step)
-        truth = skinning.skin(frames, dtype=np.float64)[:, vertex]
-        squares = ((back.skin(frames, dtype=np.float64) - truth) ** 2).sum(axis=2)
-        total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
+    error = StorageError()
+    for block in frame_blocks(0, skinning.n_frames, len(vertex)):
+        truth = skinning.skin(block, dtype=np.float64)[:, vertex]
+        error.add(back.skin(block, dtype=np.float64), truth)
     dropped = len(skinning.faces) - int(written["triangles"])
     lost = f"{dropped} triangles, which Blender drops: without area, or on the vertices of another"
     return dataclasses.replace(
         stored,
         path=path,
         bytes=path.stat().st_size,
-        error=math.sqrt(total / (skinning.n_frames * len(vertex))),
-        max_error=math.sqrt(largest),
+        error=error.rmse,
+        max_error=error.largest,
         note=stored.note.replace("glTF takes the unit for metres", "the unit is taken for metres"),
         lost=(lost,) if dropped else (),
     )

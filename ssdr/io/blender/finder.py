@@ -14,8 +14,6 @@ from pathlib import Path
 
 from ...errors import InputError, MissingDependencyError
 
-__all__ = ["command", "environment"]
-
 
 def environment() -> Path:
     """Folder for a Python environment with ``bpy``, whether it exists or not.

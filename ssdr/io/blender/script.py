@@ -68,7 +68,7 @@ def meshes() -> list[Any]:
 
 
 def is_bone_shape(item: Any) -> bool:
-    """Whether a mesh is the ball that Blender's glTF importer adds to draw bones."""
+    """Whether a mesh is the sphere that Blender's glTF importer adds to draw bones."""
     held = item.parent or item.modifiers or item.constraints
     alone = not (held or item.animation_data or item.material_slots)
     return item.name.startswith("Icosphere") and len(item.data.vertices) == 42 and alone
@@ -86,7 +86,7 @@ class Vertices:
         self.frames: list[Any] = []
 
     def read_rest(self, timeline: Any) -> None:
-        """Show the first frame; each frame is read for itself."""
+        """Show the first frame, which needs no rest pose."""
         timeline.go(0)
 
     def sample(self, graph: Any) -> None:
@@ -104,9 +104,9 @@ class Vertices:
 
 
 def read(job: dict[str, Any]) -> None:
-    """Write the takes of a file ("list"), vertices of one ("read") or skins of all."""
+    """Write the takes of a file ("list"), the vertices of one take ("read") or the skins of all."""
     load(job["path"], job["fps"])
-    items, found = meshes(), takes.listed(job["path"])
+    items, found = meshes(), takes.list_takes(job["path"])
     names = [name for name, _ in found]
     arrays: dict[str, Any] = {"names": np.array(json.dumps(names))}
     if len(items) == 1:
@@ -123,7 +123,7 @@ def read(job: dict[str, Any]) -> None:
             return
         found = found[take : take + 1] if found else []
     else:
-        model = skins.SkinnedMeshes(items, takes.clustered(job["path"]))
+        model = skins.SkinnedMeshes(items, takes.skin_bone_names(job["path"]))
     pose, timelines, need = takes.pose(), [], 0
     for _, actions in found or [("", None)]:
         takes.restore(pose)
@@ -175,8 +175,8 @@ def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
         strip.frame_start, strip.frame_end = 0, clip["frames"] - 1
 
 
-def sew(item: Any) -> None:
-    """Merge the copies of vertices that glTF needs for different normals and UVs.
+def merge_copies(item: Any) -> None:
+    """Merge the copies of vertices that glTF needs where normals or UVs differ.
 
     Normals and UVs become those of corners, as in FBX. Blender keeps only one triangle on the same
     three vertices, so further triangles there get copies of the vertices.
@@ -241,7 +241,7 @@ def write(job: dict[str, Any]) -> None:
     takes.set_rate(job["fps"])
     items = meshes()
     for item in items:
-        sew(item)
+        merge_copies(item)
     triangles = sum(len(item.data.polygons) for item in items)
     np.savez(job["out"], vertex=vertex_numbers(items), triangles=np.array(triangles))
     armatures = [item for item in bpy.context.scene.objects if item.type == "ARMATURE"]

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-_LEAST_TOTAL = 1e-4  # where the weights of a vertex sum to less, Blender leaves it where it is
-_SAME_PLACE = 1e-6  # of the size of a mesh: what float32 matrices make of a motion that is none
+_LEAST_TOTAL = 1e-4  # Blender does not move a vertex whose weights sum to less
+_SAME_PLACE = 1e-6  # part of the size of a mesh; float32 matrices move a still mesh by less
 
 
 def matrix(value: Any) -> Any:
@@ -35,22 +35,22 @@ class Skin:
         self.modifiers = [m for m in item.modifiers if m.type == "ARMATURE" and m.object]
         if len(self.modifiers) > 1:
             names = ", ".join(m.object.name for m in self.modifiers)
-            raise ValueError(f"{item.name} hangs on several armatures ({names}), one was expected")
+            raise ValueError(f"{item.name} has several armatures ({names}), one was expected")
         self.armature: Any = self.modifiers[0].object if self.modifiers else None
         self.keys: Any = None  # values of the shape keys, which must stay
-        self.places: list[Any] = []  # O O₀⁻¹ of each frame
-        self.seats: list[Any] = []  # A⁻¹ O O₀⁻¹ of each frame
+        self.motions: list[Any] = []  # O O₀⁻¹ of each frame
+        self.relative: list[Any] = []  # A⁻¹ O O₀⁻¹ of each frame
 
     def read_rest(self, graph: Any) -> None:
         """Read the vertices in world space without the skin, and where the mesh stands."""
         self.rest, self.place = world_points(self.item, graph)
         if not np.linalg.cond(self.place) < 1e9:
-            raise ValueError(f"{self.item.name} is scaled to nothing, which no rest pose can be")
+            raise ValueError(f"{self.item.name} is scaled to size 0, which no rest pose can have")
         if len(self.rest) != len(self.item.data.vertices):
             raise ValueError(f"{self.item.name}: a modifier changes the number of its vertices")
 
     def sample(self, graph: Any, armature_places: dict[str, Any]) -> None:
-        """Note the motion of the object itself, in the world and relative to its armature."""
+        """Record the motion of the object itself, in the world and relative to its armature."""
         keys = self.item.data.shape_keys
         if keys is not None:
             values = np.array([key.value for key in keys.key_blocks])
@@ -60,10 +60,10 @@ class Skin:
                     "ssdr.load bakes them"
                 )
             self.keys = values
-        place = matrix(self.item.evaluated_get(graph).matrix_world) @ np.linalg.inv(self.place)
-        self.places.append(place)
+        motion = matrix(self.item.evaluated_get(graph).matrix_world) @ np.linalg.inv(self.place)
+        self.motions.append(motion)
         if self.armature is not None:
-            self.seats.append(np.linalg.inv(armature_places[self.armature.name]) @ place)
+            self.relative.append(np.linalg.inv(armature_places[self.armature.name]) @ motion)
 
     def influences(self, names: list[str]) -> tuple[Any, Any]:
         """Bones and weights ``(V, K)``; bone ``len(names)`` for vertices that no bone moves."""
@@ -88,7 +88,7 @@ class Skin:
 
 
 class Armature:
-    """An armature, and those of its bones that meshes name."""
+    """An armature and those of its bones to which meshes refer."""
 
     def __init__(self, item: Any, named: set[str]) -> None:
         self.item = item
@@ -110,7 +110,7 @@ class Armature:
         return matrix(self.item.evaluated_get(graph).matrix_world)
 
     def sample(self, graph: Any) -> None:
-        """Note transforms ``(B, 4, 4)`` from armature space at rest to world space."""
+        """Record transforms ``(B, 4, 4)`` from armature space at rest to world space."""
         posed = self.item.evaluated_get(graph).pose.bones
         moved = [matrix(posed[n].matrix) @ u for n, u in zip(self.names, self._unrest, strict=True)]
         self.poses.append(self.place(graph) @ np.array(moved).reshape(-1, 4, 4))
@@ -161,15 +161,15 @@ class SkinnedMeshes:
         for skin in self.skins:
             skin.sample(graph, places)
 
-    def _seat(self, skin: Skin) -> Any:
+    def _relative_motion(self, skin: Skin) -> Any:
         """A⁻¹ O O₀⁻¹ in every frame, or once if the mesh follows its armature."""
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
-        seats = np.array(skin.seats)
+        moved = np.array(skin.relative)
         size = np.abs(skin.rest).max() + 1e-30
-        off = (seats - still)[:, :3]
+        off = (moved - still)[:, :3]
         reach = np.abs(off[..., :3]).sum(axis=-1).max() * size + np.abs(off[..., 3]).max()
         scale = np.abs(still[:, :3, :3]).max()
-        return still if reach <= _SAME_PLACE * size * scale else seats
+        return still if reach <= _SAME_PLACE * size * scale else moved
 
     def arrays(self) -> dict[str, Any]:
         names: list[str] = []
@@ -183,18 +183,18 @@ class SkinnedMeshes:
             own: list[str] = []
             start = 0
             if skin.armature is not None:
-                key, seat = skin.armature.name, self._seat(skin)
+                key, relative = skin.armature.name, self._relative_motion(skin)
                 armature = self.armatures[key]
                 own = armature.names
-                start = shared.get(key, -1) if len(seat) == 1 else -1
+                start = shared.get(key, -1) if len(relative) == 1 else -1
                 if start < 0:
                     start = len(names)
                     names += own
-                    transforms.append(np.array(armature.poses) @ seat[:, None])
+                    transforms.append(np.array(armature.poses) @ relative[:, None])
                     parents += [start + a if a >= 0 else -1 for a in armature.parents]
-                    back = np.linalg.inv(seat[0])
+                    back = np.linalg.inv(relative[0])
                     heads.append(armature.heads @ back[:3, :3].T + back[:3, 3])
-                    if len(seat) == 1:
+                    if len(relative) == 1:
                         shared[key] = start
             bones, amounts = skin.influences(own)
             still = (bones == len(own)) & (amounts > 0)
@@ -202,7 +202,7 @@ class SkinnedMeshes:
             if still.any():
                 numbers[still] = len(names)
                 names.append(skin.item.name)
-                transforms.append(np.array(skin.places)[:, None])
+                transforms.append(np.array(skin.motions)[:, None])
                 parents.append(-1)
                 heads.append(skin.place[None, :3, 3])
             indices.append(np.where(amounts > 0, numbers, 0))

@@ -21,7 +21,8 @@ def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
 
 def join(items: list[Any], arrays: dict[str, Any], path: str) -> None:
     """Add faces, UVs, normals and materials of all meshes, one after the other, to `arrays`."""
-    found: dict[str, list[Any]] = {"faces": [], "uv": [], "normals": [], "material_index": []}
+    names = ("faces", "surface_uv", "surface_normals", "surface_material_index")
+    found: dict[str, list[Any]] = {name: [] for name in names}
     materials: list[Any] = []
     start = 0
     for item in items:
@@ -33,28 +34,29 @@ def join(items: list[Any], arrays: dict[str, Any], path: str) -> None:
         start += len(mesh.vertices)
         if mesh.uv_layers.active:
             uv = values(mesh.uv_layers.active.data, "uv", np.float32, 2)
-            found["uv"].append(uv[loops].reshape(-1, 3, 2))
+            found["surface_uv"].append(uv[loops].reshape(-1, 3, 2))
         if mesh.corner_normals:
             normals = values(mesh.corner_normals, "vector", np.float32, 3)[loops]
             normals = normals @ np.linalg.pinv(np.array(item.matrix_world)[:3, :3])
             length = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-            found["normals"].append((normals / length).reshape(-1, 3, 3))
+            found["surface_normals"].append((normals / length).reshape(-1, 3, 3))
         slots = [slot.material for slot in item.material_slots] or [None]
         materials += [m for m in dict.fromkeys(slots) if m not in materials]
         numbers = np.array([materials.index(m) for m in slots])
         index = values(mesh.loop_triangles, "material_index", np.int32)
-        found["material_index"].append(numbers[index * (len(numbers) > 1)])
+        found["surface_material_index"].append(numbers[index * (len(numbers) > 1)])
     if any(m is not None for m in materials):
-        arrays["materials"] = np.array(json.dumps([describe(m, arrays, path) for m in materials]))
+        records = [describe(k, m, arrays, path) for k, m in enumerate(materials)]
+        arrays["materials"] = np.array(json.dumps(records))
     else:
-        del found["material_index"]
+        del found["surface_material_index"]
     for name, blocks in found.items():
         if len(blocks) == len(items):
             arrays[name] = np.concatenate(blocks)
 
 
-def describe(material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]:
-    """Fields of the package's material; the bytes of its texture go to `arrays`."""
+def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]:
+    """Fields of the package's material; the bytes of its texture go to `arrays`, as in ``.npz``."""
     if material is None:
         return {"name": "default"}
     record: dict[str, Any] = {
@@ -72,9 +74,8 @@ def describe(material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]
             data = b"" if image is None else picture(image, arrays, path)
             for magic, kind in ((b"\x89PNG", "image/png"), (b"\xff\xd8\xff", "image/jpeg")):
                 if data.startswith(magic):
-                    key = f"texture_{sum(k.startswith('texture_') for k in arrays)}"
-                    arrays[key] = np.frombuffer(data, dtype=np.uint8)
-                    record |= {"texture": key, "texture_type": kind, "base_color": [1.0] * 4}
+                    arrays[f"texture_{number}"] = np.frombuffer(data, dtype=np.uint8)
+                    record |= {"texture_type": kind, "base_color": [1.0] * 4}
     return record
 
 

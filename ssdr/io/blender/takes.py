@@ -37,7 +37,7 @@ class Timeline:
 
 
 def set_rate(fps: float) -> None:
-    """Set frames per second of the scene, which Blender stores as an integer over a float32."""
+    """Set the frames per second of the scene, which Blender stores as an integer over a float32."""
     render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
     if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
         render.fps, render.fps_base = ratio.numerator, ratio.denominator
@@ -50,12 +50,12 @@ def stated_rate() -> float:
     """Frames per second of the scene, without the rounding of float32."""
     render = bpy.context.scene.render
     rate = float(render.fps / render.fps_base)
-    simple = (round(rate, 3), round(rate * 1.001) / 1.001)  # the latter those of television
+    simple = (round(rate, 3), round(rate * 1.001) / 1.001)  # the second is a rate of television
     return next((one for one in simple if abs(one - rate) <= 2e-7 * rate), rate)
 
 
 def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
-    """Assign the actions of a take, if there are takes; the frames at which to sample it."""
+    """Assign the actions of a take, if there is one, and return the frames at which to sample."""
     for item, action in pairs or []:
         item.animation_data.action = action
     scene, rate = bpy.context.scene, stated_rate()
@@ -109,7 +109,7 @@ def key_frames(pairs: Pairs) -> Any:
 
 
 def pose() -> list[tuple[Any, Any]]:
-    """Transforms and values without any action, as a take need not move everything."""
+    """Transforms and values without any action; a take may leave some of them as they are."""
     found: list[tuple[Any, Any]] = [(o, o.matrix_basis.copy()) for o in bpy.data.objects]
     for item in bpy.data.objects:
         if item.type == "ARMATURE":
@@ -124,12 +124,12 @@ def restore(values: list[tuple[Any, Any]]) -> None:
         setattr(item, "value" if isinstance(value, float) else "matrix_basis", value)
 
 
-def cut(name: str, most: int = _LONGEST_NAME) -> str:
-    """A name, cut to the length that Blender allows."""
+def shortened(name: str, most: int = _LONGEST_NAME) -> str:
+    """Name, shortened to the length that Blender allows."""
     return name.encode()[:most].decode("utf-8", "ignore")
 
 
-def listed(path: str) -> list[tuple[str, Pairs]]:
+def list_takes(path: str) -> list[tuple[str, Pairs]]:
     """Takes of a loaded FBX or glTF file: their names, and pairs of objects and actions."""
     moved = [o for o in (*bpy.data.objects, *bpy.data.shape_keys) if o.animation_data]
     tracks: dict[str, Pairs] = {}
@@ -137,10 +137,10 @@ def listed(path: str) -> list[tuple[str, Pairs]]:
         for item in moved:
             for track in item.animation_data.nla_tracks:
                 tracks.setdefault(track.name, []).append((item, track.strips[0].action))
-    for name, layer in stacks(path):
+    for name, layer in animation_stacks(path):
         tail = name if layer == name else f"{name}|{layer}"
         # as Blender's importer calls them, cut to what its names may have
-        pairs = [(o, bpy.data.actions.get(cut(f"{o.name}|{tail}"))) for o in moved]
+        pairs = [(o, bpy.data.actions.get(shortened(f"{o.name}|{tail}"))) for o in moved]
         actions = {action for _, action in pairs if action}
         for other, earlier in tracks.items():
             if actions.intersection(action for _, action in earlier):
@@ -166,24 +166,24 @@ def parts_of(path: str) -> tuple[list[Any], list[Any]]:
     return objects, [e.props[1:3] for e in links if len(e.props) > 2]
 
 
-def called(element: Any) -> str:
+def name_of(element: Any) -> str:
     return str(element.props[1].split(b"\0")[0].decode("utf-8", "replace"))
 
 
-def stacks(path: str) -> list[tuple[str, str]]:
+def animation_stacks(path: str) -> list[tuple[str, str]]:
     """Names of the animation stacks and their first layers in an FBX file, in its order."""
     objects, links = parts_of(path)
-    layers = {e.props[0]: called(e) for e in objects if e.id == b"AnimationLayer"}
+    layers = {e.props[0]: name_of(e) for e in objects if e.id == b"AnimationLayer"}
     found = []
     for stack in [e for e in objects if e.id == b"AnimationStack"]:
         own = [layers[a] for a, b in links if b == stack.props[0] and a in layers]
-        found.append((called(stack), own[0] if own else called(stack)))
+        found.append((name_of(stack), own[0] if own else name_of(stack)))
     return found
 
 
-def clustered(path: str) -> set[str]:
+def skin_bone_names(path: str) -> set[str]:
     """Names of the bones that a skin of an FBX file lists, with or without weights."""
     objects, links = parts_of(path)
-    models = {e.props[0]: called(e) for e in objects if e.id == b"Model"}
+    models = {e.props[0]: name_of(e) for e in objects if e.id == b"Model"}
     clusters = {e.props[0] for e in objects if e.id == b"Deformer" and e.props[-1] == b"Cluster"}
-    return {cut(models[a], _LONGEST_BONE) for a, b in links if a in models and b in clusters}
+    return {shortened(models[a], _LONGEST_BONE) for a, b in links if a in models and b in clusters}

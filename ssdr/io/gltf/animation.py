@@ -15,16 +15,6 @@ from ...rigid import matrix_from_quaternion
 from ..rig import frame_rate, interpolate_quaternions
 from .document import Document
 
-__all__ = [
-    "Animation",
-    "Nodes",
-    "animation_names",
-    "descendants",
-    "mesh_name",
-    "read_animation",
-    "read_animations",
-]
-
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
 _AT_REST = {
     "translation": [0.0, 0.0, 0.0],
@@ -87,8 +77,7 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
     count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
     if "fps" in stated and "frames" in stated:
         own = document.number(stated["fps"], "fps")
-        if own <= 0:
-            raise document.error(f"fps is {own}")
+        document.check(own > 0, f"fps is {own}")
         if fps in (None, own):
             rate, count = own, document.integer(stated, "frames", f"the clip {name}")
             first = document.number(stated.get("start", 0.0), "start")
@@ -104,15 +93,14 @@ def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str],
             continue  # KHR_animation_pointer and the like move no vertex
         sampler = item["samplers"][document.integer(channel, "sampler", "a channel", 0)]
         how = sampler.get("interpolation", "LINEAR")
-        if how not in ("LINEAR", "STEP", "CUBICSPLINE"):
-            raise document.error(f"the interpolation {how!r}")
+        document.check(how in ("LINEAR", "STEP", "CUBICSPLINE"), f"the interpolation {how!r}")
         keys = document.accessor(sampler["input"], "SCALAR", "key times")
-        if (np.diff(keys) <= 0).any() or keys[0] < 0:
-            raise document.error("key times do not rise from 0")
+        rising = keys[0] >= 0 and (np.diff(keys) > 0).all()
+        document.check(rising, "key times do not rise from 0")
         values = document.accessor(sampler["output"], _KINDS[path], f"keys of {path}")
         rows = len(keys) * (3 if how == "CUBICSPLINE" else 1)
-        if values.size % rows or (path != "weights" and len(values) != rows):
-            raise document.error(f"{len(values)} keys of {path} for {rows}")
+        fits = len(values) == rows if path != "weights" else values.size % rows == 0
+        document.check(fits, f"{len(values)} keys of {path} for {rows}")
         channels[node, path] = keys, values.reshape(rows, -1), how
     return channels
 
@@ -124,7 +112,7 @@ def _interpolate(
     times: NDArray[np.float64],
     rotation: bool,
 ) -> NDArray[np.float64]:
-    # Key times are float32: a frame must not fall just before its own key.
+    # Key times are float32: a frame must not lie just before its own key by their rounding.
     slack = 1e-6 * max(1.0, float(keys[-1]))
     right = np.clip(np.searchsorted(keys, times + slack, side="right"), 1, max(1, len(keys) - 1))
     left = right - 1
@@ -151,7 +139,7 @@ def _interpolate(
 
 
 def descendants(nodes: Sequence[dict[str, Any]], roots: Iterable[int]) -> list[int]:
-    """Nodes and all that hangs on them, each before its children."""
+    """Nodes and all nodes below them, each before its children."""
     order: dict[int, None] = {}
     stack = list(roots)[::-1]
     while stack:
@@ -187,14 +175,13 @@ class Nodes:
         self._parent: dict[int, int] = {}
         for parent, node in enumerate(self.items):
             for child in node.get("children", []):
-                if child in self._parent:
-                    raise document.error(f"node {child} has two parents")
+                document.check(child not in self._parent, f"node {child} has two parents")
                 self._parent[child] = parent
         every = set(range(len(self.items)))
         self.order = descendants(self.items, sorted(every - self._parent.keys()))
         if len(self.order) < len(every):
             node = min(every.difference(self.order))
-            raise document.error(f"node {node} is its own ancestor, or hangs on one that is")
+            raise document.error(f"node {node} is its own ancestor, or is below one that is")
         self.shown = self.order
         if document.items("scenes"):
             scene = document.items("scenes")[document.json.get("scene", 0)]

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ..atomic import write_bytes
+from ..signatures import picture_type
 from .compression import MESHOPT
 from .document import Document
-
-__all__ = ["ARRAY", "ELEMENTS", "Builder"]
 
 _COMPONENT = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
 ARRAY, ELEMENTS = 34962, 34963
@@ -35,9 +34,10 @@ class Builder:
     ----------
     json : dict
     blocks : list of bytes
-        Of each view, by the number in its field "buffer" until the file is written.
+        Bytes of the views. Until the file is written, the field "buffer" of a view is the index of
+        its bytes in this list.
     lost, notes : list of str
-        What of the document cannot be kept, and what else the user should know.
+        Contents of the document that cannot be kept, and what else the user should know.
     """
 
     def __init__(self, document: Document | None = None) -> None:
@@ -55,7 +55,9 @@ class Builder:
                     del view["extensions"]
             whole = sum(item["byteLength"] for item in document.items("buffers"))
             if sum(map(len, self.blocks)) > 16 * whole + (64 << 20):
-                raise document.error("its buffer views overlap so much that a copy would explode")
+                raise document.error(
+                    "its buffer views overlap so much that a copy would be many times larger"
+                )
             for key in ("extensionsUsed", "extensionsRequired"):
                 self.json[key] = [e for e in self.json.get(key, []) if e not in MESHOPT]
         for key in ("accessors", "bufferViews"):
@@ -150,6 +152,5 @@ class Builder:
             beside = path.parent.resolve() == self.document.path.parent.resolve()
             if path.suffix.lower() == ".glb" or not beside:
                 del image["uri"]
-                jpeg = data.startswith(b"\xff\xd8\xff")
-                image.setdefault("mimeType", "image/jpeg" if jpeg else "image/png")
+                image.setdefault("mimeType", picture_type(data) or "image/png")
                 image["bufferView"] = self.view(data)

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ..registry import require
-
-__all__ = ["DRACO", "MESHOPT", "decode_mesh", "decode_view"]
+from ..registry import check, require
 
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -53,35 +51,29 @@ def decode_view(
         If the data are damaged, or the mode or filter is unknown.
     """
     library = require("meshoptimizer", "meshopt", f"{path}: buffers compressed with meshopt")
+    state = f"{mode!r} and a stride of {stride} bytes"
+    words, short = stride in range(4, 257, 4), stride in (2, 4)
+    known = words if mode == "ATTRIBUTES" else short and mode in ("TRIANGLES", "INDICES")
+    check(known, f"{path}: compressed data of mode {state}")
+    filters = {
+        "NONE": (lambda plain, *_: plain, range(257)),
+        "OCTAHEDRAL": (library.decode_filter_oct, (4, 8)),
+        "QUATERNION": (library.decode_filter_quat, (8,)),
+        "EXPONENTIAL": (library.decode_filter_exp, range(257)),
+    }
+    unfilter, strides = filters.get(filter_, (None, ()))
+    check(stride in strides, f"{path}: the filter {filter_!r} on elements of {stride} bytes")
+    check(mode != "TRIANGLES" or count % 3 == 0, f"{path}: {count} indices are no triangles")
     try:
-        if mode == "ATTRIBUTES" and stride in range(4, 257, 4):
+        if mode == "ATTRIBUTES":
             plain = library.decode_vertex_buffer(count, stride, data)
-            if filter_ != "NONE":
-                filters = {
-                    "OCTAHEDRAL": (library.decode_filter_oct, (4, 8)),
-                    "QUATERNION": (library.decode_filter_quat, (8,)),
-                    "EXPONENTIAL": (library.decode_filter_exp, range(4, 257, 4)),
-                }
-                decode, strides = filters.get(filter_, (None, ()))
-                if stride not in strides:
-                    raise FormatError(
-                        f"{path}: the filter {filter_!r} on elements of {stride} bytes"
-                    )
-                plain = decode(plain, count, stride)
-            return memoryview(plain.tobytes())
-        if mode in ("TRIANGLES", "INDICES") and stride in (2, 4):
-            if mode == "TRIANGLES" and count % 3:
-                raise FormatError(f"{path}: {count} compressed indices are no triangles")
-            decode = library.decode_index_buffer
-            if mode == "INDICES":
-                decode = library.decode_index_sequence
-            # as 32 bits, which the library's own arrays have
-            index: NDArray[np.uint32] = decode(count, 4, data)
-            if stride == 2 and int(index.max()) > 0xFFFF:
-                raise FormatError(f"{path}: compressed indices that do not fit in 16 bits")
-            return memoryview(index.astype(f"<u{stride}").tobytes())
-    except FormatError:
-        raise
+            return memoryview(unfilter(plain, count, stride).tobytes())
+        decode = library.decode_index_buffer
+        if mode == "INDICES":
+            decode = library.decode_index_sequence
+        index: NDArray[np.uint32] = decode(count, 4, data)  # the library's arrays have 32 bits
     except (RuntimeError, ValueError) as error:
         raise FormatError(f"{path}: meshopt data that cannot be decoded ({error})") from error
-    raise FormatError(f"{path}: compressed data of mode {mode!r} and a stride of {stride} bytes")
+    fits = stride == 4 or int(index.max()) <= 0xFFFF
+    check(fits, f"{path}: compressed indices that do not fit in 16 bits")
+    return memoryview(index.astype(f"<u{stride}").tobytes())

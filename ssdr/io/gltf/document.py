@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import FormatError
-from ..references import is_inside
-from ..registry import describe
+from ..references import locate
 from ..scene import SceneBudget
+from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
 from .numbering import check_numbers
-
-__all__ = ["COMPONENTS", "Document"]
 
 COMPONENTS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"),
@@ -67,45 +65,41 @@ class Document:
             )
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
             raise FormatError(f"{path}: not a glTF file ({error})") from error
-        if not isinstance(self.json, dict):
-            raise self.error("the JSON is not an object")
+        self.check(isinstance(self.json, dict), "the JSON is not an object")
         version = str(self.json.get("asset", {}).get("version", "missing"))
-        if not version.startswith("2."):
-            raise self.error(f"glTF version {version}; 2.0 is read")
+        self.check(version.startswith("2."), f"glTF version {version}; 2.0 is read")
         for extension in map(str, self.json.get("extensionsRequired", [])):
-            if not extension.startswith(_READ_EXTENSIONS):
-                raise self.error(
-                    f"requires {extension}: that extension is not supported; save it without, "
-                    "with Blender say"
-                )
+            problem = f"requires {extension}, which is not supported: save the file without it"
+            self.check(extension.startswith(_READ_EXTENSIONS), problem)
         problem = check_numbers(self.json)
-        if problem:
-            raise self.error(problem)
+        self.check(not problem, problem)
 
     def error(self, what: str) -> FormatError:
         return FormatError(f"{self.path}: {what}")
 
+    def check(self, valid: Any, problem: str) -> None:
+        """Raise a FormatError that states the problem, unless what was found is valid."""
+        if not valid:
+            raise self.error(problem)
+
     def _finite(self, text: str) -> float:
-        if not math.isfinite(value := float(text)):
-            raise self.error(f"the number {text} is not finite")
+        value = float(text)
+        self.check(math.isfinite(value), f"the number {text} is not finite")
         return value
 
     def _json_chunk(self, data: bytes) -> bytes:
         """JSON of a ``.glb``, whose binary chunk is kept for its buffer."""
-        if len(data) < 20:
-            raise self.error(f"truncated: {len(data)} bytes")
+        self.check(len(data) >= 20, f"truncated: {len(data)} bytes")
         version, total, length, kind = struct.unpack_from("<III4s", data, 4)
-        if version != 2:
-            raise self.error(f"binary glTF version {version}; 2 is read")
-        if kind != b"JSON":
-            raise self.error("the first chunk is not JSON")
-        if total > len(data) or 20 + length > total:
-            raise self.error(f"truncated: states {max(total, length)} bytes, holds {len(data)}")
+        self.check(version == 2, f"binary glTF version {version}; 2 is read")
+        self.check(kind == b"JSON", "the first chunk is not JSON")
+        problem = f"truncated: states {max(total, length)} bytes, holds {len(data)}"
+        self.check(20 + length <= total <= len(data), problem)
         place = 20 + length + (-length % 4)
         if place + 8 <= total:
             size, kind = struct.unpack_from("<I4s", data, place)
-            if place + 8 + size > total:
-                raise self.error(f"truncated: a chunk of {size} bytes at byte {place}")
+            problem = f"truncated: a chunk of {size} bytes at byte {place}"
+            self.check(place + 8 + size <= total, problem)
             if kind == b"BIN\0":
                 self._binary = memoryview(data)[place + 8 : place + 8 + size]
         return data[20 : 20 + length]
@@ -123,15 +117,14 @@ class Document:
         return value
 
     def number(self, value: Any, what: str) -> float:
-        if type(value) not in (int, float):
-            raise self.error(f"{what} is {repr(value)[:200]}, not a number")
+        self.check(type(value) in (int, float), f"{what} is {repr(value)[:200]}, not a number")
         return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
         """A field that is a list of as many numbers as the default has."""
         values = item.get(key, default)
-        if len(values) != len(default):
-            raise self.error(f"{key} has {len(values)} numbers, not {len(default)}")
+        problem = f"{key} has {len(values)} numbers, not {len(default)}"
+        self.check(len(values) == len(default), problem)
         return np.array([self.number(value, key) for value in values], dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
@@ -139,22 +132,15 @@ class Document:
         if not isinstance(uri, str):
             raise self.error(f"the uri of {what} is no text")
         if uri.startswith("data:"):
-            head, comma, body = uri.partition(",")
-            if not comma or not head.endswith(";base64"):
-                raise self.error(f"the data URI of {what} is not base64")
+            head, _, body = uri.partition(",")
+            self.check(head.endswith(";base64"), f"the data URI of {what} is not base64")
             try:
                 return base64.b64decode(body, validate=True)
             except binascii.Error as error:
                 raise self.error(f"the data URI of {what}: {error}") from error
-        target = self.path.parent / unquote(uri)
-        try:
-            outside = "://" in uri or not is_inside(target, self.path.parent)
-            missing = not target.is_file()  # nor is a pipe or a device
-        except (OSError, ValueError, RuntimeError):  # a name that no file can have
-            outside, missing = False, True
-        if outside or missing:
-            problem = "lies outside the file's folder" if outside else "is missing"
-            raise self.error(f"{what} {problem}: {uri[:200]!r}")
+        target, problem = locate(self.path, unquote(uri))
+        problem = "lies outside its folder" if "://" in uri else problem
+        self.check(not problem, f"{what} {problem}: {uri[:200]!r}")
         return target.read_bytes()
 
     def picture(self, image: dict[str, Any]) -> bytes:
@@ -174,8 +160,8 @@ class Document:
                 data = self._binary
             else:
                 raise self.error(f"buffer {index} has neither a uri nor a binary chunk")
-            if len(data) < length:
-                raise self.error(f"buffer {index} states {length} bytes, holds {len(data)}")
+            problem = f"buffer {index} states {length} bytes, holds {len(data)}"
+            self.check(len(data) >= length, problem)
             self._buffers[index] = data[:length]
         return self._buffers[index]
 
@@ -202,8 +188,8 @@ class Document:
         data = self._buffer(self.integer(item, "buffer", what, 0))
         start = self.integer(item, "byteOffset", what, 0)
         stop = start + self.integer(item, "byteLength", what)
-        if stop > len(data):
-            raise self.error(f"{what} ends at byte {stop} of a buffer of {len(data)}")
+        problem = f"{what} ends at byte {stop} of a buffer of {len(data)}"
+        self.check(stop <= len(data), problem)
         return data[start:stop]
 
     def accessor(self, index: int, kind: str, what: str, *, integers: bool = False) -> NDArray[Any]:
@@ -214,23 +200,21 @@ class Document:
         """
         item = self.items("accessors")[index]
         code = item.get("componentType")
-        if item.get("type") != kind:
-            raise self.error(f"{what} is {item.get('type')!r}, not {kind}")
-        if code not in COMPONENTS:
-            raise self.error(f"{what} has the component type {code!r}")
+        self.check(item.get("type") == kind, f"{what} is {item.get('type')!r}, not {kind}")
+        self.check(code in COMPONENTS, f"{what} has the component type {code!r}")
         dtype, width = COMPONENTS[code], _WIDTHS[kind]
-        if integers and dtype.kind != "u":
-            raise self.error(f"{what} holds {dtype}, not unsigned integers")
+        problem = f"{what} holds {dtype}, not unsigned integers"
+        self.check(dtype.kind == "u" or not integers, problem)
         count = self.integer(item, "count", what)
         self.budget.spend(8 * count * width, f"{what} of {count} elements")
         values: NDArray[Any] = np.zeros((count, width), dtype=dtype)
         if index in self._decoded:
             found = self._decoded[index].reshape(len(self._decoded[index]), -1)
-            if found.shape != values.shape:
-                raise self.error(f"{what}: decoded to {found.shape}, stated is {values.shape}")
+            problem = f"{what}: decoded to {found.shape}, stated is {values.shape}"
+            self.check(found.shape == values.shape, problem)
             values = found.astype(dtype)
-            if (found.dtype.kind == "f") != (dtype.kind == "f") or (values != found).any():
-                raise self.error(f"{what}: decoded to {found.dtype}, which {dtype} does not hold")
+            same = (found.dtype.kind == "f") == (dtype.kind == "f") and (values == found).all()
+            self.check(same, f"{what}: decoded to {found.dtype}, which {dtype} does not hold")
         elif "bufferView" in item:
             values = self._rows(item, dtype, width, count, what)
         if "sparse" in item:
@@ -241,36 +225,32 @@ class Document:
             rows = self._rows(
                 sparse["indices"], COMPONENTS[code], 1, n_changed, f"indices of sparse {what}"
             )
-            if rows.dtype.kind != "u" or int(rows.max()) >= count:
-                raise self.error(f"sparse index {rows.max()} of {what}, which has {count}")
+            problem = f"sparse index {rows.max()} of {what}, which has {count}"
+            self.check(rows.dtype.kind == "u" and int(rows.max()) < count, problem)
             new = self._rows(sparse["values"], dtype, width, n_changed, f"sparse {what}")
             values[rows[:, 0].astype(np.intp)] = new
         if not integers:
             values = values.astype(np.float64)
             if dtype.kind != "f" and item.get("normalized"):
                 values = np.maximum(values / np.iinfo(dtype).max, -1.0)
-            if not np.isfinite(values).all():
-                raise self.error(f"{what} holds NaN or Inf")
+            self.check(np.isfinite(values).all(), f"{what} holds NaN or Inf")
         return values[:, 0] if width == 1 else values
 
     def replace(self, index: int, values: NDArray[Any], what: str) -> None:
-        """Set the numbers of an accessor whose data stand elsewhere in the file."""
-        if index in self._decoded and not np.array_equal(self._decoded[index], values):
-            raise self.error(f"{what}: two compressed meshes share one accessor")
+        """Set the numbers of an accessor, which the file holds in compressed form."""
+        same = index not in self._decoded or np.array_equal(self._decoded[index], values)
+        self.check(same, f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values
 
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        """Elements of a view at which an accessor or a part of a sparse one begins."""
+        """Elements of a buffer view from the offset of an accessor, or of part of a sparse one."""
         data, stride = self.view(item["bufferView"])
         offset = self.integer(item, "byteOffset", what, 0)
         size = dtype.itemsize * width
         step = size if stride is None else stride
-        if step < size:
-            raise self.error(f"{what}: a stride of {step} bytes for elements of {size}")
-        if offset + step * (count - 1) + size > len(data):
-            raise self.error(
-                f"{what}: {count} elements of {size} bytes do not fit in a view of {len(data)}"
-            )
+        self.check(step >= size, f"{what}: a stride of {step} bytes for elements of {size}")
+        problem = f"{what}: {count} elements of {size} bytes do not fit in a view of {len(data)}"
+        self.check(offset + step * (count - 1) + size <= len(data), problem)
         return np.ndarray((count, width), dtype, data, offset, (step, dtype.itemsize))

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-__all__ = ["check_numbers", "remove", "unknown_extensions", "used"]
-
 # Every place that holds the index of an item; * stands for each entry of a list or object.
 _PLACES = {
     "scenes": "scene",
@@ -53,7 +51,7 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Each list or object at the end of a path, with the place in it that holds an index."""
+    """Lists and objects at the end of a path, each with the position or key of an index."""
     found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":
         found = range(len(item)) if isinstance(item, list) else list(item)
@@ -74,8 +72,17 @@ def used(json: dict[str, Any], kind: str) -> set[int]:
     return {holder[key] for holder, key in _references(json, kind)}
 
 
+def remove_unused(json: dict[str, Any], before: dict[str, Any]) -> None:
+    """Remove accessors and views that were used in the document `before` and no longer are.
+
+    Those that were never used stay.
+    """
+    for kind in ("accessors", "bufferViews"):
+        remove(json, kind, used(before, kind) - used(json, kind))
+
+
 def remove(json: dict[str, Any], kind: str, dead: set[int]) -> None:
-    """Remove items to which nothing refers (nodes: also from lists); renumber the others."""
+    """Remove items to which nothing but lists of nodes refers, and renumber the others."""
     if not dead:
         return
     if kind == "nodes":

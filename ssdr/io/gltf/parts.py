@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...surface import Material
 from ..corners import unit
-from ..scene import Bones, Looks, Shape
+from ..scene import Bones, Looks, Shape, file_weights
+from ..signatures import picture_type
 from .animation import Nodes
 from .compression import DRACO, decode_mesh
 from .document import Document
-
-__all__ = ["PrimitiveGroup", "check_meshes", "read_looks", "read_parts", "triangles"]
 
 _log = logging.getLogger(__name__)
 
@@ -56,6 +55,7 @@ class PrimitiveGroup:
         primitives: dict[int, dict[str, Any]],
     ) -> None:
         self.document, self.node, self.mesh, self.primitives = document, node, mesh, primitives
+        self._nodes = nodes
         group = list(primitives.values())
         self._attributes = group[0]["attributes"]
         positions = self._attribute("POSITION", "VEC3")
@@ -66,8 +66,8 @@ class PrimitiveGroup:
             else np.zeros_like(positions)
             for t in group[0].get("targets", [])
         ]
-        if any(len(target) != count for target in targets):
-            raise document.error(f"a morph target of other vertices than {count}")
+        same = all(len(target) == count for target in targets)
+        document.check(same, f"a morph target of other vertices than {count}")
         self.skin = nodes.items[node].get("skin")
         self.skeleton = ("node", node) if self.skin is None else ("skin", self.skin)
         self._joints, self._inverse = self._read_skin()
@@ -96,13 +96,12 @@ class PrimitiveGroup:
         self.faces = self.label[faces]
 
     def _attribute(self, name: str, kind: str, **options: Any) -> Any:
-        """An attribute of all vertices, None where there is none."""
+        """Values of an attribute at all vertices; None if there is none."""
         if name not in self._attributes:
             return None
         values = self.document.accessor(self._attributes[name], kind, name, **options)
         count = self.document.items("accessors")[self._attributes["POSITION"]]["count"]
-        if len(values) != count:
-            raise self.document.error(f"{len(values)} {name} for {count} vertices")
+        self.document.check(len(values) == count, f"{len(values)} {name} for {count} vertices")
         return values
 
     def _read_skin(self) -> tuple[list[int], NDArray[np.float64]]:
@@ -111,14 +110,12 @@ class PrimitiveGroup:
             return [self.node], np.eye(4)[None]
         item = self.document.items("skins")[self.skin]
         joints = list(item["joints"])
-        if not joints:
-            raise self.document.error(f"skin {self.skin} has no joints")
+        self.document.check(joints, f"skin {self.skin} has no joints")
         if "inverseBindMatrices" not in item:
             return joints, np.tile(np.eye(4), (len(joints), 1, 1))
         flat = self.document.accessor(item["inverseBindMatrices"], "MAT4", "inverseBindMatrices")
-        if len(flat) < len(joints):
-            message = f"{len(flat)} inverse bind matrices for {len(joints)} joints"
-            raise self.document.error(message)
+        problem = f"{len(flat)} inverse bind matrices for {len(joints)} joints"
+        self.document.check(len(flat) >= len(joints), problem)
         return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
 
     def _influences(self, count: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
@@ -126,29 +123,16 @@ class PrimitiveGroup:
         document = self.document
         if self.skin is None:
             return np.zeros((count, 1), dtype=np.int32), np.ones((count, 1))
-        n_joints = len(self._joints)
         sets = [k for k in range(64) if f"JOINTS_{k}" in self._attributes]
-        if not sets:
-            raise document.error("a skinned mesh has no JOINTS_0")
+        document.check(sets, "a skinned mesh has no JOINTS_0")
         for k in sets:
-            if f"WEIGHTS_{k}" not in self._attributes:
-                raise document.error(f"JOINTS_{k} without WEIGHTS_{k}")
+            document.check(f"WEIGHTS_{k}" in self._attributes, f"JOINTS_{k} without WEIGHTS_{k}")
         found = [self._attribute(f"JOINTS_{k}", "VEC4", integers=True) for k in sets]
-        joint = np.concatenate(found, axis=1).astype(np.int64)
+        joint = np.concatenate(found, axis=1).astype(np.int64)  # may be uint32
         weight = np.concatenate([self._attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
-        if (weight < 0).any():
-            raise document.error("negative skin weights")
-        bad = (joint >= n_joints) & (weight > 0)
-        if bad.any():
-            raise document.error(f"joint {joint[bad].max()} of a skin of {n_joints}")
-        total = weight.sum(axis=1, keepdims=True)
-        if (total <= 0).any():
-            raise document.error(f"{int((total <= 0).sum())} vertices have no skin weight")
-        if np.abs(total - 1).max() > 1e-3:
-            _log.warning("%s: skin weights that do not sum to 1 are scaled", document.path)
-        width = int(np.flatnonzero(weight.max(axis=0) > 0).max()) + 1
-        kept = np.where(weight > 0, joint, 0).astype(np.int32)
-        return kept[:, :width], (weight / total)[:, :width]
+        indices, weights = file_weights(joint, weight, len(self._joints), document.path)
+        width = int(np.flatnonzero(weights.max(axis=0) > 0).max()) + 1
+        return indices[:, :width], weights[:, :width]
 
     def _close_seams(
         self, compared: list[NDArray[Any]]
@@ -184,8 +168,8 @@ class PrimitiveGroup:
             if "weights" not in holder:
                 holder = self.document.items("meshes")[self.mesh]
             amounts = self.document.numbers(holder, "weights", [0.0] * count)[None]
-        if amounts.shape[1] != count:
-            raise self.document.error(f"{amounts.shape[1]} morph weights for {count} targets")
+        problem = f"{amounts.shape[1]} morph weights for {count} targets"
+        self.document.check(amounts.shape[1] == count, problem)
 
         def morphed(frame: int) -> NDArray[np.float64]:
             return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[frame], self.targets))
@@ -201,17 +185,16 @@ class PrimitiveGroup:
             result[:, k] = (nodes.matrices(joint) @ self._inverse[k])[:, :3]
         return result
 
-    def bones(self, clips: Sequence[Nodes]) -> Bones:
-        """Bones over the frames of all clips."""
-        nodes, joints = clips[0], self._joints
+    def bones(self, transforms: NDArray[np.float64]) -> Bones:
+        """Bones with these transforms."""
+        nodes, joints = self._nodes, self._joints
         number = {joint: k for k, joint in enumerate(joints)}
         parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
         # a joint of size 0 in the rest pose is nowhere
         usable = np.abs(np.linalg.det(self._inverse[:, :3, :3])) > 1e-30
         bind = np.linalg.inv(np.where(usable[:, None, None], self._inverse, np.eye(4)))
         names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
-        moved = np.concatenate([self.transforms(one) for one in clips])
-        return Bones(names, np.array(parents), bind[:, :3, 3], moved)
+        return Bones(names, np.array(parents), bind[:, :3, 3], transforms)
 
     @property
     def has_axes(self) -> bool:
@@ -268,15 +251,13 @@ def read_parts(
             if primitive.get("mode", 4) in (1, 2, 3):
                 _log.warning("%s: lines in mesh %d are left out", document.path, node["mesh"])
                 continue
-            if "POSITION" not in primitive["attributes"]:
-                raise document.error("a primitive has no POSITION")
+            document.check("POSITION" in primitive["attributes"], "a primitive has no POSITION")
             # Primitives over the same vertices, one a material, are one part.
             key = repr((sorted(primitive["attributes"].items()), primitive.get("targets", [])))
             groups.setdefault(key, {})[place] = primitive
         for group in groups.values():
             parts.append(PrimitiveGroup(document, nodes, number, node["mesh"], group))
-    if not parts:
-        raise document.error("the scene holds no mesh")
+    document.check(parts, "the scene holds no mesh")
     return parts
 
 
@@ -287,15 +268,13 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
         return
     found, faces = decode_mesh(bytes(document.view(item["bufferView"])[0]), document.path)
     for name, number in item.get("attributes", {}).items():
-        if name not in names or number not in found:
-            raise document.error(f"its Draco data hold no {name}")
+        document.check(name in names and number in found, f"its Draco data hold no {name}")
         document.replace(names[name], found[number], name)
     if "indices" in primitive:
         if faces is None:
             raise document.error("its Draco data hold no triangles")
         document.replace(primitive["indices"], faces.reshape(-1), "indices")
-        if primitive.get("mode", 4) != 4:
-            raise document.error("Draco data of a strip or fan")
+        document.check(primitive.get("mode", 4) == 4, "Draco data of a strip or fan")
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
@@ -304,19 +283,15 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
     if "indices" in primitive:
         found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
         index = found.astype(np.int64)
-        if int(index.max()) >= count:
-            raise document.error(f"index {index.max()} into {count} vertices")
+        document.check(index.max() < count, f"index {index.max()} into {count} vertices")
     mode = primitive.get("mode", 4)
     if mode == 0:
         return np.zeros((0, 3), dtype=np.int64)
     if mode == 4:
-        if len(index) % 3:
-            raise document.error(f"{len(index)} indices are no triangles")
+        document.check(len(index) % 3 == 0, f"{len(index)} indices are no triangles")
         return index.reshape(-1, 3)
-    if mode not in (5, 6):
-        raise document.error(f"primitive mode {mode!r}")
-    if len(index) < 3:
-        raise document.error(f"a strip or fan of {len(index)} vertices")
+    document.check(mode in (5, 6), f"primitive mode {mode!r}")
+    document.check(len(index) >= 3, f"a strip or fan of {len(index)} vertices")
     strip = np.stack([index[:-2], index[1:-1], index[2:]], axis=1)
     if mode == 6:
         strip[:, 0] = index[0]
@@ -358,8 +333,7 @@ def _material(document: Document, item: dict[str, Any]) -> Material:
         else:
             image = document.items("images")[source]
             texture = document.picture(image)
-            jpeg = texture.startswith(b"\xff\xd8\xff")
-            kind = str(image.get("mimeType", "image/jpeg" if jpeg else "image/png"))
+            kind = str(image.get("mimeType") or picture_type(texture) or kind)
     return Material(
         name=str(item.get("name", "material")),
         base_color=(r, g, b, a),

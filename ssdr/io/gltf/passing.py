@@ -11,11 +11,10 @@ from ..atomic import write_bytes
 from ..registry import SaveReport, reading
 from .animation import Nodes, animation_names, read_animation
 from .builder import Builder
+from .compression import DRACO
 from .document import Document
-from .numbering import remove, unknown_extensions, used
+from .numbering import remove_unused, unknown_extensions
 from .parts import check_meshes, read_parts
-
-__all__ = ["copy", "left_out"]
 
 _MAPS = {
     "normalTexture": "normal maps",
@@ -49,19 +48,24 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
     if clips is not None:
         kept = {pick(names, clip) for clip in clips}
         with reading(path):
-            _keep_clips(builder.json, kept)
+            _keep_clips(builder.json, document.json, kept)
     elif alone and path.suffix.lower() == target.suffix.lower() == ".glb":
         return SaveReport(path=target, bytes=write_bytes(target, path.read_bytes()))
     return SaveReport(path=target, bytes=builder.save(target))
 
 
-def _keep_clips(json: dict[str, Any], kept: set[int]) -> None:
-    accessors, views = used(json, "accessors"), used(json, "bufferViews")
+def _keep_clips(json: dict[str, Any], before: dict[str, Any], kept: set[int]) -> None:
     if "animations" in json:
         json["animations"] = [a for k, a in enumerate(json["animations"]) if k in kept]
         if not unknown_extensions(json):
-            remove(json, "accessors", accessors - used(json, "accessors"))
-            remove(json, "bufferViews", views - used(json, "bufferViews"))
+            remove_unused(json, before)
+
+
+def template_problem(path: Path) -> str:
+    """Reason why a readable file cannot be a template; empty if it can."""
+    with reading(path):
+        compressed = DRACO in Document(path).items("extensionsUsed")
+    return "its geometry is compressed with Draco" if compressed else ""
 
 
 def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[str, ...]:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ...clips import Clip, in_order, pick
 from ...errors import InputError
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ..registry import reading
-from ..scene import Bones, join_sequence, join_skinning, part_starts
+from ..registry import pick_clip, reading
+from ..scene import Sample, join_sequence, join_skinning, part_starts
 from .animation import Nodes, animation_names, mesh_name, read_animation, read_animations
 from .document import Document
 from .parts import check_meshes, read_looks, read_parts
-
-__all__ = ["list_clips", "read", "read_skinning"]
-
-_log = logging.getLogger(__name__)
 
 
 def read(
@@ -30,7 +25,7 @@ def read(
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read all meshes of the scene, every animation channel baked to vertices.
+    """Read all meshes of the scene, with every animation channel baked to vertices.
 
     Parameters
     ----------
@@ -40,7 +35,7 @@ def read(
     clip : int or str, optional
         Which animation, by number or name; the first by default. The log lists them all.
     animation : int or str, optional
-        The same by glTF's word.
+        The same as `clip`, under glTF's name for it.
     meshes : str or several of them, optional
         Names of meshes, or of nodes that have one; the others are left out.
     max_bytes : int, optional
@@ -64,9 +59,8 @@ def read(
         names = animation_names(document)
     if clip is not None and animation is not None:
         raise InputError("animation", "nothing beside a clip", repr(animation))
-    index = pick(names, clip) if animation is None else pick(names, animation, "animation")
-    if len(names) > 1:
-        _log.info("%s: clip %r of %s", path, names[index], names)
+    chosen = (clip, path) if animation is None else (animation, path, "animation")
+    index = pick_clip(names, *chosen)
     wanted = check_meshes(document, meshes)
     with reading(path):
         nodes = Nodes(document, read_animation(document, index, fps))
@@ -75,15 +69,12 @@ def read(
         document.budget.spend(
             12.0 * n_frames * n_vertices, f"{n_frames} frames of {n_vertices} vertices"
         )
-        shapes = [part.shape(nodes) for part in parts]
-        moved = (part.transforms(nodes) for part in parts)
-        looks = read_looks(document, parts)
-        clip_read = nodes.animation.clip
-        return join_sequence(parts, clip_read, shapes, moved, looks, mesh_name(document))
+        sample = Sample(nodes.animation.clip, parts, nodes)
+        return join_sequence(sample, read_looks(document, parts), mesh_name(document))
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
-    """The animations of a file, in the frames of :func:`read_skinning`."""
+    """Clips of a file, with frames numbered as in :func:`read_skinning`."""
     with reading(path):
         return in_order(one.clip for one in read_animations(Document(path), fps))
 
@@ -123,15 +114,5 @@ def read_skinning(
     with reading(path):
         clips = [Nodes(document, read_animation(document, k, fps)) for k in numbers]
         parts = read_parts(document, clips[0], wanted)
-        bones: dict[Hashable, Bones] = {}
-        for part in parts:
-            if part.skeleton not in bones:
-                bones[part.skeleton] = part.bones(clips)
-        return join_skinning(
-            parts,
-            [nodes.animation.clip for nodes in clips],
-            [part.shape(nodes) for nodes in clips for part in parts],
-            bones,
-            read_looks(document, parts),
-            mesh_name(document),
-        )
+        samples = [Sample(nodes.animation.clip, parts, nodes) for nodes in clips]
+        return join_skinning(samples, read_looks(document, parts), mesh_name(document))

@@ -13,11 +13,9 @@ from ..registry import seconds
 from ..rig import Rig
 from .builder import ARRAY, Builder
 
-__all__ = ["add_animation", "add_skin", "add_weights", "skeleton_nodes"]
-
 
 def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
-    """Attributes of skin weights for vertices (N,) of the rig, four influences in each."""
+    """Add attributes for the skin weights of vertices (N,), four influences in each."""
     narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
     pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
     joints = np.pad(rig.indices[vertex].astype(narrow), pad)
@@ -33,7 +31,7 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
 
 
 def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
-    """Nodes of a skeleton, which will be node `first` of the file, and of its joints after it."""
+    """Nodes of a skeleton: its root, which becomes node `first` of the file, then its joints."""
     parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
     for bone, name in enumerate(rig.names):
@@ -50,7 +48,7 @@ def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
 
 
 def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
-    """The skin of the joints whose skeleton is node `first`."""
+    """Skin of the joints below the root of the skeleton, which is node `first`."""
     inverse = np.tile(np.eye(4, dtype=np.float32), (rig.n_bones, 1, 1))
     axes = np.tile(np.eye(3), (rig.n_bones, 1, 1)) if rig.axes is None else rig.axes
     # Columns come first in glTF: what stands as rows here is the transposed, inverse rotation.
@@ -67,7 +65,7 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
 def add_animation(
     builder: Builder, rig: Rig, clip: Clip, name: str, first: int, start: float = 0.0
 ) -> dict[str, Any]:
-    """The keys of a clip whose first frame is at `start` seconds; the skeleton is node `first`."""
+    """Animation of a clip that begins at `start` seconds; the skeleton is node `first`."""
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     inputs: dict[bytes, int] = {}

@@ -1,14 +1,15 @@
 """A model written into the glTF file that its mesh came from; all else in the file is kept.
 
-The file is read again when it is written, so that a model carries nothing of it. Replaced are the
-attributes that skinning needs, and the skins, joints and keys that moved only the model's meshes.
+The file is read again when the model is written, so that a model need not hold its contents. The
+attributes that skinning needs are replaced, as are the skins, joints and keys that moved only the
+model's meshes.
 """
 
 from __future__ import annotations
 
 import collections
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +25,13 @@ from .animation import Nodes, animation_names, descendants, read_animations
 from .builder import ARRAY, ELEMENTS, Builder
 from .compression import DRACO
 from .document import Document
-from .numbering import remove, unknown_extensions, used
+from .numbering import remove, remove_unused, unknown_extensions, used
 from .parts import PrimitiveGroup, check_meshes, read_parts, triangles
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 
-__all__ = ["Template", "template_problem"]
-
 _LINES = (1, 2, 3)
 _MOTION = ("translation", "rotation", "scale")
-_CONTENT = {"mesh", "camera", "extensions"}  # what a node has that does not serve a skeleton
-
-
-def template_problem(path: Path) -> str:
-    """Reason why a readable file cannot be a template; empty if it can."""
-    with reading(path):
-        compressed = DRACO in Document(path).items("extensionsUsed")
-    return "its geometry is compressed with Draco" if compressed else ""
+_CONTENT = {"mesh", "camera", "extensions"}  # fields of a node that a skeleton does not need
 
 
 class Template:
@@ -77,7 +69,7 @@ class Template:
         wanted = check_meshes(document, meshes)
         with reading(path):
             animations = read_animations(document)
-            # Whether a node mirrors its mesh is asked in the model's first clip.
+            # The model's first clip decides whether a node mirrors its mesh.
             named = [one for one in animations if one.name == model.clips[0].name]
             self.world = Nodes(document, (named or animations)[0])
             self.parts = read_parts(document, self.world, wanted)
@@ -91,7 +83,7 @@ class Template:
             for number, one in enumerate(animations if document.items("animations") else [])
         }
         self.renamed = bool(clip_names)
-        self.left: set[int] = set()  # nodes whose mesh has got a node of its own
+        self.left: set[int] = set()  # nodes whose mesh was moved to a node of its own
 
     def put(self, rig: Rig, title: str) -> None:
         """Replace the meshes by a rig."""
@@ -226,7 +218,7 @@ class Template:
             self.json.setdefault("animations", []).extend(added)
 
     def _remove_old(self, rig: Rig) -> None:
-        """Remove what served only the replaced meshes."""
+        """Remove skins, joints, keys and bytes that only the replaced meshes used."""
         json, original = self.json, self.document.json
         skins = used(original, "skins") - used(json, "skins")
         joints = self._unneeded_nodes(skins)
@@ -242,32 +234,27 @@ class Template:
         extras = [k for k in joints - self.left if "extras" in json["nodes"][k]]
         if extras:
             self.builder.lost.append(f"extras of {len(extras)} joints of the old skin")
-        accessors, views = used(original, "accessors"), used(original, "bufferViews")
         remove(json, "skins", skins)
         remove(json, "nodes", joints)
-        # What nothing used before is left; the views of new accessors are used by these.
-        remove(json, "accessors", accessors - used(json, "accessors"))
-        remove(json, "bufferViews", views - used(json, "bufferViews"))
+        remove_unused(json, original)
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
         """Joints of the old `skins`, and nodes that hold nothing but such joints."""
-        nodes, listed = self.json["nodes"], self.json["skins"]
+        listed = self.json["skins"]
         old = {joint for k in skins for joint in listed[k]["joints"]} | self.left
         kept = [skin for k, skin in enumerate(listed) if k not in skins]
         needed = {joint for skin in kept for joint in skin["joints"]}
         needed |= {skin["skeleton"] for skin in kept if "skeleton" in skin}
-        going: set[int] = set()
-        for node in reversed(self._order()):
-            item = nodes[node]
-            children = item.get("children", [])
-            serves = node in old or (children and "extras" not in item)
-            bare = node not in needed and not item.keys() & _CONTENT
-            if serves and bare and going.issuperset(children):
-                going.add(node)
+
+        def bare(node: int, item: dict[str, Any]) -> bool:
+            serves = node in old or (item.get("children") and "extras" not in item)
+            return bool(serves and node not in needed and not item.keys() & _CONTENT)
+
+        going = self._subtrees(bare)
         stuck = old - going - needed
         if stuck:
             self.builder.notes.append(
-                f"{len(stuck)} joints of the old skin are kept as nodes, as others hang on them"
+                f"{len(stuck)} joints of the old skin stay as nodes, as other nodes are below them"
             )
         return going
 
@@ -275,17 +262,15 @@ class Template:
         """Remove the keys of morph targets and nodes that moved only the replaced meshes."""
         animations = self.json.get("animations", [])
         idle = joints | self._idle_nodes()
+
+        def serves_replaced(target: dict[str, Any]) -> bool:
+            return target.get("node") in (
+                self.replaced if target.get("path") == "weights" else idle
+            )
+
         left = []
         for number, animation in enumerate(animations):
-            channels = [
-                channel
-                for channel in animation["channels"]
-                if not (
-                    channel["target"].get("node") in self.replaced
-                    if channel["target"].get("path") == "weights"
-                    else channel["target"].get("node") in idle
-                )
-            ]
+            channels = [c for c in animation["channels"] if not serves_replaced(c["target"])]
             if len(channels) == len(animation["channels"]):
                 left.append(animation)
                 continue
@@ -305,20 +290,22 @@ class Template:
 
     def _idle_nodes(self) -> set[int]:
         """Nodes that move nothing but replaced meshes."""
-        nodes = self.json["nodes"]
         joints = {joint for skin in self.json["skins"] for joint in skin["joints"]}
-        idle: set[int] = set()
-        for node in reversed(self._order()):
-            item, children = nodes[node], nodes[node].get("children", [])
-            bare = children and not item.keys() & _CONTENT
-            if node in self.replaced:
-                bare = not item.keys() & {"camera", "extensions"}
-            if bare and node not in joints and idle.issuperset(children):
-                idle.add(node)
-        return idle
 
-    def _order(self) -> list[int]:
-        """All nodes, each before its children."""
+        def bare(node: int, item: dict[str, Any]) -> bool:
+            empty = item.get("children") and not item.keys() & _CONTENT
+            if node in self.replaced:
+                empty = not item.keys() & {"camera", "extensions"}
+            return bool(empty and node not in joints)
+
+        return self._subtrees(bare)
+
+    def _subtrees(self, fits: Callable[[int, dict[str, Any]], bool]) -> set[int]:
+        """Nodes for which `fits` is true, as for all nodes below them."""
         nodes = self.json["nodes"]
         children = (n.get("children", []) for n in nodes)
-        return descendants(nodes, set(range(len(nodes))).difference(*children))
+        found: set[int] = set()
+        for node in reversed(descendants(nodes, set(range(len(nodes))).difference(*children))):
+            if fits(node, nodes[node]) and found.issuperset(nodes[node].get("children", [])):
+                found.add(node)
+        return found

@@ -25,8 +25,6 @@ from .builder import ARRAY, ELEMENTS, Builder
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 from .template import Template
 
-__all__ = ["orient_joints", "write_along_bones", "write_skinning"]
-
 
 def write_skinning(
     skinning: Skinning,
@@ -56,8 +54,8 @@ def write_skinning(
     up : {"y", "z"}
         The model's up axis; glTF's is y, so a model with z up is turned.
     name : str, optional
-        Of scene and mesh; by default that of the skinning, else of the file. Animations are named
-        after the clips, a clip without a name after the mesh.
+        Name of scene and mesh; by default that of the skinning, else of the file. Animations are
+        named after the clips, a clip without a name after the mesh.
     template : path, optional
         The glTF file that the model was made from, or one with the same vertices and triangles.
         It is written again with the model's skin and clips; all else in it stays as it is: names,
@@ -137,7 +135,7 @@ def write_along_bones(
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """The same rig with orientations `axes` (B, 3, 3) of its joints in the rest pose."""
+    """Rig with the orientations `axes` (B, 3, 3) of its joints in the rest pose."""
     assert rig.parents is not None
     parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
     turn = matrix_from_quaternion(rig.rotations.astype(np.float64))
@@ -183,7 +181,7 @@ def _save_rig(model: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
 
 
 def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveReport:
-    """Write the file and report what storing costs."""
+    """Write the file and report the error of its storage."""
     size, notes = builder.save(path), builder.notes
     if rig.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")

@@ -11,13 +11,11 @@ import numpy as np
 
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
-from ..registry import SaveReport, natural_key, reading
+from ..registry import SaveReport, check, natural_key, reading
 from .obj import ObjWriter, parse_obj
 from .off_stl import parse_off, parse_stl
 from .ply import parse_ply, write_ply
 from .polygons import Mesh
-
-__all__ = ["check_pattern", "read", "write_sequence"]
 
 _log = logging.getLogger(__name__)
 
@@ -72,7 +70,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> SaveReport:
-    """Write one OBJ or PLY file a frame; exact.
+    """Write one OBJ or PLY file per frame, without loss.
 
     Parameters
     ----------
@@ -141,10 +139,9 @@ def _files(path: Path) -> list[Path]:
     if not found:
         raise FileNotFoundError(f"{path}: no mesh files ({', '.join(_PARSERS)})")
     kinds = sorted({f.suffix.lower() for f in found})
-    if len(kinds) > 1 or kinds[0] not in _PARSERS:
-        raise FormatError(
-            f"{path}: files of {', '.join(kinds)}; name one of {', '.join(_PARSERS)} by a pattern"
-        )
+    known = ", ".join(_PARSERS)
+    problem = f"{path}: files of {', '.join(kinds)}; name one of {known} by a pattern"
+    check(len(kinds) == 1 and kinds[0] in _PARSERS, problem)
     _report_gaps(path, found)
     return found
 
@@ -160,9 +157,9 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
         return
     numbers = [int(m[2]) for m in parts if m]
     steps = np.diff(numbers)
-    if steps.min() == 0:
-        k = int(steps.argmin())
-        raise FormatError(f"{path}: {files[k].name} and {files[k + 1].name} have the same number")
+    k = int(steps.argmin())
+    problem = f"{path}: {files[k].name} and {files[k + 1].name} have the same number"
+    check(steps[k] > 0, problem)
     gaps = [str(numbers[k]) for k in np.flatnonzero(steps > steps.min())]
     if gaps:
         _log.warning("%s: frames are missing after %s", path, ", ".join(gaps[:8]))
@@ -176,8 +173,7 @@ def _name(path: Path) -> str:
 def _compare(file: Path, mesh: Mesh, first_file: Path, first: Mesh) -> None:
     for what in ("vertices", "faces"):
         n, m = len(getattr(mesh, what)), len(getattr(first, what))
-        if n != m:
-            raise FormatError(f"{file}: {n} {what}, but {first_file.name} has {m}")
+        check(n == m, f"{file}: {n} {what}, but {first_file.name} has {m}")
     other = np.flatnonzero((mesh.faces != first.faces).any(axis=1))
     if len(other):
         k = other[0]
@@ -188,13 +184,11 @@ def _compare(file: Path, mesh: Mesh, first_file: Path, first: Mesh) -> None:
 
 
 def _parse_gltf(path: Path, _like: Mesh | None = None) -> Mesh:
-    from .. import gltf
+    from ..gltf import reader
 
-    frame = gltf.read(path)
-    if len(frame) > 1:
-        raise FormatError(
-            f"{path}: an animation of {len(frame)} frames, where each file is one frame"
-        )
+    frame = reader.read(path)
+    problem = f"{path}: an animation of {len(frame)} frames, where each file is one frame"
+    check(len(frame) == 1, problem)
     return Mesh(vertices=frame.vertices[0], faces=frame.faces, surface=frame.surface)
 
 

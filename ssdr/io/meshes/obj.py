@@ -19,15 +19,11 @@ from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..corners import corner_normals
 from ..references import find_inside
-from ..registry import describe, read_file, reading
+from ..registry import check, read_file, reading
+from ..signatures import PICTURE_SUFFIXES, describe, picture_type
 from .polygons import Mesh, fan, vertex_rows
 
-__all__ = ["ObjWriter", "parse_obj"]
-
 _log = logging.getLogger(__name__)
-
-_IMAGES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-_SUFFIX = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 
 def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
@@ -42,13 +38,11 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
     """
     with reading(path):
         data = read_file(path)
-        if b"\0" in data:
-            raise FormatError(f"not an OBJ file: {describe(data[:64])}")
+        check(b"\0" not in data, f"not an OBJ file: {describe(data[:64])}")
         lines = [line.strip() for line in data.replace(b"\\\n", b" ").splitlines()]
         lines = [line.replace(b"\t", b" ") for line in lines if line and line[0] != 35]
         rows = [line.split()[1:] for line in lines if line.startswith(b"v ")]
-        if not rows:
-            raise FormatError(f"no vertices: {describe(data[:64])}")
+        check(rows, f"no vertices: {describe(data[:64])}")
         vertices = vertex_rows(rows)
         topology = b"\n".join(line for line in lines if line.startswith(b"f "))
         # Negative indices count from where they stand, so that equal text may differ in meaning.
@@ -122,8 +116,7 @@ def _at_corners(
 ) -> NDArray[np.float32] | None:
     if index.size == 0 or index.max() < 0:
         return None
-    if not np.isfinite(table).all():
-        raise FormatError(f"{what} are not finite")
+    check(np.isfinite(table).all(), f"{what} are not finite")
     if index.min() < 0:
         _log.warning("%s: %d corners have no %s; they get 0", path, (index < 0).sum(), what)
     return np.asarray(np.where(index[..., None] >= 0, table[index], np.float32(0)))
@@ -176,15 +169,15 @@ def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
     if file is not None:
         with reading(file):
             data = read_file(file)
-        for magic, kind in _IMAGES.items():
-            if data.startswith(magic):
-                return data, kind
+        kind = picture_type(data)
+        if kind is not None:
+            return data, kind
         _log.warning("%s: the texture %s is neither PNG nor JPEG; left out", path, file.name)
     return None, "image/png"
 
 
 class ObjWriter:
-    """Writer of the frames of one mesh, which makes the text that they share once."""
+    """Writer of the frames of one mesh; the text that all frames share is made once."""
 
     def __init__(
         self, faces: NDArray[np.int32], surface: Surface | None, folder: Path, stem: str
@@ -222,7 +215,7 @@ class ObjWriter:
         self._f = "".join(f"{line}\n" for line in lines).encode()
 
     def write(self, path: Path, vertices: NDArray[Any], *, first: bool) -> None:
-        """Write one frame, with the given normals if it is the first, else with new ones."""
+        """Write one frame, with the given normals in the first and computed ones in others."""
         parts = [self._head, _rows("v", vertices), self._vt]
         normals = self._surface.normals
         if normals is not None:
@@ -238,7 +231,7 @@ class ObjWriter:
             lines += [f"newmtl {_word(m.name)}", f"Kd {r:.9g} {g:.9g} {b:.9g}", f"d {a:.9g}"]
             lines += [f"Pr {m.roughness:.9g}", f"Pm {m.metallic:.9g}"]
             if m.texture is not None:
-                file = f"{stem}_texture_{k}{_SUFFIX.get(m.texture_type, '.png')}"
+                file = f"{stem}_texture_{k}{PICTURE_SUFFIXES.get(m.texture_type, '.png')}"
                 lines.append(f"map_Kd {file}")
                 self.bytes += write_bytes(folder / file, m.texture)
         text = "\n".join(lines) + "\n"

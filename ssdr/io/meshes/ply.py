@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ...surface import Surface
 from ..atomic import write_bytes
-from ..registry import describe, read_file, reading
+from ..registry import check, read_file, reading
+from ..signatures import describe
 from .polygons import Mesh, fan
-
-__all__ = ["parse_ply", "write_ply"]
 
 _KINDS = {  # as struct and NumPy call them
     **dict.fromkeys(("char", "int8"), "b"),
@@ -57,18 +56,15 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
                 read = _even(length, properties, body) or _uneven(length, properties, body)
                 tables[name], used = read
                 body = body[used:]
-        if len(body):
-            raise FormatError(f"{len(body)} bytes after the last element")
+        check(not len(body), f"{len(body)} bytes after the last element")
         vertex, face = tables.get("vertex", {}), tables.get("face", {})
-        if not {"x", "y", "z"} <= set(vertex):
-            raise FormatError("no vertices with x, y, z")
+        check({"x", "y", "z"} <= set(vertex), "no vertices with x, y, z")
         vertices = np.stack([vertex[axis][1] for axis in "xyz"], axis=1)
         faces = np.zeros((0, 3), dtype=np.int64)
         if face:
             counts, values = face.get("vertex_indices") or face["vertex_index"]
             indices = values.astype(np.int64)
-            if (indices != values).any():
-                raise FormatError("the faces are not lists of integers")
+            check((indices == values).all(), "the faces are not lists of integers")
             faces = indices[fan(counts)[0]]
         return Mesh(vertices=vertices, faces=faces, surface=_surface(vertex, faces))
 
@@ -94,13 +90,11 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
 
 
 def _header(data: bytes) -> tuple[_Elements, bool, int]:
-    """Elements, whether the rest is ASCII, and where that begins."""
-    if not data.startswith((b"ply\n", b"ply\r")):
-        raise FormatError(f"not a PLY file: {describe(data[:64])}")
+    """Elements of a file, whether its body is ASCII, and the byte where the body begins."""
+    check(data.startswith((b"ply\n", b"ply\r")), f"not a PLY file: {describe(data[:64])}")
     end = data.find(b"end_header", 0, _MOST_HEADER)
     newline = data.find(b"\n", end, end + 16)
-    if end < 0 or newline < 0:
-        raise FormatError("its header does not end")
+    check(end >= 0 and newline >= 0, "its header does not end")
     order = ""
     elements: _Elements = {}
     properties: list[_Property] = []
@@ -131,7 +125,7 @@ def _header(data: bytes) -> tuple[_Elements, bool, int]:
 def _even(
     length: int, properties: list[_Property], body: memoryview
 ) -> tuple[_Columns, int] | None:
-    """Columns and size of an element whose rows are all laid out like the first, else None."""
+    """Columns and size of an element whose rows have the layout of the first; None otherwise."""
     fields: list[Any] = []
     at = 0
     for name, kind, count in properties:
@@ -187,8 +181,7 @@ def _surface(vertex: _Columns, faces: NDArray[np.int64]) -> Surface | None:
         if not set(names) <= set(vertex):
             return None
         table = np.stack([vertex[name][1] for name in names], axis=1).astype(np.float32)
-        if not np.isfinite(table).all():
-            raise FormatError(f"{', '.join(names)} are not finite")
+        check(np.isfinite(table).all(), f"{', '.join(names)} are not finite")
         return np.asarray(table[faces])
 
     uv = next((t for t in map(at_corners, _UV_NAMES) if t is not None), None)

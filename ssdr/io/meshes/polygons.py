@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from ...errors import FormatError
 from ...surface import Surface
 
-__all__ = ["Mesh", "fan", "vertex_rows"]
-
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Mesh:

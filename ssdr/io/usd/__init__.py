@@ -3,18 +3,6 @@
 Importing it raises a :class:`~ssdr.MissingDependencyError` without usd-core.
 """
 
-from . import requirement as requirement
-from .reader import list_clips, read, read_skinning
-from .template import copy, left_out, template_problem
-from .writer import write_sequence, write_skinning
+from ..registry import require
 
-__all__ = [
-    "copy",
-    "left_out",
-    "list_clips",
-    "read",
-    "read_skinning",
-    "template_problem",
-    "write_sequence",
-    "write_skinning",
-]
+require("pxr.UsdSkel", "usd", "USD")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,14 @@ from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..references import find_inside
 from ..scene import Looks
+from ..signatures import PICTURE_SUFFIXES, picture_type
 from .parts import MeshPrim
 from .skeleton import identifier
-
-__all__ = ["read_looks", "write_materials"]
 
 _log = logging.getLogger(__name__)
 
 
-def read_looks(path: Path, meshes: list[MeshPrim]) -> Looks:
+def read_looks(path: Path, meshes: Sequence[MeshPrim]) -> Looks:
     """UVs, normals and materials of meshes."""
     found = _Materials(path)
     index = [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes]
@@ -92,7 +92,6 @@ class _Materials:
             factor = scale.Get() if scale else None
             color = (1.0, 1.0, 1.0) if factor is None else tuple(factor)[:3]
         r, g, b = (float(c) for c in color)
-        jpeg = texture is not None and texture.startswith(b"\xff\xd8\xff")
         return Material(
             name=name,
             base_color=(r, g, b, float(value("opacity", 1.0))),
@@ -100,7 +99,7 @@ class _Materials:
             roughness=float(value("roughness", 0.5)),
             double_sided=sided,
             texture=texture,
-            texture_type="image/jpeg" if jpeg else "image/png",
+            texture_type=picture_type(texture or b"") or "image/png",
         )
 
     def _texture(self, picture: Any) -> bytes | None:
@@ -137,8 +136,8 @@ def write_materials(
         shader.CreateInput("metallic", types.Float).Set(float(material.metallic))
         shader.CreateInput("roughness", types.Float).Set(float(material.roughness))
         if material.texture is not None:
-            ending = {"image/png": ".png", "image/jpeg": ".jpg"}.get(material.texture_type, ".img")
-            file = path.with_name(f"{path.stem}_{name}{ending}")
+            suffix = PICTURE_SUFFIXES.get(material.texture_type, ".img")
+            file = path.with_name(f"{path.stem}_{name}{suffix}")
             write_bytes(file, material.texture)
             notes.append(f"texture in {file.name}")
             reader = _shader(stage, place.AppendChild("Coordinates"), "UsdPrimvarReader_float2")

@@ -13,9 +13,7 @@ from pxr import Sdf, Usd, UsdGeom, UsdSkel
 from ...errors import FormatError
 from ..corners import unit
 from ..meshes.polygons import fan
-from ..scene import Bones, Shape
-
-__all__ = ["MeshPrim"]
+from ..scene import Bones, Shape, file_weights
 
 _log = logging.getLogger(__name__)
 _FIRST = Usd.TimeCode.EarliestTime()
@@ -63,24 +61,23 @@ class MeshPrim:
     def _fail(self, what: str) -> FormatError:
         return FormatError(f"{self.path}: {self.prim.GetPath()}: {what}")
 
+    def _check(self, valid: Any, problem: str) -> None:
+        """Raise a FormatError that states the problem, unless what was found is valid."""
+        if not valid:
+            raise self._fail(problem)
+
     def _read_polygons(self) -> None:
         mesh = UsdGeom.Mesh(self.prim)
         found = []
         for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
-            if len(attribute.GetTimeSamples()) > 1:
-                raise self._fail("its topology changes over time")
+            self._check(len(attribute.GetTimeSamples()) < 2, "its topology changes over time")
             found.append(np.array(attribute.Get(_FIRST) or [], dtype=np.int64))
         self.counts, indices = found
-        if self.counts.sum() != len(indices):
-            raise self._fail(
-                f"faceVertexCounts add up to {self.counts.sum()}, "
-                f"there are {len(indices)} faceVertexIndices"
-            )
-        if len(indices) and not 0 <= indices.min() <= indices.max() < self.n_points:
-            raise self._fail(
-                f"faceVertexIndices from {indices.min()} to {indices.max()} "
-                f"for {self.n_points} points"
-            )
+        total, least, most = self.counts.sum(), indices.min(initial=0), indices.max(initial=-1)
+        problem = f"faceVertexCounts add up to {total}, there are {len(indices)} faceVertexIndices"
+        self._check(total == len(indices), problem)
+        problem = f"faceVertexIndices from {least} to {most} for {self.n_points} points"
+        self._check(least >= 0 and most < self.n_points, problem)
         self.corners, self.polygon = fan(self.counts)
         if mesh.GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded:
             self.corners = self.corners[:, ::-1]
@@ -136,36 +133,28 @@ class MeshPrim:
 
     def _read_influences(self) -> None:
         query = self._query
-        if str(query.GetSkinningMethod()) == "dualQuaternion":
-            raise self._fail("dual quaternion skinning; linear blend skinning is read")
+        linear = str(query.GetSkinningMethod()) != "dualQuaternion"
+        self._check(linear, "dual quaternion skinning; linear blend skinning is read")
         found = query.ComputeVaryingJointInfluences(self.n_points)
-        if not found:
-            raise self._fail("its joint influences do not match its points")
+        self._check(found, "its joint influences do not match its points")
         indices = np.array(found[0], dtype=np.int64).reshape(self.n_points, -1)
         weights = np.array(found[1], dtype=np.float64).reshape(self.n_points, -1)
         joints = [str(token) for token in self.joints.GetJointOrder()]
         self._order = [str(token) for token in query.GetJointOrder() or ()] or joints
-        if not indices.shape[1] or indices.min() < 0 or indices.max() >= len(self._order):
-            raise self._fail(f"a joint index outside 0 to {len(self._order) - 1}")
-        total = weights.sum(axis=1, keepdims=True)
-        if not np.isfinite(weights).all() or (weights < 0).any() or (total <= 0).any():
-            raise self._fail("skin weights that are negative, not finite or all zero")
-        if np.abs(total - 1).max() > 1e-3:
-            _log.warning("%s: skin weights that do not sum to 1 are scaled", self.prim.GetPath())
-        self.indices = np.where(weights > 0, indices, 0).astype(np.int32)
-        self.weights = weights / total
+        what = f"{self.path}: {self.prim.GetPath()}"
+        self.indices, self.weights = file_weights(indices, weights, len(self._order), what)
         self.n_bones = len(self._order)
         self._bind = np.array(query.GetGeomBindTransform(), dtype=np.float64).T
-        if not set(joints) >= set(self._order):
-            raise self._fail("it names joints that its skeleton does not have")
+        known = set(joints) >= set(self._order)
+        self._check(known, "it names joints that its skeleton does not have")
         self._rows = [joints.index(token) for token in self._order]
         place = str(self.joints.GetSkeleton().GetPrim().GetPath())
         self.skeleton = place, tuple(self._order), self._bind.tobytes()
 
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
-        """Matrices (B, 4, 4) of this mesh's bones from those of all joints, for column vectors."""
-        if not transforms or len(transforms) != len(self.joints.GetJointOrder()):
-            raise self._fail("its skeleton has no usable bind or rest transforms")
+        """Matrices (B, 4, 4) of this mesh's joints, for column vectors, from those of all."""
+        usable = transforms and len(transforms) == len(self.joints.GetJointOrder())
+        self._check(usable, "its skeleton has no usable bind or rest transforms")
         frames = np.array(transforms, dtype=np.float64).reshape(-1, 4, 4)
         return np.swapaxes(frames, 1, 2)[self._rows]
 
@@ -204,7 +193,7 @@ class MeshPrim:
         return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
     def stamps(self) -> NDArray[np.float64]:
-        """Time codes at which anything about this mesh is sampled."""
+        """Time codes at which the mesh, or what moves it, has a sample."""
         found = list(self.attribute.GetTimeSamples())
         if self.joints is not None and self.joints.GetAnimQuery():
             found += self.joints.GetAnimQuery().GetJointTransformTimeSamples()
@@ -235,8 +224,8 @@ class MeshPrim:
 
     def _points(self, code: float) -> NDArray[np.float64]:
         points = self.raw_points(code)
-        if len(points) != self.n_points:
-            raise self._fail(f"{self.n_points} points at first, {len(points)} at {code:g}")
+        problem = f"{self.n_points} points at first, {len(points)} at {code:g}"
+        self._check(len(points) == self.n_points, problem)
         if self._shapes is None:
             return points
         weights = self._shaper.ComputeBlendShapeWeights(code)
@@ -250,8 +239,8 @@ class MeshPrim:
             moved = np.array(offsets[part], dtype=np.float64).reshape(-1, 3)
             row = np.array(rows[shape], dtype=np.int64)
             row = row if len(row) else np.arange(self.n_points)
-            if len(row) != len(moved) or row.min() < 0 or row.max() >= self.n_points:
-                raise self._fail("a blend shape that does not match its points")
+            fits = len(row) == len(moved) and 0 <= row.min() <= row.max() < self.n_points
+            self._check(fits, "a blend shape that does not match its points")
             np.add.at(points, row, amount * moved)
         return points
 

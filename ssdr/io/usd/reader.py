@@ -12,19 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
-from ...clips import Clip, in_order, pick, unique_names
+from ...clips import Clip, in_order, unique_names
 from ...errors import FormatError, is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ..axes import Up, check_up, turn_skinning_up, turn_surface_up, turn_up
-from ..registry import reading
+from ..axes import Up, check_up, turn_sequence_up, turn_skinning_up
+from ..registry import pick_clip, reading
 from ..rig import frame_rate
-from ..scene import SceneBudget, join_sequence, join_skinning
+from ..scene import Sample, SceneBudget, join_sequence, join_skinning
 from .materials import read_looks
 from .parts import MeshPrim
 from .stage import open_stage
-
-__all__ = ["StageReader", "list_clips", "read", "read_skinning"]
 
 _log = logging.getLogger(__name__)
 _ALL = Usd.TraverseInstanceProxies()
@@ -32,7 +30,7 @@ _ALL = Usd.TraverseInstanceProxies()
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StageClip:
-    """A clip of a stage: a SkelAnimation of its only skeleton, or all that moves.
+    """A clip of a stage: one SkelAnimation of its only skeleton, else everything that moves.
 
     Attributes
     ----------
@@ -57,14 +55,14 @@ class StageClip:
 
 
 class StageReader:
-    """An open stage.
+    """An open stage and its clips.
 
     Attributes
     ----------
     name : str
-        Of the root prim, else of the file.
+        Name of the root prim, else of the file.
     clips : list of StageClip
-        That of the bound animation first.
+        The clip of the bound animation comes first.
     up : {"y", "z"}
 
     Raises
@@ -125,10 +123,8 @@ class StageReader:
         names = unique_names([clip.name for clip in clips])
         return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
 
-    def sample(
-        self, clip: StageClip, fps: float | None = None
-    ) -> tuple[Clip, list[MeshPrim], NDArray[np.float64]]:
-        """A clip, the meshes that are visible while it is bound, and the time codes of its frames.
+    def sample(self, clip: StageClip, fps: float | None = None) -> Sample[MeshPrim]:
+        """The meshes that are visible while a clip is bound, and the time codes of its frames.
 
         Raises
         ------
@@ -156,7 +152,7 @@ class StageReader:
         if not meshes:
             raise FormatError(f"{self.path}: no visible mesh")
         rate, codes = self._clock(meshes, clip, fps)
-        return Clip(clip.name, 0, len(codes), rate), meshes, codes
+        return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes)
 
     def _is_shown(self, prim: Any) -> bool:
         shown = UsdGeom.Imageable(prim)
@@ -204,7 +200,7 @@ def read(
     up: Up | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read all visible meshes in world space, UsdSkel and blend shapes baked.
+    """Read all visible meshes in world space, with UsdSkel and blend shapes baked to vertices.
 
     Parameters
     ----------
@@ -237,30 +233,18 @@ def read(
     check_up(up, optional=True)
     with reading(path):
         reader = StageReader(path, max_bytes)
-    names = [one.name for one in reader.clips]
-    index = pick(names, clip)
-    if len(names) > 1:
-        _log.info("%s: clip %r of %s", path, names[index], names)
+    index = pick_clip([one.name for one in reader.clips], clip, path)
     with reading(path):
-        found, meshes, codes = reader.sample(reader.clips[index], fps)
-        shapes = [mesh.shape(codes) for mesh in meshes]
-        moved = (mesh.transforms(codes) for mesh in meshes)
-        looks = read_looks(path, meshes)
-        sequence = join_sequence(meshes, found, shapes, moved, looks, reader.name)
-        if up is None:
-            return sequence
-        return dataclasses.replace(
-            sequence,
-            vertices=turn_up(sequence.vertices, reader.up, up),
-            surface=turn_surface_up(sequence.surface, reader.up, up),
-        )
+        sample = reader.sample(reader.clips[index], fps)
+        sequence = join_sequence(sample, read_looks(path, sample.parts), reader.name)
+        return turn_sequence_up(sequence, reader.up, up or reader.up)
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
-    """The animations of a file, in the frames of :func:`read_skinning`."""
+    """Clips of a file, with frames numbered as in :func:`read_skinning`."""
     with reading(path):
         reader = StageReader(path)
-        return in_order(reader.sample(clip, fps)[0] for clip in reader.clips)
+        return in_order(reader.sample(clip, fps).clip for clip in reader.clips)
 
 
 def read_skinning(
@@ -284,19 +268,6 @@ def read_skinning(
     check_up(up, optional=True)
     with reading(path):
         reader = StageReader(path, max_bytes)
-        sampled = [reader.sample(clip, fps) for clip in reader.clips]
-        meshes = sampled[0][1]
-        bones = {}
-        for k, mesh in enumerate(meshes):
-            if mesh.skeleton not in bones:
-                moved = [same[k].transforms(codes) for _, same, codes in sampled]
-                bones[mesh.skeleton] = mesh.bones(np.concatenate(moved))
-        model = join_skinning(
-            meshes,
-            [clip for clip, _, _ in sampled],
-            [mesh.shape(codes) for _, same, codes in sampled for mesh in same],
-            bones,
-            read_looks(path, meshes),
-            reader.name,
-        )
-        return model if up is None else turn_skinning_up(model, reader.up, up)
+        samples = [reader.sample(clip, fps) for clip in reader.clips]
+        model = join_skinning(samples, read_looks(path, samples[0].parts), reader.name)
+        return turn_skinning_up(model, reader.up, up or reader.up)

@@ -13,8 +13,6 @@ from ...clips import Clip, readable, unique_names
 from ...hierarchy.transforms import parents_first
 from ..rig import Rig
 
-__all__ = ["bind", "identifier", "put_skeleton"]
-
 
 def put_skeleton(
     stage: Any,
@@ -87,7 +85,7 @@ def put_skeleton(
 def _put_keys(
     animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip, tempo: float, start: float
 ) -> None:
-    """The keys of a clip, its first frame at time code `start`."""
+    """Add the keys of a clip, whose first frame is at time code `start`."""
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
     ones = np.ones((rig.n_bones, 3), dtype=np.float16)
@@ -127,5 +125,5 @@ def bind(
 
 
 def identifier(name: str) -> str:
-    """A name that a prim may have."""
+    """Name, as an identifier that USD accepts."""
     return str(Tf.MakeValidIdentifier(readable(name)))

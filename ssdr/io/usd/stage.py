@@ -18,10 +18,8 @@ from ...errors import FormatError
 from ..references import is_inside
 from ..registry import refuse_device
 
-__all__ = ["open_stage", "system_errors"]
-
-_DEEPEST = 1000  # levels of nested text; usd-core ends the process at some tens of thousands
-# Strings, asset paths and comments of a text layer, closed or not: brackets in them do not nest.
+_DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
+# Strings, asset paths and comments of a text layer, closed or not. Brackets inside do not nest.
 _QUOTED = re.compile(
     rb'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*"?'
     rb"|'''(?:\\.|[^\\])*?(?:'''|\Z)|'(?:\\.|[^'\\\n])*'?"
@@ -34,7 +32,7 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage as its file holds it now.
+    """Open a stage from the present contents of its file.
 
     Raises
     ------
@@ -91,7 +89,7 @@ def _check_layers(path: Path) -> None:
 
 
 def _check_nesting(file: Path, path: Path) -> None:
-    """Refuse text whose brackets are nested too deeply: usd-core would end the process."""
+    """Refuse text whose brackets are nested so deeply that usd-core would crash the process."""
     if not file.is_file():
         return
     data = file.read_bytes()
@@ -107,7 +105,7 @@ def _check_nesting(file: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def system_errors(path: Path) -> Iterator[None]:
-    """Raise the errors of USD about writing as the OSError behind them."""
+    """Raise USD's errors about writing as the OSErrors that caused them."""
     try:
         yield
     except Tf.ErrorException as error:

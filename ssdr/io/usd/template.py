@@ -24,8 +24,6 @@ from .reader import StageReader
 from .skeleton import bind, put_skeleton
 from .stage import system_errors
 
-__all__ = ["copy", "left_out", "put", "template_problem"]
-
 _REMOVED = ("velocities", "accelerations", "skel:blendShapes", "skel:blendShapeTargets")
 _READ = ("diffuseColor", "opacity", "metallic", "roughness")
 _FIRST = Usd.TimeCode.EarliestTime()
@@ -35,7 +33,7 @@ def template_problem(path: Path) -> str:
     """Reason why a readable file cannot be a template; empty if it can."""
     with reading(path):
         reader = StageReader(path)
-        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0])[1]])
+        return _problem([mesh.prim for mesh in reader.sample(reader.clips[0]).parts])
 
 
 def _problem(prims: list[Any]) -> str:
@@ -64,9 +62,9 @@ def put(
     """
     with reading(template):
         reader = StageReader(template)
-        sampled = [reader.sample(clip) for clip in reader.clips]
-        starts = {clip_names.get(c.name, c.name): float(codes[0]) for c, _, codes in sampled}
-        meshes = sampled[0][1]
+        samples = [reader.sample(clip) for clip in reader.clips]
+        starts = {clip_names.get(s.clip.name, s.clip.name): float(s.time[0]) for s in samples}
+        meshes = samples[0].parts
         problem = _problem([mesh.prim for mesh in meshes])
         if problem:
             raise FormatError(f"{template}: {problem}; it cannot be a template")
@@ -88,7 +86,7 @@ def put(
     tokens = put_skeleton(stage, place, rig, "", tempo, starts)
     # The model's bones move the mesh in the world, not relative to the skeleton's parents.
     UsdGeom.Xformable(stage.GetPrimAtPath(place)).SetResetXformStack(True)
-    first = float(sampled[0][2][0])
+    first = float(samples[0].time[0])
     for mesh, index in zip(meshes, vertices, strict=True):
         prim = stage.GetPrimAtPath(mesh.prim.GetPath())
         matrix = _put_points(prim, mesh, rig.rest[index], first)
@@ -127,7 +125,7 @@ def _free_path(stage: Any, scope: Any, name: str) -> Any:
     return place
 
 
-def _remove_skeletons(stage: Any, meshes: list[MeshPrim], animations: list[Any]) -> None:
+def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[Any]) -> None:
     """Remove the skeletons that moved these meshes, and the animations."""
     queries = [mesh.joints for mesh in meshes if mesh.joints is not None]
     for path in {query.GetSkeleton().GetPrim().GetPath() for query in queries}:
@@ -141,7 +139,7 @@ def _remove_skeletons(stage: Any, meshes: list[MeshPrim], animations: list[Any])
 
 
 def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
-    """Replace the points of a mesh by a rest pose in the world, and return the mesh's matrix."""
+    """Replace the points of a mesh by a rest pose in world space; returns the mesh's matrix."""
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
         world = Gf.Matrix4d(1.0)
@@ -239,7 +237,7 @@ def left_out(path: Path) -> tuple[str, ...]:
     found: dict[str, None] = {}
     with reading(path):
         reader = StageReader(path)
-        _, meshes, _ = reader.sample(reader.clips[0])
+        meshes = reader.sample(reader.clips[0]).parts
         for mesh in meshes:
             for primvar in UsdGeom.PrimvarsAPI(mesh.prim).GetPrimvarsWithValues():
                 name = str(primvar.GetPrimvarName())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,12 +21,11 @@ from ..axes import Up, check_up
 from ..corners import corner_normals
 from ..registry import SaveReport
 from ..rig import build_rig
+from ..storage import StorageError
 from .materials import write_materials
 from .skeleton import bind, identifier, put_skeleton
 from .stage import system_errors
 from .template import put
-
-__all__ = ["write_sequence", "write_skinning"]
 
 
 def write_skinning(
@@ -60,7 +58,7 @@ def write_skinning(
     meters_per_unit : float
         The model's unit, stated in the file.
     name : str, optional
-        Of the root prim; by default that of the skinning, else of the file.
+        Name of the root prim; by default that of the skinning, else of the file.
     template : path, optional
         The USD file that the model was made from, or one with the same points and triangles. Its
         root layer is written again with the model's skin and clips; all else stays: materials
@@ -127,7 +125,7 @@ def write_sequence(
     meters_per_unit: float = 1.0,
     name: str | None = None,
 ) -> SaveReport:
-    """Write a point cache: one mesh with a sample of its points per frame, float32.
+    """Write a point cache: one mesh with a float32 sample of its points per frame.
 
     Parameters
     ----------
@@ -136,7 +134,7 @@ def write_sequence(
         As in :func:`write_skinning`.
     """
     notes = [f"{up} up, {meters_per_unit:g} m a unit"]
-    total, largest = 0.0, 0.0
+    error = StorageError()
     with _new_stage(path, sequence.fps, sequence.n_frames, up, meters_per_unit) as stage:
         top = Sdf.Path("/" + identifier(name or sequence.name or path.stem))
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, top).GetPrim())
@@ -145,20 +143,14 @@ def write_sequence(
             notes.append("normals, of the first frame alone, are not kept")
         points, extent = mesh.CreatePointsAttr(), mesh.CreateExtentAttr()
         for first, block in sequence.chunks():
-            stored = block.astype(np.float32)
-            if not np.isfinite(stored).all():
-                raise InputError("thing", "coordinates that float32 can hold", "an overflow")
-            squares = ((stored.astype(np.float64) - block) ** 2).sum(axis=2)
-            total, largest = total + float(squares.sum()), max(largest, float(squares.max()))
-            for frame, values in enumerate(stored, start=first):
+            for frame, values in enumerate(error.round(block, first), start=first):
                 points.Set(Vt.Vec3fArray.FromNumpy(values), float(frame))
                 extent.Set(_extent(values), float(frame))
-    count = sequence.n_frames * sequence.n_vertices
     return SaveReport(
         path=path,
         bytes=path.stat().st_size,
-        error=math.sqrt(total / count) if total else None,
-        max_error=math.sqrt(largest) if total else None,
+        error=error.rmse or None,
+        max_error=error.largest or None,
         note="; ".join(notes),
     )
 
@@ -203,7 +195,7 @@ def _extent(points: NDArray[np.float32]) -> Any:
 
 
 def _put_primvar(mesh: Any, name: str, kind: Any, values: NDArray[Any]) -> None:
-    """Face-varying values with an index, so that equal corners are stored once."""
+    """Add face-varying values with an index, so that equal corners are stored once."""
     rows = np.asarray(values, dtype=np.float32).reshape(-1, values.shape[-1])
     distinct, index = np.unique(rows, axis=0, return_inverse=True)
     holder = Vt.Vec2fArray if rows.shape[1] == 2 else Vt.Vec3fArray

@@ -106,3 +106,13 @@ def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path, wave)
         assert ssdr.load(tmp_path / f"{stem}.npz").n_frames == wave.n_frames
         with pytest.raises(InputError, match="File name too long"):
             ssdr.save(wave, tmp_path / f"{stem}nn.npz")
+
+
+def test_what_a_killed_process_left_goes_after_an_hour(tmp_path, wave):
+    names = [".a.12-0123abcd.npz", ".a.13-0123abcd.npz", ".b.12-0123abcd.npz", ".a.notes.npz"]
+    for name in names:
+        (tmp_path / name).write_bytes(b"")
+        os.utime(tmp_path / name, (0, 0))
+    os.utime(tmp_path / names[1])
+    ssdr.save(wave, tmp_path / "a.npz")
+    assert {f.name for f in tmp_path.iterdir()} == {"a.npz", *names[1:]}

@@ -20,7 +20,8 @@ CLIPS = (Clip("walk", 0, 9, 24.0), Clip("jump/high", 9, 19, 60.0), Clip("death",
 
 @pytest.fixture(autouse=True)
 def _usd_core(request):
-    if "suffix" in request.fixturenames and "usd" in request.getfixturevalue("suffix"):
+    suffix = "suffix" in request.fixturenames and request.getfixturevalue("suffix")
+    if "usd" in (suffix or request.node.name):
         pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 
 
@@ -159,8 +160,7 @@ def test_a_player_of_gltf_sees_each_clip_alone(tmp_path):
 
 
 def test_usd_plays_each_clip_once_it_is_bound(tmp_path):
-    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
-    from pxr import Sdf, Usd, UsdGeom, UsdSkel
+    from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel
 
     model, path = model_of(), tmp_path / "a.usda"
     ssdr.save(model, path)
@@ -184,20 +184,14 @@ def test_usd_plays_each_clip_once_it_is_bound(tmp_path):
         codes = np.arange(clip.n_frames) / clip.fps * stage.GetTimeCodesPerSecond()
         samples = UsdSkel.Animation(found[k]).GetTranslationsAttr().GetTimeSamples()
         np.testing.assert_allclose(samples, codes, rtol=1e-12)
-        assert UsdSkel.BakeSkinning(stage.Traverse(), _interval(codes))
+        interval = Gf.Interval(float(codes[0]) - 1e-6, float(codes[-1]) + 1e-6)
+        assert UsdSkel.BakeSkinning(stage.Traverse(), interval)
         mesh = next(UsdGeom.Mesh(p) for p in stage.Traverse() if p.IsA(UsdGeom.Mesh))
         seen = [np.array(mesh.GetPointsAttr().Get(code)) for code in samples]
         assert largest_distance(seen, model.skin(clip.frames)) < 3e-6
 
 
-def _interval(codes):
-    from pxr import Gf
-
-    return Gf.Interval(float(codes[0]) - 1e-6, float(codes[-1]) + 1e-6)
-
-
 def test_a_usd_file_whose_binding_was_changed(tmp_path):
-    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
     from pxr import Usd, UsdSkel
 
     model, path = model_of(), tmp_path / "a.usda"
@@ -218,7 +212,6 @@ def test_a_usd_file_whose_binding_was_changed(tmp_path):
     "stated", ["text", {"fps": -1.0}, {"fps": "24", "frames": 9}, {"fps": 24.0, "frames": 0}]
 )
 def test_usd_metadata_that_says_nothing_is_ignored(tmp_path, stated):
-    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
     from pxr import Usd, UsdSkel
 
     ssdr.save(model_of(), tmp_path / "a.usda")
@@ -233,7 +226,6 @@ def test_usd_metadata_that_says_nothing_is_ignored(tmp_path, stated):
 
 
 def test_a_usd_file_cannot_claim_more_frames_than_memory_holds(tmp_path):
-    pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
     from pxr import Sdf
 
     ssdr.save(model_of(), tmp_path / "a.usda")
@@ -266,31 +258,6 @@ def test_archives_from_before_clips_are_one(tmp_path):
     assert back.clips == (Clip("tube", 0, 20, 24.0),)
     assert len(ssdr.load(tmp_path / "old.npz")) == 20
     np.testing.assert_array_equal(back.transforms, model.transforms)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"clip_offsets": np.array([0, 9, 19])},
-        {"clip_offsets": np.array([0, 9, 19, 21])},
-        {"clip_offsets": np.array([0, 19, 9, 20])},
-        {"clip_offsets": np.array([0.0, 9, 19, 20])},
-        {"clip_fps": np.array([24.0, np.nan, 25])},
-        {"clip_fps": np.array([24.0, 60])},
-        {"clip_fps": np.array([30.0, 60, 25])},
-        {"clip_names": np.array("{}")},
-        {"clip_names": np.array("[1, 2, 3]")},
-        {"clip_names": np.array('["a", "a", "b"]')},
-        {"clip_names": np.array("no JSON")},
-    ],
-)
-def test_damaged_clips_of_an_archive(tmp_path, change):
-    ssdr.save(model_of(), tmp_path / "a.npz")
-    with np.load(tmp_path / "a.npz") as archive:
-        arrays = {k: archive[k] for k in archive.files}
-    np.savez(tmp_path / "b.npz", **(arrays | change))
-    with pytest.raises(ssdr.FormatError, match=r"b\.npz"):
-        ssdr.load_skinning(tmp_path / "b.npz")
 
 
 def test_vertices_of_several_clips(tmp_path):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers.rig_model import tube
 from ssdr import FormatError
 from ssdr.io import read_weights
 
@@ -39,6 +40,12 @@ def make(name, folder, wave, seam, skinned):
 
         def read(p):
             return ssdr.load(p, mesh=wave.faces)
+
+    elif kind == "scene":
+        ssdr.save(tube(frames=3, rings=4, sides=4), path)
+
+        def read(p):
+            return ssdr.load(p, max_bytes=1 << 24)
 
     elif kind == "weights":
         ssdr.save(skinned, path)
@@ -71,6 +78,7 @@ KINDS = [
     "surface.npz",
     "skinning.npz",
     "array.npy",
+    "scene.glb",
     "cache.pc2",
     "cache.mdd",
     "mesh.obj",

@@ -81,7 +81,7 @@ def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
         ("a.pc2", "unweld", "true or false"),
     ],
 )
-@pytest.mark.parametrize("value", ["", "nan", "٣", [], True], ids=str)
+@pytest.mark.parametrize("value", ["", "nan", "٣", "true", [], True], ids=str)
 def test_an_option_is_of_the_kind_that_is_stated(name, option, words, value, skinned, tmp_path):
     """Text from a command line became an error of Python's."""
     if name == "a.usda":
@@ -90,5 +90,9 @@ def test_an_option_is_of_the_kind_that_is_stated(name, option, words, value, ski
         value = 1
     with pytest.raises(InputError, match=f"{option}: expected"):
         ssdr.save(skinned, tmp_path / name, **{option: value})
+    sample = ssdr.samples.path("dancer_small")
     with pytest.raises(InputError, match="max_bytes: expected an integer"):
-        ssdr.load(ssdr.samples.path("dancer_small"), max_bytes=str(value))
+        ssdr.load(sample, max_bytes=str(value))
+    for other in (str(value), 1, 0, 1.0, None):
+        with pytest.raises(InputError, match="mmap: expected true or false"):
+            ssdr.load(sample, mmap=other)

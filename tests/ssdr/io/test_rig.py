@@ -13,7 +13,6 @@ from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat
 from ssdr.clips import unique_names
 from ssdr.hierarchy.transforms import joint_gaps
-from ssdr.io.axes import turn_skinning_up
 from ssdr.io.rig import build_rig, frame_rate, quantise, weight_values
 
 
@@ -75,15 +74,6 @@ def test_a_rigid_joint_stores_a_rotation_alone():
     assert not build_rig(still).translating.any()  # roots that stay have no keys either
 
 
-@pytest.mark.parametrize("kind", [{}, {"loose": True}, {"scaled": True}])
-def test_a_rig_of_joints_is_the_model(kind):
-    model = creature(**kind)
-    rig = build_rig(model)
-    got = rig.matrices(np.arange(model.n_frames, dtype=float))
-    np.testing.assert_allclose(got, model.transforms, atol=1e-6)
-    assert rig.error(model)[1] < 1e-6 * 4
-
-
 def test_between_frames_joints_stay_together():
     """Local interpolation, frame by frame and bone by bone, as an engine does it."""
     model = creature()
@@ -102,12 +92,3 @@ def test_between_frames_joints_stay_together():
     tree = model.parents, model.joint_positions
     assert joint_gaps(got, *tree).max() < 1e-6
     assert joint_gaps(build_rig(flat(model)).matrices(np.array([3.5])), *tree).max() > 1e-3
-
-
-def test_up_turns_the_joints():
-    model = creature()
-    turned = turn_skinning_up(model, "z", "y")
-    np.testing.assert_allclose(
-        turned.joint_positions[1], model.joint_positions[1][[0, 2, 1]] * [1, 1, -1]
-    )
-    assert turned.joint_gaps().max() < 1e-12

@@ -198,14 +198,33 @@ def test_npz_keeps_the_hierarchy_where_there_is_one(tmp_path, skinned):
         assert not {"parents", "joint_positions"} & set(archive.files)
 
 
-@pytest.mark.parametrize("parents", [np.array([2, 0, 0, 0, 2, -1, 4]), np.zeros(3, int), None])
-def test_an_archive_with_half_a_hierarchy_or_a_cycle_is_refused(tmp_path, parents):
-    ssdr.save(creature(frames=1), tmp_path / "a.npz")
+CLIPS = (ssdr.Clip("walk", 0, 9, 24.0), ssdr.Clip("jump", 9, 19, 60.0), ssdr.Clip("a", 19, 20, 25))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("clip_offsets", np.array([0, 9, 19])),
+        ("clip_offsets", np.array([0, 9, 19, 21])),
+        ("clip_offsets", np.array([0, 19, 9, 20])),
+        ("clip_offsets", np.array([0.0, 9, 19, 20])),
+        ("clip_fps", np.array([24.0, np.nan, 25])),
+        ("clip_fps", np.array([24.0, 60])),
+        ("clip_fps", np.array([30.0, 60, 25])),
+        ("clip_names", np.array("{}")),
+        ("clip_names", np.array("[1, 2, 3]")),
+        ("clip_names", np.array('["a", "a", "b"]')),
+        ("clip_names", np.array("no JSON")),
+        ("parents", np.array([2, 0, 0, 0, 2, -1, 4])),
+        ("parents", np.zeros(3, int)),
+        ("parents", None),
+    ],
+)
+def test_clips_and_hierarchies_that_do_not_fit_are_refused(tmp_path, key, value):
+    ssdr.save(creature(frames=20, clips=CLIPS), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as archive:
-        arrays = {key: archive[key] for key in archive.files}
-    del arrays["parents"]
-    if parents is not None:
-        arrays["parents"] = parents
-    np.savez(tmp_path / "a.npz", **arrays)
-    with pytest.raises(FormatError, match="parents"):
-        ssdr.load_skinning(tmp_path / "a.npz")
+        arrays = dict(archive) | {key: value}
+    np.savez(tmp_path / "b.npz", **{k: v for k, v in arrays.items() if v is not None})
+    says = "parents" if key == "parents" else ""
+    with pytest.raises(FormatError, match=rf"b\.npz.*{says}"):
+        ssdr.load_skinning(tmp_path / "b.npz")

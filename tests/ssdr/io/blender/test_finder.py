@@ -13,7 +13,7 @@ import pytest
 import ssdr
 from helpers.blender import no_blender, program
 from helpers.rig_model import tube
-from ssdr.io.blender import command, environment
+from ssdr.io.blender.finder import command, environment
 
 ROOT = Path(__file__).resolve().parents[4]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="programs here are scripts")

@@ -8,8 +8,6 @@ import os
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import ssdr
@@ -323,35 +321,9 @@ def test_numbers_that_are_none_are_refused(tmp_path, number):
             read(source)
 
 
-def test_truncated_and_mislabelled(tmp_path):
-    path = tmp_path / "a.glb"
-    ssdr.save(tube(frames=3), path)
-    data = path.read_bytes()
-    for end in (0, 3, 11, 19, 40, len(data) // 2, len(data) - 1):
-        path.write_bytes(data[:end])
-        with pytest.raises(ssdr.FormatError, match=r"a\.glb"):
-            ssdr.load(path)
+def test_mislabelled(tmp_path):
     for content in (b"PK\x03\x04" * 20, b"[" * 100_000, b"{}", b"\xff" * 64):
         for name in ("b.glb", "b.gltf"):
             (tmp_path / name).write_bytes(content)
             with pytest.raises(ssdr.FormatError, match=name):
                 ssdr.load(tmp_path / name)
-
-
-@settings(deadline=None, max_examples=60)
-@given(st.data())
-def test_any_flipped_byte_gives_a_sequence_or_an_ssdr_error(tmp_path_factory, data):
-    folder = tmp_path_factory.getbasetemp()
-    source = folder / "flip_source.glb"
-    if not source.exists():
-        ssdr.save(tube(frames=3, rings=4, sides=4), source)
-    content = bytearray(source.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(12, len(content) - 1))] = data.draw(st.integers(0, 255))
-    target = folder / "flipped.glb"
-    target.write_bytes(content)
-    try:
-        sequence = ssdr.load(target, max_bytes=1 << 24)
-    except ssdr.SsdrError:
-        return
-    assert np.isfinite(sequence.vertices).all()

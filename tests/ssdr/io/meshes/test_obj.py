@@ -68,7 +68,7 @@ def test_mtl_of_other_programs(tmp_path, caplog):
     assert "3 corners have no uv" in caplog.text
     (tmp_path / "my look.mtl").unlink()
     ssdr.load(tmp_path / "a.obj")
-    assert "my look.mtl is not there" in caplog.text
+    assert "my look.mtl is missing" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,8 @@ OUTSIDE = {
     "a pattern of value clips": CLIPS.format('string templateAssetPath = "../out.###.usda"'),
     "a manifest": CLIPS.format("asset manifestAssetPath = @../out.usda@"),
     "a link": "references = @./link.usda@",
+    "a sublayer": "references = @./sublayer.usda@",
+    "a far reference": "references = @./far.usda@",
     "an endless device": "references = @./zero.usda@",
 }
 UNREADABLE = {
@@ -49,6 +51,10 @@ def stage(tmp_path):
     ssdr.save(tube(frames=2, rings=3, sides=3), inner / "a.usda")
     (tmp_path / "out.usda").write_text(INNER)
     (inner / "in.usda").write_text(INNER)
+    (inner / "parts").mkdir()
+    (inner / "parts" / "in.usda").write_text(INNER)
+    (inner / "sublayer.usda").write_text("#usda 1.0\n(\n subLayers = [@../out.usda@]\n)\n")
+    (inner / "far.usda").write_text(INNER.replace('"a"', '"a" (payload = @../out.usda@)'))
     (inner / "deep.usda").write_text("#usda 1.0\n" + 'def "a" {\n' * 2000 + "}\n" * 2000)
     (inner / "link.usda").symlink_to(tmp_path / "out.usda")
     (inner / "zero.usda").symlink_to("/dev/zero")
@@ -86,6 +92,7 @@ def test_layers_that_are_no_files_or_too_deep_are_refused(stage, case):
     "metadata",
     [
         "references = @./in.usda@",
+        "references = @./parts/in.usda@",
         CLIPS.format("asset[] assetPaths = [@./in.usda@]"),
         "active = true",
     ],

@@ -121,8 +121,8 @@ def _nan(_, mesh):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (_joints(99), "joint index outside 0 to 4"),
-        (_joints(-1), "joint index outside 0 to 4"),
+        (_joints(99), "joint 99 of a skin of 5"),
+        (_joints(-1), "joint -1 of a skin of 5"),
         (_faces, "1000000 for 254 points"),
         (_nan, "finite"),
         (lambda _, m: m.GetFaceVertexCountsAttr().Set([3, 3]), "add up to 6"),
@@ -136,7 +136,7 @@ def _nan(_, mesh):
         (lambda s, _: s.RemovePrim("/tube/Mesh"), "no visible mesh"),
         (
             lambda _, m: UsdSkel.BindingAPI(m).GetJointWeightsPrimvar().Set([0.0] * 254 * 4),
-            "all zero",
+            "vertices have no skin weight",
         ),
     ],
 )
