@@ -158,7 +158,7 @@ def test_split_adds_up(dtype):
     frames = (vertices + 0.1 * rng.normal(size=(6, len(vertices), 3)) + 20).astype(dtype)
     split = split_frequencies(frames, faces, length=0.3)
     assert split.low.dtype == split.high.dtype == dtype
-    assert split.length == 0.3
+    assert split.smoother.length == 0.3
     unit = np.spacing(np.maximum(np.abs(frames), np.abs(split.high)))
     assert (np.abs(split.low + split.high - frames) <= unit).all()
     # Far from the origin, low is within a factor of two of the input: exact (Sterbenz).

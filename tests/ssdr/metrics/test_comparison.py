@@ -62,8 +62,7 @@ def test_no_share_of_a_diagonal_of_zero_in_json():
 
 
 def test_compare_of_parts_and_options():
-    a, faces = animation(F=5)
-    b, _ = animation(1, F=5)
+    (a, _), (b, _) = animation(F=5), animation(1, F=5)
     bare = compare(a, b, hausdorff=False, sted=False)
     assert bare.hausdorff is bare.sted is None
     scalars = {k for k, v in vars(distances(a, b)).items() if not isinstance(v, np.ndarray)}
@@ -73,10 +72,6 @@ def test_compare_of_parts_and_options():
     assert cloud.hausdorff.surface_max is None
     assert cloud.sted.spatial == 0
     assert "surfaces" not in str(cloud)
-    options = compare(
-        a, b, faces, hausdorff_options={"subdivisions": 2}, sted_options={"window": 3}
-    )
-    assert (options.hausdorff.subdivisions, options.sted.window) == (2, 3)
 
 
 def test_same_bits_for_any_number_of_threads():
