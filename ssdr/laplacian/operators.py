@@ -92,9 +92,9 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     Notes
     -----
     A cotangent is a dot product divided by twice the area.  Twice the area is taken as at least
-    1e-6 of the squared longest edge.  This scales the three cotangents of a degenerate triangle alike,
-    so that the matrix stays positive semi-definite (clamping each by itself would not ensure that).
-    A triangle whose corners coincide contributes nothing.
+    1e-6 of the squared longest edge.  This scales the three cotangents of a degenerate triangle
+    alike, so that the matrix stays positive semi-definite (clamping each by itself would not ensure
+    that).  A triangle whose corners coincide contributes nothing.
 
     References
     ----------
