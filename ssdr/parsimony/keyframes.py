@@ -34,10 +34,10 @@ class Tracks:
 
     If the local transform of bone b is X instead of L, a vertex p in its frame moves by
     s (X − L) p, with s the scale of the parent.  The sum of the squares over all vertices that move
-    with b is s² tr (X − L) S (X − L)ᵀ, with S their second moment in homogeneous coordinates.  For rigid and
-    similarity bones this is exact if one bone changes and vertices have one influence; with several
-    influences it is an upper bound (Jensen's inequality).  The error of several bones of a chain
-    may be more or less than their sum.
+    with b is s² tr (X − L) S (X − L)ᵀ, with S their second moment in homogeneous coordinates.  For
+    rigid and similarity bones this is exact if one bone changes and vertices have one influence;
+    with several influences it is an upper bound (Jensen's inequality).  The error of several bones
+    of a chain may be more or less than their sum.
 
     Parameters
     ----------

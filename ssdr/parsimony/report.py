@@ -180,8 +180,8 @@ class Parsimony:
 class Smallest(Decomposition):
     """Smallest model found that holds a tolerance, or that of least error.
 
-    A smaller model may have a larger error, so that `rmse` in `history` may rise up to the
-    tolerance.
+    A smaller model may have a larger error, so that in `history` the
+    `rmse` may rise up to the tolerance.
 
     Attributes
     ----------
