@@ -189,7 +189,7 @@ def _pass_span(
             rotation=turn[start:stop],
             scale=scale,
         )
-        piece = dataclasses.replace(model, transforms=transforms[start:stop], error=x2)
+        piece = dataclasses.replace(model, transforms=transforms[start:stop], error=x2.copy())
         fit_motion(part, piece, locked=locked, sweeps=_SWEEPS, leaps=leaps)
         transforms[start:stop] = piece.transforms
         hat = part.stack(piece.transforms)

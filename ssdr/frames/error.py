@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,57 +19,49 @@ __all__ = ["largest_error", "squared_error"]
 
 Array = NDArray[np.float64]
 
-_CHUNK = 512  # vertices in a chunk of work, as in the solver
+_CHUNK = 512  # vertices in a task, as in the solver
 
 
 def squared_error(
-    sequences: Sequence[MeshSequence],
-    rest: Array,
-    indices: NDArray[np.int32],
-    weights: Array,
-    transforms: Array,
-    *,
-    executor: Executor | None = None,
+    sequences: Sequence[MeshSequence], *skinning: Any, executor: Executor | None = None
 ) -> Array:
-    """Squared error of each vertex, summed over the frames: (V,) Σ_t |d|²."""
-    task = _task(_squared_error_of_span, sequences, rest, indices, weights, transforms)
-    total = np.zeros(len(rest))
-    for part in (executor or Local()).map(task):
+    """Squared error of each vertex summed over the frames, Σ_t |d|²: (V,).
+
+    Parameters
+    ----------
+    sequences : sequence of MeshSequence
+    *skinning : arrays
+        Rest pose, indices, weights and transforms, as :func:`ssdr.skin` takes them.
+    executor : Executor, optional
+        This process by default.
+    """
+    total = np.zeros(len(skinning[0]))
+    for part in _of_each_span(_squared_error_of_span, sequences, skinning, executor):
         total += part
     return total
 
 
 def largest_error(
-    sequences: Sequence[MeshSequence],
-    rest: Array,
-    indices: NDArray[np.int32],
-    weights: Array,
-    transforms: Array,
-    *,
-    executor: Executor | None = None,
+    sequences: Sequence[MeshSequence], *skinning: Any, executor: Executor | None = None
 ) -> float:
-    """Largest distance |d| of any vertex in any frame."""
-    task = _task(_largest_square_of_span, sequences, rest, indices, weights, transforms)
-    # max would pass over NaN.
-    return math.sqrt(np.max(list((executor or Local()).map(task))))
+    """Largest distance |d| of any vertex in any frame; arguments as in :func:`squared_error`."""
+    squares = list(_of_each_span(_largest_square_of_span, sequences, skinning, executor))
+    return math.sqrt(np.max(squares))  # NumPy's maximum, since Python's skips NaN
 
 
-def _task(
-    function: Callable[..., object],
+def _of_each_span(
+    function: Callable[..., Any],
     sequences: Sequence[MeshSequence],
-    rest: Array,
-    indices: NDArray[np.int32],
-    weights: Array,
-    transforms: Array,
-) -> SpanTask:
+    skinning: Sequence[Any],
+    executor: Executor | None,
+) -> Iterator[Any]:
+    *bound, transforms = skinning
     spans = spans_of(len(transforms))
-    return SpanTask(
-        function,
-        sequences,
-        spans,
-        lambda k: (transforms[slice(*spans[k])],),
-        (rest, indices, weights),
-    )
+
+    def own(k: int) -> tuple[Any]:
+        return (transforms[slice(*spans[k])],)
+
+    return (executor or Local()).map(SpanTask(function, sequences, spans, own, tuple(bound)))
 
 
 def _squared_error_of_span(

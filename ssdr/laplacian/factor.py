@@ -1,45 +1,31 @@
 """Sparse symmetric positive definite systems: CHOLMOD where installed, SuperLU otherwise.
 
-CHOLMOD is an extra because its packages have no wheels and its fast parts are
-under the GPL; everything works without it, only slower.
+CHOLMOD is optional, since its packages have no wheels and its fast parts are under the GPL.
+Without it everything works, only slower.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from ..errors import InputError, MissingDependencyError
+from ..errors import MissingDependencyError, check_choice
 from ..parallel import serial_blas
 
-__all__ = ["Backend", "Factor", "factor_spd"]
+__all__ = ["Backend", "factor_spd"]
 
 Backend = Literal["cholmod", "scipy"]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Factor:
-    """A factor of a matrix A, kept for many right-hand sides.
-
-    Attributes
-    ----------
-    backend : {"cholmod", "scipy"}
-    solve : callable
-        ``solve(b)`` gives x of A x = b for b ``(n,)`` or ``(n, m)`` float64,
-        fastest where b is in Fortran order.
-    """
-
-    backend: Backend
-    solve: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Solve = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
-def factor_spd(matrix: Any, *, backend: Backend | None = None) -> Factor:
+def factor_spd(matrix: Any, *, backend: Backend | None = None) -> tuple[Solve, Backend]:
     """Factor a symmetric positive definite matrix.
 
     Parameters
@@ -49,6 +35,13 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> Factor:
     backend : {"cholmod", "scipy"}, optional
         CHOLMOD (scikit-sparse 0.4 or 0.5) where installed, otherwise SciPy's
         SuperLU without pivoting.
+
+    Returns
+    -------
+    solve : callable
+        Solves A x = b for b ``(n,)`` or ``(n, m)`` float64, fastest in Fortran order.
+    backend : {"cholmod", "scipy"}
+        The library that made the factor.
 
     Raises
     ------
@@ -64,23 +57,23 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> Factor:
     ----------
     Chen et al., "Algorithm 887: CHOLMOD", 2008.
     """
-    if backend is not None and not (isinstance(backend, str) and backend in get_args(Backend)):
-        raise InputError("backend", f"one of {get_args(Backend)} or None", repr(backend))
+    if backend is not None:
+        check_choice(backend, "backend", Backend)
     system = csc_matrix(matrix)
     if backend != "scipy":
         try:
-            return Factor("cholmod", _cholmod(system))
+            return _cholmod(system), "cholmod"
         except ImportError as error:
             if backend == "cholmod":
                 raise MissingDependencyError(
                     "CHOLMOD needs scikit-sparse and SuiteSparse with its headers: "
                     'pip install "ssdr[cholmod]"'
                 ) from error
-    return Factor("scipy", _superlu(system))
+    return _superlu(system), "scipy"
 
 
-def _superlu(system: csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    # Shuffled first: minimum degree is 100 times slower on the numbering of a subdivided mesh.
+def _superlu(system: csc_matrix) -> Solve:
+    # Shuffled first, since minimum degree is 100 times slower in the order of a subdivided mesh.
     order = np.random.default_rng(0).permutation(system.shape[0])
     back = np.argsort(order)
     try:
@@ -95,14 +88,14 @@ def _superlu(system: csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.f
         raise ArithmeticError(str(error)) from error
 
     def solve(b: NDArray[np.float64]) -> NDArray[np.float64]:
-        # SuperLU's blocks are small: with threads of BLAS it is four times slower.
+        # SuperLU's blocks are small, so that a threaded BLAS is four times slower.
         with serial_blas():
             return np.asarray(lu.solve(np.asfortranarray(b[order]))[back])
 
     return solve
 
 
-def _cholmod(system: csc_matrix) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def _cholmod(system: csc_matrix) -> Solve:
     from sksparse import cholmod
 
     try:

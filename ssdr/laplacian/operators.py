@@ -28,9 +28,9 @@ __all__ = [
 MassKind = Literal["barycentric", "voronoi"]
 
 REGULAR = 1 / math.sqrt(3)  # both cotangents opposite to an edge of a regular triangulation
-_SLIVER = 1e-6  # of the squared longest edge: a smaller doubled area is a degenerate triangle's
-_MASS_FLOOR = 1e-6  # of the mean: mass of a vertex without area, for a stable factor
-_MODERATE = 1e50  # coordinates up to which areas can be squared and summed
+_SLIVER = 1e-6  # least twice the area of a triangle, relative to its squared longest edge
+_MASS_FLOOR = 1e-6  # least mass of a vertex, relative to the mean, for a stable factor
+_MODERATE = 1e50  # largest coordinates for which squared areas can be summed
 
 
 def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
@@ -69,10 +69,9 @@ def uniform_laplacian(faces: ArrayLike, n_vertices: int) -> csr_array:
 def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     """Cotangent Laplacian, the stiffness matrix of linear finite elements.
 
-    (L x)_i = Σ_j w_ij (x_i − x_j) with w_ij = ½ Σ cot of the angles opposite to
-    the edge, over all of its triangles (one at a boundary, more than two where
-    the mesh is not manifold).  Units: none; the matrix does not change with the
-    scale of the mesh.
+    (L x)_i = Σ_j w_ij (x_i − x_j), where w_ij is half the sum of the cotangents of the angles
+    opposite to the edge, over all of its triangles (one at a boundary, more than two where the mesh
+    is not manifold).  The matrix has no unit: scaling the mesh does not change it.
 
     Parameters
     ----------
@@ -83,8 +82,7 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
     -------
     (V, V) float64 csr_array
         Symmetric, positive semi-definite; exact on linear functions of a flat
-        patch.  Off-diagonal entries are positive across edges that are not
-        Delaunay.
+        patch.  The off-diagonal entry of an edge that is not Delaunay is positive.
 
     Raises
     ------
@@ -93,11 +91,10 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
 
     Notes
     -----
-    A cotangent is a dot product over the doubled area.  The doubled area is
-    taken as at least 1e-6 of the triangle's squared longest edge, which scales
-    the three cotangents of a degenerate triangle alike and so keeps the matrix
-    positive semi-definite (clamping them one by one would not).  A triangle
-    that is a point contributes nothing.
+    A cotangent is a dot product divided by twice the area.  Twice the area is taken as at least
+    1e-6 of the squared longest edge.  This scales the three cotangents of a degenerate triangle
+    alike, so that the matrix stays positive semi-definite (clamping each by itself would not ensure
+    that).  A triangle whose corners coincide contributes nothing.
 
     References
     ----------
@@ -122,25 +119,24 @@ def cotangent_laplacian(vertices: ArrayLike, faces: ArrayLike) -> csr_array:
 def mass_matrix(
     vertices: ArrayLike, faces: ArrayLike, *, kind: MassKind = "barycentric"
 ) -> dia_array:
-    """Lumped mass matrix: the area that belongs to each vertex.
+    """Lumped mass matrix, with the area that belongs to each vertex on the diagonal.
 
     Parameters
     ----------
     vertices : (V, 3) array
     faces : (T, 3) int array
     kind : {"barycentric", "voronoi"}
-        A third of each triangle, or its mixed Voronoi cells (Meyer et al. 2003):
-        the Voronoi cells of an acute triangle; half of an obtuse triangle to
-        its obtuse corner and a quarter to each other.
+        A corner gets a third of its triangle, or its mixed Voronoi cell (Meyer et al. 2003): in a
+        triangle without an obtuse angle its Voronoi cell; in an obtuse triangle half of the area at
+        the obtuse corner and a quarter at the others.
 
     Returns
     -------
     (V, V) float64 dia_array
-        Diagonal, in squared units of the mesh.  The entries add up to the area
-        of the mesh, but for vertices that have none (unreferenced, or only
-        corners of degenerate triangles): they get 1e-6 of the mean, so that
-        M + ℓ²L is definite.  Where the whole mesh has no area, its mean squared
-        edge (1 if that is zero too) stands for the mean.
+        Diagonal, in squared units of the mesh.  The entries add up to the area of the mesh.  In
+        addition, vertices without area (unreferenced, or only corners of degenerate triangles) get
+        1e-6 of the mean entry, so that M + ℓ²L is definite.  If the whole mesh has no area, the
+        mean squared edge takes the place of the mean entry, or 1 if that is zero.
 
     Raises
     ------
@@ -184,7 +180,7 @@ def mass_matrix(
 
 
 def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Points scaled so that fourth powers do not overflow, and the exponent that undoes it."""
+    """Points scaled by a power of two so that fourth powers do not overflow, and its exponent."""
     largest = float(np.abs(points).max())
     power = int(np.frexp(largest)[1]) if largest > _MODERATE else 0
     return np.ldexp(points, -power), power
@@ -193,7 +189,7 @@ def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
 def _cotangents(
     points: NDArray[np.float64], triangles: NDArray[np.int32]
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Cotangent of the angle at each corner, 0 where there is none, and whether it is obtuse."""
+    """Cotangent of the angle at each corner (0 if undefined), and whether the angle is obtuse."""
     # Edge k is opposite to corner k, so the angle at k lies between edges k+1 and k+2.
     edges = points[triangles[:, [2, 0, 1]]] - points[triangles[:, [1, 2, 0]]]
     dots = -np.einsum("tkc,tkc->tk", edges[:, [1, 2, 0]], edges[:, [2, 0, 1]])
@@ -204,7 +200,7 @@ def _cotangents(
 
 
 def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array:
-    # Summed once and mirrored, so that the matrix is symmetric to the last bit.
+    # The upper triangle is summed and mirrored, so that the matrix is symmetric to the last bit.
     keep = a != b
     ends = np.minimum(a, b)[keep], np.maximum(a, b)[keep]
     upper = coo_array((weights[keep], ends), shape=(n, n)).tocsr()

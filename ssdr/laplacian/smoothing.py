@@ -32,7 +32,7 @@ __all__ = [
 
 LaplacianKind = Literal["cotangent", "uniform"]
 
-_BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time: more takes more memory
+_BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time, to bound memory
 
 
 class LaplacianSmoother:
@@ -40,22 +40,22 @@ class LaplacianSmoother:
 
     This is one backward Euler step of the heat equation over the time ℓ².  A pattern of
     wavelength λ on the surface is multiplied by 1 / (1 + (2πℓ/λ)²): patterns much longer than 2πℓ
-    stay, much shorter ones vanish, whatever the resolution of the mesh.  Constants are kept.  The
-    operator is that of one pose.  It is linear in the coordinates of any other pose and commutes
-    with rotations and translations of that pose.
+    stay and much shorter ones vanish, whatever the resolution of the mesh.  Constants stay.  The
+    operator is built from one pose and can be applied to the coordinates of any other; it is linear
+    and commutes with rotations and translations of those.
 
     Parameters
     ----------
     vertices : (V, 3) array
         Pose whose metric is used, in the mesh's units.
     faces : (T, 3) int array
-        Without triangles nothing is smoothed.
+        Without triangles values stay as they are.
     length : float
         ℓ in the mesh's units; 0 changes nothing.
     kind : {"cotangent", "uniform"}
-        "uniform" uses the graph Laplacian over √3, which is the cotangent Laplacian of a regular
-        triangulation.  Elsewhere it also moves vertices along the surface.  It has no negative
-        weights.
+        "uniform" is the graph Laplacian divided by √3, which equals the cotangent Laplacian on a
+        regular triangulation.  On other meshes it also moves vertices along the surface.  It has no
+        negative weights.
     mass : {"barycentric", "voronoi"}
     backend : {"cholmod", "scipy"}, optional
         CHOLMOD (scikit-sparse) where installed, SciPy's SuperLU otherwise.
@@ -63,23 +63,23 @@ class LaplacianSmoother:
     Attributes
     ----------
     backend : {"cholmod", "scipy"}
-        Which one made the factor.
+        The library that made the factor.
     length, kind, mass
-        As given.
+        Parameters of the call.
     n_vertices : int
 
     Raises
     ------
     InputError
-        If an argument is not usable, or `length` is so large beside the edges
-        that the masses are lost in rounding.
+        If an argument is not usable, or `length` is so much larger than the edges that rounding
+        loses the masses.
     MissingDependencyError
         If CHOLMOD is asked for and scikit-sparse is not installed.
 
     Notes
     -----
-    Degenerate triangles, boundaries, non-manifold edges and several components are allowed; a
-    vertex of no triangle stays where it is.  Cost: one sparse Cholesky factorisation, then two
+    Degenerate triangles, boundaries, non-manifold edges and several components are allowed.  A
+    vertex without triangles stays where it is.  Cost: one sparse Cholesky factorisation, then two
     triangular solves for each coordinate of each frame.
 
     References
@@ -123,10 +123,9 @@ class LaplacianSmoother:
         scale = 1.0 / self._mass.max()
         system = csc_matrix(diagonal * scale + laplacian * (scale * self.length**2))
         try:
-            self._factor = factor_spd(system, backend=backend)
+            self._solve, self.backend = factor_spd(system, backend=backend)
         except ArithmeticError as error:
             raise InputError("length", "a length comparable to the mesh", length) from error
-        self.backend = self._factor.backend
         self._mass = self._mass * scale
 
     def __repr__(self) -> str:
@@ -179,19 +178,19 @@ class LaplacianSmoother:
         return out.reshape(x.shape)
 
     def _smooth_block(self, block: NDArray[np.float64]) -> NDArray[np.float64]:
-        # The mean, which smoothing keeps, is left out, so that a far origin costs no digits.
+        # Smoothing keeps the mean.  Without it no digits are lost where the origin is far away.
         centre = block.mean(axis=1, keepdims=True)
         rows = np.ascontiguousarray((block - centre).transpose(0, 2, 1))
         rows *= self._mass
         # Rows of a C array are columns of the Fortran array that the solvers want.
-        solved = self._factor.solve(rows.reshape(-1, self.n_vertices).T)
+        solved = self._solve(rows.reshape(-1, self.n_vertices).T)
         moved = solved.T.reshape(rows.shape).transpose(0, 2, 1)
         return np.asarray(moved + centre)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrequencySplit:
-    """A sequence as the sum of a smooth part and the detail on it.
+    """Smooth part and detail of a sequence, which add up to it.
 
     Attributes
     ----------
@@ -200,13 +199,13 @@ class FrequencySplit:
     high : (F, V, 3) array
         ``frames - low``, in the input's dtype.
     smoother : LaplacianSmoother
-        Smooths further frames of the same mesh.
+        The smoother, for further frames of the same mesh.
 
     Examples
     --------
     >>> dancer = ssdr.samples.load("dancer_small")
     >>> split = ssdr.laplacian.split_frequencies(dancer, length=0.05)
-    >>> split.length, split.high.shape
+    >>> split.smoother.length, split.high.shape
     (0.05, (24, 799, 3))
     """
 
@@ -215,12 +214,8 @@ class FrequencySplit:
     smoother: LaplacianSmoother
 
     @property
-    def length(self) -> float:
-        """ℓ in the mesh's units."""
-        return self.smoother.length
-
-    @property
     def backend(self) -> Backend:
+        """The library that solved, "cholmod" or "scipy"."""
         return self.smoother.backend
 
 
@@ -244,16 +239,16 @@ def split_frequencies(
     length : float
         ℓ of :class:`LaplacianSmoother`, in the mesh's units.
     rest : int or (V, 3) array
-        Frame, or pose, whose metric is used for all frames.
+        Index of a frame, or a pose, from which the operator is built.
     kind, mass, backend
         As in :class:`LaplacianSmoother`.
 
     Returns
     -------
     FrequencySplit
-        ``low + high`` is the input within half a unit in the last place of the
-        larger of the input and ``high``, in the input's own precision; exactly
-        the input where ``low`` is within a factor of two of it (Sterbenz).
+        ``low + high`` equals the input to half a unit in the last place of the larger of the input
+        and ``high``, in the input's precision.  It is exactly the input where ``low`` is within a
+        factor of two of it (Sterbenz's lemma).
 
     Raises
     ------

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import InputError, check_flag
+from ..errors import check_flag
 from .edge_difference import Sted
 from .edge_difference import sted as _sted
 from .hausdorff_distance import Hausdorff
@@ -31,7 +29,7 @@ class Comparison(Distances):
     n_frames, n_vertices : int
     hausdorff : Hausdorff or None
     sted : Sted or None
-        None where it was not asked for.
+        None if it was not asked for.
 
     Examples
     --------
@@ -48,7 +46,7 @@ class Comparison(Distances):
 
     @property
     def distances(self) -> Distances:
-        """Distances between corresponding vertices: the attributes of :class:`Distances` here."""
+        """This comparison, whose own attributes are those of :class:`Distances`."""
         return self
 
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
@@ -91,8 +89,6 @@ def compare(
     *,
     hausdorff: bool = True,
     sted: bool = True,
-    hausdorff_options: Mapping[str, Any] | None = None,
-    sted_options: Mapping[str, Any] | None = None,
 ) -> Comparison:
     """Compare two animations of one mesh by every metric.
 
@@ -104,9 +100,8 @@ def compare(
         Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
         distance is that of the vertices alone and STED has no spatial part.
     hausdorff, sted : bool
-        Whether to compute them; they take most of the time.
-    hausdorff_options, sted_options : mapping, optional
-        Keyword arguments of :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
+        Whether to compute them, which takes most of the time.  For other parameters than the
+        defaults call :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
 
     Returns
     -------
@@ -115,7 +110,7 @@ def compare(
     Raises
     ------
     InputError
-        If shapes differ, a number is not finite or an option is not usable.
+        If shapes differ, a number is not finite or a flag is not a bool.
 
     Examples
     --------
@@ -127,21 +122,12 @@ def compare(
     first, second = as_pair(reference, other, faces)
     check_flag(hausdorff, "hausdorff")
     check_flag(sted, "sted")
-    for_hausdorff = {} if hausdorff_options is None else hausdorff_options
-    for_sted = {} if sted_options is None else sted_options
-    for function, options in ((_hausdorff, for_hausdorff), (_sted, for_sted)):
-        name = function.__name__
-        try:
-            inspect.signature(function).bind(first, second, None, **options)
-        except TypeError as error:
-            expected = f"a mapping of keyword arguments of {name}"
-            raise InputError(f"{name}_options", expected, f"{options!r} ({error})") from error
     return Comparison(
         **vars(distances(first, second)),
         n_frames=first.n_frames,
         n_vertices=first.n_vertices,
-        hausdorff=_hausdorff(first, second, **for_hausdorff) if hausdorff else None,
-        sted=_sted(first, second, **for_sted) if sted else None,
+        hausdorff=_hausdorff(first, second) if hausdorff else None,
+        sted=_sted(first, second) if sted else None,
     )
 
 
@@ -153,7 +139,7 @@ def _plain(result: Any, arrays: bool) -> dict[str, Any]:
         elif isinstance(value, np.ndarray):
             plain |= {name: value.tolist()} if arrays else {}
         elif value is not None or name.endswith(("_max", "_mean")):
-            # JSON has no infinity, which a share of a diagonal of 0 is
+            # JSON has no infinity, the percentage where the diagonal is 0
             unknown = isinstance(value, float) and not math.isfinite(value)
             plain[name] = None if unknown else value
     return plain

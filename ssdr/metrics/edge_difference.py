@@ -30,12 +30,13 @@ class Sted:
     value : float
         √(spatial² + c² temporal²).
     spatial, temporal : float
-        Means of the local deviations; 0 if there is no edge, or fewer than three frames.
+        Means of the local deviations; `spatial` is 0 without edges, `temporal` is 0 for fewer than
+        three frames.
     spatial_per_frame : (F,) float64
     temporal_per_frame : (F - 1,) float64
-        Of the virtual edges from each frame to the next one.
+        Entry t is for the virtual edges from frame t to frame t + 1.
     neighbourhood, window, dt, c, signed
-        As given.
+        Parameters of the call.
     normaliser : float
         s, in the mesh's units.
 
@@ -93,11 +94,10 @@ def sted(
         An edge is near a vertex if one of its ends is less than this number of
         edges away; 1 takes the edges at the vertex.
     window : int
-        Odd number of virtual edges, centred at t and cut at both ends of the
-        sequence.
+        Odd number of virtual edges, centred at t and clipped at both ends of the sequence.
     dt : float
-        Length of the virtual edge of a vertex at rest, after division by s.  The smaller it is,
-        the more changes of slow motion count.
+        Length of the virtual edge of a vertex that does not move, in units of s.  The smaller it
+        is, the more do changes of slow motions count.
     c : float
         Weight of the temporal part.
     normaliser : {"speed", "diagonal"} or float
@@ -105,8 +105,8 @@ def sted(
         reference, the reference's diagonal, or a number.  For a reference that never moves, the
         diagonal replaces the speed.
     signed : bool
-        Use δ = (l − l') / l.  With the absolute value, edges that stretch and shrink by the same
-        share do not differ.
+        Use δ = (l − l') / l instead of its absolute value, which is the same for an edge that
+        stretches and one that shrinks by the same share.
 
     Returns
     -------
@@ -119,13 +119,12 @@ def sted(
 
     Notes
     -----
-    Rigid motions of either animation, a different one in each frame, do not change the spatial
-    part; the same one in all frames changes neither part.  Scaling both animations changes neither
-    part (unless the normaliser is a number).  An edge of length 0 in the reference has weight 0.
-    Vertices without an edge do not count in the spatial part.
+    The spatial part does not change if the frames of either animation are moved rigidly, each in
+    its own way.  Neither part changes if all frames are moved by the same rigid motion, or if both
+    animations are scaled alike (unless the normaliser is a number).  An edge of length 0 in the
+    reference has weight 0.  Vertices without edges are left out of the spatial part.
 
-    The source states no parameters, so figures can be compared only with those that this function
-    computes with the same parameters.
+    The paper states no parameters, so compare only values of this function with equal parameters.
 
     References
     ----------
@@ -188,7 +187,7 @@ def _spatial(
         total = np.add.reduceat(length[:, members], starts, axis=1)
         safe = np.where(total > 0, total, 1.0)
         mean = np.add.reduceat((length * delta)[:, members], starts, axis=1) / safe
-        # Two passes: a difference of sums of squares would drown small deviations.
+        # Two passes, since a difference of sums of squares loses small deviations to rounding.
         spread = delta[:, members] - np.repeat(mean, counts, axis=1)
         spread *= spread
         spread *= length[:, members]
@@ -229,7 +228,7 @@ def _temporal(
 
 
 def _edges_near(edges: NDArray[np.int32], n_vertices: int, neighbourhood: int) -> csr_array:
-    """Edges (columns) near each vertex that has any (rows)."""
+    """Incidence matrix: a row for each vertex with edges, whose entries are the edges near it."""
     n_edges = len(edges)
     columns = np.repeat(np.arange(n_edges), 2)
     touch = csr_array((np.ones(2 * n_edges), (edges.ravel(), columns)), (n_vertices, n_edges))

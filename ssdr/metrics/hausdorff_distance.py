@@ -19,8 +19,8 @@ from .inputs import Frames, as_sequence, check_finite, read
 
 __all__ = ["Hausdorff", "hausdorff"]
 
-_FRAMES = 8  # in a task: a search starts from the triangles found in the frame before
-_LEAF = 4  # triangles in a leaf of the tree, about
+_FRAMES = 8  # frames in a task: a search starts from the triangles found in the frame before
+_LEAF = 4  # approximate number of triangles in a leaf of the tree
 _FIRST = 32  # points searched before the bound is tested
 
 
@@ -31,13 +31,13 @@ class Hausdorff:
     Attributes
     ----------
     vertex_max, vertex_mean : float
-        Between the sets of vertices: in the worst frame, and its mean over the frames.
+        Between the sets of vertices: maximum and mean over the frames.
     surface_max, surface_mean : float or None
-        Between the surfaces, probed at the vertices and samples; None without faces.
+        Between the surfaces, probed at vertices and samples; None without faces.
     vertex_per_frame : (F,) float64
     surface_per_frame : (F,) float64 or None
     subdivisions : int
-        As given.
+        Parameter of the call.
 
     Examples
     --------
@@ -67,9 +67,9 @@ def hausdorff(
 ) -> Hausdorff:
     """Symmetric Hausdorff distance of each frame.
 
-    max( max_a min_b ‖a − b‖, max_b min_a ‖a − b‖ ), over the vertices, or with
-    the inner minimum over the whole other surface.  It does not use the
-    correspondence of vertices, so that sliding along the surface costs nothing.
+    max( max_a min_b ‖a − b‖, max_b min_a ‖a − b‖ ), with a and b the vertices of the two meshes;
+    for surfaces, the inner minimum is over the whole other surface.  The correspondence of vertices
+    is not used, so that sliding along the surface costs nothing.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ def hausdorff(
     other_faces : (T', 3) int array, optional
         Triangles of `other`; its own by default, else those of the reference.
     surface : bool
-        Whether to compare the surfaces, too.
+        Whether to compare the surfaces as well.
     subdivisions : int
-        n: each surface is probed at the corners of its triangles, each cut into n² similar ones; 1
-        takes the vertices alone.  The distance of a probe to the other surface is exact; the
-        maximum over the probes is a lower bound on that over the surface.
+        n: each triangle is cut into n² similar ones, whose corners are the probes; with n = 1 these
+        are the vertices.  The distance of a probe to the other surface is exact, and the maximum
+        over the probes is a lower bound on the maximum over the surface.
 
     Returns
     -------
@@ -97,8 +97,8 @@ def hausdorff(
 
     Notes
     -----
-    Vertices of no triangle are no part of a surface.  Distances to triangles are exact, by a
-    bounding-volume hierarchy that is refitted to each frame; a search ends early where it cannot
+    Vertices without triangles do not belong to a surface.  Distances to triangles are found by a
+    bounding-volume hierarchy that is refitted to each frame; a search ends as soon as it cannot
     raise the maximum.
 
     Examples
@@ -147,8 +147,8 @@ def _one_way(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     tree = cKDTree(b, balanced_tree=False, compact_nodes=False)
     if len(a) != len(b):
         return float(np.max(tree.query(a)[0]))
-    # A vertex is at most as far from the other set as from its counterpart there: only few can be
-    # the farthest.
+    # A vertex is at most as far from the other set as from its counterpart there, so that only few
+    # vertices can be the farthest.
     bound = np.sqrt(((a - b) ** 2).sum(axis=1))
     order = np.argsort(-bound, kind="stable")
     worst, start, step = 0.0, 0, _FIRST
@@ -179,7 +179,7 @@ def _between_surfaces(
 
 
 class _Surface:
-    """Probe points of a surface and a tree over its triangles, the same in all frames."""
+    """Probe points of a surface and a tree over its triangles, used for all frames."""
 
     def __init__(self, sequence: MeshSequence, subdivisions: int) -> None:
         faces = sequence.faces
@@ -199,7 +199,7 @@ class _Search:
         self.lead = 0
 
     def distance(self, own: NDArray[np.float64], others: NDArray[np.float64]) -> float:
-        """Largest distance of a probe to the other surface, by the positions of both."""
+        """Largest distance of a probe to the other surface, given the vertices of both."""
         tree, others = self.target, np.ascontiguousarray(others)
         fit_boxes(others, tree.triangles, tree.depth, self.boxes)
         points = np.ascontiguousarray(self.source.probes @ own)
@@ -210,7 +210,7 @@ class _Search:
 
 
 def _probes(faces: NDArray[np.int32], n_vertices: int, subdivisions: int) -> csr_array:
-    """Matrix that takes the vertices to the probe points of the surface."""
+    """Matrix (P, V) that maps vertices to the probe points of the surface."""
     used, n = np.unique(faces), subdivisions
     corners = csr_array(
         (np.ones(len(used)), used, np.arange(len(used) + 1)), (len(used), n_vertices)

@@ -1,4 +1,4 @@
-"""Checks of arguments, and reading by chunks of frames, for all metrics."""
+"""Checks of arguments and reading of frames in chunks, shared by all metrics."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..errors import InputError
 from ..sequence import MeshSequence
 
 Frames = MeshSequence | ArrayLike
-_CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time: more takes more memory
+_CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time, to bound memory
 
 
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
-    """The argument as a checked sequence; `faces`, if given, replace its own."""
+    """Checked sequence of the argument; `faces`, if given, replace its own."""
     if isinstance(frames, MeshSequence):
         if faces is None:
             return frames
@@ -44,12 +44,13 @@ def as_pair(
 
 
 def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> None:
-    """Check that results are finite.
+    """Refuse results that are not finite.
 
     Raises
     ------
     InputError
-        If one is not: it names the coordinates that are too large to be squared, if there are any.
+        If a result is not finite.  The error names the coordinates that are too large to be
+        squared, if there are any.
     """
     if all(np.isfinite(result).all() for result in results):
         return
@@ -63,17 +64,17 @@ def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> No
 
 
 def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
-    """Undirected edges ``(E, 2)`` of the first of the two that has faces."""
+    """Edges ``(E, 2)`` of the first sequence, or of the second if that alone has faces."""
     faces = first.faces if len(first.faces) else second.faces
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
 
 
 def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
-    """Frames of a chunk, each with `per_frame` numbers in float64, at least 3 V."""
+    """Number of frames in a chunk; a frame takes `per_frame` float64 numbers, at least 3 V."""
     return max(1, _CHUNK_BYTES // (8 * max(per_frame, 3 * sequence.n_vertices)))
 
 
 def read(sequence: MeshSequence, start: int, stop: int) -> NDArray[np.float64]:
-    """Frames start to stop in float64."""
+    """Frames from `start` to before `stop` in float64."""
     return np.asarray(sequence.frames(slice(start, stop)), dtype=np.float64)

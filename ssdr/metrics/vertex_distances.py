@@ -16,14 +16,14 @@ __all__ = ["Distances", "distances", "rmse"]
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Distances:
-    """Distances ‖d_i^t‖ between vertices i of two sequences in frame t.
+    """Statistics of the distances ‖d_i^t‖ between vertex i of two sequences in frame t.
 
     Attributes
     ----------
     rmse : float
         √(Σ ‖d‖² / (F V)), pooled over vertices and frames, in the mesh's units.
     coordinate_rmse : float
-        √(Σ ‖d‖² / (3 F V)), the same per coordinate.
+        √(Σ ‖d‖² / (3 F V)), the RMSE per coordinate.
     E : float
         1000 · ‖A − Ã‖_F / √(3 F V), a thousand times `coordinate_rmse` (Kavan et al. 2010; not
         normalised by the size of the mesh).
@@ -32,11 +32,11 @@ class Distances:
     mean, max : float
         Mean and largest distance.
     max_frame, max_vertex : int
-        Frame and vertex of the largest distance, the first if there are several.
+        Frame and vertex of the largest distance; the first of several.
     per_frame : (F,) float64
-        rmse of each frame.
+        RMSE of each frame.
     per_vertex : (V,) float64
-        rmse of each vertex.
+        RMSE of each vertex.
     diagonal : float
         Of the reference's bounding box in the frame where it is largest.
 

@@ -1,4 +1,4 @@
-"""No more model than a scene needs: size in bytes, and error against size."""
+"""Size of models in bytes, error against size, and the report of ``ssdr.smallest``."""
 
 from __future__ import annotations
 

@@ -1,24 +1,21 @@
-"""The driver for a tolerance: the fewest bones that hold it, then the fewest bytes."""
+"""Driver of ``smallest``: the fewest bones that hold the tolerance, then the fewest bytes."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 
 from ..checks import check_squarable
-from ..drivers.efforts import Effort
 from ..drivers.problem import Problem
 from ..drivers.streamed import PASSES, SCANNED
 from ..errors import Cancelled
 from ..joints.stages import AttachUnattached
 from ..search.progress import Clock, ProgressReport, Record
-from ..search.stages import Polish
 from ..search.starts import StartFromModel
 from ..skinning import Skinning
 from ..solver.model import Model
-from .fewest_bones import Bounds, FewestBones
+from .fewest_bones import FewestBones
 from .ladder import Ladder, Stopped
 from .pruning import Pruner
 from .rank import rank_bound, rank_of, reduced
@@ -27,20 +24,18 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["Driver"]
 
-_ROUNDING = 1e-13  # of the largest coordinate: an error below is none
-_LOOSE = 10.0  # times the largest distance between vertices that there can be
-# Polish steps of the model that holds: what they gain is left for influences and keyframes.
-_POLISH: dict[Effort, int] = {"fast": 0, "balanced": 16, "best": 60}
-_RETRIES = 4  # searches with ever stricter tolerances, where representative frames alone hold it
+_ROUNDING = 1e-13  # error that counts as zero, relative to the largest coordinate
+_LOOSE = 10.0  # largest tolerance in use, relative to the scale of the frames
+_RETRIES = 4  # searches with stricter and stricter tolerances on representative frames
 
 
 class Driver:
-    """The search of a call, its limits, and its result.
+    """Search for the smallest model, its limits, and its result.
 
     Parameters
     ----------
     problem : Problem
-        Its `bones` are the most.
+        Its `bones` are an upper bound.
     tolerance : float
         In the mesh's units.
     measure : {"rmse", "max"}
@@ -50,39 +45,42 @@ class Driver:
         self.problem, self.asked, self.clock = problem, tolerance, Clock()
         self.progress = ProgressReport(problem.callback, self.clock, problem.time_limit)
         self.frames = frames = SolvedFrames(problem, measure, self.clock)
-        self.fraction = 0.0 if frames.scan is None else SCANNED
         data = frames.data
         check_squarable(data.centre, "vertices")
         largest = max(float(np.abs(data.centre).max()), data.scale)
-        # what no model misses bounds nothing, and its square need not be a number
+        # a tolerance that every model holds is reduced, since its square may overflow
         most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)
         self.tolerance = max(min(tolerance, most), _ROUNDING * largest)
         self.least, exact = self._least_bones()
-        self.bounds = Bounds(min(self.least, problem.bones), problem.bones, exact)
         frames.data = reduced(data, frames.squared(self.tolerance))
-        self.ladder = Ladder(frames, self.report, self.clock, self.tolerance)
-        self.skinning: Skinning | None = None  # the last that was made of all frames
+        self.ladder = Ladder(frames, self.report, self.clock, tolerance=self.tolerance)
+        self.ladder.fraction = 0.0 if frames.scan is None else SCANNED
+        most_bones, effort = problem.bones, problem.effort
+        self.search = FewestBones(
+            self.ladder, min(self.least, most_bones), most_bones, exact, effort
+        )
+        self.skinning: Skinning | None = None  # the last one made of all frames
         self.prunings: list[Pruning] = []
         self.stopped: str | None = None
 
     def _least_bones(self) -> tuple[int, int]:
-        """The bound by the motion's rank, and the most bones of an exact skinning (0: none)."""
+        """Lower bound by the rank of the motion, and most bones of an exact skinning (0: none)."""
         problem, frames = self.problem, self.frames
         weighted = problem.vertex_importance is not None or problem.frame_importance is not None
         if weighted or frames.scan is not None:
             return 1, 0
         least = rank_bound(frames.data, frames.squared(self.tolerance))
-        # a joint that two bones share takes one from the rank 4B − 1: at least 3B is left
+        # a joint that two bones share lowers the rank 4B − 1 by one: it is at least 3B
         exact = -(-rank_of(frames.data, 0.0) // 3)
         return least, 0 if exact > 2 * least + 1 else exact
 
     def solve(self) -> Smallest:
-        """The smallest model that holds the tolerance, or the closest one.
+        """The smallest model that holds the tolerance, or that of least error.
 
         Raises
         ------
         Cancelled
-            If the callback stopped the search before there was any model.
+            If the callback stopped the search before there was a model.
         """
         reason = "tolerance held"
         try:
@@ -104,15 +102,14 @@ class Driver:
         Raises
         ------
         Stopped
-            If the callback ends the search, or the time limit does while a model is `ready`.
+            If the callback asks for it, or time is up and a model is `ready`.
         """
-        self.fraction = max(self.fraction, fraction)
         ladder, held = self.ladder, self.ladder.fewest
         if held is not None:
             self.problem.checkpoint.offer(lambda: self.frames.skinning(ladder.models[held]))
         if self.stopped is None:
             rmse = math.inf if held is None else ladder.errors[held]
-            if self.progress(phase, iteration=iteration, rmse=rmse, fraction=self.fraction):
+            if self.progress(phase, iteration=iteration, rmse=rmse, fraction=fraction):
                 self.stopped = "cancelled"
             elif ready and self.progress.out_of_time:
                 self.stopped = "time limit"
@@ -120,9 +117,9 @@ class Driver:
             raise Stopped(self.stopped)
 
     def _stops(self) -> bool:
-        """Report from within a pass, which is finished before the search ends."""
+        """Report within a pass over all frames; True if the search ends after the pass."""
         try:
-            self.report("all frames", self.ladder.iteration, self.fraction)
+            self.report("all frames", self.ladder.iteration, self.ladder.fraction)
         except Stopped:
             return True
         return False
@@ -134,19 +131,19 @@ class Driver:
             self.ladder.attempt(model.n_bones, (StartFromModel(), *attach), "given", given=given)
 
     def _find_bones(self) -> None:
-        """The fewest bones; where the search sees a part of the frames, until all of them hold."""
-        ladder, frames, effort = self.ladder, self.frames, self.problem.effort
-        search = FewestBones(ladder, self.bounds, effort)
+        """Find the fewest bones.
+
+        Where the search sees representative frames, it is repeated with a stricter tolerance until
+        the model holds the tolerance on all frames.
+        """
+        ladder, frames, search = self.ladder, self.frames, self.search
         for _ in range(_RETRIES):
             search.run()
             held = ladder.fewest
             if held is None:
                 return
-            if _POLISH[effort]:
-                polish, start = Polish(steps=_POLISH[effort], gain=0.005), ladder.models[held]
-                part = (0.9, 0.95)
-                ladder.attempt(held, (polish,), "polished", start=start, until=0.0, part=part)
-            model, passes = ladder.models[held], PASSES[effort]
+            search.finish()
+            model, passes = ladder.models[held], PASSES[self.problem.effort]
             self.skinning = frames.skinning_of_all(model, passes=passes, on_progress=self._stops)
             if self.stopped is not None:
                 raise Stopped(self.stopped)
@@ -154,10 +151,10 @@ class Driver:
             if frames.scan is None or error <= self.tolerance:
                 return
             ladder.tolerance *= 0.99 * self.tolerance / error
-            search.bounds = dataclasses.replace(search.bounds, least=held)
+            search.least = held
 
     def _prune(self) -> None:
-        """Fewer influences and keyframes, for what is left of the tolerance."""
+        """Spend the rest of the tolerance on fewer influences and keyframes."""
         frames, ladder = self.frames, self.ladder
         if self.skinning is None or not ladder.held:
             return
@@ -209,7 +206,7 @@ class Driver:
         )
 
     def _shortfall(self, skinning: Skinning, error: float, reason: str) -> str:
-        """What a caller reads whose tolerance is not held."""
+        """Warning that the tolerance is not held."""
         diagonal = max(s.diagonal() for s in self.problem.sequences)
 
         def text(value: float) -> str:
@@ -219,7 +216,7 @@ class Driver:
         head = f"stopped ({reason}) before tolerance {text(self.asked)} was held"
         if reason == "tolerance out of reach":
             head = f"tolerance {text(self.asked)} is out of reach"
-            if self.least > self.bounds.most:
+            if self.least > self.problem.bones:
                 head += f", the motion's rank asks for at least {self.least} bones"
         kind = {"rmse": "RMSE", "max": "largest error"}[self.frames.measure]
         most = self.problem.influences

@@ -1,4 +1,4 @@
-"""Fewer keyframes: the motion of every bone as keys, and what it costs to leave some out."""
+"""Keyframe reduction: the keys of every bone, and the error of leaving some out."""
 
 from __future__ import annotations
 
@@ -16,45 +16,49 @@ from .report import key_bytes, time_bytes
 
 __all__ = ["Tracks"]
 
-# Frames from a key to the next: every number up to six, then about a quarter more each.
+# Frames between two keys: every number up to six, then about a quarter more each.
 _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
-# In place of them beyond so many frames × bones, where each span takes a second or more.
+# Spans beyond _MANY frames × bones, where each takes a second or more.
 _FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
-_WHOLE_SHOTS = 8  # first shots whose length is a span, too
-_BLOCK = 1 << 18  # frames × bones at a time
+_WHOLE_SHOTS = 8  # number of shots, from the first, whose length is a span as well
+_BLOCK = 1 << 18  # frames × bones computed at a time
 
 
 class Tracks:
-    """Keys of every bone relative to its parent, and what it costs to leave some out.
+    """Keys of every bone relative to its parent, and the error of leaving some out.
 
-    A key is a rotation about, and a place of, the bone's joint, relative to its parent; a bone
-    without a hierarchy turns about the centroid of what it moves.  Between keys places go straight
-    and rotations along the shortest arc (matrices of affine bones: straight), as engines play them.
+    A key is the rotation and the position of a bone's joint relative to its parent.  Without a
+    hierarchy, the centroid of the vertices that a bone moves serves as its joint.  Between keys
+    positions are interpolated linearly and rotations along the shortest arc, as in game engines;
+    matrices of affine bones are interpolated linearly.
 
-    Where bone b is at X instead of at L, a vertex p in its frame moves by s (X − L) p, with s the
-    size of the parent.  The squares of this, summed over all that moves with b, are
-    s² tr (X − L) S (X − L)ᵀ, with S the second moment of that in homogeneous coordinates.  For
-    rigid and similarity bones this is exact for one bone and vertices of one influence, and an
-    upper bound for several influences (Jensen's inequality).  Losses of several bones of a chain
-    may add to more than their sum, or to less.
+    If the local transform of bone b is X instead of L, a vertex p in its frame moves by
+    s (X − L) p, with s the scale of the parent.  The sum of the squares over all vertices that move
+    with b is s² tr (X − L) S (X − L)ᵀ, with S their second moment in homogeneous coordinates.  For
+    rigid and similarity bones this is exact if one bone changes and vertices have one influence;
+    with several influences it is an upper bound (Jensen's inequality).  The error of several bones
+    of a chain may be more or less than their sum.
 
     Parameters
     ----------
     skinning : Skinning
     offsets : (S + 1,) int array
-        First frame of each shot: it and the last one of each stay keys.
+        First frame of each shot, and F.  The first and last frame of a shot stay keys.
 
     Attributes
     ----------
     local : (F, B, 3, 4) float64
-        Bones relative to their parents.  One that does not translate has one place in all frames.
+        Bones relative to their parents.  A bone that does not translate has one position in all
+        frames.
     spans : list of int
-        Frames from a key to the next.
+        Frames between two keys.
     cost : list of (F − span, B) arrays
-        For each span and first frame the squared error of the frames between; inf across shots.
+        For each span and first frame, the squared error of the frames between the keys; inf across
+        shots.
     still : (B,) int array
-        Frame at which each bone had best stand still.
+        Frame whose transform alone replaces all frames of each bone with least error.
     still_cost : (B,) array
+        Squared error of that.
     """
 
     def __init__(self, skinning: Skinning, offsets: NDArray[np.int64]) -> None:
@@ -75,7 +79,9 @@ class Tracks:
             place[:, ~moving] = place[:, ~moving].mean(axis=0)
         self._moment = self._moments()
         hung = np.flatnonzero(self.parents >= 0)
-        self._size = np.ones(m.shape[:2])  # squared; of an affine parent the mean over directions
+        self._size = np.ones(
+            m.shape[:2]
+        )  # squared scale; of affine parents its mean over directions
         linear = m[:, self.parents[hung], :, :3]
         self._size[:, hung] = np.einsum("tjab,tjab->tj", linear, linear) / 3
         self._scale, linear = np.ones(m.shape[:2]), self.local[..., :3]
@@ -93,7 +99,7 @@ class Tracks:
         self.still, self.still_cost = self._standing()
 
     def choose(self, price: float) -> tuple[NDArray[np.bool_], float]:
-        """Keys (F, B) of least error + price · bytes, and the squared error that they add."""
+        """Keys (F, B) of least error + price · bytes, and the squared error they add."""
         key = price * (self._key_bytes + self._time_bytes)
         n_frames, n_bones = self.local.shape[:2]
         bone = np.arange(n_bones)
@@ -125,7 +131,7 @@ class Tracks:
         return keys, float(np.where(still, self.still_cost, np.where(full, 0.0, error)).sum())
 
     def play(self, keys: NDArray[np.bool_]) -> Skinning:
-        """The skinning with these keyframes, interpolated between them."""
+        """Skinning with these keyframes (F, B), interpolated between them."""
         n_frames = len(keys)
         frame = np.arange(n_frames)[:, None]
         before = np.maximum.accumulate(np.where(keys, frame, -1), axis=0)
@@ -135,7 +141,7 @@ class Tracks:
         share = np.where(last > first, (frame - first) / np.maximum(last - first, 1), 0.0)
         local = np.where(keys[..., None, None], self.local, self._between(first, last, share))
         transforms = from_local(local, self.parents, self.positions)
-        # where nothing above is between keys, bones are what they were, to the last bit
+        # a bone that has a key, like all its ancestors, keeps its transform to the last bit
         whole = keys.copy()
         for b in parents_first(self.parents):
             if self.parents[b] >= 0:
@@ -145,7 +151,7 @@ class Tracks:
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
 
     def _moments(self) -> Array:
-        """Second moments (F, B, 4, 4) of all that moves with a bone, in its frame."""
+        """Second moments (F, B, 4, 4) of the vertices that move with each bone, in its frame."""
         s = self.skinning
         w = s.sparse_weights().astype(np.float64).tocoo()
         arm = np.ones((w.nnz, 4))
@@ -165,7 +171,7 @@ class Tracks:
         return moment
 
     def _between(self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array) -> Array:
-        """Local transforms (n, B, 3, 4) at a share of the way between keys at frames (n, B)."""
+        """Local transforms (n, B, 3, 4), interpolated at `share` between the keys (n, B)."""
         bone, u = np.arange(self.local.shape[1])[None], share[..., None, None]
         local = (1 - u) * self.local[first, bone] + u * self.local[last, bone]
         if not self.affine:
@@ -175,11 +181,11 @@ class Tracks:
         return local
 
     def _loss(self, local: Array, frames: slice) -> Array:
-        """Squared error (n, B) of each bone at these local transforms, in these frames."""
+        """Squared error (n, B) of each bone with other local transforms in these frames."""
         off = local - self.local[frames]
         loss = np.einsum("tjab,tjab->tj", off @ self._moment[frames], off) * self._size[frames]
         if self.affine:
-            loss[np.linalg.det(local[..., :3]) <= 0] = np.inf  # between keys a bone may turn over
+            loss[np.linalg.det(local[..., :3]) <= 0] = np.inf  # a reflection
         return np.asarray(np.maximum(loss, 0.0))
 
     def _span_costs(self, offsets: NDArray[np.int64]) -> list[Array]:
@@ -205,9 +211,9 @@ class Tracks:
         return out
 
     def _standing(self) -> tuple[NDArray[np.intp], Array]:
-        """The frame at which each bone had best stand still, and the squared error of that."""
+        """Frame that best replaces all frames of each bone, and the squared error of that."""
         weighted = self._moment * self._size[..., None, None]
-        local = self.local - self.local.mean(axis=0)  # or far from the origin digits are lost
+        local = self.local - self.local.mean(axis=0)  # keeps digits far from the origin
         cross = np.einsum("tjab,tjbc->jac", local, weighted)
         cost = np.einsum("tjab,tjab->tj", local @ weighted.sum(axis=0), local)
         still = (cost - 2 * np.einsum("tjab,jab->tj", local, cross)).argmin(axis=0)

@@ -1,4 +1,4 @@
-"""Models of different numbers of bones: of each number the lowest that was found.
+"""Best models found for different numbers of bones.
 
 The search for the smallest model and the curve of error against size both fill such a ladder.
 """
@@ -24,29 +24,32 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["Ladder", "Report", "Stages", "Stopped"]
 
-# Decrease of the objective before the error is measured again, which costs as much as a step.
+# Ratio to which the objective falls before the error is measured again, which costs like a step.
 _RECHECK = 0.97
-# Rounds of Lawson's reweighting, the importance that a vertex without error keeps in each, and the
-# largest error, relative to the tolerance, that such rounds may bring down to it.
+# Lawson's reweighting: number of rounds, least importance that a round leaves to a vertex, and the
+# largest error, relative to the tolerance, at which it is tried.
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
+# The estimate of the work done: an attempt takes an equal part of what is left until pruning, as if
+# at least so many attempts followed.
+_PRUNING, _FOLLOWING = 0.95, 4
 
 
 class Stopped(Exception):
-    """The caller or the time limit ended the search; `reason` as in a decomposition."""
+    """End of the search by the caller or the time limit; `reason` is the stop reason."""
 
     def __init__(self, reason: str) -> None:
         self.reason = reason
         super().__init__(reason)
 
 
-# called with phase, iteration, fraction done, and whether there is a model to return; raises
-# Stopped if no other step shall follow
+# Called with phase, iteration, fraction done, and whether there is a model to return; raises
+# Stopped to end the search.
 Report = Callable[[str, int, float, bool], None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Stages:
-    """Parts of schedules for free bones, or for bones that hang on joints.
+    """Parts of schedules, for free bones or for bones attached at joints.
 
     Attributes
     ----------
@@ -56,24 +59,24 @@ class Stages:
     rigid_joints: bool
 
     def start(self, factor: float) -> Schedule:
-        """Start with `factor` times the bones asked for, and merge them down."""
+        """Schedule that starts with `factor` times the bones asked for and merges them."""
         if not self.rigid_joints:
             return merged_start(10, 6, factor=factor)
         attach = (AttachToJoints(), Polish(steps=20, gain=0.01), ReturnToBest())
         return (*merged_start(12, 6, factor=factor, influences=1), MoveBones(), *attach)
 
     def merge(self) -> Schedule:
-        """Remove the cheapest bones of a model of more bones than asked for."""
+        """Schedule that removes the cheapest bones of a model that has more than asked for."""
         return (RemoveBones(),) if self.rigid_joints else (Merge(), Alternate(steps=6))
 
     def move(self, count: int) -> Schedule:
-        """Move so many bones, or change the tree so often."""
+        """Schedule that moves `count` bones or, with joints, changes the tree `count` times."""
         if self.rigid_joints:
             return (SearchTrees(steps=count, patience=count),)
         return (MoveBones(steps=count, patience=max(4, count // 5)),)
 
     def search(self, moves: int, trials: int) -> Schedule:
-        """Search for long around the lowest model."""
+        """Schedule of a long search around a model."""
         polish = Polish(steps=30, gain=0.005)
         if self.rigid_joints:
             return (polish, *self.move(trials))
@@ -82,7 +85,7 @@ class Stages:
 
 
 class Ladder:
-    """Models of different numbers of bones: of each number the lowest that was found.
+    """The model of least error found for each number of bones.
 
     Parameters
     ----------
@@ -90,27 +93,37 @@ class Ladder:
     report : Report
     clock : Clock
     tolerance : float
-        In the mesh's units; 0: no attempt ends early.
+        In the mesh's units; an attempt ends when it holds.
+    expected : int
+        Estimated number of attempts.
 
     Attributes
     ----------
     models, errors : dict of int to Model, dict of int to float
-        By number of bones; errors as the tolerance means them.
+        By number of bones; errors by the measure of `frames`.
     attempts : list of Attempt
     held : list of Model
-        Every model that held the tolerance and had fewer bones than those before.
+        Each model that held the tolerance with fewer bones than all before.
     records : list of Record
-        One for each of them.
+        One for each model of `held`.
     iteration : int
-        Alternations and polish steps so far.
+        Number of alternations and polish steps so far.
+    fraction : float
+        Estimated part of the work that is done.
     stages : Stages
     """
 
     def __init__(
-        self, frames: SolvedFrames, report: Report, clock: Clock, tolerance: float = 0.0
+        self,
+        frames: SolvedFrames,
+        report: Report,
+        clock: Clock,
+        *,
+        tolerance: float = 0.0,
+        expected: int = 12,
     ) -> None:
         self.frames, self.report, self.clock = frames, report, clock
-        self.tolerance = tolerance
+        self.tolerance, self.expected, self.fraction = tolerance, expected, 0.0
         self.models: dict[int, Model] = {}
         self.errors: dict[int, float] = {}
         self.attempts: list[Attempt] = []
@@ -121,16 +134,16 @@ class Ladder:
 
     @property
     def fewest(self) -> int | None:
-        """The fewest bones that hold the tolerance; None where no model does."""
+        """The fewest bones of a model that holds the tolerance, or None."""
         return min((b for b, e in self.errors.items() if e <= self.tolerance), default=None)
 
     def fits(self, bones: int) -> bool:
-        """Whether a model of at most so many bones holds the tolerance."""
+        """Whether a model of at most `bones` bones holds the tolerance."""
         return self.fewest is not None and self.fewest <= bones
 
     @property
     def smallest(self) -> Model | None:
-        """The model of the fewest bones that hold the tolerance, else the one of least error."""
+        """Model of the fewest bones that holds the tolerance, else that of least error."""
         if not self.models:
             return None
         return self.models[self.fewest or min(self.errors, key=self.errors.__getitem__)]
@@ -144,9 +157,8 @@ class Ladder:
         start: Model | None = None,
         given: Given | None = None,
         until: float | None = None,
-        part: tuple[float, float] = (0.0, 1.0),
     ) -> None:
-        """Go through a schedule; keep its best model if it is the lowest of so many bones.
+        """Run a schedule and keep its best model if no other of as many bones has less error.
 
         Parameters
         ----------
@@ -155,19 +167,19 @@ class Ladder:
         name : str
             What the attempt starts from.
         start : Model, optional
-            For schedules that do not begin with a start.
+            For schedules without a start of their own.
         given : Given, optional
-            In place of the ladder's.
+            Replaces that of the frames.
         until : float, optional
-            Error at which the attempt ends early; the tolerance by default.
-        part : (float, float)
-            Fractions of the whole work that are done before and after the attempt.
+            Error at which the attempt ends; the tolerance by default.
         """
         frames, until = self.frames, self.tolerance if until is None else until
         run = self._run(frames.data, schedule, bones, given)
         if start is not None:
             run.begin_with(start)
-        # the RMSE is at most the largest error: what misses this misses either tolerance
+        following = max(self.expected - len(self.attempts), _FOLLOWING)
+        done, work = self.fraction, (_PRUNING - self.fraction) / following
+        # The RMSE is at most the largest error, so that this bound is necessary for either measure.
         worth_checking = (1 + 1e-9) * frames.squared(until)
 
         def after_step(phase: str) -> str | None:
@@ -177,9 +189,9 @@ class Ladder:
                 if frames.error(run.best_model) <= until:
                     return "held"
             ready = run.best is not None or bool(self.models)
-            fraction = part[0] + (part[1] - part[0]) * run.fraction
+            self.fraction = done + work * run.fraction
             phase = f"{bones} bone{'s' * (bones > 1)}: {phase}"
-            self.report(phase, self.iteration + run.iteration, fraction, ready)
+            self.report(phase, self.iteration + run.iteration, self.fraction, ready)
             return None
 
         try:
@@ -188,7 +200,7 @@ class Ladder:
             self._keep(run, name)
         level = frames.measure == "max" and self.tolerance < self.errors[bones]
         if level and self.errors[bones] <= _LEVELLED * self.tolerance:
-            self._level(run.best_model, part[1])
+            self._level(run.best_model)
 
     def _run(
         self, data: Trajectories, schedule: Schedule, bones: int, given: Given | None = None
@@ -207,8 +219,8 @@ class Ladder:
             rigid_joints=self.stages.rigid_joints,
         )
 
-    def _level(self, model: Model, fraction: float) -> None:
-        """Lower the largest error: each round a vertex counts by its error (Lawson 1961)."""
+    def _level(self, model: Model) -> None:
+        """Lower the largest error: in each round vertices count by their errors (Lawson 1961)."""
         importance = self.frames.data.importance
         first = () if self.stages.rigid_joints else (Alternate(steps=2),)
         for _ in range(_LEVEL_ROUNDS):
@@ -223,7 +235,7 @@ class Ladder:
             self._keep(run, "levelled")
             if self.fits(model.n_bones):
                 return
-            self.report(f"{model.n_bones} bones: level", self.iteration, fraction, True)
+            self.report(f"{model.n_bones} bones: level", self.iteration, self.fraction, True)
 
     def _keep(self, run: Run, name: str) -> None:
         self.iteration += run.iteration

@@ -1,8 +1,8 @@
-"""The error that a tolerance leaves is spent on bytes: fewer influences, fewer keyframes.
+"""Pruning: fewer influences and keyframes, for the error that the tolerance leaves.
 
-One multiplier λ, the price of a byte, decides on both: of all ways to store a vertex's weights or
-a bone's keys the one of least error + λ · bytes is chosen (Everett 1963).  The price is raised
-while the models that it leads to hold the tolerance.
+One multiplier λ, the price of a byte, decides on both: among all ways to store the weights of a
+vertex or the keys of a bone, the one of least error + λ · bytes is chosen (Everett 1963).  The
+result has the highest price at which the model still holds the tolerance.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["Nested", "Pruner"]
 
-# Prices of a byte that are tried: enough to come within a fifth of the best one; where each trial
-# walks over all frames, as few as bracket it.
+# Number of prices to try: enough to come within a fifth of the best price; where a trial is a pass
+# over all frames, just enough to find one that holds.
 _PRICES, _FEW_PRICES = 12, 3
-_DEARER, _CHEAPER = 2.0, 0.25  # factors of the price until one holds and another does not
-_CLOSE_PRICES = 1.2  # ratio of the prices on either side of the best at which the search ends
-_HALVINGS = 8  # of the range in which the first price is guessed, 40 doublings
+_DEARER, _CHEAPER = 2.0, 0.25  # factors between prices until one holds and another does not
+_CLOSE_PRICES = 1.2  # ratio between a price that fails and one that holds that ends the search
+_HALVINGS = 8  # bisections for the first price, from a range of 40 doublings
 _SETTLE = 6  # polish steps after influences are dropped
-_DAMPING = 1e-3  # first damping of that polish, as in the solver
+_DAMPING = 1e-3  # initial damping of these steps, as in the solver
 
 
 class Nested:
-    """A model with fewer and fewer influences at every vertex.
+    """Models with fewer and fewer influences, from which each vertex takes its weights.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ class Nested:
     Attributes
     ----------
     models : list of Model
-        The m-th has at most K − m influences a vertex, each the best to drop after those before.
+        Model m has at most K − m influences per vertex.  From one to the next, the influence is
+        dropped whose loss raises the error of the vertex least.
     errors : (K, V) float64
     counts : (K, V) int
     """
@@ -63,15 +64,15 @@ class Nested:
         self.counts = np.stack([(m.weights > 0).sum(axis=1) for m in self.models])
 
     def choose(self, price: float) -> tuple[NDArray[np.intp], float]:
-        """The level of each vertex of least error + price · influences, and the squared error."""
+        """Model of least error + price · influences for each vertex (V,), and the squared error."""
         cost = self.errors * self.importance + price * self.counts
-        # of equal costs the one of fewer influences
+        # the last of equal minima, which has the fewest influences
         level = len(cost) - 1 - cost[::-1].argmin(axis=0)
         least = np.take_along_axis(self.errors, level[None], axis=0)[0]
         return level, float(self.importance @ least)
 
     def build(self, level: NDArray[np.intp]) -> Model:
-        """The model whose vertices have these levels."""
+        """Model whose vertices have the weights of the models `level` (V,)."""
         out = self.models[0].copy()
         for m, model in enumerate(self.models):
             rows = level == m
@@ -83,7 +84,7 @@ class Nested:
 
 
 class Pruned(NamedTuple):
-    """A skinning with fewer influences, one with fewer keys as well, and their errors."""
+    """Skinning with fewer influences, that with fewer keys as well, and their errors."""
 
     fewer: Skinning
     keyed: Skinning
@@ -92,13 +93,13 @@ class Pruned(NamedTuple):
 
 
 class Pruner:
-    """Search for the price of a byte that uses up what a model leaves of the tolerance.
+    """Search for the highest price of a byte at which a model holds the tolerance.
 
     Parameters
     ----------
     frames : SolvedFrames
     model : Model
-        The one that holds the tolerance.
+        A model that holds the tolerance.
     tolerance : float
     skinning_of_all : callable
         Makes a skinning of all frames from a model.
@@ -116,9 +117,9 @@ class Pruner:
         self.nested = Nested(frames.data, model, self.locked)
 
     def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
-        """The smallest model of a search over prices, and what each pruning cost.
+        """Smallest model found, and the record of each pruning.
 
-        `skinning` is the model, of all frames.
+        `skinning` is the model for all frames.
         """
         before = self.frames.error_of_all(skinning)
         best = Pruned(skinning, skinning, before, before)
@@ -147,12 +148,12 @@ class Pruner:
         ]
 
     def _guess(self, skinning: Skinning) -> float:
-        """The price at which what both choices add, each by itself, uses up the tolerance."""
+        """Price at which the errors that both choices add separately reach the tolerance."""
         frames, nested, data = self.frames, self.nested, self.frames.data
         left = self.tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2
         budget = max(left, 1e-300) * skinning.n_frames * skinning.n_vertices
         tracks = Tracks(skinning, self.offsets)
-        # representative frames stand for all
+        # squared error of all frames, from that of the representative ones
         unit = data.scale**2 * skinning.n_frames / data.n_frames
         influence = influence_bytes(skinning.n_bones) / unit
         least = nested.choose(0.0)[1]
@@ -168,8 +169,8 @@ class Pruner:
         data, nested = self.frames.data, self.nested
         influence = influence_bytes(nested.models[0].n_bones) / data.scale**2
         model = nested.build(nested.choose(price * influence)[0])
-        if self.frames.measure == "rmse":  # a polish lowers the sum, and may raise the largest
-            # a damping handed over: no bone enters, supports stay as they are
+        if self.frames.measure == "rmse":  # a polish may raise the largest error
+            # given a damping, the polish keeps the supports
             polish = GaussNewton(data, model, locked=self.locked, damping=_DAMPING)
             for _ in range(_SETTLE):
                 polish.step(entering=0)

@@ -1,4 +1,4 @@
-"""The rank of a motion: it bounds the number of bones from below and says what may be left out."""
+"""Rank of a motion: a lower bound on the number of bones, and a compression of the frames."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from ..solver.trajectories import Trajectories, truncated_basis
 
 __all__ = ["rank_bound", "rank_of", "reduced"]
 
-_SPECTRUM = 2000  # largest Gram matrix whose eigenvalues are computed
-_NOISE = 1e-12  # part of the energy below which eigenvalues are rounding
-_TAIL = 1e-4  # part of the allowed squared error that the compression may lose
+_SPECTRUM = 2000  # size of the largest Gram matrix whose eigenvalues are computed
+_NOISE = 1e-12  # energy of rounding errors, relative to the whole
+_TAIL = 1e-4  # squared error that the compression may lose, relative to the allowed one
 
 
 def rank_bound(data: Trajectories, allowed: float) -> int:
     """Lower bound on the number of bones that can reach the allowed squared error.
 
     A model of B bones moves V vertices through F frames by a (V, 4B) times a (4B, 3F) matrix.
-    Around each frame's centroid its rank is at most 4B − 1, since weights sum to 1.  By Eckart and
-    Young (1936) the squared error is at least the energy beyond that rank, whatever the bones may
-    do (rigid, similarity, affine).  1 where the spectrum is too large to be computed.
+    Relative to the centroids of the frames its rank is at most 4B − 1, since weights sum to 1.  By
+    Eckart and Young (1936) the squared error is at least the energy beyond that rank, for rigid,
+    similarity and affine bones.  The bound is 1 if the spectrum is too large to compute.
     """
     return max(1, -(-(rank_of(data, allowed) + 1) // 4))
 
 
 def rank_of(data: Trajectories, allowed: float) -> int:
-    """Rank that leaves at most the allowed squared error; 0 where it is too large to compute."""
+    """Least rank that leaves at most the allowed squared error; 0 if too large to compute."""
     if min(data.z.shape) > _SPECTRUM:
         return 0
     x = data.z
@@ -40,7 +40,7 @@ def rank_of(data: Trajectories, allowed: float) -> int:
 
 
 def reduced(data: Trajectories, allowed: float) -> Trajectories:
-    """The same frames in as few columns as the allowed squared error needs."""
+    """The frames in as few columns as the allowed squared error needs."""
     if min(data.z.shape) > _SPECTRUM:
         return data
     with serial_blas():

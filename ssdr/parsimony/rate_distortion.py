@@ -24,10 +24,9 @@ from .solved_frames import SolvedFrames
 __all__ = ["Curve", "curve", "knee"]
 
 _MOST_BONES = 64  # by default
-_FLOOR = 1e-5  # of the diagonal: errors below count as that, or no logarithmic axis would do
-# Bones that are moved and polish steps for each number of bones.
+_FLOOR = 1e-5  # least error on the logarithmic axis of the knee, relative to the diagonal
+# Moves of bones and polish steps for each number of bones.
 _STEPS: dict[Effort, tuple[int, int]] = {"fast": (4, 6), "balanced": (8, 16), "best": (24, 40)}
-_DOWN, _UP = 0.9, 0.95  # fraction of the work that is done after the way down, and on the way up
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,16 +38,16 @@ class Curve:
     bones : (N,) int64
         Ascending.
     bytes : (N,) int64
-        By :func:`size`, every frame a key.
+        By :func:`size`, with every frame a key.
     rmse : (N,) float64
-        In the mesh's units; never rises.  Where frames are streamed it is that
-        of the representative ones alone, among which rare poses count for more.
+        In the mesh's units; never rises.  If frames are streamed, it is that of the representative
+        frames alone, among which rare poses have more weight.
     diagonal : float
+        Of the bounding box in the frame where it is largest.
     knee : int
-        Index of the point that lies farthest below the straight line between
-        the ends of the curve, on logarithmic axes, each scaled to unit length;
-        errors under 1e-5 of the diagonal count as that (Satopää et al. 2011,
-        "Finding a kneedle in a haystack").
+        Index of the point farthest below the straight line between the ends of the curve, both axes
+        logarithmic and scaled to unit length.  Errors under 1e-5 of the diagonal count as that
+        (Satopää et al. 2011, "Finding a kneedle in a haystack").
 
     Examples
     --------
@@ -82,15 +81,15 @@ def curve(
 ) -> Curve:
     """Error against size, from one bone to many.
 
-    A model of the most bones is merged down step by step and polished at each number of bones.
-    Where a larger model ends with more error than a smaller one, it is replaced by one that grew
-    out of the smaller.
+    A model with the most bones is merged down step by step and polished at each number of bones.
+    If a larger model ends with more error than a smaller one, it is replaced by the smaller one
+    with bones added.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-        Where it does not fit into memory, the frames that differ most stand for it in `rmse`;
-        `bytes` and `diagonal` are of all frames.
+        If it does not fit into memory, `rmse` is that of the frames that differ most; `bytes` and
+        `diagonal` are those of all frames.
     faces : (T, 3) int array, optional
     bones : int, optional
         The most; by default 64, or the number of vertices if that is less.
@@ -139,10 +138,10 @@ def curve(
         if progress(phase, iteration=iteration, rmse=rmse, fraction=fraction):
             raise Cancelled("stopped by the callback before the curve was done")
 
-    ladder = Ladder(frames, report, clock)
     rungs = _rungs(problem.bones)
+    ladder = Ladder(frames, report, clock, expected=len(rungs))
     _fill(ladder, rungs, effort)
-    # where errors are exact to their last bits only, so is their order
+    # errors near zero are ordered by rounding
     rmse = np.minimum.accumulate([ladder.errors[bones] for bones in rungs])
     stored = np.array([frames.bytes(ladder.models[bones]) for bones in rungs], dtype=np.int64)
     diagonal = max(s.diagonal() for s in problem.sequences)
@@ -156,36 +155,34 @@ def curve(
 
 
 def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
-    """A model for every rung: merged down from the most, then mended on the way up."""
+    """Find a model for every rung: merge down from the most bones, then mend on the way up."""
     stages, (moves, polish) = ladder.stages, _STEPS[effort]
     improve = (*stages.move(moves), Polish(steps=polish, gain=0.01))
     ladder.attempt(rungs[-1], (*stages.start(1.3), *improve), "start")
-    for place, (larger, bones) in enumerate(itertools.pairwise(rungs[::-1]), start=1):
-        done = _DOWN * place / len(rungs)
+    for larger, bones in itertools.pairwise(rungs[::-1]):
         start = ladder.models[larger].with_restarted_support()
-        ladder.attempt(bones, (*stages.merge(), *improve), "merged", start=start, part=(done, done))
+        ladder.attempt(bones, (*stages.merge(), *improve), "merged", start=start)
     data, locked = ladder.frames.data, ladder.frames.problem.locked
     for smaller, larger in itertools.pairwise(rungs):
         if ladder.errors[larger] > ladder.errors[smaller]:
             grown = ladder.models[smaller]
             while grown.n_bones < larger:
                 grown = add_bone(data, grown, alternations=2, locked=locked)
-            ladder.attempt(larger, improve, "grown", start=grown, part=(_UP, _UP))
+            ladder.attempt(larger, improve, "grown", start=grown)
 
 
 def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
-    """Index of the point farthest below the chord of the curve, logarithmic axes."""
+    """Index of the point farthest below the chord of the curve on logarithmic axes."""
     x = np.log(np.asarray(stored, dtype=np.float64))
     y = np.log(np.maximum(np.asarray(error, dtype=np.float64), max(floor, 1e-300)))
     if len(x) < 3 or not x[-1] > x[0] or not y[0] > y[-1]:
         return 0
     x, y = (x - x[0]) / (x[-1] - x[0]), (y - y[-1]) / (y[0] - y[-1])
-    below = 1 - x - y
-    return int(below.argmax())
+    return int((1 - x - y).argmax())
 
 
 def _rungs(most: int) -> list[int]:
-    """1, 2, 3, ... and then about a fifth more each, to the most."""
+    """Numbers of bones 1, 2, 3, ..., then each about a fifth more, up to `most`."""
     out = [1]
     while out[-1] < most:
         out.append(min(most, max(out[-1] + 1, round(1.2 * out[-1]))))

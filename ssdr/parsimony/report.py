@@ -1,4 +1,4 @@
-"""What a search for the smallest model reports: attempts, savings, and the size in bytes."""
+"""Report of a search for the smallest model: attempts, prunings, and the size in bytes."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Attempt:
     ----------
     bones : int
     error : float
-        In the mesh's units, as the tolerance means it.
+        In the mesh's units, by the measure of the tolerance.
     iterations : int
-        Alternations and polish steps.
+        Number of alternations and polish steps.
     start : str
-        What it started from, such as "merged" or "new start".
+        What the attempt started from, such as "merged" or "new start".
 
     Examples
     --------
@@ -67,18 +67,18 @@ class Size:
     Attributes
     ----------
     rest : int
-        12 a vertex: three float32.
+        12 per vertex: three float32.
     weights : int
-        For each vertex 1 (the number of its influences); for each influence 2 (a weight of
-        16 bits) and 1 for the index (2 beyond 256 bones).
+        1 per vertex for the number of its influences.  Per influence 2 for a weight of 16 bits and
+        1 for the index (2 beyond 256 bones).
     joints : int
-        12 a bone: its place in the rest pose.  In a hierarchy 1 more for the parent (2 beyond
-        256 bones).
+        12 per bone for its position in the rest pose.  In a hierarchy 1 more for the parent (2
+        beyond 256 bones).
     keys : int
-        For each key 28: rotation 16, translation 12 (float32); 32 with a scale, 48 for an affine
-        bone.  12 less for a joint that does not translate against its parent, and for a root that
-        stays.  2 more (4 beyond 65,536 frames) for the frame of a key where not every frame is a
-        key of the bone.
+        28 per key: rotation 16, translation 12 (float32); 32 with a scale, 48 for an affine bone.
+        12 less for a joint that does not translate relative to its parent, and for a root that does
+        not translate.  2 more (4 beyond 65,536 frames) for the frame number of a key if not every
+        frame is a key of the bone.
 
     Examples
     --------
@@ -98,7 +98,7 @@ class Size:
 
 @dataclasses.dataclass(frozen=True)
 class Pruning:
-    """What was left out of the model, and what that cost.
+    """Number, bytes and error before and after one kind of pruning.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Pruning:
         Number of bones, of influences of all vertices, or of keys of all bones.
     bytes_before, bytes_after : int
     error_before, error_after : float
-        In the mesh's units, as the tolerance means it.
+        In the mesh's units, by the measure of the tolerance.
 
     Examples
     --------
@@ -126,13 +126,13 @@ class Pruning:
 
     @property
     def cost(self) -> float:
-        """Rise of the error, in the mesh's units; negative where solving anew gained more."""
+        """Rise of the error, in the mesh's units; negative if the new solve lowered it."""
         return self.error_after - self.error_before
 
 
 @dataclasses.dataclass(frozen=True)
 class Parsimony:
-    """How small a model holds the tolerance.
+    """Size and error of the smallest model, and how it was found.
 
     Attributes
     ----------
@@ -140,18 +140,19 @@ class Parsimony:
         In the mesh's units.
     measure : {"rmse", "max"}
     error : float
-        Error of the result, measured on the frames.
+        Error of the result, measured on all frames.
     held : bool
-        True if that is within the tolerance.
+        Whether the error is within the tolerance.
     bones, influences : int
-        Of the result; `influences` is the most that a vertex has.
+        Of the result; `influences` is the largest number at a vertex.
     least_bones : int
-        No model of fewer bones holds the tolerance: proven by the rank of the motion.
+        Lower bound on the number of bones that can hold the tolerance, proven by the rank of the
+        motion.
     size : Size
     prunings : tuple of Pruning
-        Bones, influences, keyframes, in this order; those that were done before a stop.
+        Bones, influences, keyframes, in this order; fewer if the search was stopped.
     attempts : tuple of Attempt
-        Everything that was tried, in order.
+        All attempts, in order.
 
     Examples
     --------
@@ -177,15 +178,15 @@ class Parsimony:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Smallest(Decomposition):
-    """The smallest model that was found to hold a tolerance, or the closest one.
+    """Smallest model found that holds a tolerance, or that of least error.
 
-    A smaller model may have a larger error, so that in `history` `rmse` may rise up to the
-    tolerance.
+    A smaller model may have a larger error, so that in `history` the
+    `rmse` may rise up to the tolerance.
 
     Attributes
     ----------
     parsimony : Parsimony
-        How small it is, and what was tried.
+        Its size, and how it was found.
 
     Examples
     --------
@@ -199,12 +200,12 @@ class Smallest(Decomposition):
 
 
 def size(skinning: Skinning) -> Size:
-    """Bytes of a model: rest pose, weights that are not zero, joints, keys.
+    """Bytes of a model: rest pose, nonzero weights, joints, and keys.
 
     Parameters
     ----------
     skinning : Skinning
-        Where `keyframes` is None every frame is a key of every bone.
+        If its `keyframes` are None, every frame is a key of every bone.
 
     Returns
     -------
@@ -213,7 +214,7 @@ def size(skinning: Skinning) -> Size:
     Raises
     ------
     InputError
-        If it is no Skinning.
+        If the argument is not a Skinning.
 
     Examples
     --------
@@ -240,7 +241,7 @@ def size(skinning: Skinning) -> Size:
 
 
 def influence_bytes(bones: int) -> int:
-    """Bytes per influence of a vertex: a weight of 16 bits, and an index."""
+    """Bytes per influence: a weight of 16 bits and an index."""
     return 3 if bones <= 256 else 4
 
 
@@ -255,5 +256,5 @@ def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
 
 
 def time_bytes(frames: int) -> int:
-    """Bytes per frame number of a key."""
+    """Bytes of the frame number of a key."""
     return 2 if frames <= 1 << 16 else 4

@@ -1,4 +1,4 @@
-"""``ssdr.smallest``: from frames to the smallest model that holds a tolerance."""
+"""``ssdr.smallest``: the smallest model of an animated mesh that holds a tolerance."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from .report import Measure, Smallest
 
 __all__ = ["smallest"]
 
-_MOST_BONES = 256  # by default: what an index of 8 bits tells apart
-# Importance of a vertex relative to the largest: no search bounds the error of what counts less.
+_MOST_BONES = 256  # by default, for indices of 8 bits
+# Least importance of a vertex relative to the largest, since a solver that ignores a vertex cannot
+# bound its error.
 _LEAST_VERTEX = 1e-4
 
 
@@ -49,65 +50,65 @@ def smallest(
 ) -> Smallest:
     """Find the smallest model of an animated mesh that holds a tolerance.
 
-    The fewest bones first, then the fewest bytes: influences and keyframes are left out for what
-    remains of the tolerance.  The model is as in :func:`decompose`.
+    It has the fewest bones found that hold the tolerance.  The rest of the tolerance is spent on
+    dropping influences and keyframes, so that it takes fewer bytes.  The model is that of
+    :func:`decompose`.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-        As in :func:`decompose`.  Frames that do not fit into memory are solved on those that
-        differ most; the tolerance is verified on all of them.
+        As in :func:`decompose`.  If the frames do not fit into memory, those that differ most are
+        solved, and the tolerance is verified on all.
     faces : (T, 3) int array, optional
         With plain arrays.
     tolerance : float or str
         Positive: a length in the mesh's units, or a share of the diagonal such as ``"0.5%"``.  The
         diagonal is that of the bounding box in the frame where it is largest.
     measure : {"rmse", "max"}
-        What the tolerance bounds: sqrt(Σ|d|² / (F V)), or the distance of every vertex in every
-        frame.  The solver minimises squares, so that "max" takes more bones than it would have to.
+        Error that the tolerance bounds: sqrt(Σ|d|² / (F V)), or the largest distance of any vertex
+        in any frame.  The solver minimises squares, so that "max" takes more bones than necessary.
     bones : int, optional
-        The most; by default 256, or the number of vertices if that is less.
+        Most bones; by default 256, or the number of vertices if that is less.
     influences : int
-        Most bones a vertex (K).
+        Most influences per vertex (K).
     effort : {"fast", "balanced", "best"}
-        How hard each number of bones is tried before it is given up.
+        Work spent on each number of bones before it is given up.
     bone_model : {"rigid", "similarity", "affine"}
         As in :func:`decompose`.
     rig : {"loose", "rigid"}, optional
         As in :func:`decompose`; a skeleton cannot be kept.
     start : Skinning or Start, optional
-        A model to go on from, of at most `bones` bones, such as a checkpoint: if it holds the
-        tolerance, the result is no larger.  Of a :class:`Start` the rest pose alone is used.
+        A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
+        tolerance, the result is no larger.  A :class:`Start` may give a rest pose only.
     vertex_importance : (V,) array, optional
-        Steers the solver as in :func:`decompose`; at least 1e-4 of the largest, since the tolerance
-        is of the plain error.
+        Guides the solver as in :func:`decompose`; at least 1e-4 of the largest, since the tolerance
+        bounds the plain error.
     frame_importance : (F,) array, optional
-        Positive; likewise for frames.
+        Positive; guides the solver likewise.
     rng : int or numpy.random.Generator
         Same seed, same bits, whatever the number of threads.
     time_limit : float, optional
-        Seconds of this call, compilation left out, after which the smallest model so far that
-        holds the tolerance is returned, unpruned; else the closest one.
+        Seconds of this call, without compilation, after which the smallest model so far that holds
+        the tolerance is returned without pruning, or else that of least error.
     checkpoint : path, optional
-        As in :func:`decompose`: the smallest model so far that holds the tolerance.
+        As in :func:`decompose`; holds the smallest model so far that holds the tolerance.
     callback : callable, optional
-        Called with a :class:`Progress` after every step; returning True stops, as the time limit
-        does.  `rmse` is the error of the smallest model so far as `measure` means it, inf
-        before there is one that holds.
+        Called with a :class:`Progress` after every step; returning True stops like the time limit.
+        Its `rmse` is the error, by `measure`, of the smallest model so far that holds the
+        tolerance, or inf.
 
     Returns
     -------
     Smallest
-        A :class:`Decomposition` with `parsimony`: what was left out, what that cost, and what was
-        tried.  `stop_reason` is "tolerance held", "tolerance out of reach", "time limit" or
-        "cancelled".
+        A :class:`Decomposition` with `parsimony`, the report of the search.  `stop_reason` is
+        "tolerance held", "tolerance out of reach", "time limit" or "cancelled".
 
     Raises
     ------
     InputError
         If an argument is not usable, before anything is computed.
     Cancelled
-        If the callback stopped the search before there was any model.
+        If the callback stopped the search before there was a model.
 
     Warns
     -----
@@ -116,7 +117,7 @@ def smallest(
 
     References
     ----------
-    Bound from below: Eckart and Young, "The approximation of one matrix by another of lower rank",
+    Lower bound: Eckart and Young, "The approximation of one matrix by another of lower rank",
     1936.  Bytes: Everett, "Generalized Lagrange multiplier method", 1963.
 
     Examples
@@ -151,7 +152,7 @@ def smallest(
     _check_beside_tolerance(problem, rig, most)
     length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
     compile_seconds = compile_kernels()
-    # where the motion leaves a joint open, its place is free
+    # where the motion does not determine a joint, it need not lie near the skin
     locked = dataclasses.replace(problem.locked, near_skin=False)
     driver = Driver(dataclasses.replace(problem, bones=most, locked=locked), length, measure)
     result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
@@ -162,7 +163,7 @@ def smallest(
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
-    """Refuse what does not go together with a tolerance."""
+    """Refuse arguments that cannot be combined with a tolerance."""
     if isinstance(rig, Skeleton):
         raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
     if problem.start is None:

@@ -1,6 +1,6 @@
-"""The frames that a search sees, and errors of models on them and on all frames.
+"""Frames that a search solves, and errors of models on these and on all frames.
 
-Frames that do not fit into memory are solved on representative ones and verified on all.
+If the frames do not fit into memory, representative ones are solved and all are verified.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ __all__ = ["SolvedFrames"]
 
 
 class SolvedFrames:
-    """The frames that a search sees: all of them, or representative ones where they are streamed.
+    """Frames that a search solves: all of them, or representative ones if they are streamed.
 
     Parameters
     ----------
     problem : Problem
     measure : {"rmse", "max"}
-        Which error the search bounds.
+        Error that the search bounds.
     clock : Clock
-        Serves the progress of the first walk over streamed frames.
+        For the progress of the first pass over streamed frames.
 
     Attributes
     ----------
     sequences : list of MeshSequence
     data : Trajectories
     given : Given
-        In the solver's space, of these frames.
+        In the solver's space, for these frames.
     scan : Scan or None
-        None where all frames are in memory.
+        None if all frames are in memory.
     """
 
     def __init__(self, problem: Problem, measure: Measure, clock: Clock) -> None:
@@ -72,7 +72,7 @@ class SolvedFrames:
         """Error of a model on these frames, in the mesh's units."""
         measure = measure or self.measure
         if self.scan is not None and measure == "rmse":
-            # representative frames count as often as there are frames like them
+            # a representative frame counts for all frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
         rest, transforms = self.data.to_world(model.rest, model.transforms)
         return _error(measure, self.sequences, rest, model.indices, model.weights, transforms)
@@ -84,7 +84,7 @@ class SolvedFrames:
         return _error(measure, self.problem.sequences, *parts, executor=self.executor)
 
     def skinning(self, model: Model) -> Skinning:
-        """The skinning of a model of these frames."""
+        """Skinning of these frames."""
         return _trimmed(skinning_of(self.problem, self.data, model, self.sequences))
 
     def skinning_of_all(
@@ -95,18 +95,18 @@ class SolvedFrames:
         entering: int = ENTERING,
         on_progress: Callable[[], bool],
     ) -> Skinning:
-        """The skinning of all frames: where they are streamed, after passes over all of them.
+        """Skinning of all frames; if they are streamed, it is solved in passes over them.
 
         Parameters
         ----------
         model : Model
-            Of the frames that the search sees.
+            Of the frames that the search solves.
         passes : int
-            At most; they end when one gains little.
+            Most passes; they end when one improves little.
         entering : int
-            Bones that may enter a vertex's support in a pass.
+            Number of bones that may enter the support of a vertex in a pass.
         on_progress : callable
-            Called within a pass; the pass that is under way is the last one if it returns True.
+            Called within a pass; if it returns True, that pass is the last.
         """
         if self.scan is None:
             return self.skinning(model)
@@ -147,5 +147,5 @@ def _error(measure: Measure, sequences: list[MeshSequence], *parts: Any, **execu
 
 
 def _trimmed(skinning: Skinning) -> Skinning:
-    """With no more influences than the vertex of most has."""
+    """Skinning whose K is the largest number of influences at a vertex."""
     return skinning.prune(int(np.count_nonzero(skinning.weights, axis=1).max()))

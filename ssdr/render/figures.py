@@ -1,4 +1,4 @@
-"""Pictures of sequences and skinnings, without a display: one frame, or a contact sheet."""
+"""Pictures of sequences and skinnings: one frame, or a contact sheet."""
 
 from __future__ import annotations
 
@@ -46,25 +46,27 @@ def render_frame(
     frame : int
         Negative counts from the end.
     reference : MeshSequence, optional
-        What the subject should be; needed for the error.
+        The true animation, from which the error is measured.
     style : {"plain", "weights", "bones", "error"}, optional
-        The shape in clay; coloured by skin weights; bones from joint to joint or, without a
-        hierarchy, as balls with axes at the posed centroids of what they move; distance to the
-        reference.  By default `weights` for a skinning and `plain` for a sequence.
+        "plain" shows the shape, "weights" colours it by skin weights, "error" by the distance to
+        the reference.  "bones" draws bones from joint to joint or, without a hierarchy, as balls
+        with axes at the posed centroids of the vertices that they move.  By default "weights" for
+        a skinning and "plain" for a sequence.
     size : (int, int)
         Width and height in pixels.
     camera : Camera, optional
-        By default one that sees the whole motion from `azimuth` and `elevation` (degrees);
-        without an azimuth the side that shows most is chosen.
+        By default one that sees the whole motion.
     scale : float, optional
-        Error that gets the darkest colour, in the mesh's units; by default a round number above
-        nearly all errors of this frame.
+        Error with the darkest colour, in the mesh's units; by default a round number above nearly
+        all errors of this frame.
     parts : sequence of Part, optional
-        Parts of the subject with colours of their own, which `plain` and `bones` show; `error`
-        colours those that are measured.  Every vertex belongs to one part.
+        Parts of the subject with colours of their own, for "plain" and "bones"; "error" colours the
+        measured ones.  Every vertex belongs to one part.
     up : {"x", "y", "z", "-x", "-y", "-z"}
+    azimuth, elevation : float
+        Degrees, as in :meth:`Camera.fit`.  By default the azimuth that shows most of the subject.
     perspective : bool
-        False: parallel projection.
+        Perspective or parallel projection.
 
     Returns
     -------
@@ -74,7 +76,7 @@ def render_frame(
     Raises
     ------
     InputError
-        If an option is out of range, the style needs what the subject lacks, or
+        If an option is out of range, the style needs bones or a reference that are missing, or
         subject and reference do not match.
 
     Examples
@@ -115,33 +117,32 @@ def contact_sheet(
     unit: Unit | None = None,
     **look: Any,
 ) -> Image.Image:
-    """Figure with a row per style and a column per frame, labelled, with a scale of the error.
+    """Labelled figure with a row for each style and a column for each frame.
 
     Parameters
     ----------
     subject : MeshSequence, Skinning or Decomposition
     reference : MeshSequence, optional
-        The input that a skinning was made from: adds its row and the error map.
+        The true animation, such as the input of a decomposition: adds its row and the error.
     frames : int or sequence of int
-        How many, evenly spread, or which.
+        Number of frames, evenly spread, or their indices.
     width : int
-        Pixels; the height follows.
+        Pixels; the height follows from it.
     styles : sequence of Style, optional
-        Rows below the reference; all that the subject allows by default.
+        Rows below the reference; by default all that apply to the subject.
     title : str, optional
         The subject's name by default.
     parts : sequence of Part, optional
-        As in :func:`render_frame`.  The scale of the error and all figures are those of the parts
-        that are measured.
+        As in :func:`render_frame`.  Errors are those of the measured parts.
     regions : mapping of str to mask or indices, optional
-        Sets of vertices whose RMSE is stated by name; by default that of all that is measured.
+        Named sets of vertices whose RMSE is stated; by default that of all measured vertices.
     row_names : sequence of str, optional
         Names of the rows, from the top.
     captions : sequence of str, optional
-        Heads of the columns, of one line or two; the number of the frame by default.
+        Headings of the columns, one or two lines each; by default the frame number.
     unit : (str, float), optional
-        Unit in which errors are stated, and how many of it one of the mesh's units has:
-        ``("mm", 1000)`` for a mesh in metres.
+        Unit of the stated errors, and its number in one of the mesh's units: ``("mm", 1000)`` for a
+        mesh in metres.
     **look
         `camera`, `up`, `azimuth`, `elevation` and `perspective` of :func:`render_frame`.
 
@@ -205,7 +206,7 @@ def contact_sheet(
             draw.text((x + 2 * scale, head - 12 * scale), second, QUIET, small, "ls")
         pictures = panels.draw(frame)
         for (shown, style), picture, top in zip(panels.rows, pictures, tops, strict=True):
-            page.paste(picture, (x, top), _rounded(panels.view.size, round(10 * scale)))
+            page.paste(picture, (x, top))
             text = f"frame {frame}" if heads is None else ""
             if style == "error" and shown.has_parts:
                 text = shown.figures([frame], unit)
@@ -221,7 +222,7 @@ def contact_sheet(
 def _draw_scale(
     page: Image.Image, panels: Panels, unit: Unit, bar: tuple[int, int, int], font: Any
 ) -> None:
-    """Scale of the error with its name, and with % of the diagonal below."""
+    """Draw the scale of the error, with its name and the percentage of the diagonal."""
     draw, scene, scale = ImageDraw.Draw(page), panels.scene, page.width / 1600
     left, top, width = bar
     above = top - 6 * scale
@@ -236,20 +237,20 @@ def _draw_scale(
 
 
 def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
-    """Save a picture; the file appears whole or not at all.
+    """Write a picture to a file, whole or not at all.
 
     Parameters
     ----------
     picture : PIL.Image.Image
     path : path
-        The suffix chooses the format.
+        Its suffix determines the format.
     **options
-        Pillow's own.
+        Options of Pillow's ``Image.save``.
 
     Raises
     ------
     FormatError
-        If Pillow writes no such suffix.
+        If Pillow cannot write the format of the suffix.
     InputError
         If the folder does not exist.
 
@@ -270,12 +271,12 @@ def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options:
 
 
 def picture_format(path: Path) -> str:
-    """Pillow's name of the format of a picture file.
+    """Pillow's name for the format of a picture file.
 
     Raises
     ------
     FormatError
-        If Pillow writes no such suffix.
+        If Pillow cannot write the format of the suffix.
     """
     name = Image.registered_extensions().get(path.suffix.lower())
     if name is None or name not in Image.SAVE:
@@ -286,7 +287,7 @@ def picture_format(path: Path) -> str:
 def upright_text(
     page: Image.Image, text: str, corner: tuple[int, int], size: tuple[int, int], font: Any
 ) -> None:
-    """Write from bottom to top, centred in a box."""
+    """Draw text from bottom to top, centred in a box."""
     strip = Image.new("RGB", (size[1], size[0]), "white")
     ImageDraw.Draw(strip).text((size[1] / 2, size[0] / 2 - 4), text, INK, font, "mm")
     page.paste(strip.rotate(90, expand=True), corner)
@@ -297,14 +298,6 @@ def _spread(frames: int | Sequence[int], n_frames: int) -> Sequence[int]:
         return checked_frames(frames, n_frames)
     if isinstance(frames, bool) or not 1 <= frames <= 100:
         raise InputError("frames", "1 to 100, or a sequence of indices", frames)
-    # Not the last frame: in a cycle it is the first again.
+    # Without the last frame, which equals the first in a cycle.
     count = min(int(frames), n_frames)
     return [int(t) for t in (np.arange(count) + 0.5) * n_frames / count]
-
-
-def _rounded(size: tuple[int, int], radius: int) -> Image.Image:
-    """Mask of a rectangle with round corners."""
-    large = Image.new("L", (size[0] * 4, size[1] * 4), 0)
-    box = (0, 0, large.width - 1, large.height - 1)
-    ImageDraw.Draw(large).rounded_rectangle(box, radius * 4, fill=255)
-    return large.resize(size, Image.Resampling.LANCZOS)

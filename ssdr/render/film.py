@@ -1,4 +1,4 @@
-"""Films of sequences and skinnings, panel beside panel."""
+"""Films of sequences and skinnings, with one or more panels side by side."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
@@ -23,8 +23,8 @@ from .scene import Scene, Style, Unit, evenly
 __all__ = ["Film", "animate"]
 
 _PAPER, _MARK = "#ffffff", "#c93559"
-_PALETTE_FRAMES = 4  # frames that the colours of a GIF are chosen from
-# Pillow's options by suffix; method 4 makes a WebP a third smaller, and is quicker than drawing
+_PALETTE_FRAMES = 4  # frames from which the colours of a GIF are chosen
+# Pillow's options by suffix; method 4 makes a WebP a third smaller and takes less time than drawing
 _KINDS: dict[str, dict[str, Any]] = {
     ".gif": {"format": "GIF", "disposal": 1},
     ".webp": {"format": "WEBP", "method": 4},
@@ -34,19 +34,21 @@ _KINDS: dict[str, dict[str, Any]] = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Film:
-    """Panels side by side, frame after frame, with what is written beside them.
+    """Film with panels side by side, titles, and captions.
 
-    Made by :meth:`of`; :func:`animate` makes and writes one.
+    Use :meth:`of` to make one, or :func:`animate` to make and write one.
 
     Attributes
     ----------
     panels : Panels
     fps : float
         Frames per second.
-    titles, captions : tuple of str or None
-        Of the panels, and of the frames.
+    titles : tuple of str or None
+        One for each panel.
+    captions : tuple of str or None
+        One for each frame.
     unit : (str, float)
-        Of the errors.
+        Unit of the stated errors, as in :func:`contact_sheet`.
 
     Examples
     --------
@@ -87,24 +89,24 @@ class Film:
         ----------
         subject : MeshSequence, Skinning or Decomposition
         reference : MeshSequence, optional
-            What the subject should be; shown to the left of the subject.
+            The true animation, shown to the left of the subject.
         style : Style or sequence of Style, optional
-            Several are drawn side by side.
+            One panel for each.
         size : (int, int)
             Width and height of a panel in pixels.
         frames : sequence of int, optional
-            Which; by default all, thinned to at most 30 a second.
+            Indices; by default all frames, thinned to at most 30 per second.
         fps : float, optional
-            Frames shown per second; real time by default.
+            Frames shown per second; by default real time.
         parts, regions, unit
             As in :func:`contact_sheet`.
         titles : sequence of str, optional
             Names of the panels, drawn above them.
         captions : sequence of str, optional
-            Texts of the frames, drawn below them; with a reference the RMSE of the frame and its
-            curve over the film are drawn beside.
+            Texts drawn below the frames.  With a reference the RMSE of the frame and the curve of
+            the RMSE over the film are added.
         track : (F, 3) array, optional
-            Path that the camera moves along; by default it follows a subject that travels far.
+            Path of the camera; by default it follows a subject that travels far.
         **look
             `camera`, `up`, `azimuth`, `elevation` and `perspective` of :func:`render_frame`.
 
@@ -142,12 +144,12 @@ class Film:
 
     @property
     def order(self) -> tuple[int, ...]:
-        """Frames of the subject that are shown."""
+        """Indices of the frames shown."""
         return self.panels.frames
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of its pictures."""
+        """Width and height of the film in pixels."""
         (width, height), (head, foot, gap) = self.panels.view.size, self._paper
         return (width + gap) * len(self.panels.rows) - gap, head + height + foot
 
@@ -159,7 +161,7 @@ class Film:
         if self.captions is None:
             return head, 0, gap
         foot = round((0.1 if self.panels.scene.reference is None else 0.22) * height)
-        # Films of some formats have an even height.
+        # Some film formats need an even height.
         return head, foot + (head + foot + height) % 2, gap
 
     def pictures(
@@ -174,7 +176,7 @@ class Film:
         callback : callable, optional
             Called with the fraction done.
         chosen : sequence of int, optional
-            Numbers in :attr:`order`; all by default.
+            Positions in :attr:`order`; by default all.
         """
         scene, curve = self.panels.scene, None
         if self.captions is not None and scene.reference is not None:
@@ -193,7 +195,7 @@ class Film:
     def write(
         self, path: str | os.PathLike[str], callback: Callable[[float], object] | None = None
     ) -> Path:
-        """Write the film, looping; arguments and errors as :func:`animate`."""
+        """Write the looping film; arguments and errors as for :func:`animate`."""
         path, options = Path(path), _options(Path(path))
         drawn = self.pictures(callback)
         if options["format"] == "GIF":
@@ -207,21 +209,17 @@ class Film:
     def _palette(self) -> Image.Image:
         """Picture with the 256 colours of a GIF, chosen from some of the frames.
 
-        One palette serves all frames: else the background flickers.
+        All frames share one palette, since the background flickers otherwise.
         """
-        # Text and marks are few pixels, which a choice by frequency forgets.
-        marks = [c for name in (_PAPER, INK, QUIET, _MARK) for c in ImageColor.getrgb(name)]
         width, height = self.size
         chosen = evenly(len(self.order), _PALETTE_FRAMES)
         strip = Image.new("RGB", (width, height * len(chosen)))
         for k, picture in enumerate(self.pictures(chosen=chosen)):
             strip.paste(picture, (0, k * height))
-        palette = strip.quantize(256 - len(marks) // 3, method=Image.Quantize.MEDIANCUT)
-        palette.putpalette((palette.getpalette() or [])[: 768 - len(marks)] + marks)
-        return palette
+        return strip.quantize(method=Image.Quantize.MEDIANCUT)
 
     def _annotate(self, picture: Image.Image, k: int, curve: NDArray[np.float64] | None) -> None:
-        """Write titles and caption of a frame, with the scale of the error and its curve."""
+        """Draw the titles, the scale of the error, the caption of frame `k`, and the RMSE curve."""
         (width, height), (head, _, gap) = self.panels.view.size, self._paper
         scale = height / 640
         draw = ImageDraw.Draw(picture)
@@ -261,17 +259,17 @@ def animate(
     callback: Callable[[float], object] | None = None,
     **options: Any,
 ) -> Path:
-    """Write a looping film: GIF, WebP or animated PNG, by the suffix.
+    """Write a looping film as GIF, WebP or animated PNG.
 
     Parameters
     ----------
     subject : MeshSequence, Skinning or Decomposition
     path : path
-        Ends in ``.gif``, ``.webp`` or ``.png``; written at once when all is drawn.
+        Its suffix is ``.gif``, ``.webp`` or ``.png``.
     callback : callable, optional
         Called with the fraction done.
     **options
-        Those of :meth:`Film.of`.
+        Options of :meth:`Film.of`.
 
     Returns
     -------
@@ -280,7 +278,7 @@ def animate(
     Raises
     ------
     FormatError
-        If the suffix is none of the three.
+        If the suffix is another one.
     InputError
         As :func:`render_frame`.
 

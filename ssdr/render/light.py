@@ -1,6 +1,6 @@
-"""The light in every picture: a broad lamp from the side, a sky, a floor, and their shadows.
+"""Lighting of every picture: a broad lamp from the side, a sky, a floor, and their shadows.
 
-Shadows are read from depth maps, one from the direction of each light.
+Shadows are read from depth maps, one for the direction of each light.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ from ..kernels.raster import light_shares, raster_triangles
 from ..parallel import chunk_bounds, run_chunks
 from .raster import Camera, unit
 
-__all__ = ["Illumination", "Lights", "around_both_sides", "lamp", "sky", "sphere_directions"]
+__all__ = ["Lights", "around_both_sides", "lamp", "reflected", "sky", "sphere_directions"]
 
 Float = NDArray[np.float64]
-# Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength,
-# chosen by eye.  The lamp grazes what faces the viewer, so that creases cast light and shade.
+# Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength, chosen
+# by eye.  The lamp grazes surfaces that face the viewer, so that folds are shaded.
 _LAMP = unit(np.array([-0.84, 0.52, 0.36]))
 _LAMP_COLOR = np.array([1.00, 0.95, 0.88]) * 1.15
 _RIM = unit(np.array([0.80, 0.35, -0.42]))
 _RIM_COLOR = np.array([0.80, 0.90, 1.00]) * 0.30
 _SKY = np.array([0.88, 0.94, 1.02]) * 0.52
 _FLOOR = np.array([1.00, 0.94, 0.88]) * 0.28
-_LAMP_SIZE = 0.10  # radius over distance: how soft its shadows are
-_BOUNCE = 0.5  # share of the light kept out by the surface itself that it reflects back
-_SKY_LIGHTS, _LAMP_LIGHTS = 40, 10  # directions; fewer show as bands
+_LAMP_SIZE = 0.10  # radius over distance, on which the softness of its shadows depends
+_BOUNCE = 0.5  # part of the light blocked by the surface itself that it reflects
+_SKY_LIGHTS, _LAMP_LIGHTS = 40, 10  # number of directions; fewer show as bands
 _SKY_PIXELS, _LAMP_PIXELS = 144, 384  # side of a depth map
 _CHUNK = 8192  # points in a task
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lights:
-    """Distant lights with a square depth map each.
+    """Distant lights, each with a square depth map.
 
     Attributes
     ----------
     axes : (D, 3, 3) float64
         Rows: right and up in a light's depth map, and towards the light.
     corners : (D, 2) float64
-        Lower left corner of each map, along its axes.
+        Lower left corner of each map in its axes.
     scales : (D,) float64
         Pixels per unit of length.
     nearness : (D, n, n) float64
-        Largest coordinate along the third axis, −inf where nothing is.
+        Largest coordinate along the third axis, −inf in empty pixels.
     colors : (D, 3) float64
         Linear RGB.
     """
@@ -66,7 +66,7 @@ class Lights:
         faces: NDArray[np.int32],
         pixels: int,
     ) -> Lights:
-        """Lights in unit directions ``(D, 3)``, with depth maps of triangles."""
+        """Lights in unit directions ``(D, 3)`` with depth maps of a mesh."""
         across = np.eye(3)[np.abs(directions).argmin(axis=1)]
         right = unit(np.cross(across, directions))
         axes = np.stack([right, np.cross(directions, right), directions], axis=1)
@@ -78,7 +78,7 @@ class Lights:
             for d in range(first, last):
                 view = axes[d] @ points.T
                 low, high = view[:2].min(axis=1), view[:2].max(axis=1)
-                # Two pixels are free on each side, so that interpolation meets an empty border.
+                # A border of two empty pixels for the interpolation.
                 scales[d] = (pixels - 4) / max(float((high - low).max()), 1e-30)
                 corners[d] = low - 2 / scales[d]
                 view[:2] = (view[:2] - corners[d][:, None]) * scales[d]
@@ -94,14 +94,15 @@ class Lights:
         return self.axes[:, 2]
 
     def only(self, chosen: NDArray[np.bool_]) -> Lights:
-        """Some of the lights."""
+        """Lights chosen by a mask ``(D,)``."""
         return Lights(*(getattr(self, f.name)[chosen] for f in dataclasses.fields(self)))
 
     def shares(self, points: Float, normals: Float, bias: float) -> Float:
         """Share ``(N, D)`` of each light that reaches points on a surface.
 
-        What is nearer to a light by less than `bias` casts no shadow, by twice as much a full
-        one.  Points are lifted by `bias` along their normals, to the light's side.
+        A surface that is nearer to the light than a point by less than `bias` casts no shadow on
+        it, one that is nearer by twice as much a full shadow.  Points are lifted by `bias` along
+        their normals, to the side of the light.
         """
         out = np.empty((len(points), len(self.axes)))
         arrays = (self.axes, self.corners, self.scales, self.nearness)
@@ -123,7 +124,7 @@ def sphere_directions(count: int) -> Float:
 
 
 def sky(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
-    """Lights all around: the sky above, the floor below."""
+    """Lights from all directions: the sky above and the floor below."""
     directions = sphere_directions(_SKY_LIGHTS)
     part = np.clip(0.5 + 1.5 * directions @ camera.vertical, 0.0, 1.0)[:, None]
     return Lights.around(directions, _FLOOR + (_SKY - _FLOOR) * part, points, faces, _SKY_PIXELS)
@@ -142,14 +143,15 @@ def lamp(camera: Camera, points: Float, faces: NDArray[np.int32]) -> Lights:
 
 
 def around_both_sides(lights: Lights, points: Float, normals: Float, bias: float) -> Float:
-    """Light ``(N, 6)`` from all around that arrives on a surface.
+    """Light ``(N, 6)`` from all directions that arrives on both sides of a surface.
+
+    The first three columns are RGB on the side of the normal, the others on its back.
 
     Parameters
     ----------
     lights : Lights
-        Evenly over the sphere; with colours of 1 the result is 1 where nothing is in the way.
+        Evenly over the sphere; with colours of 1 the result is 1 where nothing blocks the light.
     points, normals : (N, 3) float64
-        The first three columns of the result are for the side of the normal.
     bias : float
         See :meth:`Lights.shares`.
     """
@@ -160,44 +162,38 @@ def around_both_sides(lights: Lights, points: Float, normals: Float, bias: float
     return np.asarray(np.concatenate([front, back], axis=1) * (4.0 / len(lights.colors)))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Illumination:
-    """Points of a surface and the light that reaches them.
+def reflected(
+    camera: Camera,
+    normal: Float,
+    albedo: Float,
+    around: Float | None = None,
+    reached: Float | float = 1.0,
+    even: float = 0.0,
+) -> Float:
+    """Light ``(N, 3)`` that a surface reflects, linear RGB.
 
-    Attributes
+    Parameters
     ----------
     camera : Camera
     normal : (N, 3) float64
         Unit vectors on the viewer's side.
-    around : (N, 3) float64 or None
-        Light from sky and floor, linear RGB; None if nothing is in its way.
+    albedo : (N, 3) float64
+        Linear RGB.
+    around : (N, 3) float64, optional
+        Light that arrives from sky and floor, linear RGB; by default nothing blocks it.
     reached : (N, 1) float64 or float
         Share of the lamp's light that arrives.
+    even : float
+        Share of the light that does not depend on direction, larger where colours must be
+        compared.
     """
-
-    camera: Camera
-    normal: Float
-    around: Float | None = None
-    reached: Float | float = 1.0
-
-    def shaded(self, albedo: Float, even: float = 0.0) -> Float:
-        """Reflected light ``(N, 3)``, linear RGB.
-
-        Parameters
-        ----------
-        albedo : (N, 3) float64
-            Linear RGB.
-        even : float
-            Share of the light that does not depend on direction: colours that have to be read
-            are shaded less.
-        """
-        axes, n = self.camera.axes, self.normal
-        part = np.clip(0.5 + 0.55 * (n @ self.camera.vertical), 0.0, 1.0)[:, None]
-        uncovered = _FLOOR + (_SKY - _FLOOR) * part  # nearly: exact on a convex surface
-        around = uncovered if self.around is None else self.around
-        kept = np.clip(around.sum(axis=1) / uncovered.sum(axis=1), 0.0, 1.0)[:, None]
-        ambient = around + _BOUNCE * albedo * (uncovered - around).clip(0.0)
-        direct = np.clip(n @ (axes.T @ _LAMP), 0.0, 1.0)[:, None] * self.reached
-        rim = np.clip(n @ (axes.T @ _RIM), 0.0, 1.0)[:, None] * kept
-        light = ambient + _LAMP_COLOR * direct + _RIM_COLOR * rim
-        return np.asarray(albedo * (even * (0.8 + 0.35 * kept) + (1 - even) * light))
+    axes = camera.axes
+    part = np.clip(0.5 + 0.55 * (normal @ camera.vertical), 0.0, 1.0)[:, None]
+    uncovered = _FLOOR + (_SKY - _FLOOR) * part  # close to exact on a convex surface
+    around = uncovered if around is None else around
+    kept = np.clip(around.sum(axis=1) / uncovered.sum(axis=1), 0.0, 1.0)[:, None]
+    ambient = around + _BOUNCE * albedo * (uncovered - around).clip(0.0)
+    direct = np.clip(normal @ (axes.T @ _LAMP), 0.0, 1.0)[:, None] * reached
+    rim = np.clip(normal @ (axes.T @ _RIM), 0.0, 1.0)[:, None] * kept
+    light = ambient + _LAMP_COLOR * direct + _RIM_COLOR * rim
+    return np.asarray(albedo * (even * (0.8 + 0.35 * kept) + (1 - even) * light))

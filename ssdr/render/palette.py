@@ -1,4 +1,4 @@
-"""Colours of bones, of blended weights and of errors."""
+"""Colours of bones, skin weights and errors."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def srgb_from_linear(color: ArrayLike) -> NDArray[np.float64]:
 
 
 def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
-    """A colour for every bone; the closer two bones, the more their colours differ.
+    """Colours of bones: the closer two bones are, the more their colours differ.
 
     Parameters
     ----------
     positions : (B, 3) array
-        Where the bones are, in the rest pose.
+        Positions of the bones in the rest pose.
 
     Returns
     -------
@@ -56,15 +56,14 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
 
     Notes
     -----
-    Greedy: bone after bone takes the candidate with the least Σ closeness / (colour
-    distance)² to those coloured already, distances in OKLab; O(B²) for a fixed number of
-    candidates.
+    Greedy: each bone in turn takes the candidate colour with the least Σ closeness / (colour
+    distance)² over the bones that have a colour, with distances in OKLab.  The cost is O(B²).
     """
     x = np.asarray(positions, dtype=np.float64)
     lab = _candidates()
     apart = ((lab[:, None] - lab[None]) ** 2).sum(axis=2)
     gap = ((x[:, None] - x[None]) ** 2).sum(axis=2)
-    # About five neighbours count as close, whatever the density of bones.
+    # The distance at which bones count as close is that of about five neighbours.
     reach = np.sort(gap, axis=1)[:, min(5, len(x) - 1)]
     near = np.exp(-gap / np.maximum(np.median(reach), 1e-300)) + 0.02
     repulsion = 1.0 / (apart + 1e-4)
@@ -72,7 +71,7 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
     chosen = np.full(len(x), -1)
     used = np.zeros(len(lab))
     for _ in range(len(x)):
-        # Next is the bone whose best colour costs most: later it might find no good one.
+        # The bone whose best colour costs most is next, since its choice only becomes worse.
         open_bones = np.flatnonzero(chosen < 0)
         b = int(open_bones[np.argmax(cost[open_bones].min(axis=1))])
         c = int(np.argmin(cost[b] + 0.5 * used))
@@ -83,9 +82,9 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
 
 
 def mix(colors: NDArray[np.float64], weights: ArrayLike, indices: ArrayLike) -> NDArray[np.float64]:
-    """Blend bone colours ``(B, 3)`` by the weights ``(V, K)`` of each vertex, in OKLab.
+    """Colours of vertices, linear RGB ``(V, 3)``, from those of bones ``(B, 3)`` and skin weights.
 
-    Returns linear RGB ``(V, 3)``.
+    They are blended in OKLab by weights ``(V, K)``.
     """
     lab = np.cbrt(colors @ _LMS_FROM_RGB.T) @ _LAB_FROM_LMS.T
     w, j = np.asarray(weights, dtype=np.float64), np.asarray(indices)
@@ -93,7 +92,7 @@ def mix(colors: NDArray[np.float64], weights: ArrayLike, indices: ArrayLike) -> 
 
 
 def heat(values: ArrayLike) -> NDArray[np.float64]:
-    """Colour of a value in [0, 1], pale to dark and monotone in lightness; linear RGB."""
+    """Colours of values in [0, 1], linear RGB, from pale to dark with decreasing lightness."""
     table = np.array([[int(h[i : i + 2], 16) for i in (1, 3, 5)] for h in _HEAT.split()]) / 255
     at = np.clip(np.asarray(values, dtype=np.float64), 0.0, 1.0) * (len(table) - 1)
     grid = np.arange(len(table))
@@ -101,12 +100,12 @@ def heat(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _linear_from_oklab(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear RGB, not clipped to the display's gamut."""
+    """Linear RGB, which may lie outside the gamut of the display."""
     return np.asarray((lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3 @ np.linalg.inv(_LMS_FROM_RGB).T)
 
 
 def _candidates() -> NDArray[np.float64]:
-    """Colours in OKLab, inside the display's gamut, of middling lightness and full chroma."""
+    """Saturated colours of medium lightness in OKLab, inside the gamut of the display."""
     light, turn = np.meshgrid([0.55, 0.66, 0.77, 0.86], np.radians(np.arange(0, 360, 15)))
     lab = np.stack([light, 0.19 * np.cos(turn), 0.19 * np.sin(turn)], axis=-1).reshape(-1, 3)
     for _ in range(30):

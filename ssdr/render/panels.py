@@ -1,4 +1,4 @@
-"""Panels: frames in several styles, with one camera, one lighting and one scale of the error."""
+"""Panels: frames in several styles with the same camera, lighting and scale of the error."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ __all__ = ["INK", "QUIET", "Panels", "as_many", "checked_frames", "draw_scale"]
 Float = NDArray[np.float64]
 INK, QUIET = "#20242c", "#6b7280"
 _SAMPLES = 2  # per pixel along each axis
-_EVEN = 0.45  # share of the light without direction on colours that are read
+_EVEN = 0.45  # share of the light without direction on colours that show values
 _GHOST = 0.55  # opacity of a surface that shows its bones
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Panels:
-    """Scenes and styles (rows of a sheet, panels of a film) and the frames in which to draw them.
+    """Scenes with their styles (rows of a sheet, panels of a film), and the frames to draw.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Panels:
     frames : tuple of int
     view : View
     top : float
-        Error that gets the last colour.
+        Error with the last colour of the scale.
     exceeded : bool
-        Whether a larger error occurs.
+        Whether a frame has a larger error.
     """
 
     rows: tuple[tuple[Scene, Style], ...]
@@ -62,22 +62,22 @@ class Panels:
         top: float | None = None,
         **look: Any,
     ) -> Panels:
-        """Check the arguments of a figure.
+        """Panels of a figure, from checked arguments.
 
         Parameters
         ----------
         scene : Scene
         styles : sequence of Style
-            None stands for weights, or plain where there are no bones.
+            None means "weights", or "plain" for a subject without bones.
         frames : sequence of int
         size : (int, int) or None
-            Of a panel, in pixels.
+            Size of a panel in pixels.
         with_reference : bool
-            Whether the reference, if there is one, is the first row.
+            Whether the reference, if any, is the first row.
         top : float, optional
-            Error that gets the last colour; by default a round number that few errors exceed.
+            Error with the last colour; by default a round number that few errors exceed.
         **look
-            Of :meth:`View.of`.
+            Options of :meth:`View.of`.
         """
         rows = [(scene, _checked_style(style, scene)) for style in styles]
         if with_reference and scene.reference is not None:
@@ -94,7 +94,7 @@ class Panels:
 
     @property
     def scene(self) -> Scene:
-        """The subject, beside its reference or alone."""
+        """Scene of the subject."""
         return self.rows[-1][0]
 
     @property
@@ -103,8 +103,8 @@ class Panels:
         return any(style == "error" for _, style in self.rows)
 
     def draw(self, frame: int) -> list[Image.Image]:
-        """Every row's picture of a frame."""
-        stages: dict[int, Stage] = {}  # shared by all rows of a scene
+        """Picture of a frame for each row."""
+        stages: dict[int, Stage] = {}  # by scene, since all its rows share one
         pictures = []
         for scene, style in self.rows:
             if id(scene) not in stages:
@@ -140,14 +140,14 @@ class Panels:
 
 
 def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
-    """Texts, one for each thing; InputError if their numbers differ."""
+    """Texts as a list, checked to be one for each thing."""
     if isinstance(texts, str) or len(texts) != len(things):
         raise InputError(name, f"{len(things)} texts", texts)
     return [str(t) for t in texts]
 
 
 def checked_frames(frames: Any, n_frames: int) -> list[int]:
-    """Indices of frames, negative ones counted from the end."""
+    """Indices of frames from 0; negative ones are counted from the end."""
     order = [int(t) for t in frames]
     if not order:
         raise InputError("frames", "at least one frame", "none")
@@ -170,7 +170,7 @@ def _checked_style(style: Style | None, scene: Scene) -> Style:
 
 
 def _round_up(value: float) -> float:
-    """The next 1, 1.5, 2, 3, 4, 5, 6 or 8 times a power of ten."""
+    """Least of 1, 1.5, 2, 3, 4, 5, 6 and 8 times a power of ten that is not below the value."""
     if not value > 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
@@ -186,18 +186,18 @@ def draw_scale(
     font: Any,
     ticks: str = "lmmmr",
 ) -> float:
-    """Draw the colours of the error from left to right, and what they mean above.
+    """Draw the colours of the error from left to right, with their values above.
 
     Parameters
     ----------
     page : PIL.Image.Image
-        Updated.
+        Updated in place.
     panels : Panels
     unit : (str, float)
     bar : (int, int, int)
         Left, top and width.
     scale : float
-        Pixels per unit of design.
+        Factor on all sizes.
     font
     ticks : str
         Horizontal anchor of the text at each tick.

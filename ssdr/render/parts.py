@@ -16,18 +16,18 @@ __all__ = ["CLAY", "FABRIC", "NEUTRAL", "SKIN", "Part", "checked_parts", "checke
 
 Color = tuple[float, float, float]
 CLAY: Color = (0.84, 0.82, 0.79)
-"""Light warm grey, on which shading shows."""
+"""Light warm grey."""
 SKIN: Color = (0.87, 0.68, 0.58)
 """Pale skin."""
 FABRIC: Color = (0.27, 0.50, 0.66)
 """Blue cloth."""
 NEUTRAL: Color = (0.62, 0.62, 0.63)
-"""Grey: what is shown beside an error and not measured."""
+"""Grey of parts that are not measured."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Part:
-    """Some vertices of a subject that have one colour.
+    """Set of vertices with a colour of their own.
 
     Parameters
     ----------
@@ -36,13 +36,12 @@ class Part:
     color : (r, g, b)
         sRGB, 0 to 1.
     measured : bool
-        Whether the error is coloured, and counted, on this part.  What is not measured is grey
-        in the style `error`.
+        Whether errors are measured on this part.  Other parts are grey in the style "error".
 
     Raises
     ------
     InputError
-        If the colour is none.
+        If the colour is not valid.
 
     Examples
     --------
@@ -63,13 +62,13 @@ class Part:
 
 
 def checked_parts(parts: Sequence[Part], n_vertices: int) -> tuple[Part, ...]:
-    """Parts whose vertices are masks; without any, one part of all vertices in clay.
+    """Parts with masks as vertices; one part with all vertices if `parts` is empty.
 
     Raises
     ------
     InputError
-        If two parts have one name or one vertex, a vertex has no part, none is measured, or the
-        vertices are no mask and no indices.
+        If two parts have the same name, a vertex does not belong to exactly one part, no part is
+        measured, or vertices are neither a mask nor indices.
     """
     if not parts:
         return (Part("", np.ones(n_vertices, dtype=bool)),)
@@ -98,7 +97,7 @@ def checked_regions(
     Raises
     ------
     InputError
-        If one is no mask and no indices, or empty.
+        If a set is empty, or neither a mask nor indices.
     """
     return {k: _mask(f"region {k!r}", v, n_vertices) for k, v in (regions or {}).items()}
 

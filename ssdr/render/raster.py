@@ -1,4 +1,4 @@
-"""Camera, and the nearest triangle or ball in each pixel that it sees."""
+"""Camera, and the nearest triangle or ball in each of its pixels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ __all__ = [
 
 Float = NDArray[np.float64]
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
-_BAND = 48  # rows of pixels in a task: fewer balance threads better, each visits all triangles
+_BAND = 48  # rows of pixels in a task; each task visits all triangles
+_FIELD_OF_VIEW = 24.0  # degrees, vertical
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,10 +40,10 @@ class Camera:
     axes : (3, 3) float64
         Rows: right, up and towards the viewer, in world coordinates.
     eye : (3,) float64
-        Centre of projection; for a parallel projection any point of its axis.
+        Centre of projection; for a parallel projection any point on its axis.
     scale : float
-        Half the height of the picture in the mesh's units: at distance 1 (perspective) or
-        anywhere (parallel).
+        Half the height of the picture in the mesh's units; for a perspective projection at
+        distance 1.
     perspective : bool
     vertical : (3,) float64
         Up axis of the world.
@@ -73,7 +74,6 @@ class Camera:
         up: str = "y",
         aspect: float = 1.0,
         perspective: bool = True,
-        field_of_view: float = 24.0,
         margin: float = 0.08,
     ) -> Camera:
         """Closest camera that sees all the points.
@@ -82,15 +82,13 @@ class Camera:
         ----------
         points : (N, 3) float64
         azimuth, elevation : float
-            Degrees.  Azimuth 0 looks at the front (the side of +z where y is up, of −y where z
-            is up); a positive azimuth moves the camera to the viewer's right.
+            Degrees.  At azimuth 0 the camera faces the front of the subject (the side of +z if y
+            is up, of −y if z is up); a positive azimuth moves the camera to the viewer's right.
         up : {"x", "y", "z", "-x", "-y", "-z"}
         aspect : float
             Width over height of the picture.
         perspective : bool
             False: parallel projection.
-        field_of_view : float
-            Degrees, vertical.
         margin : float
             Share of the picture left free on each side.
 
@@ -107,13 +105,13 @@ class Camera:
         view = np.asarray(points, dtype=np.float64) @ axes.T
         low, high = view.min(axis=0), view.max(axis=0)
         size = max(float(np.linalg.norm(high - low)), 1e-12 * float(np.abs(view).max()), 1e-30)
-        tall = math.tan(math.radians(field_of_view) / 2)
+        tall = math.tan(math.radians(_FIELD_OF_VIEW) / 2)
         free = 1 - 2 * margin
         if not perspective:
             half = max((high[1] - low[1]) / 2, (high[0] - low[0]) / 2 / aspect, size * 1e-3) / free
             eye = (low + high) / 2 + [0, 0, 2 * size]
             return cls(axes, eye @ axes, float(half), False, vertical)
-        # Each side plane bounds eye and distance linearly; opposite ones meet in the middle.
+        # Each side plane of the view bounds the position of the eye linearly.
         distance, centre = 0.0, np.zeros(3)
         for c, reach in ((0, tall * aspect * free), (1, tall * free)):
             above = float((view[:, c] / reach + view[:, 2]).max())
@@ -124,7 +122,7 @@ class Camera:
         return cls(axes, centre @ axes, tall, True, vertical)
 
     def project(self, points: Float, size: tuple[int, int]) -> Float:
-        """Pixel coordinates x, y and nearness, ``(N, 3)``; NaN behind the camera."""
+        """Pixel coordinates x and y, and nearness, ``(N, 3)``; NaN behind the camera."""
         width, height = size
         view = (np.asarray(points, dtype=np.float64) - self.eye) @ self.axes.T
         z = -view[:, 2]
@@ -138,13 +136,13 @@ class Camera:
         return np.stack([width / 2 + x, height / 2 - y, near], axis=1)
 
     def pixels_per_unit(self, size: tuple[int, int]) -> float:
-        """Pixels that one unit of length covers: at distance 1 where there is perspective."""
+        """Pixels per unit of length; for a perspective projection at distance 1."""
         return size[1] / 2 / self.scale
 
     def rays(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], size: tuple[int, int]
     ) -> tuple[Float, Float]:
-        """Origins and directions of the lines of sight through pixels, ``(N, 3)``."""
+        """Origins and directions, ``(N, 3)`` each, of the lines of sight through pixels."""
         pixel = self.pixels_per_unit(size)
         right, up = (columns + 0.5 - size[0] / 2) / pixel, (size[1] / 2 - rows - 0.5) / pixel
         offset = np.outer(right, self.axes[0]) + np.outer(up, self.axes[1])
@@ -169,16 +167,16 @@ def triangles_seen(
     points : (V, 3) float64
     faces : (T, 3) int32
     nearness : (H, W) float64
-        Depth buffer, updated: larger when nearer, −inf where nothing is.
+        Depth buffer, updated in place: larger is nearer, −inf is empty.
 
     Returns
     -------
     pixels : (rows, columns)
         The N pixels in which a triangle is nearest.
     index : (N,) int32
-        Number of this triangle.
+        Index of the triangle.
     share : (N, 3) float64
-        Barycentric coordinates in it.
+        Barycentric coordinates in the triangle.
     """
     size = (nearness.shape[1], nearness.shape[0])
     screen = camera.project(points, size)
@@ -195,10 +193,10 @@ def triangles_seen(
 def balls_seen(
     camera: Camera, centers: Float, radii: Float, nearness: Float
 ) -> tuple[Pixels, NDArray[np.int32], Float]:
-    """Rasterise balls of centres and radii ``(M, 3)`` and ``(M,)``.
+    """Rasterise balls of centres ``(M, 3)`` and radii ``(M,)``.
 
-    Parameters and results are those of :func:`triangles_seen`, but for the last one: unit normals
-    ``(N, 3)`` in world axes.
+    The other parameters and the results are those of :func:`triangles_seen`, with unit normals
+    ``(N, 3)`` in world axes instead of barycentric coordinates.
     """
     size = (nearness.shape[1], nearness.shape[0])
     screen, pixel = camera.project(centers, size), camera.pixels_per_unit(size)
@@ -228,9 +226,9 @@ def _nearest(kernel: Any, shapes: Float, faces: Any, nearness: Float) -> tuple[P
 
 
 def block_mean(values: Float, step: int) -> Float:
-    """Mean of squares of `step` by `step` pixels; both sides are multiples of it."""
+    """Mean over blocks of `step` by `step` pixels; height and width are multiples of `step`."""
     rows = values[0::step].copy()
-    for k in range(1, step):  # slices are several times faster than a mean over two axes
+    for k in range(1, step):  # several times faster than a mean over two axes
         rows += values[k::step]
     out = rows[:, 0::step].copy()
     for k in range(1, step):
@@ -239,7 +237,7 @@ def block_mean(values: Float, step: int) -> Float:
 
 
 def up_axes(up: str) -> tuple[Float, Float, Float]:
-    """Unit vectors up, to the front and to its right, from the name of the up axis."""
+    """Unit vectors up, to the front and to the right of the front, for an up axis."""
     name = up.lstrip("-") if isinstance(up, str) else ""
     if name not in ("x", "y", "z") or up not in (name, f"-{name}"):
         raise InputError("up", "x, y or z, with or without a minus", repr(up))
@@ -250,8 +248,8 @@ def up_axes(up: str) -> tuple[Float, Float, Float]:
 
 
 def between(share: Float, values: Float) -> Float:
-    """Σ_k share[n, k] values[n, k]: values ``(N, K, C)`` interpolated to ``(N, C)``."""
-    # Several times faster than one product over all corners.
+    """Values ``(N, k, C)`` interpolated to ``(N, C)`` with weights ``(N, k)``."""
+    # several times faster than one product over all corners
     out = share[:, :1] * values[:, 0]
     for k in range(1, share.shape[1]):
         out += share[:, k : k + 1] * values[:, k]
@@ -261,8 +259,8 @@ def between(share: Float, values: Float) -> Float:
 def normals_of(points: Float, faces: NDArray[np.int32]) -> tuple[Float, Float]:
     """Unit normals of the triangles ``(T, 3)`` and of the vertices ``(V, 3)``.
 
-    Those of vertices are exact on a sphere (Max, "Weights for computing vertex normals from facet
-    normals", 1999); 0 where there is no triangle.
+    Vertex normals are exact on a sphere (Max, "Weights for computing vertex normals from facet
+    normals", 1999), and 0 at vertices without triangles.
     """
     p = points[faces]
     flat = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -274,6 +272,6 @@ def normals_of(points: Float, faces: NDArray[np.int32]) -> tuple[Float, Float]:
 
 
 def unit(vectors: Any) -> Float:
-    """Vectors of length 1; a zero stays zero."""
+    """Vectors scaled to length 1; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(length > 0, length, 1.0))

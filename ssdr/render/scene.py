@@ -25,12 +25,12 @@ Style = Literal["plain", "weights", "bones", "error"]
 Unit = tuple[str, float]
 Float = NDArray[np.float64]
 
-_SOME_FRAMES = 24  # that represent a sequence: more are slower, fewer may miss motion
+_SOME_FRAMES = 24  # frames that represent a sequence; fewer may miss motion
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """A subject and its reference, on one topology.
+    """Subject and reference of a picture, with the same vertices.
 
     A welded subject is shown on the vertices of its unwelded reference.
 
@@ -39,13 +39,13 @@ class Scene:
     subject : MeshSequence or Skinning
     reference : MeshSequence or None
     vertex_map : (V,) int32 or None
-        Vertex of the subject at each shown vertex, where they differ.
+        Vertex of a welded subject for each vertex shown.
     parts : tuple of Part
-        At least one; errors are those of the parts that are measured.
+        At least one; errors are those of the measured parts.
     has_parts : bool
-        Whether the caller named the parts.
+        Whether the parts were given.
     regions : dict of str to (V,) bool
-        Sets of vertices with an RMSE of their own.
+        Sets of vertices whose RMSE is stated.
     """
 
     subject: MeshSequence | Skinning
@@ -63,12 +63,12 @@ class Scene:
         parts: Sequence[Part] = (),
         regions: Mapping[str, Any] | None = None,
     ) -> Scene:
-        """Check the arguments of a picture.
+        """Scene from checked arguments.
 
         Raises
         ------
         InputError
-            If the subject is of no known kind or does not match the reference, or the parts or
+            If the subject is of an unknown type or does not match the reference, or parts or
             regions do not fit it.
         """
         if not isinstance(subject, (MeshSequence, Skinning)):
@@ -107,7 +107,7 @@ class Scene:
 
     @property
     def model(self) -> Skinning:
-        """The subject, which is a skinning."""
+        """The subject as a Skinning."""
         assert isinstance(self.subject, Skinning)
         return self.subject
 
@@ -124,7 +124,7 @@ class Scene:
 
     @functools.cached_property
     def diagonal(self) -> float:
-        """Diagonal of the bounding box where it is largest; 1 if that is 0."""
+        """Diagonal of the bounding box in the frame where it is largest; 1 instead of 0."""
         shown = self.reference or self.subject
         if isinstance(shown, MeshSequence):
             return shown.diagonal() or 1.0
@@ -140,7 +140,7 @@ class Scene:
         return p if self.vertex_map is None else p[self.vertex_map]
 
     def visible(self, frame: int) -> Float:
-        """Vertices of a frame, where those of no triangle are moved onto another vertex."""
+        """Vertices of a frame; those without triangles are moved onto another vertex."""
         points = self.positions(frame)
         if len(self.faces):
             points[self._loose] = points[self.faces[0, 0]]
@@ -158,26 +158,26 @@ class Scene:
 
     @functools.cached_property
     def measured(self) -> NDArray[np.bool_]:
-        """Vertices whose error counts, ``(V,)``."""
+        """Mask ``(V,)`` of the vertices of measured parts."""
         return np.asarray(np.any([p.vertices for p in self.parts if p.measured], axis=0))
 
     def error_range(self, frames: Sequence[int]) -> tuple[float, float]:
-        """Largest error of 99.5 % of the measured vertices in these frames, and of all."""
+        """The 99.5th percentile and the maximum of the errors of measured vertices."""
         errors = np.stack([self.errors(t)[self.measured] for t in frames])
-        # Never so small that rounding of float32 would look like an error.
+        # bounded below, so that float32 rounding does not look like an error
         return max(float(np.quantile(errors, 0.995)), 1e-6 * self.diagonal), float(errors.max())
 
     def rmse(
         self, frames: Sequence[int] | None = None, where: NDArray[np.bool_] | None = None
     ) -> float:
-        """sqrt(Σ |d|² / (F V)) over frames, all by default, and vertices, by default measured."""
+        """sqrt(Σ |d|² / (F V)) over frames (by default all) and vertices (by default measured)."""
         chosen = self.measured if where is None else where
         order = range(self.subject.n_frames) if frames is None else frames
         total = sum(float((self.errors(t)[chosen] ** 2).sum()) for t in order)
         return math.sqrt(total / (len(order) * int(chosen.sum())))
 
     def figures(self, frames: Sequence[int] | None, unit: Unit) -> str:
-        """RMSE over the measured vertices, or over each region, as text."""
+        """Text with the RMSE of each region, or of the measured vertices."""
         name, factor = unit
         found = []
         for region, mask in (self.regions or {"": self.measured}).items():
@@ -187,11 +187,11 @@ class Scene:
 
     @property
     def measured_name(self) -> str:
-        """Names of the parts that are measured."""
+        """Names of the measured parts."""
         return " and ".join(p.name for p in self.parts if p.measured)
 
     def summary(self, with_error: bool, unit: Unit) -> str:
-        """Counts and error in one line."""
+        """Line of text with counts and error."""
         texts = [f"{self.subject.n_vertices:,} vertices", f"{self.subject.n_frames:,} frames"]
         if self.has_parts:
             texts[0] = f"{self.measured_name}: {int(self.measured.sum()):,} vertices"
@@ -209,12 +209,12 @@ class Scene:
 
     @functools.cached_property
     def centroids(self) -> Float:
-        """Centroid, in the rest pose, of what each bone moves, ``(B, 3)``."""
+        """Centroid ``(B, 3)``, in the rest pose, of the vertices that each bone moves."""
         return np.asarray(self.model.centroids(), dtype=np.float64)
 
     @functools.cached_property
     def limb_ends(self) -> Float:
-        """Where each bone of a hierarchy ends in the rest pose, ``(B, 3)``."""
+        """End ``(B, 3)`` of each bone of a hierarchy in the rest pose."""
         model = self.model
         tree = model.joint_positions, model.parents
         return limb_ends(*tree, model.rest, model.indices, model.weights)
@@ -232,7 +232,7 @@ class Scene:
 
     @functools.cached_property
     def ball_radius(self) -> float:
-        """Radius at which the points of a cloud just about touch."""
+        """Radius at which the points of a cloud nearly touch."""
         p = self.positions(0)
         if len(p) < 2:
             return 0.02 * self.diagonal
@@ -242,10 +242,10 @@ class Scene:
 
 
 def number(value: float, unit: Unit) -> str:
-    """A number with three digits in a unit."""
+    """Text of a number in a unit, with three digits."""
     return f"{unit[1] * value:.3g} {unit[0]}".rstrip()
 
 
 def evenly(count: int, most: int = _SOME_FRAMES) -> list[int]:
-    """At most `most` of the numbers below `count`, evenly spread from the first to the last."""
+    """Integers spread evenly from 0 to count − 1, at most `most` of them."""
     return [int(k) for k in np.linspace(0, count - 1, min(count, most))]

@@ -1,11 +1,11 @@
-"""Bones as a picture shows them: octahedra from joint to joint, or balls with axes."""
+"""Drawing of bones: octahedra from joint to joint, or balls with axes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .light import Illumination
+from .light import reflected
 from .palette import linear_from_srgb
 from .raster import Camera, balls_seen, empty_depth, normals_of, triangles_seen, unit
 from .scene import Scene
@@ -13,12 +13,12 @@ from .scene import Scene
 __all__ = ["draw_bones", "octahedra"]
 
 Float = NDArray[np.float64]
-# sRGB of a bone's x, y and z axes: red, green, blue, as modelling programs draw them
+# red, green and blue for a bone's x, y and z axes, as in modelling programs
 _AXES = linear_from_srgb([[0.86, 0.27, 0.25], [0.30, 0.66, 0.31], [0.22, 0.45, 0.85]])
 _JOINT = linear_from_srgb([0.24, 0.25, 0.28])
-_COVERED = 0.82  # opacity of a bone behind the surface, which shines through it
-_WAIST, _WIDTH = 0.16, 0.085  # of a bone's length: where it is widest, and how wide to each side
-_THICKEST = 0.016  # of the diagonal
+_COVERED = 0.82  # opacity of a bone behind the surface
+_WAIST, _WIDTH = 0.16, 0.085  # position and half width of the widest section, per bone length
+_THICKEST = 0.016  # largest half width, relative to the diagonal
 _CORNERS = np.array(
     [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]]
 )
@@ -29,18 +29,18 @@ def draw_bones(
 ) -> None:
     """Draw the bones of a frame over a picture.
 
-    In a hierarchy each bone is an octahedron from its joint to every joint that hangs on it, or to
-    its end.  Without one it is a ball at the posed centroid of what it moves, with its axes.
+    With a hierarchy a bone is drawn as octahedra from its joint to the joints of its children, or
+    to its end.  Without one it is a ball, with axes, at the posed centroid of what it moves.
 
     Parameters
     ----------
     picture : (H, W, 3) float64
-        Linear RGB, updated.
+        Linear RGB, updated in place.
     surface : (H, W) float64
         Depth buffer of the mesh.
     camera : Camera
     scene : Scene
-        Of a skinning.
+        The subject is a skinning.
     frame : int
     shift : (3,) float64
         Subtracted from all points.
@@ -51,7 +51,7 @@ def draw_bones(
         centers, ball_colors = _moved(m, scene.centroids), scene.palette
         radius = scene.diagonal * 0.022 * min(1.0, (20 / len(m)) ** 0.33)
         axes = 2.3 * radius * unit(np.swapaxes(m[:, :, :3], 1, 2))
-        # Their wide ends are outside the ball.
+        # the wide end of an axis lies outside the ball
         heads, tails = (centers[:, None] + axes).reshape(-1, 3), np.repeat(centers, 3, axis=0)
         colors, most = np.tile(_AXES, (len(m), 1)), 0.18 * radius
     else:
@@ -72,12 +72,12 @@ def draw_bones(
     drawn.append((pixels, normal, ball_colors[index]))
     for pixels, normal, albedo in drawn:
         opacity = np.where(surface[pixels] > nearness[pixels], _COVERED, 1.0)[:, None]
-        color = Illumination(camera, normal).shaded(albedo)
+        color = reflected(camera, normal, albedo)
         picture[pixels] += opacity * (color - picture[pixels])
 
 
 def octahedra(heads: Float, tails: Float, *, most: float) -> tuple[Float, NDArray[np.int32]]:
-    """Long octahedra between pairs of points.
+    """Octahedra stretched between pairs of points.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A posed subject under the lights, before its colours are known."""
+"""Visible points of a posed subject and the light on them, for any colours."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
-from .light import Illumination, Lights, around_both_sides, lamp, sky
+from .light import Lights, around_both_sides, lamp, reflected, sky
 from .palette import linear_from_srgb
 from .raster import (
     Camera,
@@ -27,34 +27,39 @@ __all__ = ["Stage"]
 Float = NDArray[np.float64]
 _TOP, _BOTTOM = (0.957, 0.957, 0.965), (0.863, 0.871, 0.894)  # sRGB of the backdrop
 _CREASE = 0.6  # cosine of the angle between the normals of a vertex and its triangle
-_BIAS = 0.0035  # of the diagonal: nearer surfaces do not shade each other
+_BIAS = 0.0035  # distance, relative to the diagonal, below which surfaces cast no shadow
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stage:
-    """A posed subject under the lights; pictures of it in several colours share this work.
+    """Visible points of a posed subject and the light on them; pictures in all colours share it.
 
     Attributes
     ----------
+    camera : Camera
     picture : (H, W, 3) float64
-        The backdrop with the shadows on the floor, linear RGB.
+        The background with shadows on the floor, linear RGB.
     nearness : (H, W) float64
         Depth buffer of the subject.
     pixels : (rows, columns)
-        The N pixels that show it.
+        The N pixels that show the subject.
     corners : (N, k) int32
-        Vertices of the triangle, or the point, that each of them shows.
+        Vertices of the triangle in each of these pixels, or the vertex of a cloud.
     share : (N, k) float64
-        Barycentric coordinates between them.
-    lit : Illumination
+        Barycentric coordinates for them.
+    normal, around, reached
+        As in :func:`reflected`.
     """
 
+    camera: Camera
     picture: Float
     nearness: Float
     pixels: Pixels
     corners: NDArray[np.int32]
     share: Float
-    lit: Illumination
+    normal: Float
+    around: Float | None = None
+    reached: Float | float = 1.0
 
     @classmethod
     def of_mesh(
@@ -75,54 +80,53 @@ class Stage:
         points : (V, 3) float64
         faces : (T, 3) int32
         ground : float
-            Height of the floor, which gets shadows.
+            Height of the floor, on which shadows fall.
         """
         bias = _BIAS * float(np.linalg.norm(np.ptp(points, axis=0)))
-        around, beams = sky(camera, points, faces), lamp(camera, points, faces)
-        # Shadows on the floor are soft: a quarter of the resolution is enough.
+        dome, beams = sky(camera, points, faces), lamp(camera, points, faces)
+        # A quarter of the resolution is enough for soft shadows on the floor.
         coarse = (max(1, size[0] // 4), max(1, size[1] // 4))
-        shade = Image.fromarray(_floor(camera, coarse, ground, points, around, beams, bias))
+        shade = Image.fromarray(_floor(camera, coarse, ground, points, dome, beams, bias))
         floor = np.asarray(shade.resize(size, Image.Resampling.BILINEAR))
         nearness = empty_depth(size)
         pixels, hit, share = triangles_seen(camera, points, faces, nearness)
         corners = faces[hit]
         flat, smooth = normals_of(points, faces)
-        # Light from around changes slowly: at vertices, not at every pixel.
+        # Light of sky and floor varies slowly, so that it is computed at vertices, not pixels.
         seen = np.zeros(len(points), dtype=bool)
         seen[corners] = True
         light = np.zeros((len(points), 6))
-        light[seen] = around_both_sides(around, points[seen], smooth[seen], bias)
+        light[seen] = around_both_sides(dome, points[seen], smooth[seen], bias)
         at, arrived = between(share, points[corners]), between(share, light[corners])
         toward = camera.eye - at if camera.perspective else camera.axes[2]
         side = (flat[hit] * toward).sum(axis=1, keepdims=True) > 0
-        # Across a crease a corner keeps its triangle's own normal.
+        # At a crease a corner has the normal of its triangle.
         own, normal = flat[hit][:, None], smooth[corners]
         normal = np.where((normal * own).sum(axis=2, keepdims=True) < _CREASE, own, normal)
         normal = unit(between(share, normal)) * np.where(side, 1.0, -1.0)
         reached = beams.shares(at, normal, bias).mean(axis=1)[:, None]
-        lit = Illumination(camera, normal, np.where(side, *np.split(arrived, 2, axis=1)), reached)
+        around = np.where(side, *np.split(arrived, 2, axis=1))
         picture = _backdrop(size) * floor[..., None]
-        return cls(picture, nearness, pixels, corners, share, lit)
+        return cls(camera, picture, nearness, pixels, corners, share, normal, around, reached)
 
     @classmethod
     def of_cloud(cls, camera: Camera, size: tuple[int, int], points: Float, radius: float) -> Stage:
-        """Light a cloud of points, drawn as balls, without shadows."""
+        """Light a cloud of points, drawn as balls without shadows."""
         nearness = empty_depth(size)
         pixels, index, normal = balls_seen(camera, points, np.full(len(points), radius), nearness)
-        lit = Illumination(camera, normal)
         share = np.ones((len(index), 1))
-        return cls(_backdrop(size), nearness, pixels, index[:, None], share, lit)
+        return cls(camera, _backdrop(size), nearness, pixels, index[:, None], share, normal)
 
     def draw(self, colors: Float, even: float = 0.0, opacity: float = 1.0) -> Float:
-        """Picture ``(H, W, 3)`` of a subject of colours ``(V, 3)``, all linear RGB."""
-        picture = self.picture.copy()
-        color = self.lit.shaded(between(self.share, colors[self.corners]), even)
+        """Picture ``(H, W, 3)`` of the subject with vertex colours ``(V, 3)``, linear RGB."""
+        picture, albedo = self.picture.copy(), between(self.share, colors[self.corners])
+        color = reflected(self.camera, self.normal, albedo, self.around, self.reached, even)
         picture[self.pixels] += opacity * (color - picture[self.pixels])
         return picture
 
 
 def _backdrop(size: tuple[int, int]) -> Float:
-    """A quiet vertical gradient, linear RGB."""
+    """Background ``(H, W, 3)``: a vertical gradient, linear RGB."""
     at = np.linspace(0, 1, size[1])[:, None]
     rows = linear_from_srgb(np.array(_TOP) * (1 - at) + np.array(_BOTTOM) * at)
     return np.repeat(rows[:, None], size[0], axis=1)
@@ -133,13 +137,13 @@ def _floor(
     size: tuple[int, int],
     ground: float,
     points: Float,
-    around: Lights,
+    dome: Lights,
     beams: Lights,
     bias: float,
 ) -> NDArray[np.float32]:
-    """Share ``(H, W)`` of the light that reaches the floor; 1 in pixels that show no floor."""
+    """Share ``(H, W)`` of the light that reaches the floor; 1 in pixels without floor."""
     out = np.ones((size[1], size[0]), dtype=np.float32)
-    # There is no floor in a view from below, where it would hide everything.
+    # No floor in a view from below, where it would hide the subject.
     if camera.axes[2] @ camera.vertical <= 0.02:
         return out
     rows, columns = np.indices(out.shape).reshape(2, -1)
@@ -152,14 +156,14 @@ def _floor(
     near = (far > 0) & (np.linalg.norm(at - centre, axis=1) < 1.5 * reach)
     at, pixels = at[near], (rows[near], columns[near])
     up = np.tile(camera.vertical, (len(at), 1))
-    # Light that grazes the floor is left out: it casts a streak for each direction.
-    cosine = around.directions @ camera.vertical
+    # Light that grazes the floor is left out, since each direction would cast a streak.
+    cosine = dome.directions @ camera.vertical
     high = cosine > 0.3
-    weight = cosine[high] * around.colors[high].mean(axis=1)
-    arrived = around.only(high).shares(at, up, bias) @ (weight / weight.sum())
+    weight = cosine[high] * dome.colors[high].mean(axis=1)
+    arrived = dome.only(high).shares(at, up, bias) @ (weight / weight.sum())
     beam = beams.shares(at, up, bias).mean(axis=1)
     soft = np.zeros_like(out)
-    # The shadows are weak, since a white floor is lit by more than the lamp and the sky.
+    # Shadows are weakened, since a white floor in a room gets light from everywhere.
     soft[pixels] = 0.55 * (1 - arrived)
     out -= gaussian_filter(soft, size[1] / 22)
     out[pixels] *= 1 - 0.22 * (1 - beam)

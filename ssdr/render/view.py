@@ -1,4 +1,4 @@
-"""The common view of all panels: a camera that may follow the subject."""
+"""Common view of all panels: a camera that may follow the subject."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ __all__ = ["View"]
 
 Float = NDArray[np.float64]
 
-_SIZES = (16, 8192)  # smallest and largest side in pixels: larger needs gigabytes of samples
-_SIDES = (25, -25, 40, -40, 60, -60, 10, -10)  # degrees that are tried where none are given
+_SIZES = (16, 8192)  # smallest and largest side in pixels; larger ones take gigabytes
+_SIDES = (25, -25, 40, -40, 60, -60, 10, -10)  # azimuths to choose from, in degrees
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """Camera of all panels, and the shift of each frame into its view.
+    """Camera of all panels, and the shift of each frame towards it.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class View:
     size : (int, int)
         Width and height of a panel in pixels.
     ground : float
-        Height of the lowest point, along the camera's vertical.
+        Height of the lowest point along the camera's vertical.
     shift : dict of int to (3,) float64
         Subtracted from the points of each frame.
     """
@@ -58,7 +58,7 @@ class View:
         perspective: bool = True,
         track: Float | None = None,
     ) -> View:
-        """Fit a camera to the motion; it follows a subject that travels far.
+        """View of the motion; the camera follows a subject that travels far.
 
         Parameters
         ----------
@@ -66,14 +66,14 @@ class View:
         frames : sequence of int
             Frames to be drawn.
         size : (int, int) or None
-            Width and height of a panel in pixels; the view is that of the whole motion.
+            Width and height of a panel in pixels, for a view of the whole motion.
         width : int, optional
-            Replaces the size: height and view are those of the frames to be drawn, which are
-            centred.
+            Width of a panel instead of its size.  The height and the view fit the frames to be
+            drawn, each centred if the motion travels.
         camera, up, azimuth, elevation, perspective
             As in :func:`render_frame`.
         track : (F, 3) float64, optional
-            Path of the camera, in place of following the subject.
+            Path of the camera, instead of following the subject.
         """
         if not -90 <= elevation <= 90:
             raise InputError("elevation", "-90 to 90 degrees", elevation)
@@ -116,7 +116,7 @@ def _checked_size(size: Any) -> tuple[int, int]:
 
 
 def _best_azimuth(points: list[Float], up: str, elevation: float) -> float:
-    """Azimuth from which the motion covers most of its picture, the front preferred."""
+    """Azimuth at which the motion covers most of the picture, with a preference for the front."""
     sample = np.concatenate(
         [p[:: max(1, len(p) // 1500)] for p in points[:: max(1, len(points) // 6)]]
     )

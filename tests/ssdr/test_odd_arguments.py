@@ -111,9 +111,6 @@ def test_flags_options_and_kinds_of_the_measures(odd: Any) -> None:
     for name in ("hausdorff", "sted"):
         with pytest.raises(InputError, match=f"{name}: expected True or False"):
             ssdr.metrics.compare(frames, frames, faces, **{name: odd})
-        if odd is not None and not isinstance(odd, dict):
-            with pytest.raises(InputError, match=f"{name}_options: expected a mapping"):
-                ssdr.metrics.compare(frames, frames, faces, **{f"{name}_options": odd})
     with pytest.raises(InputError, match="surface: expected True or False"):
         ssdr.metrics.hausdorff(frames, frames, faces, surface=odd)
     with pytest.raises(InputError, match="signed: expected True or False"):
@@ -129,7 +126,6 @@ def test_other_odd_arguments() -> None:
     frames, faces = small()
     model = ssdr.initialize(frames, bones=2)
     for call in (
-        lambda: ssdr.metrics.compare(frames, frames, faces, sted_options={"windoww": 3}),
         lambda: ssdr.laplacian.uniform_laplacian(faces, 10**30),
         lambda: ssdr.skin(model.rest, model.indices, model.weights, model.transforms, dtype="x"),
         lambda: render_frame(ssdr.MeshSequence(frames, faces), size=None),

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import ssdr
 from helpers.measures import wavy
-from ssdr.parsimony.fewest_bones import Bounds, FewestBones
+from ssdr.parsimony.fewest_bones import FewestBones
 
 
 def test_progress_and_cancel() -> None:
@@ -79,7 +79,7 @@ def test_merging_down_ends_one_above_what_was_given_up(data: Any, least: int, he
     """Whatever fails or holds, also where what failed once holds later."""
     failed = data.draw(st.sets(st.integers(least, held - 1)))
     ladder: Any = _Ladder(least, held, failed, lambda a, b: data.draw(st.integers(a, b)))
-    search, given_up = FewestBones(ladder, Bounds(least, held, 0), "fast"), list[int]()
+    search, given_up = FewestBones(ladder, least, held, 0, "fast"), list[int]()
     refine = search.refine
 
     def refined(bones: int) -> None:

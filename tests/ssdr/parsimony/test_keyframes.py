@@ -23,21 +23,17 @@ def test_keys_are_the_best_of_all_subsets(price: float) -> None:
     model = ssdr.Skinning(rig.rest, rig.indices, rig.weights, transforms)
     tracks = Tracks(model, np.array([0, 7]))
     keys, said = tracks.choose(price)
-    best = np.inf
-    full = model.skin()
-    for inner in itertools.product([False, True], repeat=5):
-        mask = np.array([True, *inner, True])[:, None]
-        error = float(((tracks.play(mask).skin() - full) ** 2).sum())
-        bytes_ = 7 * 28 if mask.all() else 30 * int(mask.sum())
-        best = min(best, error + price * bytes_)
-    for t in range(7):
-        mask = np.arange(7)[:, None] == t
-        error = float(((tracks.play(mask).skin() - full) ** 2).sum())
-        best = min(best, error + price * 30)
-    bytes_ = 7 * 28 if keys.all() else 30 * int(keys.sum())
-    assert said + price * bytes_ == pytest.approx(best, rel=1e-9)
+    masks = [np.arange(7) == t for t in range(7)]
+    masks += [np.array([True, *m, True]) for m in itertools.product([False, True], repeat=5)]
+
+    def error_and_bytes(mask: np.ndarray) -> tuple[float, int]:
+        added = float(((tracks.play(mask).skin() - model.skin()) ** 2).sum())
+        return added, 7 * 28 if mask.all() else 30 * int(mask.sum())
+
+    costs = [error + price * size for error, size in (error_and_bytes(m[:, None]) for m in masks)]
+    added, size = error_and_bytes(keys)
+    assert said + price * size == pytest.approx(min(costs), rel=1e-9)
     # one influence a vertex: what is said is what is added
-    added = float(((tracks.play(keys).skin() - full) ** 2).sum())
     assert said == pytest.approx(added, rel=1e-9, abs=1e-15)
 
 

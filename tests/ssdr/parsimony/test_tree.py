@@ -21,6 +21,18 @@ def _tracks(model):
     return Tracks(model, np.array([0, model.n_frames]))
 
 
+def _keys(model, bone, frames, value):
+    """Every frame a key but for one bone, whose chosen frames alone have the value."""
+    keys = np.ones(model.transforms.shape[:2], dtype=bool)
+    keys[:, bone] = not value
+    keys[frames, bone] = value
+    return keys
+
+
+def _added(tracks, model, keys):
+    return float(((tracks.play(keys).skin() - model.skin()) ** 2).sum())
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("bone", range(len(PARENTS)))
 def test_what_one_joint_costs_is_what_all_that_hangs_on_it_moves(kind, bone):
@@ -28,29 +40,14 @@ def test_what_one_joint_costs_is_what_all_that_hangs_on_it_moves(kind, bone):
     tracks = _tracks(model)
     k = tracks.spans.index(3)
     for first in (0, 4):
-        keys = np.ones(model.transforms.shape[:2], dtype=bool)
-        keys[first + 1 : first + 3, bone] = False
-        added = float(((tracks.play(keys).skin() - model.skin()) ** 2).sum())
+        keys = _keys(model, bone, slice(first + 1, first + 3), False)
+        added = _added(tracks, model, keys)
         assert tracks.cost[k][first, bone] == pytest.approx(added, rel=1e-7, abs=1e-12)
-    still = np.ones(model.transforms.shape[:2], dtype=bool)
-    still[:, bone] = False
-    still[tracks.still[bone], bone] = True
-    added = float(((tracks.play(still).skin() - model.skin()) ** 2).sum())
-    assert tracks.still_cost[bone] == pytest.approx(added, rel=1e-7, abs=1e-10)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_frame_to_stand_still_at_is_the_best(kind):
-    model = creature(**kind).prune(1)
-    tracks = _tracks(model)
-    for bone in (0, 2, 6):
-        costs = []
-        for frame in range(model.n_frames):
-            keys = np.ones(model.transforms.shape[:2], dtype=bool)
-            keys[:, bone] = False
-            keys[frame, bone] = True
-            costs.append(float(((tracks.play(keys).skin() - model.skin()) ** 2).sum()))
-        assert min(costs) == pytest.approx(costs[tracks.still[bone]], rel=1e-9)
+    costs = [
+        _added(tracks, model, _keys(model, bone, frame, True)) for frame in range(model.n_frames)
+    ]
+    assert min(costs) == pytest.approx(costs[tracks.still[bone]], rel=1e-9, abs=1e-12)
+    assert tracks.still_cost[bone] == pytest.approx(min(costs), rel=1e-7, abs=1e-10)
 
 
 def test_shared_vertices_cost_at_most_what_is_said_of_one_joint():
@@ -58,9 +55,7 @@ def test_shared_vertices_cost_at_most_what_is_said_of_one_joint():
     tracks = _tracks(model)
     k = tracks.spans.index(3)
     for bone in range(model.n_bones):
-        keys = np.ones(model.transforms.shape[:2], dtype=bool)
-        keys[3:5, bone] = False
-        added = float(((tracks.play(keys).skin() - model.skin()) ** 2).sum())
+        added = _added(tracks, model, _keys(model, bone, slice(3, 5), False))
         assert added <= tracks.cost[k][2, bone] * (1 + 1e-9)
 
 
