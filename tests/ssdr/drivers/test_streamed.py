@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import ssdr
 from helpers import motions, trees
 from helpers.measures import bits, bits_on_threads, diagonal, rmse_of
 from ssdr.drivers import scan
+from ssdr.drivers.passes import AllFrames
 from ssdr.search.progress import ProgressReport
 
 pytestmark = pytest.mark.usefixtures("tiny_memory")
@@ -49,6 +51,20 @@ def test_a_skeleton_is_found_again_and_every_frame_hangs_on_its_joints() -> None
     place = trees.matched(model, made)
     named = {frozenset(int(place[k]) for k in edge) for edge in trees.edges(made.parents)}
     assert named == trees.edges(model.parents)
+
+
+def test_the_objective_of_a_pass_over_a_rig_is_its_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors, pass_over = [], AllFrames.pass_over
+
+    def recorded(self: AllFrames, **options: Any) -> float:
+        value = pass_over(self, **options)
+        errors.append(self.alignment.scale * (value / frames[..., 0].size) ** 0.5)
+        return value
+
+    monkeypatch.setattr(AllFrames, "pass_over", recorded)
+    frames = motions.rippled()
+    result = ssdr.decompose(frames, bones=5, effort="fast", rig="rigid")
+    assert min(errors) == pytest.approx(rmse_of(result.skinning, frames), rel=1e-9)
 
 
 def test_motion_alone_of_a_rig_over_streamed_frames() -> None:
