@@ -82,7 +82,7 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
 
 
 def _extra_bones(text: str) -> int | dict[str, int]:
-    """A number, or numbers by name."""
+    """Parse `--extra-bones`: a number of bones, or NAME=N,... below named bones of the rig."""
     try:
         if "=" not in text:
             return int(text)

@@ -249,7 +249,7 @@ def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | 
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
-    """The one joint of a name."""
+    """Index of the joint called `name`; an InputError if none or several have that name."""
     names = skeleton.names()
     there = [k for k, known in enumerate(names) if known == name]
     if len(there) != 1:

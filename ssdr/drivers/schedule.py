@@ -113,7 +113,7 @@ def searched(trials: int) -> Schedule:
 
 
 def lowest(count: int, start: Schedule) -> Schedule:
-    """Several starts of which the lowest is polished."""
+    """Schedule that runs `start` `count` times and polishes the model of lowest objective."""
     return (Lowest(starts=count * (start,)), Polish(steps=20, gain=0.01))
 
 
@@ -216,12 +216,12 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
 
 
 def tree_of_bones(effort: Effort, size: float) -> Schedule:
-    """A first tree soon, then a search for better ones as long as the effort allows.
+    """Schedule for bones with joints whose tree is not known.
 
-    The first bones have one influence a vertex, which makes them compact, so that the tree over
-    them is close to the best one; more influences follow once they are attached.  A search ends
-    near its start, so there are several starts: of a dozen on the fox of glTF's samples, two lead
-    to the right tree.
+    First trees from several starts, then, unless the effort is "fast", a search for better trees.
+    Bones start with one influence a vertex, which makes them compact and the tree over them close
+    to the best. Once the bones are attached, more influences follow. A search ends near its start,
+    hence several starts: of twelve on the Fox of the glTF samples, two led to the right tree.
     """
     early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
     start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)

@@ -49,9 +49,11 @@ def limb_distances(points: Array, tree: Tree) -> Array:
 def match_by_motion(
     data: Trajectories, rest: Array, label: NDArray[np.intp], count: int, tree: Tree
 ) -> NDArray[np.intp]:
-    """The skeleton's bone (V,) for each vertex, from `count` free bones that move the vertices.
+    """Index (V,) of the skeleton's bone for each vertex.
 
-    `rest` (V, 3) are the vertices in the pose in which the skeleton's joints are given.
+    `label` (V,) divides the vertices among `count` free bones, which are matched with the
+    skeleton's by place and motion; each vertex takes the match of its free bone. A free bone
+    without a match takes the bone with the nearest limb.
     """
     away = limb_distances(rest, tree)
     used = np.bincount(label, minlength=count)

@@ -180,7 +180,7 @@ def mass_matrix(
 
 
 def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Points scaled by a power of two so that fourth powers do not overflow, and its exponent."""
+    """Points divided by 2**power, so that fourth powers do not overflow, and power (or 0)."""
     largest = float(np.abs(points).max())
     power = int(np.frexp(largest)[1]) if largest > _MODERATE else 0
     return np.ldexp(points, -power), power

@@ -16,7 +16,10 @@ _CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time, to bound memory
 
 
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
-    """Checked sequence of the argument; `faces`, if given, replace its own."""
+    """`frames` as a MeshSequence; `faces`, if given, replace its own.
+
+    `argument` is what errors call it.
+    """
     if isinstance(frames, MeshSequence):
         if faces is None:
             return frames

@@ -131,7 +131,11 @@ class FewestBones:
         return held
 
     def refine(self, bones: int) -> None:
-        """Make the attempts of this effort at a number of bones."""
+        """Try harder to hold the tolerance with a number of bones.
+
+        Improve the model, then try new starts, then a long search, as many as the effort allows;
+        end early if the tolerance holds or is out of reach.
+        """
         ladder, stages, spend = self.ladder, self.ladder.stages, self.spend
         lowest = ladder.models[bones].with_restarted_support()
         improve = (*stages.move(_MOVES), Polish(steps=spend.polish, gain=0.005))

@@ -151,7 +151,10 @@ class Tracks:
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
 
     def _moments(self) -> Array:
-        """Second moments (F, B, 4, 4) of the vertices that move with each bone, in its frame."""
+        """Weighted second moments (F, B, 4, 4) of the vertices that each bone moves.
+
+        Vertices of its descendants count, too; moments are in the bone's own coordinates.
+        """
         s = self.skinning
         w = s.sparse_weights().astype(np.float64).tocoo()
         arm = np.ones((w.nnz, 4))

@@ -158,7 +158,9 @@ class Ladder:
         given: Given | None = None,
         until: float | None = None,
     ) -> None:
-        """Run a schedule and keep its best model if no other of as many bones has less error.
+        """Run a schedule and keep its best model.
+
+        It is dropped if the ladder holds one with the same number of bones and less error.
 
         Parameters
         ----------

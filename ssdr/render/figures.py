@@ -222,7 +222,11 @@ def contact_sheet(
 def _draw_scale(
     page: Image.Image, panels: Panels, unit: Unit, bar: tuple[int, int, int], font: Any
 ) -> None:
-    """Draw the scale of the error, with its name and the percentage of the diagonal."""
+    """Draw the colour bar of the error.
+
+    It says what is measured, with values above and percentages of the bounding box's diagonal
+    below.
+    """
     draw, scene, scale = ImageDraw.Draw(page), panels.scene, page.width / 1600
     left, top, width = bar
     above = top - 6 * scale

@@ -170,7 +170,10 @@ def _checked_style(style: Style | None, scene: Scene) -> Style:
 
 
 def _round_up(value: float) -> float:
-    """Least of 1, 1.5, 2, 3, 4, 5, 6 and 8 times a power of ten that is not below the value."""
+    """Round up to 1, 1.5, 2, 3, 4, 5, 6 or 8 times a power of ten.
+
+    An excess of up to 0.1 % over a step does not count; 1 if the value is not positive.
+    """
     if not value > 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))

@@ -302,7 +302,7 @@ class Run:
         return lower
 
     def compress(self) -> None:
-        """Write the frames as few combinations of frames from now on."""
+        """Continue with compressed trajectories: each frame a combination of a small basis."""
         self.whole = self.data = self.whole.compressed(self.bones)
 
     def take_sample(self, count: int) -> None:

@@ -1,4 +1,7 @@
-"""The stages of a schedule for bones without joints; each `apply` makes its small steps."""
+"""Stages of a schedule for bones without joints.
+
+The `apply` of a stage is a generator that yields after each step.
+"""
 
 from __future__ import annotations
 

@@ -1,12 +1,14 @@
 """Gauss–Newton on the bones, with weights and rest pose projected out.
 
-The objective becomes φ(M) = min over weights and rest pose.  In unknowns x that move the bones (see
-:mod:`~ssdr.solver.tangents`), a step solves
+With E the objective and v the unknowns of the vertices (weights and rest pose), the bones M minimise
+φ(M) = min E(M, v) over v.  In unknowns x that move the bones (see :mod:`~ssdr.solver.tangents`), a
+step solves
 
     [Jᵀ (H_mm − H_mv H_vv⁻¹ H_vm) J + λD] x = −Jᵀ ∇φ
 
-by conjugate gradients: m are the stacked transforms, v the vertices' unknowns, J is the image of a
-tangent, λ the damping.
+by conjugate gradients.  H is the Gauss–Newton Hessian of E in the stacked transforms m and in v,
+J = ∂m/∂x the derivative that `Tangent.image` applies, λ the damping and D its scaling, which the
+tangent defines.
 
 References
 ----------

@@ -23,7 +23,9 @@ _PAIR = np.array([[0, 3, 4, 6], [3, 1, 5, 7], [4, 5, 2, 8], [6, 7, 8, 9]])
 
 
 def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
-    """G (4B, 4B) of stacked transforms as the kernels take it.
+    """Rearrange the Gram matrix G (4B, 4B) of the stacked transforms for the kernels.
+
+    They read it in two layouts.
 
     Returns
     -------

@@ -175,7 +175,7 @@ def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
-    """Name of the only mesh of the file; that of the file where it has several."""
+    """Name of the file's mesh if it has exactly one, else the stem of the file's name."""
     return readable(arrays["title"]) if "title" in arrays else path.stem
 
 

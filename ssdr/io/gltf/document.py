@@ -245,7 +245,10 @@ class Document:
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        """Elements of a buffer view from the offset of an accessor, or of part of a sparse one."""
+        """View (count, width) of the elements that `item` refers to in its buffer view.
+
+        `item` is an accessor, or the `indices` or `values` of a sparse one.
+        """
         data, stride = self.view(item["bufferView"])
         offset = self.integer(item, "byteOffset", what, 0)
         size = dtype.itemsize * width

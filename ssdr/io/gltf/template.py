@@ -151,7 +151,10 @@ class Template:
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:
-        """Remove weights and names of morph targets from a mesh, and lines, which no skin moves."""
+        """Remove the weights and names of morph targets from a mesh and its node.
+
+        Line primitives are removed as well, since no skin moves them, and reported as lost.
+        """
         solid = [p for p in mesh["primitives"] if p.get("mode", 4) not in _LINES]
         if len(solid) < len(mesh["primitives"]):
             self.builder.lost.append(f"lines of the mesh {mesh.get('name') or f'of node {node}'}")

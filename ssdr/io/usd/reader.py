@@ -30,7 +30,10 @@ _ALL = Usd.TraverseInstanceProxies()
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StageClip:
-    """A clip of a stage: one SkelAnimation of its only skeleton, else everything that moves.
+    """A clip of a stage.
+
+    If the stage has a single skeleton with usable SkelAnimations, each of them is a clip; otherwise
+    the whole animation of the stage is the only one.
 
     Attributes
     ----------

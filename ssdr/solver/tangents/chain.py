@@ -179,5 +179,8 @@ class ChainTangent(Tangent):
         return turns, shifts, moved
 
     def _chain(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Bones with parents first, parents, and joints, as the kernels take them."""
+        """Arguments of the kernels: order of the bones, their parents, and joint positions.
+
+        Parents precede children in the order.
+        """
         return self._order, self._parents, self.model.hierarchy.points
