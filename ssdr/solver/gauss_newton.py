@@ -1,8 +1,8 @@
 """Gauss–Newton on the bones, with weights and rest pose projected out.
 
-With E the objective and v the unknowns of the vertices (weights and rest pose), the bones M minimise
-φ(M) = min E(M, v) over v.  In unknowns x that move the bones (see :mod:`~ssdr.solver.tangents`), a
-step solves
+With E the objective and v the unknowns of the vertices (weights and rest pose), the bones M
+minimise φ(M) = min E(M, v) over v.  In unknowns x that move the bones (see
+:mod:`~ssdr.solver.tangents`), a step solves
 
     [Jᵀ (H_mm − H_mv H_vv⁻¹ H_vm) J + λD] x = −Jᵀ ∇φ
 

@@ -120,8 +120,8 @@ class SkinnedMeshes:
     """All meshes of a scene with the bones that move them, sampled frame by frame.
 
     Let O and A be the world matrices of a mesh and its armature, and P and R the pose and rest
-    matrices of a bone in armature space.  Blender moves vertex p of the mesh to A (Σ w P R⁻¹) A⁻¹ O p.
-    The rest pose is O₀ p in world space, where ₀ marks the first frame, and a bone's transform from
+    matrices of a bone in armature space.  Blender moves vertex p of the mesh to
+    A (Σ w P R⁻¹) A⁻¹ O p.  The rest pose is O₀ p in world space, where ₀ marks the first frame, and a bone's transform from
     there is (A P R⁻¹) (A⁻¹ O O₀⁻¹).  If the mesh follows its armature, the second factor is A₀⁻¹ in
     all frames, so that all such meshes share the armature's bones.
     """
