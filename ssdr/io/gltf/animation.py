@@ -26,7 +26,19 @@ _Channel = tuple[NDArray[np.float64], NDArray[np.float64], str]  # key times, va
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Animation:
-    """One clip: the keys of each channel, and the frames at which to sample them."""
+    """An animation of a glTF file, and the frames at which to sample it.
+
+    Attributes
+    ----------
+    name : str
+    fps : float
+        Frames per second.
+    times : (F,) float64
+        Time of each frame in seconds.
+    channels : dict
+        Key times, values and interpolation of each channel, by the index of its node and its path
+        ("translation", "rotation", "scale" or "weights").
+    """
 
     name: str
     fps: float
@@ -38,32 +50,32 @@ class Animation:
         return Clip(self.name, 0, len(self.times), self.fps)
 
     def sample(self, node: int, path: str) -> NDArray[np.float64] | None:
-        """Values ``(F, width)`` of a channel; None where it is not animated."""
+        """Values ``(F, width)`` of the channel for `path` of `node`; None without a channel."""
         if (node, path) not in self.channels:
             return None
         return _interpolate(*self.channels[node, path], self.times, path == "rotation")
 
 
 def mesh_name(document: Document) -> str:
-    """Name of the only mesh of the file, else of the file."""
+    """Name that all meshes of the file share, else the file's own name without its suffix."""
     names = {readable(mesh.get("name", "")) for mesh in document.items("meshes")}
     return (names.pop() if len(names) == 1 else "") or document.path.stem
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
-    """Names of the clips, all different; that of the mesh where nothing is animated."""
+    """Names of the file's animations, all different; only `mesh_name` if it has no animation."""
     found = [animation.get("name") or "" for animation in document.items("animations")]
     names = [readable(name) or f"animation_{k}" for k, name in enumerate(found)]
     return unique_names(names or [mesh_name(document)])
 
 
 def read_animations(document: Document, fps: float | None = None) -> list[Animation]:
-    """All clips in the order of the file; without any, one still frame."""
+    """All animations in the order of the file; a single still frame if it has none."""
     return [read_animation(document, k, fps) for k in range(len(animation_names(document)))]
 
 
 def read_animation(document: Document, index: int, fps: float | None = None) -> Animation:
-    """The clip of that number, sampled at its own frame rate or at `fps`."""
+    """Animation number `index` of the file, with frames at its own rate or at `fps`."""
     name = animation_names(document)[index]
     if not document.items("animations"):
         return Animation(name, fps or 24.0, np.zeros(1), {})
@@ -112,7 +124,7 @@ def _interpolate(
     times: NDArray[np.float64],
     rotation: bool,
 ) -> NDArray[np.float64]:
-    # Key times are float32: a frame must not lie just before its own key by their rounding.
+    # Key times are float32, and their rounding must not put a frame just before its own key.
     slack = 1e-6 * max(1.0, float(keys[-1]))
     right = np.clip(np.searchsorted(keys, times + slack, side="right"), 1, max(1, len(keys) - 1))
     left = right - 1
@@ -129,7 +141,7 @@ def _interpolate(
     u, d = share[:, None], span[:, None]
     if how == "LINEAR":
         return np.asarray((1 - u) * values[left] + u * values[right])
-    # Hermite spline; in-tangent, value and out-tangent follow each other.
+    # Hermite spline: a key has three rows, its in-tangent, its value and its out-tangent.
     return np.asarray(
         (2 * u**3 - 3 * u**2 + 1) * values[3 * left + 1]
         + d * (u**3 - 2 * u**2 + u) * values[3 * left + 2]
@@ -139,7 +151,7 @@ def _interpolate(
 
 
 def descendants(nodes: Sequence[dict[str, Any]], roots: Iterable[int]) -> list[int]:
-    """Nodes and all nodes below them, each before its children."""
+    """Indices of the nodes `roots` and of all nodes below them, each before its children."""
     order: dict[int, None] = {}
     stack = list(roots)[::-1]
     while stack:
@@ -151,16 +163,16 @@ def descendants(nodes: Sequence[dict[str, Any]], roots: Iterable[int]) -> list[i
 
 
 class Nodes:
-    """The nodes of a file over the frames of a clip.
+    """The nodes of a file, with their transforms over the frames of an animation.
 
     Attributes
     ----------
     items : list of dict
-        The nodes' JSON.
+        JSON of each node.
     order : list of int
-        All nodes, each before its children.
+        Indices of all nodes, each before its children.
     shown : list of int
-        The nodes of the scene.
+        Indices of the nodes in the file's default scene; all nodes if the file has no scenes.
 
     Raises
     ------
@@ -188,13 +200,13 @@ class Nodes:
             self.shown = descendants(self.items, scene.get("nodes", []))
 
     def ancestors(self, node: int) -> Iterator[int]:
-        """The nodes above a node, the nearest first."""
+        """Indices of the nodes above a node, the nearest first."""
         while node in self._parent:
             node = self._parent[node]
             yield node
 
     def matrices(self, node: int) -> NDArray[np.float64]:
-        """Global transforms ``(F, 4, 4)`` of a node, or ``(1, 4, 4)`` of one that stands still."""
+        """Global transforms ``(F, 4, 4)`` of a node; ``(1, 4, 4)`` if the node does not move."""
         chain = [node]
         while chain[-1] not in self._cache and chain[-1] in self._parent:
             chain.append(self._parent[chain[-1]])

@@ -1,4 +1,4 @@
-"""glTF documents that are built up from accessors and written."""
+"""Building of a glTF document from accessors, and writing of its file."""
 
 from __future__ import annotations
 
@@ -23,21 +23,24 @@ ARRAY, ELEMENTS = 34962, 34963
 
 
 class Builder:
-    """A glTF document to which accessors are added: an empty one, or a copy of one that was read.
+    """A glTF document to which accessors are added, and which starts empty or as a copy.
 
     Parameters
     ----------
     document : Document, optional
-        A file whose JSON and bytes are taken over; compressed views become plain ones.
+        The document to copy. Its compressed buffer views are stored decompressed.
 
     Attributes
     ----------
     json : dict
+        JSON of the file.
     blocks : list of bytes
-        Bytes of the views. Until the file is written, the field "buffer" of a view is the index of
-        its bytes in this list.
-    lost, notes : list of str
-        Contents of the document that cannot be kept, and what else the user should know.
+        Bytes of each buffer view. Until the file is written, the field "buffer" of a view is an
+        index into this list.
+    lost : list of str
+        Contents of the copied document that cannot be kept.
+    notes : list of str
+        Other messages for the user.
     """
 
     def __init__(self, document: Document | None = None) -> None:
@@ -64,7 +67,7 @@ class Builder:
             self.json.setdefault(key, [])
 
     def view(self, data: bytes, **fields: Any) -> int:
-        """Add a buffer view and return its number."""
+        """Add a buffer view of `data` with the JSON `fields` and return its index."""
         views: list[Any] = self.json["bufferViews"]
         views.append({"buffer": len(self.blocks), **fields})
         self.blocks.append(data)
@@ -79,7 +82,11 @@ class Builder:
         normalized: bool = False,
         bounds: bool = False,
     ) -> int:
-        """Add an accessor with a view of its own and return its number."""
+        """Add an accessor for `array` in a buffer view of its own and return the accessor's index.
+
+        `kind` is its type in glTF, such as "VEC3"; `target` states the use of the view. With
+        `bounds`, the accessor states the minimum and maximum of its values.
+        """
         fields = {} if target is None else {"target": target}
         item: dict[str, Any] = {
             "bufferView": self.view(np.ascontiguousarray(array).tobytes(), **fields),
@@ -90,7 +97,7 @@ class Builder:
         if normalized:
             item["normalized"] = True
         if bounds:
-            # float() of a float32 keeps its value in JSON; validators compare exactly.
+            # Validators compare bounds exactly, and float() keeps a float32's value in JSON.
             flat = array.reshape(len(array), -1)
             item["min"] = [float(x) for x in flat.min(axis=0)]
             item["max"] = [float(x) for x in flat.max(axis=0)]
@@ -99,7 +106,7 @@ class Builder:
         return len(accessors) - 1
 
     def save(self, path: Path) -> int:
-        """Write the file, with the ``.bin`` of a ``.gltf``, and return the number of bytes.
+        """Write a ``.glb``, or a ``.gltf`` with its ``.bin``, and return the number of bytes.
 
         Raises
         ------
@@ -141,7 +148,7 @@ class Builder:
         return write_bytes(path, b"".join([head, *blocks]))
 
     def _embed_pictures(self, path: Path) -> None:
-        """Put pictures that do not lie beside `path` into the buffer."""
+        """Put pictures into the buffer if `path` is a ``.glb`` or in another folder than they."""
         if self.document is None:
             return
         for image in self.json.get("images", []):

@@ -1,7 +1,7 @@
-"""Draco and meshopt: glTF's compressed geometry, decoded by the libraries of two extras.
+"""Decoding of glTF geometry that is compressed with Draco or meshopt, by optional libraries.
 
-Both libraries are told what the file's JSON states, and their results are compared with it: a file
-that states one size and holds another is refused.
+Decoded data are compared with the sizes and types that the file's JSON states, and a file in which
+they differ is refused.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 def decode_mesh(data: bytes, path: Path) -> tuple[dict[int, NDArray[Any]], NDArray[Any] | None]:
-    """Attributes of a Draco mesh by their numbers, and its faces if it has any.
+    """Arrays of a Draco mesh's attributes by attribute id, and its faces (None if it has none).
 
     Raises
     ------
     MissingDependencyError
-        Without DracoPy.
+        If DracoPy is not installed.
     FormatError
         If the data are damaged.
     """
@@ -41,14 +41,14 @@ def decode_mesh(data: bytes, path: Path) -> tuple[dict[int, NDArray[Any]], NDArr
 def decode_view(
     data: bytes, count: int, stride: int, mode: str, filter_: str, path: Path
 ) -> memoryview:
-    """Bytes of a buffer view compressed with meshopt: `count` elements of `stride` bytes.
+    """Decompressed bytes of a meshopt buffer view, which are `count` elements of `stride` bytes.
 
     Raises
     ------
     MissingDependencyError
-        Without meshoptimizer.
+        If meshoptimizer is not installed.
     FormatError
-        If the data are damaged, or the mode or filter is unknown.
+        If the data are damaged, or the mode or filter is unknown or does not fit the elements.
     """
     library = require("meshoptimizer", "meshopt", f"{path}: buffers compressed with meshopt")
     state = f"{mode!r} and a stride of {stride} bytes"
@@ -71,7 +71,7 @@ def decode_view(
         decode = library.decode_index_buffer
         if mode == "INDICES":
             decode = library.decode_index_sequence
-        index: NDArray[np.uint32] = decode(count, 4, data)  # the library's arrays have 32 bits
+        index: NDArray[np.uint32] = decode(count, 4, data)  # the library decodes to 32 bits
     except (RuntimeError, ValueError) as error:
         raise FormatError(f"{path}: meshopt data that cannot be decoded ({error})") from error
     fits = stride == 4 or int(index.max()) <= 0xFFFF

@@ -1,4 +1,4 @@
-"""A glTF file as checked JSON and checked arrays."""
+"""Reading of a glTF file's JSON and arrays, with checks of both."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 
 
 class Document:
-    """The JSON of a ``.glb`` or ``.gltf`` and its buffers, read when they are needed.
+    """The JSON of a ``.glb`` or ``.gltf`` file, with buffers that are read when they are needed.
 
-    Its lists of items hold objects, and indices of items are in range, so that both may be used
-    unchecked; other fields may hold anything.
+    When the file is opened, two things are checked: each list of items (nodes, meshes, ...) holds
+    JSON objects, and each index of an item is in range. Other fields are not checked then.
 
     Parameters
     ----------
     path : Path
     max_bytes : int, optional
-        Memory that the file may ask for; see :class:`~ssdr.io.scene.SceneBudget`.
+        Most memory that reading the file may take; see :class:`~ssdr.io.scene.SceneBudget`.
     """
 
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:
@@ -52,7 +52,7 @@ class Document:
         self._buffers: dict[int, memoryview] = {}
         self._binary: memoryview | None = None
         self._decoded_views: dict[int, memoryview] = {}
-        self._decoded: dict[int, NDArray[Any]] = {}  # accessors whose numbers Draco holds
+        self._decoded: dict[int, NDArray[Any]] = {}  # values of accessors, from Draco data
         data = path.read_bytes()
         self.budget = SceneBudget(path, len(data), max_bytes)
         if data[:4] == b"glTF":
@@ -78,7 +78,7 @@ class Document:
         return FormatError(f"{self.path}: {what}")
 
     def check(self, valid: Any, problem: str) -> None:
-        """Raise a FormatError that states the problem, unless what was found is valid."""
+        """Raise a FormatError with the text `problem` unless `valid` is true."""
         if not valid:
             raise self.error(problem)
 
@@ -88,7 +88,7 @@ class Document:
         return value
 
     def _json_chunk(self, data: bytes) -> bytes:
-        """JSON of a ``.glb``, whose binary chunk is kept for its buffer."""
+        """JSON chunk of a ``.glb``; the binary chunk is kept as the bytes of buffer 0."""
         self.check(len(data) >= 20, f"truncated: {len(data)} bytes")
         version, total, length, kind = struct.unpack_from("<III4s", data, 4)
         self.check(version == 2, f"binary glTF version {version}; 2 is read")
@@ -105,12 +105,12 @@ class Document:
         return data[20 : 20 + length]
 
     def items(self, kind: str) -> list[Any]:
-        """Items of one kind: nodes, meshes, accessors, ..."""
+        """Top-level list `kind` of the JSON, such as "nodes"; empty if it is missing."""
         found: list[Any] = self.json.get(kind, [])
         return found
 
     def integer(self, item: dict[str, Any], key: str, what: str, least: int = 1) -> int:
-        """A field that is an integer, at least `least`; it may be missing where 0 is allowed."""
+        """Integer ``item[key]``, which must be at least `least`; if `least` is 0, missing is 0."""
         value = item.get(key, None if least else 0)
         if type(value) is not int or value < least:
             raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
@@ -121,14 +121,14 @@ class Document:
         return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
-        """A field that is a list of as many numbers as the default has."""
+        """Numbers of the list ``item[key]``, as many as `default`, which a missing list becomes."""
         values = item.get(key, default)
         problem = f"{key} has {len(values)} numbers, not {len(default)}"
         self.check(len(values) == len(default), problem)
         return np.array([self.number(value, key) for value in values], dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
-        """Bytes behind a data URI, or of a file in the glTF's own folder."""
+        """Bytes of a data URI, or of a file in the folder of the glTF file or below it."""
         if not isinstance(uri, str):
             raise self.error(f"the uri of {what} is no text")
         if uri.startswith("data:"):
@@ -144,7 +144,7 @@ class Document:
         return target.read_bytes()
 
     def picture(self, image: dict[str, Any]) -> bytes:
-        """The encoded bytes of an image."""
+        """Bytes of an image file (PNG or JPEG), from a buffer view or a URI."""
         if "bufferView" in image:
             return bytes(self.view(image["bufferView"])[0])
         return self.uri(image.get("uri"), "an image")
@@ -166,12 +166,12 @@ class Document:
         return self._buffers[index]
 
     def view(self, index: int) -> tuple[memoryview, int | None]:
-        """Bytes of a buffer view and its stride."""
+        """Bytes of a buffer view, decompressed, and its stride in bytes (None without one)."""
         item = self.items("bufferViews")[index]
         stride = self.integer(item, "byteStride", "a view") if "byteStride" in item else None
         extensions = item.get("extensions", {})
         required = self.json.get("extensionsRequired", [])
-        # Where an extension is not required, the bytes are there without compression, too.
+        # If the extension is not required, the file holds the bytes uncompressed as well.
         packed = next((extensions[e] for e in MESHOPT if e in extensions and e in required), None)
         if packed is None:
             return self._bytes(item, f"bufferView {index}"), stride
@@ -193,10 +193,11 @@ class Document:
         return data[start:stop]
 
     def accessor(self, index: int, kind: str, what: str, *, integers: bool = False) -> NDArray[Any]:
-        """Numbers of an accessor, ``(count,)`` or ``(count, width)``.
+        """Values of an accessor: ``(count,)`` for scalars, else ``(count, width)``.
 
-        They become float64, normalised where the accessor says so; with `integers`, they must be
-        unsigned integers and stay what they are.
+        Values become float64, and are normalised if the accessor says so. With `integers`, they
+        must be unsigned integers and keep their type. `kind` is the type that the accessor must
+        have, such as "VEC3"; `what` names the values in errors.
         """
         item = self.items("accessors")[index]
         code = item.get("componentType")
@@ -237,7 +238,7 @@ class Document:
         return values[:, 0] if width == 1 else values
 
     def replace(self, index: int, values: NDArray[Any], what: str) -> None:
-        """Set the numbers of an accessor, which the file holds in compressed form."""
+        """Set the values of an accessor whose data the file holds only in compressed form."""
         same = index not in self._decoded or np.array_equal(self._decoded[index], values)
         self.check(same, f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values
@@ -245,9 +246,9 @@ class Document:
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        """View (count, width) of the elements that `item` refers to in its buffer view.
+        """Array (count, width) of the elements that `item` refers to, over the bytes of its view.
 
-        `item` is an accessor, or the `indices` or `values` of a sparse one.
+        `item` is an accessor, or the `indices` or `values` of a sparse accessor.
         """
         data, stride = self.view(item["bufferView"])
         offset = self.integer(item, "byteOffset", what, 0)

@@ -1,11 +1,12 @@
-"""Indices by which items of a glTF document refer to each other: check, find, remove."""
+"""Checks of the indices by which items of a glTF document refer to each other, and renumbering."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import Any
 
-# Every place that holds the index of an item; * stands for each entry of a list or object.
+# For each list of items, the paths of all fields that hold an index into it; * stands for each
+# entry of a list or object.
 _PLACES = {
     "scenes": "scene",
     "nodes": """scenes/*/nodes/* nodes/*/children/* skins/*/joints/* skins/*/skeleton
@@ -25,13 +26,13 @@ _PLACES = {
     "buffers": "bufferViews/*/buffer",
     "animations": "",
 }
-# Beginnings of extensions that refer to no item, or in a way that stands in the table.
+# Beginnings of the names of extensions that hold no indices except at the paths above.
 _KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_compression
     KHR_lights_punctual KHR_materials_ KHR_mesh KHR_node_visibility KHR_texture_ KHR_xmp"""
 
 
 def check_numbers(json: dict[str, Any]) -> str:
-    """Problem with the lists of a document or the indices in it; empty if there is none."""
+    """Text about the first list or index of a document that is not valid; empty if all are."""
     for kind in _PLACES:
         items = json.get(kind, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
@@ -45,13 +46,16 @@ def check_numbers(json: dict[str, Any]) -> str:
 
 
 def unknown_extensions(json: dict[str, Any]) -> list[str]:
-    """Extensions that may refer to items by index, so that no item may be renumbered."""
+    """Extensions that could hold indices at unknown places, so that renumbering is unsafe."""
     known = tuple(_KNOWN.split())
     return [str(e) for e in json.get("extensionsUsed", []) if not str(e).startswith(known)]
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Lists and objects at the end of a path, each with the position or key of an index."""
+    """Places of all indices at a path below `item`: a list or object, and a position or key in it.
+
+    `keys` are the parts of the path.
+    """
     found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":
         found = range(len(item)) if isinstance(item, list) else list(item)
@@ -68,21 +72,25 @@ def _references(json: dict[str, Any], kind: str) -> Iterator[tuple[Any, Any]]:
 
 
 def used(json: dict[str, Any], kind: str) -> set[int]:
-    """Indices of the items that something refers to."""
+    """Indices of the items of a kind (such as "nodes") to which a field of the document refers."""
     return {holder[key] for holder, key in _references(json, kind)}
 
 
 def remove_unused(json: dict[str, Any], before: dict[str, Any]) -> None:
-    """Remove accessors and views that were used in the document `before` and no longer are.
+    """Remove accessors and buffer views that the document `before` used and `json` does not use.
 
-    Those that were never used stay.
+    Items that `before` did not use either stay.
     """
     for kind in ("accessors", "bufferViews"):
         remove(json, kind, used(before, kind) - used(json, kind))
 
 
 def remove(json: dict[str, Any], kind: str, dead: set[int]) -> None:
-    """Remove items to which nothing but lists of nodes refers, and renumber the others."""
+    """Remove the items `dead` of a kind and renumber the others.
+
+    Removed nodes are taken out of scenes and lists of children; no other field must refer to a
+    removed item.
+    """
     if not dead:
         return
     if kind == "nodes":

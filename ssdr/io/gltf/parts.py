@@ -22,15 +22,16 @@ _log = logging.getLogger(__name__)
 
 
 class PrimitiveGroup:
-    """Primitives of a node's mesh that share their vertices, as a `ScenePart`.
+    """The primitives of a node's mesh that share the same vertices, as a `ScenePart`.
 
     Parameters
     ----------
     document : Document
     nodes : Nodes
     node, mesh : int
+        Indices of the node and its mesh in the file.
     primitives : dict
-        Primitives by their indices in the mesh.
+        JSON of the primitives, by index in the mesh.
 
     Attributes
     ----------
@@ -38,10 +39,11 @@ class PrimitiveGroup:
     targets : (M, V, 3) float64
         Displacements of the morph targets.
     label : (N,) int
-        Index of the vertex that each vertex of the file became.
+        For each vertex of the file, its index in `positions`, where copies at seams are merged.
     skin : int or None
+        Index of the node's skin.
     material : (T,) int
-        -1 where a triangle has none.
+        Index of each triangle's material; -1 for a triangle without one.
     skeleton, indices, weights, faces, uv, normals
         As in `ScenePart` and `Looks`.
     """
@@ -96,7 +98,7 @@ class PrimitiveGroup:
         self.faces = self.label[faces]
 
     def _attribute(self, name: str, kind: str, **options: Any) -> Any:
-        """Values of an attribute at all vertices; None if there is none."""
+        """Values of the attribute `name` at all vertices; None if there is no such attribute."""
         if name not in self._attributes:
             return None
         values = self.document.accessor(self._attributes[name], kind, name, **options)
@@ -105,7 +107,10 @@ class PrimitiveGroup:
         return values
 
     def _read_skin(self) -> tuple[list[int], NDArray[np.float64]]:
-        """Joints (nodes) and inverse bind matrices (B, 4, 4); the mesh itself without a skin."""
+        """Nodes of the skin's joints, and the joints' inverse bind matrices (B, 4, 4).
+
+        Without a skin, the mesh's node is the only joint, with the identity.
+        """
         if self.skin is None:
             return [self.node], np.eye(4)[None]
         item = self.document.items("skins")[self.skin]
@@ -119,7 +124,7 @@ class PrimitiveGroup:
         return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
 
     def _influences(self, count: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-        """Indices (V, K) and weights (V, K) of the skin; those of one bone without a skin."""
+        """Bone indices (V, K) and weights (V, K); without a skin, bone 0 with weight 1."""
         document = self.document
         if self.skin is None:
             return np.zeros((count, 1), dtype=np.int32), np.ones((count, 1))
@@ -137,12 +142,17 @@ class PrimitiveGroup:
     def _close_seams(
         self, compared: list[NDArray[Any]]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Merge vertices that the writer has split at seams.
+        """Merge the copies of a vertex that this package's writer has made at seams.
 
-        An attribute numbers the model's vertices. Vertices of one number are merged if all of them
-        agree in the arrays `compared`: else somebody has edited the file.
+        Its attribute ``_VERTEX`` gives copies of a vertex the same number. If copies differ in one
+        of the arrays `compared`, the file has been edited since, and no vertices are merged.
 
-        Returns the file's vertex that stands for each merged one, and the label of each vertex.
+        Returns
+        -------
+        vertex : (V,) int
+            Index in the file of one copy of each merged vertex.
+        label : (N,) int
+            Index of the merged vertex for each vertex of the file.
         """
         same = np.arange(len(compared[0]))
         mark = self._attribute("_VERTEX", "SCALAR")
@@ -158,7 +168,7 @@ class PrimitiveGroup:
         return vertex, label
 
     def shape(self, nodes: Nodes) -> Shape:
-        """Vertices before skinning; a function of the frame where morph targets change them."""
+        """Vertices before skinning, or a function of the frame if morph targets move them."""
         count = len(self.targets)
         if not count:
             return self.positions
@@ -177,7 +187,7 @@ class PrimitiveGroup:
         return morphed if (amounts != amounts[:1]).any() else morphed(0)
 
     def transforms(self, nodes: Nodes) -> NDArray[np.float64]:
-        """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose."""
+        """Transforms ``(F, B, 3, 4)`` of the bones from the rest pose to world space."""
         shape = len(nodes.animation.times), len(self._joints)
         self.document.budget.spend(96 * shape[0] * shape[1], "{} frames of {} bones".format(*shape))
         result = np.empty((*shape, 3, 4))
@@ -186,11 +196,11 @@ class PrimitiveGroup:
         return result
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
-        """Bones with these transforms."""
+        """Bones of the skin with their names, parents, rest positions and these `transforms`."""
         nodes, joints = self._nodes, self._joints
         number = {joint: k for k, joint in enumerate(joints)}
         parents = [next((number[a] for a in nodes.ancestors(j) if a in number), -1) for j in joints]
-        # a joint of size 0 in the rest pose is nowhere
+        # a singular inverse bind matrix states no position: the joint is put at the origin
         usable = np.abs(np.linalg.det(self._inverse[:, :3, :3])) > 1e-30
         bind = np.linalg.inv(np.where(usable[:, None, None], self._inverse, np.eye(4)))
         names = [str(nodes.items[k].get("name", f"node_{k}")) for k in joints]
@@ -198,17 +208,17 @@ class PrimitiveGroup:
 
     @property
     def has_axes(self) -> bool:
-        """Whether joints are rotated relative to the axes of the world in the rest pose."""
+        """Whether the axes of a joint in the rest pose differ from those of the world."""
         return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
 
 def check_meshes(document: Document, meshes: Any) -> list[str] | None:
-    """Names of chosen meshes as a list; None for all meshes.
+    """The argument `meshes` (a name, several, or None for all meshes) as a list of names or None.
 
     Raises
     ------
     InputError
-        If no mesh of the file has that name.
+        If a name is that of no mesh in the file.
     """
     if meshes is None:
         return None
@@ -222,7 +232,7 @@ def check_meshes(document: Document, meshes: Any) -> list[str] | None:
 
 
 def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
-    """Names by which the mesh of a node can be chosen: the mesh's and the node's."""
+    """Names by which the mesh of a node can be chosen: its own and that of the node."""
     mesh = document.items("meshes")[node["mesh"]]
     return {str(item["name"]) for item in (mesh, node) if item.get("name")}
 
@@ -230,12 +240,12 @@ def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
 def read_parts(
     document: Document, nodes: Nodes, meshes: Sequence[str] | None = None
 ) -> list[PrimitiveGroup]:
-    """All triangles and points of the scene, or of the named meshes alone.
+    """Parts of all meshes in the scene, or only of those named in `meshes`; lines are left out.
 
     Raises
     ------
     FormatError
-        If there are none, or an accessor or joint is not usable.
+        If there is no such mesh, or an accessor or joint is not usable.
     """
     parts: list[PrimitiveGroup] = []
     for number in nodes.shown:
@@ -252,7 +262,7 @@ def read_parts(
                 _log.warning("%s: lines in mesh %d are left out", document.path, node["mesh"])
                 continue
             document.check("POSITION" in primitive["attributes"], "a primitive has no POSITION")
-            # Primitives over the same vertices, one a material, are one part.
+            # Primitives over the same vertices, one for each material, form one part.
             key = repr((sorted(primitive["attributes"].items()), primitive.get("targets", [])))
             groups.setdefault(key, {})[place] = primitive
         for group in groups.values():
@@ -262,7 +272,7 @@ def read_parts(
 
 
 def _decode(document: Document, primitive: dict[str, Any]) -> None:
-    """Decode a primitive's Draco data into its accessors, unless these have data as well."""
+    """Decode a primitive's Draco data into its accessors, unless these have uncompressed data."""
     item, names = primitive["extensions"][DRACO], primitive["attributes"]
     if "bufferView" in document.items("accessors")[names["POSITION"]]:
         return
@@ -278,7 +288,10 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
-    """Triangles (T, 3) of a primitive over the file's `count` vertices; empty for points."""
+    """Triangles (T, 3) of a primitive, also of a strip or fan; none if the primitive draws points.
+
+    They are indices of the primitive's vertices, `count` in number.
+    """
     index = np.arange(count)
     if "indices" in primitive:
         found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
@@ -301,7 +314,7 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
 
 
 def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
-    """Name of the UVs that the first textured material of some primitives uses."""
+    """Name of the UV attribute that the first material of `group` states for its texture."""
     for number in [primitive["material"] for primitive in group if "material" in primitive]:
         look = document.items("materials")[number].get("pbrMetallicRoughness", {})
         if "texCoord" in look.get("baseColorTexture", {}):
@@ -310,7 +323,7 @@ def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
 
 
 def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
-    """UVs and normals of the parts, and all materials of a file in its order."""
+    """UVs, normals and material indices of the parts, and all materials of the file."""
     return Looks(
         [part.uv for part in parts],
         [part.normals for part in parts],

@@ -1,4 +1,4 @@
-"""glTF files written again as they are, and contents that reading loses."""
+"""Copying of glTF files, and a list of the contents that are lost when a file is read."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _MAPS = {
 
 
 def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:
-    """Write a glTF file again as ``.glb`` or ``.gltf`` with all that is in it.
+    """Copy a glTF file with all its contents, as ``.glb`` or ``.gltf``.
 
     Parameters
     ----------
     path, target : Path
-    clips : names or numbers, optional
+    clips : names or indices, optional
         The animations to keep; all by default.
 
     Raises
@@ -37,7 +37,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
     FormatError
         If the file cannot be read.
     InputError
-        If it has no such clip.
+        If the file has no such clip.
     """
     with reading(path):
         document = Document(path)
@@ -62,7 +62,7 @@ def _keep_clips(json: dict[str, Any], before: dict[str, Any], kept: set[int]) ->
 
 
 def template_problem(path: Path) -> str:
-    """Reason why a readable file cannot be a template; empty if it can."""
+    """Reason why a readable file cannot be a template of the writer; empty if it can."""
     with reading(path):
         compressed = DRACO in Document(path).items("extensionsUsed")
     return "its geometry is compressed with Draco" if compressed else ""
@@ -120,7 +120,7 @@ def _of_material(material: dict[str, Any]) -> list[str]:
 
 
 def _has_extras(value: Any) -> bool:
-    """Whether a document has extras other than those of this package."""
+    """Whether JSON has a field "extras" with other contents than this package writes."""
     if isinstance(value, dict):
         extras = value.get("extras", {})
         if not (isinstance(extras, dict) and extras.keys() <= {"ssdr"}):

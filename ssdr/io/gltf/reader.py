@@ -1,4 +1,4 @@
-"""Reading glTF 2.0: skins, morph targets and moving nodes, baked or as a skinning."""
+"""Reading of glTF 2.0: baked to vertices (all animation), or as a skinning (skins and nodes)."""
 
 from __future__ import annotations
 
@@ -25,32 +25,35 @@ def read(
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read all meshes of the scene, with every animation channel baked to vertices.
+    """Read all meshes of the scene, with skins, morph targets and moving nodes baked to vertices.
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        Where to sample; by default at the rate of the keys, 24 where they do not determine one.
+        Frames per second at which to sample; by default those that the file states or its keys
+        imply, else 24.
     clip : int or str, optional
-        Which animation, by number or name; the first by default. The log lists them all.
+        Name or index of the animation; the first by default. The log lists all of them.
     animation : int or str, optional
-        The same as `clip`, under glTF's name for it.
+        Another name of `clip`, as in glTF.
     meshes : str or several of them, optional
-        Names of meshes, or of nodes that have one; the others are left out.
+        Names of the meshes to read, or of nodes that hold them; all by default.
     max_bytes : int, optional
-        Memory that the file may ask for; by default 1000 times its size, but at least 1 GiB and
-        at most 16 GiB.
+        Most memory that reading may take; by default 1000 times the size of the file, but at
+        least 1 GiB and at most 16 GiB.
 
     Returns
     -------
     MeshSequence
-        float32, y up, metres; the meshes follow each other in the order of the scene.
+        Vertices in float32, in metres, with y up; the meshes follow each other in the order of the
+        scene.
 
     Raises
     ------
     FormatError
-        If the file is damaged, hostile, or needs an extension that is not supported.
+        If the file is damaged, needs more memory than `max_bytes`, or requires an extension that
+        is not supported.
     InputError
         If there is no such animation or mesh.
     """
@@ -87,22 +90,24 @@ def read_skinning(
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> Skinning:
-    """Read skins as they are; a mesh without a skin becomes one bone that carries it.
+    """Read the skins of a file without baking them; a mesh without a skin gets one bone.
 
-    The parent of a joint is the nearest node above it that is a joint of the same skin. Where no
-    joint has one, there is no hierarchy.
+    The parent of a joint is the nearest node above it that is a joint of the same skin. If no
+    joint has a parent, the skinning has no hierarchy.
 
     Parameters
     ----------
-    path, fps, meshes, max_bytes
-        As in :func:`read`, of every animation.
+    path, meshes, max_bytes
+        As in :func:`read`.
+    fps : float, optional
+        As in :func:`read`, for every animation.
     animation : int or str, optional
-        One animation alone, by number or name; all of them by default.
+        Name or index of the only animation to read; all are read by default.
 
     Raises
     ------
     FormatError
-        Also where morph targets move the mesh: no skinning holds them.
+        As in :func:`read`, and if morph targets move a mesh, which a skinning cannot store.
     InputError
         If there is no such animation or mesh.
     """

@@ -1,4 +1,4 @@
-"""A rig in glTF: nodes of the joints, a skin, animations, attributes of skin weights."""
+"""Storage of a rig in a glTF document: joint nodes, skin, animations and skin weights."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from .builder import ARRAY, Builder
 
 
 def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict[str, int]:
-    """Add attributes for the skin weights of vertices (N,), four influences in each."""
+    """Add the skin weights of the rig's vertices `vertex` (N,) and return accessors by attribute.
+
+    Each pair of attributes, ``JOINTS_k`` and ``WEIGHTS_k``, holds four influences of a vertex.
+    """
     narrow = np.uint8 if rig.n_bones <= 256 else np.uint16
     pad = ((0, 0), (0, -rig.weights.shape[1] % 4))
     joints = np.pad(rig.indices[vertex].astype(narrow), pad)
@@ -31,7 +34,7 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
 
 
 def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
-    """Nodes of a skeleton: its root, which becomes node `first` of the file, then its joints."""
+    """JSON of a skeleton's nodes: its root, which becomes node `first`, and then its joints."""
     parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
     for bone, name in enumerate(rig.names):
@@ -48,10 +51,13 @@ def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
 
 
 def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, Any]:
-    """Skin of the joints below the root of the skeleton, which is node `first`."""
+    """Add the inverse bind matrices of a skeleton and return the JSON of its skin.
+
+    The skeleton's root is node `first` of the file, and its joints are the nodes that follow.
+    """
     inverse = np.tile(np.eye(4, dtype=np.float32), (rig.n_bones, 1, 1))
     axes = np.tile(np.eye(3), (rig.n_bones, 1, 1)) if rig.axes is None else rig.axes
-    # Columns come first in glTF: what stands as rows here is the transposed, inverse rotation.
+    # glTF stores matrices column by column, so that rows here are the columns of the matrix.
     inverse[:, :3, :3] = axes
     inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers.astype(np.float64))
     return {
@@ -65,7 +71,10 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
 def add_animation(
     builder: Builder, rig: Rig, clip: Clip, name: str, first: int, start: float = 0.0
 ) -> dict[str, Any]:
-    """Animation of a clip that begins at `start` seconds; the skeleton is node `first`."""
+    """Add the keys of a clip and return the JSON of its animation.
+
+    The first frame of the clip is at `start` seconds; the skeleton's root is node `first`.
+    """
     samplers: list[dict[str, Any]] = []
     channels: list[dict[str, Any]] = []
     inputs: dict[bytes, int] = {}

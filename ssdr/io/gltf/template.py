@@ -1,8 +1,8 @@
-"""A model written into the glTF file that its mesh came from; all else in the file is kept.
+"""Writing of a model into the glTF file that its mesh came from, so that all else in it is kept.
 
-The file is read again when the model is written, so that a model need not hold its contents. The
-attributes that skinning needs are replaced, as are the skins, joints and keys that moved only the
-model's meshes.
+The file is read again when the model is written, so that a model need not hold its contents. Two
+things are replaced: the vertex attributes that skinning needs, and the skins, joints and keys that
+moved nothing but the model's meshes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 
 _LINES = (1, 2, 3)
 _MOTION = ("translation", "rotation", "scale")
-_CONTENT = {"mesh", "camera", "extensions"}  # fields of a node that a skeleton does not need
+_CONTENT = {"mesh", "camera", "extensions"}  # a node with one of these is more than a joint
 
 
 class Template:
@@ -42,9 +42,9 @@ class Template:
     path : Path
     model : Skinning
     meshes : str or several of them, optional
-        The meshes that are replaced; all by default.
+        Names of the meshes that are replaced; all by default.
     clip_names : mapping
-        Names in the model of the file's clips, where they differ.
+        Name of a clip in the file to its name in the model, for clips whose names differ.
 
     Attributes
     ----------
@@ -56,7 +56,8 @@ class Template:
     FormatError
         If the file cannot be read or is compressed with Draco.
     InputError
-        If the model has another number of vertices, or other triangles.
+        If the model has other triangles or another number of vertices than the file, or no mesh of
+        the file has a name in `meshes`.
     """
 
     def __init__(
@@ -77,16 +78,16 @@ class Template:
         self.json = self.builder.json
         self.vertices = match_template(self.parts, model, path)
         self.replaced = {part.node for part in self.parts}
-        # number and first time in seconds of each clip of the file
+        # index and start in seconds of each clip of the file, by its name in the model
         self.clips = {
             clip_names.get(one.name, one.name): (number, float(one.times[0]))
             for number, one in enumerate(animations if document.items("animations") else [])
         }
         self.renamed = bool(clip_names)
-        self.left: set[int] = set()  # nodes whose mesh was moved to a node of its own
+        self.left: set[int] = set()  # nodes whose mesh was moved to a new node
 
     def put(self, rig: Rig, title: str) -> None:
-        """Replace the meshes by a rig."""
+        """Give the meshes the rest pose, skin and clips of a rig; `title` names its skeleton."""
         with reading(self.document.path):
             self._put_meshes(rig)
             first = self._put_skeleton(rig, title)
@@ -94,7 +95,7 @@ class Template:
             self._remove_old(rig)
 
     def _put_meshes(self, rig: Rig) -> None:
-        """Replace rest pose, normals and skin weights of each part."""
+        """Replace rest pose, normals and skin weights of each part, and remove its morph targets."""
         nodes, meshes = self.json["nodes"], self.json["meshes"]
         uses = collections.Counter(node.get("mesh") for node in nodes)
         for node in sorted(self.replaced):
@@ -112,7 +113,7 @@ class Template:
                 primitive["attributes"] = dict(attributes)
                 primitive.pop("targets", None)
                 if self._mirrors(part) and primitive.get("mode", 4) != 0:
-                    # Joints mirror nothing, so that the triangles must be turned round.
+                    # The node mirrored the mesh and joints do not, so triangles are turned round.
                     faces = triangles(self.document, old, len(part.label))[:, ::-1]
                     flat = faces.reshape(-1).astype(np.uint16 if faces.max() < 65535 else np.uint32)
                     number = self.builder.accessor(flat, "SCALAR", target=ELEMENTS)
@@ -129,7 +130,10 @@ class Template:
     def _carried_attributes(
         self, part: PrimitiveGroup, rest: NDArray[np.float32]
     ) -> dict[str, int]:
-        """Attributes of a part, its normals and tangents carried to the rest pose."""
+        """Accessors of a part's attributes, with normals and tangents carried to the pose `rest`.
+
+        Skin weights are left out.
+        """
         document, builder = self.document, self.builder
         group = list(part.primitives.values())
         old = group[0]["attributes"]
@@ -151,9 +155,9 @@ class Template:
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:
-        """Remove the weights and names of morph targets from a mesh and its node.
+        """Remove the amounts and names of morph targets from a mesh and its node, and its lines.
 
-        Line primitives are removed as well, since no skin moves them, and reported as lost.
+        Lines are reported as lost; they are removed because the new skin does not move them.
         """
         solid = [p for p in mesh["primitives"] if p.get("mode", 4) not in _LINES]
         if len(solid) < len(mesh["primitives"]):
@@ -166,9 +170,10 @@ class Template:
             del mesh["extras"]
 
     def _put_skeleton(self, rig: Rig, title: str) -> int:
-        """Add a skin and its nodes, at the top of every scene with a replaced mesh.
+        """Add the skin and the nodes of its skeleton, and return the index of the skeleton's root.
 
-        Returns the number of the skeleton's node, which those of the joints follow.
+        The root is put at the top of every scene with a replaced mesh. The nodes of the joints
+        follow the root in the file.
         """
         nodes, first = self.json["nodes"], len(self.json["nodes"])
         nodes.extend(skeleton_nodes(rig, title, first))
@@ -185,10 +190,10 @@ class Template:
         return first
 
     def _move_to_top(self, node: int) -> None:
-        """Give a mesh a node of its own, without the transform that mirrors or flattens it.
+        """Move the mesh of a node that mirrors or flattens it to a new node without a transform.
 
-        A skinned mesh does not follow its node, but some engines still ask the node which side of
-        a triangle is the front, or invert its transform.
+        A skinned mesh does not follow its node, but some engines still use the node's transform
+        to tell the front of a triangle from its back, or invert it.
         """
         nodes = self.json["nodes"]
         holder = nodes[node]
@@ -201,7 +206,7 @@ class Template:
         self.builder.notes.append(f"the mesh of node {node} left a transform that mirrors it")
 
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
-        """Add the keys of each clip to the file's animation of that name, or a new animation."""
+        """Add the keys of each clip to the file's animation of the same name, else to a new one."""
         added = []
         for clip in rig.clips:
             number, start = self.clips.get(clip.name, (None, 0.0))
@@ -242,7 +247,7 @@ class Template:
         remove_unused(json, original)
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Joints of the old `skins`, and nodes that hold nothing but such joints."""
+        """Nodes to remove: joints of only the old `skins`, and nodes with only such joints below."""
         listed = self.json["skins"]
         old = {joint for k in skins for joint in listed[k]["joints"]} | self.left
         kept = [skin for k, skin in enumerate(listed) if k not in skins]
@@ -262,7 +267,11 @@ class Template:
         return going
 
     def _remove_channels(self, joints: set[int], kept_clips: set[int]) -> None:
-        """Remove the keys of morph targets and nodes that moved only the replaced meshes."""
+        """Remove channels of morph targets and nodes that moved nothing but the replaced meshes.
+
+        These nodes include the removed `joints`. A clip that loses channels is reported as lost
+        unless its index is in `kept_clips`.
+        """
         animations = self.json.get("animations", [])
         idle = joints | self._idle_nodes()
 
@@ -292,7 +301,7 @@ class Template:
             del self.json["animations"]
 
     def _idle_nodes(self) -> set[int]:
-        """Nodes that move nothing but replaced meshes."""
+        """Indices of the nodes that move nothing but replaced meshes."""
         joints = {joint for skin in self.json["skins"] for joint in skin["joints"]}
 
         def bare(node: int, item: dict[str, Any]) -> bool:
@@ -304,7 +313,7 @@ class Template:
         return self._subtrees(bare)
 
     def _subtrees(self, fits: Callable[[int, dict[str, Any]], bool]) -> set[int]:
-        """Nodes for which `fits` is true, as for all nodes below them."""
+        """Indices of the nodes for which, and for all nodes below which, `fits` is true."""
         nodes = self.json["nodes"]
         children = (n.get("children", []) for n in nodes)
         found: set[int] = set()

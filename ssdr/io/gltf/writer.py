@@ -1,4 +1,4 @@
-"""Writing glTF 2.0: a skinned mesh with its joints and clips, alone or in a template."""
+"""Writing of glTF 2.0: a skinned mesh with its joints and clips, alone or in a template file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def write_skinning(
     clip_names: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> SaveReport:
-    """Write ``.glb``, or ``.gltf`` with a ``.bin`` of the same name beside it.
+    """Write a skinning as ``.glb``, or as ``.gltf`` with a ``.bin`` of the same name beside it.
 
     Parameters
     ----------
@@ -47,36 +47,39 @@ def write_skinning(
         Rigid or similarity bones.
     path : Path
     influences : int, optional
-        How many of the largest weights of a vertex to keep. glTF holds 8; many engines read the
-        first 4 alone.
+        Number of largest weights to keep for each vertex; all by default. glTF holds 8, and many
+        engines read only the first 4.
     weights : {"float32", "uint16", "uint8"}
-        How weights are stored.
+        Type in which weights are stored.
     up : {"y", "z"}
         The model's up axis; glTF's is y, so a model with z up is turned.
     name : str, optional
-        Name of scene and mesh; by default that of the skinning, else of the file. Animations are
-        named after the clips, a clip without a name after the mesh.
+        Name of the scene and the mesh; by default that of the skinning or, if it has none, of the
+        file. An animation has the name of its clip or, if that has none, of the mesh.
     template : path, optional
         The glTF file that the model was made from, or one with the same vertices and triangles.
         It is written again with the model's skin and clips; all else in it stays as it is: names,
         materials, pictures, vertex colours, other meshes and their animation. Morph targets of
-        the model's meshes are baked.
+        the model's meshes are removed, because the skin replaces them.
     meshes : str or several of them, optional
-        The meshes of the template that the model replaces, as in :func:`read`.
+        Names of the template's meshes that the model replaces, or of their nodes; all by default.
     clip_names : mapping of str to str, optional
-        Names in the model of the template's clips, where they differ.
+        Name of a clip in the template to its name in the model, for clips whose names differ.
     strict : bool
-        Refuse, rather than report, what of the template cannot be kept.
+        Whether to raise an error, instead of reporting the loss, if contents of the template
+        cannot be kept.
 
     Returns
     -------
     SaveReport
-        `error`: of float32 geometry, quaternions, stored and pruned weights together.
+        Its `error` is that of the whole file: rounding to float32 and quaternions, stored weights
+        and pruned weights.
 
     Raises
     ------
     InputError
-        If the model does not fit the format, see :func:`ssdr.io.rig.build_rig`, or the template.
+        If the model does not fit the format (see :func:`ssdr.io.rig.build_rig`) or the template,
+        or if `strict` is true and contents of the template cannot be kept.
 
     References
     ----------
@@ -106,9 +109,9 @@ def write_along_bones(
     up: Up = "y",
     name: str | None = None,
 ) -> tuple[SaveReport, dict[str, float]]:
-    """Write a model with a hierarchy, the y axis of each joint along its bone.
+    """Write a model that has a hierarchy, with the y axis of each joint along its bone.
 
-    Programs that draw bones along an axis of the joint, such as Blender, then draw them from joint
+    Programs that draw a bone along an axis of its joint, such as Blender, then draw it from joint
     to joint.
 
     Parameters
@@ -135,7 +138,7 @@ def write_along_bones(
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """Rig with the orientations `axes` (B, 3, 3) of its joints in the rest pose."""
+    """Copy of a rig whose joints are turned to `axes` (B, 3, 3) at rest, with the same motion."""
     assert rig.parents is not None
     parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
     turn = matrix_from_quaternion(rig.rotations.astype(np.float64))
@@ -154,7 +157,7 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
 
 
 def _save_rig(model: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
-    """Write a file of the model alone."""
+    """Write a file that holds nothing but the model."""
     builder = Builder()
     builder.notes.append("glTF takes the unit for metres")
     json = builder.json
@@ -181,7 +184,7 @@ def _save_rig(model: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
 
 
 def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveReport:
-    """Write the file and report the error of its storage."""
+    """Write the file and return a report of its size, storage error, notes and losses."""
     size, notes = builder.save(path), builder.notes
     if rig.indices.shape[1] > 4:
         notes.append("engines that read 4 influences alone will drop the smaller ones")
@@ -201,8 +204,8 @@ def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
     attributes |= add_weights(builder, rig, vertex)
-    # The model's vertex of each, so that seams can be closed on reading; float32, as attributes
-    # may not be uint32, is exact up to 2^24.
+    # The model's vertex at each vertex of the file, so that reading can close the seams. Attributes
+    # cannot be uint32, and float32 holds integers exactly up to 2^24.
     if len(rig.rest) <= 1 << 24:
         attributes["_VERTEX"] = put(vertex.astype(np.float32), "SCALAR")
     return attributes
@@ -211,7 +214,7 @@ def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
 def _primitives(
     builder: Builder, surface: Surface, corners: Corners, attributes: dict[str, int]
 ) -> list[dict[str, Any]]:
-    """A primitive for the triangles of each material."""
+    """Add the materials and triangles, and return the JSON of a primitive for each material."""
     # glTF's own default is bare metal, which is black wherever there is nothing to reflect
     materials = surface.materials or (Material(),)
     builder.json["materials"] = [_material(builder, m) for m in materials]
