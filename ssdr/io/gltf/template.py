@@ -95,7 +95,7 @@ class Template:
             self._remove_old(rig)
 
     def _put_meshes(self, rig: Rig) -> None:
-        """Replace rest pose, normals and skin weights of each part, and remove its morph targets."""
+        """Replace rest pose, normals and skin weights of each part; remove its morph targets."""
         nodes, meshes = self.json["nodes"], self.json["meshes"]
         uses = collections.Counter(node.get("mesh") for node in nodes)
         for node in sorted(self.replaced):
@@ -247,7 +247,10 @@ class Template:
         remove_unused(json, original)
 
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
-        """Nodes to remove: joints of only the old `skins`, and nodes with only such joints below."""
+        """Nodes to remove: joints of only the old `skins`, and nodes with only these joints below.
+
+        A joint that must stay because other nodes are below it is noted.
+        """
         listed = self.json["skins"]
         old = {joint for k in skins for joint in listed[k]["joints"]} | self.left
         kept = [skin for k, skin in enumerate(listed) if k not in skins]

@@ -1,6 +1,6 @@
 """USD (``.usd``, ``.usda``, ``.usdc``): point caches and UsdSkel characters.
 
-Importing it raises a :class:`~ssdr.MissingDependencyError` without usd-core.
+Importing this package raises a :class:`~ssdr.MissingDependencyError` if usd-core is not installed.
 """
 
 from ..registry import require

@@ -1,4 +1,4 @@
-"""Preview materials of USD, read and written."""
+"""Reading and writing of USD's preview materials."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_looks(path: Path, meshes: Sequence[MeshPrim]) -> Looks:
-    """UVs, normals and materials of meshes."""
+    """UVs, normals and materials of the meshes of a stage, whose file is `path`."""
     found = _Materials(path)
     index = [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes]
     uv, normals = [mesh.uv() for mesh in meshes], [mesh.normals() for mesh in meshes]
@@ -52,7 +52,7 @@ class _Materials:
         color = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
         values = color.Get() if color and color.HasValue() else None
         if values and (index < 0).any():
-            # Colours that vary over the mesh have no place in a material: their mean stands.
+            # A material has one colour, so it gets the mean of colours that vary over the mesh.
             r, g, b = np.array(values, dtype=np.float64).reshape(-1, 3).mean(axis=0).tolist()
             index[index < 0] = len(self.materials)
             name = str(prim.GetName())
@@ -111,7 +111,7 @@ class _Materials:
 
 
 def _source(holder: Any) -> Any:
-    """The attribute that gives an input its value."""
+    """The attribute that gives a shader input its value; None without one."""
     found = UsdShade.Utils.GetValueProducingAttributes(holder) if holder else []
     return found[0] if found else None
 
@@ -119,9 +119,9 @@ def _source(holder: Any) -> Any:
 def write_materials(
     stage: Any, top: Any, mesh: Any, surface: Surface, path: Path, notes: list[str]
 ) -> None:
-    """Define the materials of a surface below `top` and bind them to a mesh.
+    """Define the materials of a surface as prims below `top`, and bind them to a mesh.
 
-    Textures are written beside `path`.
+    Each texture is written to a file beside `path`, which is added to `notes`.
     """
     types = Sdf.ValueTypeNames
     names = unique_names([identifier(m.name) for m in surface.materials])
@@ -149,7 +149,7 @@ def write_materials(
             coordinates.ConnectToSource(reader.ConnectableAPI(), "result")
             for wrap in ("wrapS", "wrapT"):
                 picture.CreateInput(wrap, types.Token).Set("repeat")
-            # The colour of a textured material is a factor, as in glTF.
+            # The base colour of a textured material multiplies its texture, as in glTF.
             scale = picture.CreateInput("scale", types.Float4)
             scale.Set(Gf.Vec4f(*map(float, material.base_color)))
             picture.CreateOutput("rgb", types.Float3)

@@ -1,4 +1,4 @@
-"""A mesh of a stage: its polygons as triangles, its skin and its blend shapes."""
+"""Reading of one mesh of a stage: polygons as triangles, skin, blend shapes and transforms."""
 
 from __future__ import annotations
 
@@ -20,24 +20,28 @@ _FIRST = Usd.TimeCode.EarliestTime()
 
 
 class MeshPrim:
-    """A mesh prim and what moves it, as a `ScenePart`; polygons are cut into fans of triangles.
+    """A mesh prim with its skin and blend shapes, as a `ScenePart`.
+
+    Each polygon is cut into a fan of triangles.
 
     Parameters
     ----------
     path : Path
-        The stage's file, for messages.
+        File of the stage, which errors name.
     prim : Usd.Prim
-    skeleton, query : optional
-        UsdSkel's queries of the skeleton and of the skin, where the mesh has them.
+    skeleton : UsdSkel.SkeletonQuery, optional
+        The skeleton that the mesh is bound to.
+    query : UsdSkel.SkinningQuery, optional
+        The binding of the mesh to `skeleton`.
 
     Attributes
     ----------
     counts : (P,) int array
-        Corners of each polygon.
+        Number of corners of each polygon.
     corners : (T, 3) int array
-        Index of each triangle's corners among the corners of the polygons.
+        Corners of each triangle, as indices into the corners of all polygons.
     polygon : (T,) int array
-        The polygon of each triangle.
+        Index of the polygon that each triangle is a piece of.
     """
 
     def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
@@ -62,7 +66,7 @@ class MeshPrim:
         return FormatError(f"{self.path}: {self.prim.GetPath()}: {what}")
 
     def _check(self, valid: Any, problem: str) -> None:
-        """Raise a FormatError that states the problem, unless what was found is valid."""
+        """Raise a FormatError with the text `problem` unless `valid` is true."""
         if not valid:
             raise self._fail(problem)
 
@@ -84,7 +88,11 @@ class MeshPrim:
         self.faces = indices[self.corners]
 
     def value_index(self, interpolation: str) -> NDArray[np.int64] | None:
-        """Index (T, 3) of a primvar's value at each corner; None for an unknown interpolation."""
+        """Index (T, 3) of a primvar's value at each triangle corner.
+
+        `interpolation` is USD's word for how many values the primvar has, such as "vertex" for one
+        per point. The result is None if the word is unknown.
+        """
         return {
             "faceVarying": self.corners,
             "vertex": self.faces,
@@ -117,7 +125,7 @@ class MeshPrim:
         return found
 
     def normal_values(self) -> tuple[Any, str, Any]:
-        """Values of the normals (None without any), their interpolation and their attribute."""
+        """Values of the mesh's normals (None if it has none), their interpolation and attribute."""
         primvar = UsdGeom.PrimvarsAPI(self.prim).GetPrimvar("normals")
         if primvar and primvar.HasValue():
             how = str(primvar.GetInterpolation())
@@ -152,14 +160,17 @@ class MeshPrim:
         self.skeleton = place, tuple(self._order), self._bind.tobytes()
 
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
-        """Matrices (B, 4, 4) of this mesh's joints, for column vectors, from those of all."""
+        """Matrices (B, 4, 4) of this mesh's joints, taken from those of all joints of its skeleton.
+
+        `transforms` are USD's, for row vectors; the result is for column vectors.
+        """
         usable = transforms and len(transforms) == len(self.joints.GetJointOrder())
         self._check(usable, "its skeleton has no usable bind or rest transforms")
         frames = np.array(transforms, dtype=np.float64).reshape(-1, 4, 4)
         return np.swapaxes(frames, 1, 2)[self._rows]
 
     def _binds(self) -> NDArray[np.float64]:
-        """Joints' frames (B, 4, 4) of the bind pose, in the space of the points."""
+        """Matrices (B, 4, 4) of the joints in the bind pose, in the space of the mesh's points."""
         frames = self._frames(self.joints.GetJointWorldBindTransforms())
         try:
             return np.asarray(np.linalg.solve(self._bind, frames))
@@ -167,7 +178,7 @@ class MeshPrim:
             raise self._fail("its geomBindTransform is flat") from None
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
-        """Bones with these transforms; a mesh without a skin is one bone, a root."""
+        """Bones of the mesh with these `transforms`; without a skin, one bone without a parent."""
         if self.joints is None:
             name = str(self.prim.GetName())
             return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
@@ -178,7 +189,7 @@ class MeshPrim:
             while above and above not in number:
                 above = above.rpartition("/")[0]
             parents.append(number.get(above, -1))
-        # Names that the skeleton gives its joints, else the last part of their paths.
+        # The skeleton may name its joints; if it does not, names are the last parts of their paths.
         names = [token.rsplit("/", 1)[-1] for token in self._order]
         stated = self.joints.GetSkeleton().GetJointNamesAttr().Get() or ()
         if len(stated) == len(self.joints.GetJointOrder()):
@@ -187,13 +198,13 @@ class MeshPrim:
 
     @property
     def has_axes(self) -> bool:
-        """Whether joints are rotated relative to the axes of the points in the bind pose."""
+        """Whether the axes of a joint in the bind pose differ from those of the points."""
         if self.joints is None:
             return False
         return bool(np.abs(self._binds()[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
     def stamps(self) -> NDArray[np.float64]:
-        """Time codes at which the mesh, or what moves it, has a sample."""
+        """Time codes of all samples of the points, joints, blend shapes and transforms."""
         found = list(self.attribute.GetTimeSamples())
         if self.joints is not None and self.joints.GetAnimQuery():
             found += self.joints.GetAnimQuery().GetJointTransformTimeSamples()
@@ -207,14 +218,17 @@ class MeshPrim:
         return np.array(found, dtype=np.float64)
 
     def raw_points(self, code: Any) -> NDArray[np.float64]:
-        """Points without blend shapes ``(V, 3)``."""
+        """Points ``(V, 3)`` at the time `code`, without blend shapes."""
         values = self.attribute.Get(code)
         if values is None or not len(values):
             raise self._fail("no points")
         return np.array(values, dtype=np.float64)
 
     def shape(self, codes: NDArray[np.float64]) -> Shape:
-        """Points before skinning; a function of the frame where they change."""
+        """Points before skinning, or a function of the frame if they change.
+
+        `codes` (F,) are the time codes of the frames.
+        """
         moving = len(self.attribute.GetTimeSamples()) > 1
         if self._shapes is not None:
             moving |= self._shaper.BlendShapeWeightsMightBeTimeVarying()
@@ -245,7 +259,7 @@ class MeshPrim:
         return points
 
     def transforms(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transforms ``(F, B, 3, 4)`` from points to world space."""
+        """Transforms ``(F, B, 3, 4)`` of the bones, from the space of the points to world space."""
         if len(np.unique(self.stamps())) < 2:  # nothing moves, however long the clip is
             still = self._transforms_at(float(codes[0]))
             return np.broadcast_to(still, (len(codes), *still.shape))

@@ -1,4 +1,4 @@
-"""Reading USD: meshes with sampled points, under moving transforms, or moved by UsdSkel."""
+"""Reading of USD: meshes that are moved by samples of their points, by transforms or by UsdSkel."""
 
 from __future__ import annotations
 
@@ -32,20 +32,21 @@ _ALL = Usd.TraverseInstanceProxies()
 class StageClip:
     """A clip of a stage.
 
-    If the stage has a single skeleton with usable SkelAnimations, each of them is a clip; otherwise
-    the whole animation of the stage is the only one.
+    If the stage has a single skeleton with usable SkelAnimations, each animation is a clip.
+    Otherwise the stage has one clip, which is its whole animation.
 
     Attributes
     ----------
     name : str
     skeleton, animation : Sdf.Path or None
-        None where nothing has to be bound.
+        The SkelAnimation that plays in the clip and the skeleton to bind it to; None for the whole
+        animation of the stage.
     bound : bool
-        Whether the file binds this animation, so that the stage's range is that of the clip.
+        Whether the file itself binds this animation; if so, the stage's time range is the clip's.
     fps, frames : float and int, or None
-        Rate and number of frames, where files of several clips state them.
+        Frames per second and number of frames, if the file has several clips and states them.
     start : float
-        Time code of the first frame, where these two are stated.
+        Time code of the first frame; used only with `fps` and `frames`.
     """
 
     name: str
@@ -63,15 +64,16 @@ class StageReader:
     Attributes
     ----------
     name : str
-        Name of the root prim, else of the file.
+        Name of the default prim; without one, of the file.
     clips : list of StageClip
-        The clip of the bound animation comes first.
+        Clips of the stage; that of the bound animation comes first.
     up : {"y", "z"}
+        Up axis of the stage.
 
     Raises
     ------
     FormatError
-        If the file is no stage or must not be opened.
+        If the file is not a stage, or opening it would be unsafe.
     """
 
     def __init__(self, path: Path, max_bytes: int | None = None) -> None:
@@ -101,7 +103,7 @@ class StageReader:
             and joints & set(UsdSkel.Animation(prim).GetJointsAttr().Get() or ())
         ]
         bound = UsdSkel.BindingAPI(skeletons[0]).GetInheritedAnimationSource()
-        usable.sort(key=lambda prim: prim != bound)  # a stable order: the others stay in theirs
+        usable.sort(key=lambda prim: prim != bound)  # stable: the others keep their order
         if not usable or (bound and usable[0] != bound):
             return [StageClip(name=self.name)]
         clips = []
@@ -109,7 +111,7 @@ class StageReader:
             own = prim.GetCustomDataByKey("ssdr")
             own = own if isinstance(own, dict) else {}
             fps, frames = own.get("fps"), own.get("frames")
-            # The stage's own range is that of one clip alone.
+            # A clip that is the only one has the time range of the stage.
             known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
             default = self.name if len(usable) == 1 and own else str(prim.GetName())
             clips.append(
@@ -127,7 +129,9 @@ class StageReader:
         return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
 
     def sample(self, clip: StageClip, fps: float | None = None) -> Sample[MeshPrim]:
-        """The meshes that are visible while a clip is bound, and the time codes of its frames.
+        """Bind a clip and return the visible meshes and the time codes of the clip's frames.
+
+        `fps` replaces the frame rate of the clip.
 
         Raises
         ------
@@ -168,7 +172,7 @@ class StageReader:
     def _clock(
         self, meshes: list[MeshPrim], clip: StageClip, fps: float | None
     ) -> tuple[float, NDArray[np.float64]]:
-        """Frames per second and the time code of each frame."""
+        """Frames per second of a clip, and the time code (F,) of each frame."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
         if not (math.isfinite(tempo) and tempo > 0):
@@ -209,27 +213,27 @@ def read(
     ----------
     path : Path
     clip : str or int, optional
-        Which SkelAnimation, by number or name, where one skeleton has several; by default the
-        one that is bound.
+        Name or index of the SkelAnimation, if the only skeleton has several; by default the one
+        that is bound.
     fps : float, optional
-        Where to sample; by default one frame a time code, or one a sample where samples lie
-        between time codes.
+        Frames per second at which to sample; by default those that the clip states, else one frame
+        per time code or, if samples lie between time codes, the rate of the samples.
     up : {"y", "z"}, optional
-        Turn the scene to have that axis up; by default it stays as in the file.
+        Up axis to which the scene is turned; by default it keeps that of the file.
     max_bytes : int, optional
-        Memory that the file may ask for; by default 1000 times its size, but at least 1 GiB and
-        at most 16 GiB.
+        Most memory that reading may take; by default 1000 times the size of the file, but at
+        least 1 GiB and at most 16 GiB.
 
     Returns
     -------
     MeshSequence
-        float32, in the file's unit (the log says how many metres); polygons are cut into fans of
-        triangles.
+        Vertices in float32, in the unit of the file; the log says how many metres that is. Each
+        polygon is cut into a fan of triangles.
 
     Raises
     ------
     FormatError
-        If the file is damaged or holds no mesh, or its topology changes.
+        If the file is damaged or holds no visible mesh, or if a mesh's topology changes over time.
     InputError
         If there is no such clip.
     """
@@ -253,20 +257,23 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
 def read_skinning(
     path: Path, *, fps: float | None = None, up: Up | None = None, max_bytes: int | None = None
 ) -> Skinning:
-    """Read UsdSkel skins as they are; a rigid mesh without one becomes one bone.
+    """Read the UsdSkel skins of a file without baking them; a mesh without a skin gets one bone.
 
-    The parent of a joint is the one whose path contains its own; where no joint has a parent,
-    there is no hierarchy.
+    The parent of a joint is the nearest joint above it in its path. If no joint has a parent, the
+    skinning has no hierarchy.
 
     Parameters
     ----------
-    path, fps, up, max_bytes
-        As in :func:`read`, of every animation.
+    path, up, max_bytes
+        As in :func:`read`.
+    fps : float, optional
+        As in :func:`read`, for every clip.
 
     Raises
     ------
     FormatError
-        Also where points or blend shapes move a mesh: no skinning holds them.
+        As in :func:`read`, and if a mesh has moving points or blend shapes, which a skinning cannot
+        store.
     """
     check_up(up, optional=True)
     with reading(path):

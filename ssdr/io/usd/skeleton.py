@@ -1,4 +1,4 @@
-"""UsdSkel: a skeleton with its animations, and the skin of a mesh."""
+"""Writing of UsdSkel: a skeleton with its animations, and the skin of a mesh."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ def put_skeleton(
     tempo: float,
     starts: Mapping[str, float] | None = None,
 ) -> list[str] | None:
-    """Define a skeleton and its animations at a path.
+    """Define a skeleton with an animation for each clip at a path, and bind the first animation.
 
     Parameters
     ----------
     stage : Usd.Stage
     place : Sdf.Path
+        Path of the skeleton.
     rig : Rig
     title : str
-        Name of the model; a single clip of that name needs none of its own.
+        Name of the model. If a single clip has the same name, its name is not stored.
     tempo : float
         Time codes per second.
     starts : mapping, optional
@@ -39,8 +40,8 @@ def put_skeleton(
     Returns
     -------
     list of str or None
-        USD wants parents before their children: the joints in the order of the bones, where the
-        skeleton has them in another.
+        The joints' paths in the order of the rig's bones; None if the skeleton has its joints in
+        that order. It has them in another if a bone comes before its parent, which USD forbids.
     """
     plain = unique_names([identifier(bone) for bone in rig.names])
     order = np.arange(rig.n_bones)
@@ -85,7 +86,11 @@ def put_skeleton(
 def _put_keys(
     animation: Any, rig: Rig, order: NDArray[np.int64], clip: Clip, tempo: float, start: float
 ) -> None:
-    """Add the keys of a clip, whose first frame is at time code `start`."""
+    """Add the keys of a clip to a SkelAnimation, with the first frame at the time code `start`.
+
+    `order` (B,) are the bones in the order of the skeleton's joints; `tempo` is the number of time
+    codes per second.
+    """
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
     ones = np.ones((rig.n_bones, 3), dtype=np.float16)
@@ -108,9 +113,11 @@ def bind(
     bind_transform: Any,
     tokens: Sequence[str] | None,
 ) -> None:
-    """Give a mesh skin weights, its skeleton's path and where its points are in the bind pose.
+    """Bind a mesh to the skeleton at the path `skeleton`, with skin weights `weights` (V, K).
 
-    `tokens` are the skeleton's joints in the order of the bones, where its own is another.
+    `indices` (V, K) are bones of the rig, and `bind_transform` takes the mesh's points to world
+    space in the bind pose. `tokens` are the joints in the order of the bones; None if the skeleton
+    has its joints in that order.
     """
     binding = UsdSkel.BindingAPI.Apply(prim)
     width = indices.shape[1]
@@ -125,5 +132,5 @@ def bind(
 
 
 def identifier(name: str) -> str:
-    """Name, as an identifier that USD accepts."""
+    """Copy of a name in which characters that USD does not accept in identifiers are replaced."""
     return str(Tf.MakeValidIdentifier(readable(name)))

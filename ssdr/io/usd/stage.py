@@ -1,4 +1,4 @@
-"""Opening of stages, whose layers are checked before USD opens them."""
+"""Opening of stages, after checks that their layers are safe to open."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..references import is_inside
 from ..registry import refuse_device
 
 _DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
-# Strings, asset paths and comments of a text layer, closed or not. Brackets inside do not nest.
+# Strings, asset paths and comments of a text layer, closed or not; brackets in them do not count.
 _QUOTED = re.compile(
     rb'"""(?:\\.|[^\\])*?(?:"""|\Z)|"(?:\\.|[^"\\\n])*"?'
     rb"|'''(?:\\.|[^\\])*?(?:'''|\Z)|'(?:\\.|[^'\\\n])*'?"
@@ -32,12 +32,12 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage from the present contents of its file.
+    """Open a stage from the present contents of its file, not from those that USD has in memory.
 
     Raises
     ------
     FormatError
-        If it is none, or refers to a layer outside its folder.
+        If the file is not a usable stage, or opening it would be unsafe (see `_check_layers`).
     """
     try:
         _check_layers(path)
@@ -56,13 +56,13 @@ def open_stage(path: Path) -> Any:
 
 
 def _check_layers(path: Path) -> None:
-    """Refuse layers that must not be opened, before USD opens them.
+    """Check a file and all layers that it refers to, before USD opens them.
 
     Raises
     ------
     FormatError
-        If the file, or one that it refers to, is nested too deeply, or refers to a layer outside
-        the file's folder, to a device or to a package.
+        If one of them is nested too deeply, lies outside the folder of the file, or is a device or
+        a package.
     """
     seen, waiting = set(), [path]
     while waiting:
@@ -83,13 +83,16 @@ def _check_layers(path: Path) -> None:
                     f"{path}: refers to {asset}, which lies outside its folder; open a copy with "
                     "all that it refers to in one folder (usdcat --flatten makes one)"
                 )
-            # value clips may be named by a pattern, as clip.###.usd
+            # the files of value clips can be named by a pattern such as clip.###.usd
             pattern = "*".join(re.split("#+", name.name))
             waiting += name.parent.glob(pattern) if "#" in name.name else [name]
 
 
 def _check_nesting(file: Path, path: Path) -> None:
-    """Refuse text whose brackets are nested so deeply that usd-core would crash the process."""
+    """Refuse a text layer with brackets so deeply nested that usd-core would crash, or a package.
+
+    Errors name the file `path`, which refers to the layer.
+    """
     if not file.is_file():
         return
     data = file.read_bytes()
@@ -105,7 +108,7 @@ def _check_nesting(file: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def system_errors(path: Path) -> Iterator[None]:
-    """Raise USD's errors about writing as the OSErrors that caused them."""
+    """Raise USD's errors in the body as the OSErrors that caused them, about the file `path`."""
     try:
         yield
     except Tf.ErrorException as error:

@@ -1,4 +1,4 @@
-"""USD files written again, as they are or with a new skin, and contents that reading loses."""
+"""Copying of USD files, as they are or with a new skin, and a list of what reading them loses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _FIRST = Usd.TimeCode.EarliestTime()
 
 
 def template_problem(path: Path) -> str:
-    """Reason why a readable file cannot be a template; empty if it can."""
+    """Reason why a readable file cannot be a template of the writer; empty if it can."""
     with reading(path):
         reader = StageReader(path)
         return _problem([mesh.prim for mesh in reader.sample(reader.clips[0]).parts])
@@ -51,14 +51,28 @@ def put(
     clip_names: Mapping[str, str],
     strict: bool,
 ) -> list[str]:
-    """Write the template to `temporary` with the model's skin, and return what is lost.
+    """Write a template with the model's skin to `temporary` and return the contents that are lost.
+
+    Parameters
+    ----------
+    template : Path
+    temporary, target : Path
+        File to write, and the file that it will be renamed to.
+    model : Skinning
+    rig : Rig
+        The rig of `model`.
+    clip_names : mapping of str to str
+        Name of a clip in the template to its name in the model, for clips whose names differ.
+    strict : bool
+        Whether to raise an error if contents of the template are lost.
 
     Raises
     ------
     FormatError
-        If the template cannot be read.
+        If the file cannot be read, or cannot be a template (see `template_problem`).
     InputError
-        If the model has other points or triangles, or `strict` and something is lost.
+        If the model has other triangles or another number of points than the template, or if
+        `strict` is true and contents are lost.
     """
     with reading(template):
         reader = StageReader(template)
@@ -104,7 +118,11 @@ def put(
 
 
 def _scope(prims: list[Any]) -> Any:
-    """The lowest common ancestor of prims that is or can become a SkelRoot; None without one."""
+    """Prim above all `prims` that is, or can become, their SkelRoot; None if there is none.
+
+    It is the lowest common ancestor that is a SkelRoot; without one, the lowest that can become
+    one.
+    """
     common = prims[0].GetPath().GetParentPath()
     for prim in prims[1:]:
         common = common.GetCommonPrefix(prim.GetPath().GetParentPath())
@@ -118,7 +136,7 @@ def _scope(prims: list[Any]) -> Any:
 
 
 def _free_path(stage: Any, scope: Any, name: str) -> Any:
-    """A path below `scope` that no prim has."""
+    """An unused path below `scope`: that of the child `name`, with a number if it is taken."""
     place, k = scope.GetPath().AppendChild(name), 1
     while stage.GetPrimAtPath(place):
         place, k = scope.GetPath().AppendChild(f"{name}_{k}"), k + 1
@@ -126,7 +144,10 @@ def _free_path(stage: Any, scope: Any, name: str) -> Any:
 
 
 def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[Any]) -> None:
-    """Remove the skeletons that moved these meshes, and the animations."""
+    """Remove the prims at the paths `animations`, and the skeletons that moved these meshes.
+
+    A skeleton stays if other prims than animations are below it.
+    """
     queries = [mesh.joints for mesh in meshes if mesh.joints is not None]
     for path in {query.GetSkeleton().GetPrim().GetPath() for query in queries}:
         prim = stage.GetPrimAtPath(path)
@@ -139,7 +160,11 @@ def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[A
 
 
 def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
-    """Replace the points of a mesh by a rest pose in world space; returns the mesh's matrix."""
+    """Replace the points and normals of a mesh by those of the rest pose `rest` in world space.
+
+    Blend shapes are removed. Returns the mesh's matrix to world space at the time code `first`, or
+    the identity if that matrix cannot be inverted.
+    """
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
         world = Gf.Matrix4d(1.0)
@@ -160,13 +185,13 @@ def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: flo
 
 
 def _set(attribute: Any, values: NDArray[np.floating]) -> None:
-    """Give an attribute one value in place of its samples."""
+    """Replace all time samples of an attribute by a single value."""
     attribute.Clear()
     attribute.Set(Vt.Vec3fArray.FromNumpy(values.astype(np.float32)))
 
 
 def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None:
-    """Carry the normals to the rest pose, stored as the file has them."""
+    """Replace a mesh's normals by those at the new `points`, with the interpolation of the old."""
     values, interpolation, attribute = mesh.normal_values()
     index = mesh.value_index(interpolation)
     if values is None or index is None or not len(index) or index.max() >= len(values):
@@ -181,12 +206,12 @@ def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None
 
 
 def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:
-    """Write the root layer of a USD file again, as text or binary, with all that is in it.
+    """Copy the root layer of a USD file with all its contents, as text or binary.
 
     Parameters
     ----------
     path, target : Path
-    clips : names or numbers, optional
+    clips : names or indices, optional
         The animations to keep; all by default.
 
     Raises
@@ -194,7 +219,7 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
     FormatError
         If the file cannot be read.
     InputError
-        If it has no such clip.
+        If the file has no such clip.
     """
     with reading(path):
         reader = StageReader(path)
@@ -214,9 +239,9 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
 
 
 def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
-    """A stage of `temporary` with the contents of the stage that was read.
+    """New stage in the file `temporary`, with the contents of the reader's root layer.
 
-    Files that it names are found again from where `target` will be.
+    Relative paths of assets are changed to be relative to the folder of `target`.
     """
     layer = Sdf.Layer.CreateNew(str(temporary))
     layer.TransferContent(reader.stage.GetRootLayer())
@@ -224,7 +249,7 @@ def _transfer(reader: StageReader, temporary: Path, target: Path) -> Any:
 
     def moved(asset: str) -> str:
         if not asset or os.path.isabs(asset) or not os.path.exists(old / asset):
-            return asset  # what a resolver finds elsewhere
+            return asset  # a resolver finds it elsewhere
         return Path(os.path.relpath(old / asset, new)).as_posix()
 
     if old != new:

@@ -1,4 +1,4 @@
-"""Writing USD: UsdSkel characters and point caches."""
+"""Writing of USD: UsdSkel characters and point caches."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def write_skinning(
 ) -> SaveReport:
     """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
-    The first clip is bound; its rate is the stage's, on whose time codes the others have their
-    own.
+    The first clip is bound to the skeleton, and the stage has its frame rate. Clips with another
+    rate have their frames between the time codes of the stage.
 
     Parameters
     ----------
@@ -52,39 +52,42 @@ def write_skinning(
     path : Path
         ``.usda`` (text), ``.usdc`` or ``.usd`` (binary).
     influences : int, optional
-        How many of the largest weights of a vertex to keep; all by default.
+        Number of largest weights to keep for each vertex; all by default.
     up : {"y", "z"}
         The model's up axis, stated in the file; nothing is turned.
     meters_per_unit : float
         The model's unit, stated in the file.
     name : str, optional
-        Name of the root prim; by default that of the skinning, else of the file.
+        Name of the root prim; by default that of the skinning or, if it has none, of the file.
     template : path, optional
         The USD file that the model was made from, or one with the same points and triangles. Its
         root layer is written again with the model's skin and clips; all else stays: materials
         and bindings, primvars, other prims. The unit, the up axis and the time codes are the
         template's.
     clip_names : mapping of str to str, optional
-        Names in the model of the template's clips, where they differ.
+        Name of a clip in the template to its name in the model, for clips whose names differ.
     strict : bool
-        Refuse, rather than report, what of the template cannot be kept.
+        Whether to raise an error, instead of reporting the loss, if contents of the template
+        cannot be kept.
 
     Returns
     -------
     SaveReport
-        UsdSkel stores scales in half precision: similarity bones cost more here than in glTF.
+        Its errors are larger than those of glTF if bones scale, because UsdSkel stores scales in
+        half precision.
 
     Raises
     ------
     InputError
-        If a bone is neither rigid nor a similarity, or an option is not usable.
+        If a bone is neither rigid nor a similarity, an option is not usable, or the model does not
+        fit the template.
 
     References
     ----------
     Pixar, "UsdSkel schemas", https://openusd.org/release/api/usd_skel_page_front.html
     """
     rig = build_rig(skinning, influences=influences)
-    # An animation stores all joints of a frame at once, so a key of one is a key of all.
+    # A SkelAnimation stores all joints at a time code, so a key of one joint is a key of all.
     together = np.broadcast_to(rig.keys.any(axis=1, keepdims=True), rig.keys.shape)
     rig = dataclasses.replace(
         rig,
@@ -177,7 +180,7 @@ def _new_stage(
 def _define_mesh(
     stage: Any, top: Any, thing: MeshSequence | Skinning, path: Path, notes: list[str]
 ) -> Any:
-    """A mesh below `top` with its triangles, UVs and materials."""
+    """Define and return a mesh below `top`, with the triangles, UVs and materials of `thing`."""
     faces, surface = thing.faces, thing.surface
     mesh = UsdGeom.Mesh.Define(stage, top.AppendChild("Mesh"))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
@@ -195,7 +198,7 @@ def _extent(points: NDArray[np.float32]) -> Any:
 
 
 def _put_primvar(mesh: Any, name: str, kind: Any, values: NDArray[Any]) -> None:
-    """Add face-varying values with an index, so that equal corners are stored once."""
+    """Add a face-varying primvar, with an index so that equal values are stored once."""
     rows = np.asarray(values, dtype=np.float32).reshape(-1, values.shape[-1])
     distinct, index = np.unique(rows, axis=0, return_inverse=True)
     holder = Vt.Vec2fArray if rows.shape[1] == 2 else Vt.Vec3fArray
