@@ -1,7 +1,7 @@
 """Alembic and FBX through Blender, which runs in a process of its own.
 
-``bpy`` prints, keeps one global scene and pins an old NumPy; none of that reaches the user's
-process or environment.
+A separate process is used because ``bpy`` prints messages, keeps one global scene and requires an
+old NumPy.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from .finder import command
 
 _log = logging.getLogger(__name__)
 _IMPORT_FPS = 24.0
-_LONGEST_NAME = 63  # bytes, of anything in Blender
+_LONGEST_NAME = 63  # bytes in the name of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
-_TOO_OLD = "Blender 4.2 or newer is needed"  # in the words of script.py
+_TOO_OLD = "Blender 4.2 or newer is needed"  # part of an error of script.py
 _MAGIC = {".fbx": (b"Kaydara FBX", b"; FBX"), ".abc": (b"Ogawa", b"\x89HDF")}
 
 
@@ -56,27 +56,30 @@ def read(
     ----------
     path : Path
     clip : str or int, optional
-        Which take of an FBX file, by number or name; the first by default.
+        Name or index of the take of an FBX file; the first by default.
     fps : float, optional
-        Where to sample; FBX states its rate, Alembic holds seconds alone and gets 24 by default.
+        Frames per second at which to sample; by default 24 for Alembic, which states no rate, and
+        as in :func:`read_skinning` for FBX.
     up : {"y", "z"}
-        Axes of the result: y up as most such files have it, or Blender's own.
+        Up axis of the result. Most such files have y up; Blender itself has z up.
     time_limit : float
         Seconds after which Blender is stopped.
     max_bytes : int, optional
-        Largest size of the vertices; 16 GiB by default.
+        Most memory that the vertices of all frames may take; 16 GiB by default.
 
     Returns
     -------
     MeshSequence
-        float32, in metres (FBX stores centimetres or a unit of its own).
+        Vertices in float32, converted to metres from the unit of an FBX file.
 
     Raises
     ------
     FormatError
         If Blender cannot read the file.
+    InputError
+        If the file has no such take.
     MissingDependencyError
-        If there is no Blender, or one that is too old.
+        If Blender is not found or is older than 4.2.
     """
     check_up(up)
     take = clip if isinstance(clip, (str, int)) and not isinstance(clip, bool) else None
@@ -101,7 +104,7 @@ def read(
 def list_clips(
     path: Path, *, fps: float | None = None, time_limit: float = 600.0
 ) -> tuple[Clip, ...]:
-    """The takes of an FBX file."""
+    """Takes of an FBX file as clips, with frames numbered as in :func:`read_skinning`."""
     arrays = _ask_blender("list", path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)
@@ -120,34 +123,34 @@ def read_skinning(
     time_limit: float = 600.0,
     max_bytes: int | None = None,
 ) -> Skinning:
-    """Read the skins of an FBX file as they are; a mesh without one becomes one bone.
+    """Read the skins of an FBX file without baking them; a mesh without a skin gets one bone.
 
-    The rest pose is the mesh where it stands in the first frame, not skinned. Bones are those
-    that a skin names, with weights or none; the parent of each is the nearest bone above it that
-    is one of them. Where no bone has a parent, there is no hierarchy.
+    The rest pose is the mesh without its skin, at its place in the first frame. Bones are those
+    that a skin names, even without weights, and the parent of a bone is the nearest such bone above
+    it. If no bone has a parent, the skinning has no hierarchy.
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        Where to sample; by default every take at the rate of the file, or at that of its own keys
-        where they do not lie on the file's frames.
+        Frames per second at which to sample; by default, for each take, the rate of the file or, if
+        keys of the take lie between the file's frames, the rate of these keys.
     up, time_limit
         As in :func:`read`.
     max_bytes : int, optional
-        Largest size of the transforms; 16 GiB by default.
+        Most memory that the transforms of all frames may take; 16 GiB by default.
 
     Returns
     -------
     Skinning
-        Rest pose and transforms float64, in metres; weights float32; a clip for each take.
+        Rest pose and transforms in float64, in metres; weights in float32; a clip for each take.
 
     Raises
     ------
     FormatError
-        If Blender cannot read the file, shape keys move a mesh, or several armatures move one.
+        If Blender cannot read the file, shape keys move a mesh, or a mesh has several armatures.
     MissingDependencyError
-        If there is no Blender, or one that is too old.
+        If Blender is not found or is older than 4.2.
     """
     check_up(up)
     arrays = _ask_blender("read skinning", path, fps, time_limit, max_bytes)
@@ -175,7 +178,7 @@ def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
 
 
 def _title(arrays: dict[str, NDArray[Any]], path: Path) -> str:
-    """Name of the file's mesh if it has exactly one, else the stem of the file's name."""
+    """Name of the mesh if the file has exactly one, else the file's name without its suffix."""
     return readable(arrays["title"]) if "title" in arrays else path.stem
 
 
@@ -191,7 +194,10 @@ def _ask_blender(
     max_bytes: int | None = None,
     **job: Any,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays that ``script.py`` reads from a file; its failures become FormatErrors."""
+    """Run an action of ``script.py`` that reads a file, and return the arrays that it writes.
+
+    `job` holds further settings of the action. An error in the script becomes a FormatError.
+    """
     _check_limit(time_limit)
     command(_SCRIPT)  # a missing Blender is reported before a damaged file
     suffix = path.suffix.lower()
@@ -221,26 +227,30 @@ def write_skinning(
     name: str | None = None,
     time_limit: float = 600.0,
 ) -> SaveReport:
-    """Write a skinned ``.fbx``: the glTF of the model, imported and exported by Blender.
+    """Write a skinned ``.fbx``: Blender imports the model as glTF and exports it as FBX.
 
-    What was written is read back and compared, so that `error` and `max_error` of the report are
-    those of the whole way; `between_frames` is that of the glTF (engines that interpolate FBX's
-    Euler angles differ a little).
+    The FBX file is read back and compared with the model, so that `error` and `max_error` of the
+    report include all that Blender changes. `between_frames` of the report is that of the glTF;
+    engines that interpolate FBX's Euler angles differ from it a little.
 
     Parameters
     ----------
     skinning : Skinning
     path : Path
     influences, up, name
-        As for glTF.
+        As in :func:`ssdr.io.gltf.writer.write_skinning`.
     time_limit : float
         Seconds after which Blender is stopped.
 
     Raises
     ------
-    InputError, MissingDependencyError
+    InputError
+        If clips have names that are too long for Blender or different frame rates, or the model
+        does not fit glTF.
+    MissingDependencyError
+        If Blender is not found or is older than 4.2.
     SsdrError
-        If Blender fails.
+        If Blender stops with an error or takes too long, or its file does not hold the model.
     """
     _check_limit(time_limit)
     title = name or skinning.name or path.stem
@@ -257,8 +267,8 @@ def write_skinning(
     command(_SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
-        # Takes get short names for Blender, since clips may have any, and a whole frame rate, since
-        # Blender's glTF importer puts keys on frames only then.
+        # In Blender, clips get short names, because it would change some names, and a whole frame
+        # rate, because only then its glTF importer puts keys on frames.
         numbered = [
             dataclasses.replace(c, name=f"c{k}", fps=_IMPORT_FPS)
             for k, c in enumerate(skinning.clips)
@@ -315,14 +325,15 @@ def _check_limit(time_limit: float) -> None:
 
 
 def run(job: dict[str, Any], *, time_limit: float = 600.0) -> dict[str, NDArray[Any]]:
-    """Do one job of ``script.py`` in a process of its own.
+    """Run one job of ``script.py`` in a process of its own and return the arrays that it writes.
 
     Raises
     ------
     InputError, MissingDependencyError
-        If Blender is not found, cannot be started or is too old.
+        If Blender is not found, cannot be started or is older than 4.2.
     SsdrError
-        If Blender fails or needs too long; the message holds what it said.
+        If Blender stops with an error, whose text is passed on, or takes more than `time_limit`
+        seconds.
     """
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
         out, order = Path(folder) / "out.npz", Path(folder) / "job.json"

@@ -1,7 +1,8 @@
-"""Lookup of Blender: a program or a Python that a variable names, ``bpy``, or the PATH.
+"""Lookup of Blender, as a program or as a Python in which ``bpy`` is installed.
 
-``bpy`` pins an old NumPy and would downgrade that of ``ssdr``, so it belongs into an environment
-of its own; one at `environment` is found without being named.
+``bpy`` requires an old NumPy and would downgrade that of ``ssdr``, so it belongs into a Python
+environment of its own. An environment in the folder that `environment` returns is found without any
+settings.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from ...errors import InputError, MissingDependencyError
 
 
 def environment() -> Path:
-    """Folder for a Python environment with ``bpy``, whether it exists or not.
+    """Folder in which a Python environment with ``bpy`` is looked for; it need not exist.
 
-    ``ssdr/blender`` in the user's cache: ``$XDG_CACHE_HOME`` or ``~/.cache``,
-    ``~/Library/Caches`` on macOS, ``%LOCALAPPDATA%`` on Windows.
+    It is ``ssdr/blender`` in the user's cache folder, which is ``~/Library/Caches`` on macOS,
+    ``%LOCALAPPDATA%`` on Windows, and ``$XDG_CACHE_HOME`` or ``~/.cache`` elsewhere.
     """
     home = Path.home()
     if sys.platform == "win32":
@@ -32,17 +33,18 @@ def environment() -> Path:
 
 
 def command(script: Path | str, *arguments: str) -> list[str]:
-    """Command that runs a script with ``bpy``, found without importing it.
+    """Command line that runs a script with ``bpy``; ``bpy`` is not imported to find it.
 
-    The first of these that exists: the program that ``SSDR_BLENDER`` names, the
-    Python that ``SSDR_BLENDER_PYTHON`` names, ``bpy`` beside this package, the
-    environment at `environment`, ``blender`` on the PATH.
+    The command uses the first of these that exists: the Blender program that the environment
+    variable ``SSDR_BLENDER`` names, the Python that ``SSDR_BLENDER_PYTHON`` names, the Python that
+    is running if ``bpy`` is installed in it, the Python in the folder that `environment` returns,
+    the program ``blender`` on the PATH.
 
     Parameters
     ----------
     script : Path or str
     arguments : str
-        Passed to the script, as the last of its ``sys.argv``.
+        Arguments of the script, at the end of its ``sys.argv``.
 
     Returns
     -------
@@ -51,9 +53,9 @@ def command(script: Path | str, *arguments: str) -> list[str]:
     Raises
     ------
     InputError
-        If a variable names nothing that can be run.
+        If one of the two variables names something that cannot be run.
     MissingDependencyError
-        If there is no Blender; the message says how to get one.
+        If Blender is not found; the message says how to get it.
     """
     blender = _named("SSDR_BLENDER", "a Blender program")
     python = None if blender else _named("SSDR_BLENDER_PYTHON", "a Python with bpy")
@@ -83,7 +85,7 @@ def _scripts(folder: Path) -> Path:
 
 
 def _python_of(folder: Path) -> str | None:
-    """Python of an environment if ``bpy`` is installed in it."""
+    """Python of the environment in a folder; None if ``bpy`` is not installed in it."""
     places = [*folder.glob("lib/python*/site-packages/bpy"), folder / "Lib/site-packages/bpy"]
     installed = any(place.is_dir() for place in places)
     return shutil.which("python", path=_scripts(folder)) if installed else None

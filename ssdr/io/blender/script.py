@@ -1,6 +1,7 @@
-"""Run as ``python script.py job.json`` or ``blender --python script.py -- job.json``.
+"""Script that reads or writes a file in Blender, as a JSON file with a job tells it.
 
-It needs NumPy and Blender alone, not the package. It writes an archive of arrays, and errors to
+Run it as ``python script.py job.json`` or ``blender --python script.py -- job.json``. It needs only
+NumPy and Blender, not the package. It writes its results to an archive of arrays and errors to
 stderr.
 """
 
@@ -30,7 +31,7 @@ def load(path: str, fps: float, **options: Any) -> None:
         bpy.ops.import_scene.fbx(
             filepath=path, use_anim=True, ignore_leaf_bones=False, anim_offset=0.0
         )
-        # The importer fixes bones that begin where another ends: let them slide.
+        # The importer attaches a bone that begins where another ends; detached, it can slide.
         for item in list(bpy.context.view_layer.objects):
             if item.type == "ARMATURE" and any(bone.use_connect for bone in item.data.bones):
                 edit(item, lambda bone: setattr(bone, "use_connect", False))
@@ -55,7 +56,7 @@ def edit(item: Any, change: Any) -> None:
 
 
 def meshes() -> list[Any]:
-    """The meshes that are shown, in the order of their names."""
+    """Mesh objects that are shown in the scene, sorted by name."""
     found = [
         o
         for o in bpy.context.scene.objects
@@ -86,7 +87,7 @@ class Vertices:
         self.frames: list[Any] = []
 
     def read_rest(self, timeline: Any) -> None:
-        """Show the first frame, which needs no rest pose."""
+        """Show the first frame; there is no rest pose to read."""
         timeline.go(0)
 
     def sample(self, graph: Any) -> None:
@@ -104,7 +105,11 @@ class Vertices:
 
 
 def read(job: dict[str, Any]) -> None:
-    """Write the takes of a file ("list"), the vertices of one take ("read") or the skins of all."""
+    """Read a file and write an archive with what the job's action asks for.
+
+    The actions are "list" (takes, and contents that are not read), "read" (vertices of one take)
+    and "read skinning" (skins, with the bones' transforms in all takes).
+    """
     load(job["path"], job["fps"])
     items, found = meshes(), takes.list_takes(job["path"])
     names = [name for name, _ in found]
@@ -119,7 +124,7 @@ def read(job: dict[str, Any]) -> None:
         take = job.get("take") or 0
         take = names.index(take) if take in names else take
         if found and take not in range(len(found)):
-            np.savez(job["out"], **arrays)  # the caller says what is wrong
+            np.savez(job["out"], **arrays)  # the caller reports that there is no such take
             return
         found = found[take : take + 1] if found else []
     else:
@@ -150,17 +155,17 @@ def read(job: dict[str, Any]) -> None:
 
 
 def vertex_numbers(items: list[Any]) -> Any:
-    """Number of each vertex in the package's model, an attribute of its glTF files."""
+    """Index in the model of each vertex, from the attribute ``_VERTEX`` of this package's glTF."""
     attributes = [item.data.attributes["_VERTEX"].data for item in items]
     found = [surfaces.values(data, "value", np.float32) for data in attributes]
     return np.concatenate(found).astype(np.int64)
 
 
 def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
-    """Give an armature a named strip for each clip, from which the exporter makes takes."""
+    """Give an armature an NLA strip for each clip, since the exporter makes a take of each strip."""
     motion = item.animation_data
     motion.action = None
-    # What the importer calls its actions differs between releases, its tracks do not.
+    # The importer's names of actions differ between releases of Blender; those of tracks do not.
     found = {track.name: track.strips[0] for track in motion.nla_tracks}
     held = {n: (s.action, getattr(s, "action_slot", None)) for n, s in found.items()}
     for track in list(motion.nla_tracks):
@@ -178,8 +183,8 @@ def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
 def merge_copies(item: Any) -> None:
     """Merge the copies of vertices that glTF needs where normals or UVs differ.
 
-    Normals and UVs become those of corners, as in FBX. Blender keeps only one triangle on the same
-    three vertices, so further triangles there get copies of the vertices.
+    Normals and UVs are then stored per corner, as in FBX. Blender keeps only one triangle on any
+    three vertices, so each further triangle on the same three gets copies of them.
     """
     old, values = item.data, surfaces.values
     numbers, first, place = np.unique(
@@ -220,7 +225,7 @@ def merge_copies(item: Any) -> None:
 
 
 def copies(faces: Any) -> Any:
-    """Number of earlier triangles on the same three vertices, for each triangle."""
+    """For each triangle, the number of earlier triangles on the same three vertices."""
     rows = np.sort(faces, axis=1)
     order = np.lexsort(rows.T)
     sorted_rows, number = rows[order], np.arange(len(rows))
@@ -236,7 +241,7 @@ def write(job: dict[str, Any]) -> None:
     if lengths is None:
         load(job["source"], job["import_fps"])
     else:
-        # bones lie along their own y axis
+        # the importer then draws bones along their own y axis
         load(job["source"], job["import_fps"], bone_heuristic="BLENDER")
     takes.set_rate(job["fps"])
     items = meshes()
@@ -281,4 +286,4 @@ if __name__ == "__main__":
     main()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(0)  # some releases of bpy crash when they are torn down, the work being done
+    os._exit(0)  # some releases of bpy crash at exit, after all work is done

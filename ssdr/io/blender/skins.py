@@ -1,6 +1,6 @@
-"""Skins as Blender has them: rest pose, weights and transforms of the bones.
+"""Reading of skins from Blender: rest pose, weights and transforms of the bones.
 
-It runs inside Blender beside ``script.py`` and, like it, needs NumPy and Blender alone.
+This module runs inside Blender beside ``script.py`` and needs only NumPy and Blender.
 """
 
 import json
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 _LEAST_TOTAL = 1e-4  # Blender does not move a vertex whose weights sum to less
-_SAME_PLACE = 1e-6  # part of the size of a mesh; float32 matrices move a still mesh by less
+_SAME_PLACE = 1e-6  # of a mesh's size; float32 rounding of matrices moves a still mesh by less
 
 
 def matrix(value: Any) -> Any:
@@ -17,7 +17,7 @@ def matrix(value: Any) -> Any:
 
 
 def world_points(item: Any, graph: Any) -> tuple[Any, Any]:
-    """Evaluated vertices (V, 3) of a mesh in world space, and its matrix."""
+    """Evaluated vertices (V, 3) of a mesh in world space, and the mesh's matrix to world space."""
     shown = item.evaluated_get(graph)
     mesh = shown.to_mesh()
     points = np.empty(len(mesh.vertices) * 3, dtype=np.float32)
@@ -28,7 +28,10 @@ def world_points(item: Any, graph: Any) -> tuple[Any, Any]:
 
 
 class Skin:
-    """A mesh, its armature and its motion."""
+    """A mesh, its armature, and its motion relative to the first frame.
+
+    The symbols are those of `SkinnedMeshes`.
+    """
 
     def __init__(self, item: Any) -> None:
         self.item = item
@@ -37,12 +40,12 @@ class Skin:
             names = ", ".join(m.object.name for m in self.modifiers)
             raise ValueError(f"{item.name} has several armatures ({names}), one was expected")
         self.armature: Any = self.modifiers[0].object if self.modifiers else None
-        self.keys: Any = None  # values of the shape keys, which must stay
+        self.keys: Any = None  # values of the shape keys, which must not change
         self.motions: list[Any] = []  # O O₀⁻¹ of each frame
         self.relative: list[Any] = []  # A⁻¹ O O₀⁻¹ of each frame
 
     def read_rest(self, graph: Any) -> None:
-        """Read the vertices in world space without the skin, and where the mesh stands."""
+        """Read the rest pose, which is the unskinned vertices in world space, and the matrix O₀."""
         self.rest, self.place = world_points(self.item, graph)
         if not np.linalg.cond(self.place) < 1e9:
             raise ValueError(f"{self.item.name} is scaled to size 0, which no rest pose can have")
@@ -50,7 +53,10 @@ class Skin:
             raise ValueError(f"{self.item.name}: a modifier changes the number of its vertices")
 
     def sample(self, graph: Any, armature_places: dict[str, Any]) -> None:
-        """Record the motion of the object itself, in the world and relative to its armature."""
+        """Record the motion of the object in one frame, in the world and relative to its armature.
+
+        `armature_places` are the world matrices A of the armatures, by name.
+        """
         keys = self.item.data.shape_keys
         if keys is not None:
             values = np.array([key.value for key in keys.key_blocks])
@@ -66,7 +72,10 @@ class Skin:
             self.relative.append(np.linalg.inv(armature_places[self.armature.name]) @ motion)
 
     def influences(self, names: list[str]) -> tuple[Any, Any]:
-        """Bones and weights ``(V, K)``; bone ``len(names)`` for vertices that no bone moves."""
+        """Bone indices and weights ``(V, K)``, for bones with the given names.
+
+        A vertex that no bone moves gets the index ``len(names)`` with weight 1.
+        """
         number = {name: k for k, name in enumerate(names)}
         bone = {g.index: number[g.name] for g in self.item.vertex_groups if g.name in number}
         rows = []
@@ -88,7 +97,7 @@ class Skin:
 
 
 class Armature:
-    """An armature and those of its bones to which meshes refer."""
+    """An armature, those of its deforming bones whose names are in `named`, and their motion."""
 
     def __init__(self, item: Any, named: set[str]) -> None:
         self.item = item
@@ -100,7 +109,7 @@ class Armature:
         self.poses: list[Any] = []
 
     def _parent(self, bone: Any) -> int:
-        """Index of the nearest ancestor among the named bones, -1 without one."""
+        """Index in `names` of the nearest ancestor of a bone that is in `names`; -1 without one."""
         above = bone.parent
         while above is not None and above.name not in self.names:
             above = above.parent
@@ -110,7 +119,7 @@ class Armature:
         return matrix(self.item.evaluated_get(graph).matrix_world)
 
     def sample(self, graph: Any) -> None:
-        """Record transforms ``(B, 4, 4)`` from armature space at rest to world space."""
+        """Record the bones' transforms A P R⁻¹ ``(B, 4, 4)`` in one frame (see `SkinnedMeshes`)."""
         posed = self.item.evaluated_get(graph).pose.bones
         moved = [matrix(posed[n].matrix) @ u for n, u in zip(self.names, self._unrest, strict=True)]
         self.poses.append(self.place(graph) @ np.array(moved).reshape(-1, 4, 4))
@@ -119,11 +128,13 @@ class Armature:
 class SkinnedMeshes:
     """All meshes of a scene with the bones that move them, sampled frame by frame.
 
-    Let O and A be the world matrices of a mesh and its armature, and P and R the pose and rest
-    matrices of a bone in armature space.  Blender moves vertex p of the mesh to
-    A (Σ w P R⁻¹) A⁻¹ O p.  The rest pose is O₀ p in world space, where ₀ marks the first frame, and a bone's transform from
-    there is (A P R⁻¹) (A⁻¹ O O₀⁻¹).  If the mesh follows its armature, the second factor is A₀⁻¹ in
-    all frames, so that all such meshes share the armature's bones.
+    Let O and A be the world matrices of a mesh and its armature, P and R the pose and rest matrices
+    of a bone in armature space, and w the weight of the bone at a vertex p of the mesh. Blender
+    moves p to A (Σ w P R⁻¹) A⁻¹ O p in world space, where the sum is over the bones.
+
+    The rest pose is O₀ p in world space, where ₀ marks the first frame. The transform of a bone
+    from the rest pose is therefore (A P R⁻¹) (A⁻¹ O O₀⁻¹). If the mesh follows its armature, the
+    second factor is A₀⁻¹ in all frames, so that all such meshes share the armature's bones.
     """
 
     what = "transforms"
@@ -144,7 +155,7 @@ class SkinnedMeshes:
         self.bytes_per_frame = 96 * n_bones
 
     def read_rest(self, timeline: Any) -> None:
-        """Read the rest pose in the first frame, while no armature moves the meshes."""
+        """Read the rest pose in the first frame, with the meshes' armature modifiers disabled."""
         modifiers = [modifier for skin in self.skins for modifier in skin.modifiers]
         for modifier in modifiers:
             modifier.show_viewport = False
@@ -163,7 +174,7 @@ class SkinnedMeshes:
             skin.sample(graph, places)
 
     def _relative_motion(self, skin: Skin) -> Any:
-        """A⁻¹ O O₀⁻¹ in every frame, or once if the mesh follows its armature."""
+        """A⁻¹ O O₀⁻¹ (F, 4, 4) of a mesh; only A₀⁻¹ (1, 4, 4) if the mesh follows its armature."""
         still = np.linalg.inv(self._rest_places[skin.armature.name])[None]
         moved = np.array(skin.relative)
         size = np.abs(skin.rest).max() + 1e-30
@@ -176,10 +187,10 @@ class SkinnedMeshes:
         names: list[str] = []
         transforms: list[Any] = []
         parents: list[int] = []
-        heads: list[Any] = []  # joints, where the rest pose is
+        heads: list[Any] = []  # joints in the rest pose
         indices: list[Any] = []
         weights: list[Any] = []
-        shared: dict[str, int] = {}  # first bone of the armatures whose bones meshes share
+        shared: dict[str, int] = {}  # first bone of each armature whose bones are shared
         for skin in self.skins:
             own: list[str] = []
             start = 0

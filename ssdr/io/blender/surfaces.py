@@ -1,6 +1,6 @@
-"""Faces, UVs, normals and materials as Blender has them, and contents of a scene that are not read.
+"""Reading of faces, UVs, normals and materials from Blender, and a list of what is not read.
 
-It runs inside Blender beside ``script.py`` and, like it, needs NumPy and Blender alone.
+This module runs inside Blender beside ``script.py`` and needs only NumPy and Blender.
 """
 
 import json
@@ -12,7 +12,10 @@ import numpy as np
 
 
 def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
-    """An attribute of every element of a collection, ``(n,)`` or ``(n, width)``."""
+    """Values of the attribute `name` of all elements of a Blender collection, in rows of `width`.
+
+    If `width` is 1, the array has one dimension.
+    """
     size = len(data) * (np.size(getattr(data[0], name)) if len(data) else 1)
     flat = np.empty(size, dtype=dtype)
     data.foreach_get(name, flat)
@@ -20,7 +23,10 @@ def values(data: Any, name: str, dtype: Any, width: int = 1) -> Any:
 
 
 def join(items: list[Any], arrays: dict[str, Any], path: str) -> None:
-    """Add faces, UVs, normals and materials of all meshes, one after the other, to `arrays`."""
+    """Add the faces, UVs, normals and materials of all meshes, one after another, to `arrays`.
+
+    `path` is the file that Blender has loaded; textures are read only from its folder.
+    """
     names = ("faces", "surface_uv", "surface_normals", "surface_material_index")
     found: dict[str, list[Any]] = {name: [] for name in names}
     materials: list[Any] = []
@@ -56,7 +62,10 @@ def join(items: list[Any], arrays: dict[str, Any], path: str) -> None:
 
 
 def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]:
-    """Fields of the package's material; the bytes of its texture go to `arrays`, as in ``.npz``."""
+    """Fields of a `Material` of this package, read from a material of Blender.
+
+    The bytes of its texture are added to `arrays` as ``texture_`` and `number`, as in ``.npz``.
+    """
     if material is None:
         return {"name": "default"}
     record: dict[str, Any] = {
@@ -80,7 +89,10 @@ def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> d
 
 
 def picture(image: Any, arrays: dict[str, Any], path: str) -> bytes:
-    """Encoded bytes of an image that is packed or lies in the folder of the file; else empty."""
+    """Bytes of an image file that is packed or lies in the folder of the file `path`; else empty.
+
+    An image in another folder is added to ``arrays["outside"]``.
+    """
     if image.packed_file:
         return bytes(image.packed_file.data)
     file = os.path.realpath(bpy.path.abspath(image.filepath))

@@ -1,6 +1,6 @@
-"""Takes of a file that Blender has loaded: objects and their actions, frames and rates.
+"""Reading of the takes of a file that Blender has loaded: their actions, frames and frame rates.
 
-It runs inside Blender beside ``script.py`` and, like it, needs NumPy and Blender alone.
+This module runs inside Blender beside ``script.py`` and needs only NumPy and Blender.
 """
 
 import dataclasses
@@ -13,14 +13,14 @@ import numpy as np
 
 _LONGEST_NAME = 255 if bpy.app.version >= (5, 0, 0) else 63  # bytes, of an object or action
 _LONGEST_BONE = 63
-_LARGEST_RATE = 32767  # what Blender's integer holds
+_LARGEST_RATE = 32767  # of Blender's integer for the frame rate
 _USUAL = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 Pairs = list[tuple[Any, Any]]  # objects or shape keys, each with the action that moves it
 
 
 @dataclasses.dataclass(frozen=True)
 class Timeline:
-    """Frames of a take on Blender's timeline: `count` from `first` on, `step` apart."""
+    """The `count` frames of a take, from `first` on Blender's timeline in steps of `step`."""
 
     first: float
     step: float
@@ -28,7 +28,7 @@ class Timeline:
     fps: float
 
     def go(self, frame: int) -> Any:
-        """Show a frame and return the evaluated scene."""
+        """Show frame number `frame` of the take and return Blender's evaluated scene."""
         time = self.first + frame * self.step
         whole = math.floor(time + 1e-6)
         part = min(max(time - whole, 0.0), 0.999999)
@@ -37,7 +37,7 @@ class Timeline:
 
 
 def set_rate(fps: float) -> None:
-    """Set the frames per second of the scene, which Blender stores as an integer over a float32."""
+    """Set the frame rate of the scene, which Blender stores as an integer divided by a float32."""
     render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
     if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
         render.fps, render.fps_base = ratio.numerator, ratio.denominator
@@ -47,22 +47,28 @@ def set_rate(fps: float) -> None:
 
 
 def stated_rate() -> float:
-    """Frames per second of the scene, without the rounding of float32."""
+    """Frame rate of the scene, corrected for Blender's rounding to float32."""
     render = bpy.context.scene.render
     rate = float(render.fps / render.fps_base)
-    simple = (round(rate, 3), round(rate * 1.001) / 1.001)  # the second is a rate of television
+    simple = (
+        round(rate, 3),
+        round(rate * 1.001) / 1.001,
+    )  # the second, as 30/1.001, is of television
     return next((one for one in simple if abs(one - rate) <= 2e-7 * rate), rate)
 
 
 def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
-    """Assign the actions of a take, if there is one, and return the frames at which to sample."""
+    """Assign the actions of a take to its objects, and return the frames at which to sample it.
+
+    `pairs` are the objects and actions; None if the file has no takes.
+    """
     for item, action in pairs or []:
         item.animation_data.action = action
     scene, rate = bpy.context.scene, stated_rate()
-    tempo = rate  # frames of the timeline in a second
+    tempo = rate  # frames of Blender's timeline per second
     stamps = np.zeros(0)
     if job["path"].lower().endswith(".fbx"):
-        tempo = float(scene.render.fps)  # its importer forgets fps_base where it places keys
+        tempo = float(scene.render.fps)  # its importer ignores fps_base when it places keys
         stamps = key_frames(pairs or [])
         first, last = (stamps[0], stamps[-1]) if len(stamps) else (1.0, 1.0)
     elif job["path"].lower().endswith((".glb", ".gltf")):
@@ -81,7 +87,11 @@ def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
 
 
 def rate_of(seconds: Any, stated: float) -> float:
-    """Rate on whose frames all keys lie: the file's, that of the closest keys, or a usual one."""
+    """First of several frame rates on whose frames all keys lie; the file's if none is.
+
+    `seconds` are the times of the keys. The rates are the file's (`stated`), that at which the two
+    closest keys are one frame apart, and usual ones.
+    """
     gaps = np.diff(seconds)
     closest = [round(1 / float(gaps.min()), 3)] if len(gaps) else []
     for rate in (stated, *closest, *_USUAL):
@@ -92,7 +102,7 @@ def rate_of(seconds: Any, stated: float) -> float:
 
 
 def key_frames(pairs: Pairs) -> Any:
-    """Frames of Blender's timeline that have keys, each once."""
+    """Frames of Blender's timeline at which the actions of a take have keys, ascending."""
     found = [np.zeros(0, dtype=np.float32)]
     for action in {action for _, action in pairs if action}:
         bags = [action]
@@ -104,12 +114,15 @@ def key_frames(pairs: Pairs) -> Any:
             curve.keyframe_points.foreach_get("co", flat)
             found.append(flat[::2])
     stamps = np.unique(np.concatenate(found)).astype(np.float64)
-    # Frames are float32: what differs by its rounding alone is one.
+    # Blender's frames are float32; those that differ only by its rounding are merged.
     return stamps[np.diff(stamps, prepend=-np.inf) > 1e-6 * np.maximum(1.0, np.abs(stamps))]
 
 
 def pose() -> list[tuple[Any, Any]]:
-    """Transforms and values without any action; a take may leave some of them as they are."""
+    """Transforms of objects and bones, and values of shape keys, before any take is played.
+
+    They are restored before each take, because a take need not set all of them.
+    """
     found: list[tuple[Any, Any]] = [(o, o.matrix_basis.copy()) for o in bpy.data.objects]
     for item in bpy.data.objects:
         if item.type == "ARMATURE":
@@ -125,12 +138,12 @@ def restore(values: list[tuple[Any, Any]]) -> None:
 
 
 def shortened(name: str, most: int = _LONGEST_NAME) -> str:
-    """Name, shortened to the length that Blender allows."""
+    """Name, cut to at most `most` bytes of UTF-8, as Blender does with long names."""
     return name.encode()[:most].decode("utf-8", "ignore")
 
 
 def list_takes(path: str) -> list[tuple[str, Pairs]]:
-    """Takes of a loaded FBX or glTF file: their names, and pairs of objects and actions."""
+    """Name of each take of a loaded FBX or glTF file, with its pairs of object and action."""
     moved = [o for o in (*bpy.data.objects, *bpy.data.shape_keys) if o.animation_data]
     tracks: dict[str, Pairs] = {}
     if path.lower().endswith((".glb", ".gltf")):
@@ -139,7 +152,7 @@ def list_takes(path: str) -> list[tuple[str, Pairs]]:
                 tracks.setdefault(track.name, []).append((item, track.strips[0].action))
     for name, layer in animation_stacks(path):
         tail = name if layer == name else f"{name}|{layer}"
-        # as Blender's importer calls them, cut to what its names may have
+        # Blender's importer gives actions these names, cut to the greatest length.
         pairs = [(o, bpy.data.actions.get(shortened(f"{o.name}|{tail}"))) for o in moved]
         actions = {action for _, action in pairs if action}
         for other, earlier in tracks.items():
@@ -155,7 +168,7 @@ def list_takes(path: str) -> list[tuple[str, Pairs]]:
 
 
 def parts_of(path: str) -> tuple[list[Any], list[Any]]:
-    """Objects of an FBX file and the links between them; none of another file."""
+    """Objects of an FBX file and links (child id, parent id); both are empty for other files."""
     if not path.lower().endswith(".fbx"):
         return [], []
     from io_scene_fbx import parse_fbx
@@ -171,7 +184,10 @@ def name_of(element: Any) -> str:
 
 
 def animation_stacks(path: str) -> list[tuple[str, str]]:
-    """Names of the animation stacks and their first layers in an FBX file, in its order."""
+    """Name of each animation stack of an FBX file and name of its first layer, in file order.
+
+    A stack without a layer gets its own name for both.
+    """
     objects, links = parts_of(path)
     layers = {e.props[0]: name_of(e) for e in objects if e.id == b"AnimationLayer"}
     found = []
@@ -182,7 +198,7 @@ def animation_stacks(path: str) -> list[tuple[str, str]]:
 
 
 def skin_bone_names(path: str) -> set[str]:
-    """Names of the bones that a skin of an FBX file lists, with or without weights."""
+    """Names of all bones that a skin of an FBX file lists, even those without weights."""
     objects, links = parts_of(path)
     models = {e.props[0]: name_of(e) for e in objects if e.id == b"Model"}
     clusters = {e.props[0] for e in objects if e.id == b"Deformer" and e.props[-1] == b"Cluster"}
