@@ -104,7 +104,7 @@ def read(
 def list_clips(
     path: Path, *, fps: float | None = None, time_limit: float = 600.0
 ) -> tuple[Clip, ...]:
-    """Takes of an FBX file as clips, with frames numbered as in :func:`read_skinning`."""
+    """Clips of a file (takes of an FBX file), with frames numbered as in :func:`read_skinning`."""
     arrays = _ask_blender("list", path, fps, time_limit)
     with reading(path):
         return _clips(arrays, path)

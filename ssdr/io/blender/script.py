@@ -155,14 +155,14 @@ def read(job: dict[str, Any]) -> None:
 
 
 def vertex_numbers(items: list[Any]) -> Any:
-    """Index in the model of each vertex, from the attribute ``_VERTEX`` of this package's glTF."""
+    """The model's vertex at each vertex, from the attribute ``_VERTEX`` of this package's glTF."""
     attributes = [item.data.attributes["_VERTEX"].data for item in items]
     found = [surfaces.values(data, "value", np.float32) for data in attributes]
     return np.concatenate(found).astype(np.int64)
 
 
 def put_strips(item: Any, clips: list[dict[str, Any]]) -> None:
-    """Give an armature an NLA strip for each clip, since the exporter makes a take of each strip."""
+    """Give an armature an NLA strip for each clip; the exporter makes a take of each strip."""
     motion = item.animation_data
     motion.action = None
     # The importer's names of actions differ between releases of Blender; those of tracks do not.
@@ -225,7 +225,7 @@ def merge_copies(item: Any) -> None:
 
 
 def copies(faces: Any) -> Any:
-    """For each triangle, the number of earlier triangles on the same three vertices."""
+    """Array with the number, for each triangle, of earlier triangles on the same three vertices."""
     rows = np.sort(faces, axis=1)
     order = np.lexsort(rows.T)
     sorted_rows, number = rows[order], np.arange(len(rows))

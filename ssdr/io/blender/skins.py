@@ -45,7 +45,7 @@ class Skin:
         self.relative: list[Any] = []  # A⁻¹ O O₀⁻¹ of each frame
 
     def read_rest(self, graph: Any) -> None:
-        """Read the rest pose, which is the unskinned vertices in world space, and the matrix O₀."""
+        """Read the rest pose (unskinned vertices in world space) and the mesh's world matrix O₀."""
         self.rest, self.place = world_points(self.item, graph)
         if not np.linalg.cond(self.place) < 1e9:
             raise ValueError(f"{self.item.name} is scaled to size 0, which no rest pose can have")

@@ -64,7 +64,7 @@ def join(items: list[Any], arrays: dict[str, Any], path: str) -> None:
 def describe(number: int, material: Any, arrays: dict[str, Any], path: str) -> dict[str, Any]:
     """Fields of a `Material` of this package, read from a material of Blender.
 
-    The bytes of its texture are added to `arrays` as ``texture_`` and `number`, as in ``.npz``.
+    The bytes of its texture are added to `arrays` under the key ``texture_<number>``.
     """
     if material is None:
         return {"name": "default"}

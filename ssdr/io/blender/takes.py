@@ -37,7 +37,7 @@ class Timeline:
 
 
 def set_rate(fps: float) -> None:
-    """Set the frame rate of the scene, which Blender stores as an integer divided by a float32."""
+    """Set the scene's frame rate, which Blender stores as an integer divided by a float32."""
     render, ratio = bpy.context.scene.render, fractions.Fraction(fps).limit_denominator(1001)
     if 0 < ratio.numerator <= _LARGEST_RATE and float(ratio) == fps:
         render.fps, render.fps_base = ratio.numerator, ratio.denominator
@@ -50,10 +50,8 @@ def stated_rate() -> float:
     """Frame rate of the scene, corrected for Blender's rounding to float32."""
     render = bpy.context.scene.render
     rate = float(render.fps / render.fps_base)
-    simple = (
-        round(rate, 3),
-        round(rate * 1.001) / 1.001,
-    )  # the second, as 30/1.001, is of television
+    # the second is a rate of television, such as 30 / 1.001
+    simple = (round(rate, 3), round(rate * 1.001) / 1.001)
     return next((one for one in simple if abs(one - rate) <= 2e-7 * rate), rate)
 
 
@@ -87,10 +85,10 @@ def play(job: dict[str, Any], pairs: Pairs | None) -> Timeline:
 
 
 def rate_of(seconds: Any, stated: float) -> float:
-    """First of several frame rates on whose frames all keys lie; the file's if none is.
+    """First of several frame rates whose frames meet all keys; the file's rate if none does.
 
-    `seconds` are the times of the keys. The rates are the file's (`stated`), that at which the two
-    closest keys are one frame apart, and usual ones.
+    `seconds` are the times of the keys. The rates are that of the file (`stated`), the one at which
+    the two closest keys are one frame apart, and usual rates.
     """
     gaps = np.diff(seconds)
     closest = [round(1 / float(gaps.min()), 3)] if len(gaps) else []

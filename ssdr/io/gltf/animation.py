@@ -50,20 +50,23 @@ class Animation:
         return Clip(self.name, 0, len(self.times), self.fps)
 
     def sample(self, node: int, path: str) -> NDArray[np.float64] | None:
-        """Values ``(F, width)`` of the channel for `path` of `node`; None without a channel."""
+        """Values ``(F, width)`` of a node's property `path` at all frames.
+
+        None if no channel animates the property.
+        """
         if (node, path) not in self.channels:
             return None
         return _interpolate(*self.channels[node, path], self.times, path == "rotation")
 
 
 def mesh_name(document: Document) -> str:
-    """Name that all meshes of the file share, else the file's own name without its suffix."""
+    """Name of the file's meshes if all have the same, else the name of the file without suffix."""
     names = {readable(mesh.get("name", "")) for mesh in document.items("meshes")}
     return (names.pop() if len(names) == 1 else "") or document.path.stem
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
-    """Names of the file's animations, all different; only `mesh_name` if it has no animation."""
+    """Unique names of the file's animations; if it has none, one name, that of `mesh_name`."""
     found = [animation.get("name") or "" for animation in document.items("animations")]
     names = [readable(name) or f"animation_{k}" for k, name in enumerate(found)]
     return unique_names(names or [mesh_name(document)])

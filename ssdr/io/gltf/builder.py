@@ -23,7 +23,7 @@ ARRAY, ELEMENTS = 34962, 34963
 
 
 class Builder:
-    """A glTF document to which accessors are added, and which starts empty or as a copy.
+    """A glTF document to which accessors are added; it starts empty or as a copy of another.
 
     Parameters
     ----------
@@ -148,7 +148,10 @@ class Builder:
         return write_bytes(path, b"".join([head, *blocks]))
 
     def _embed_pictures(self, path: Path) -> None:
-        """Put pictures into the buffer if `path` is a ``.glb`` or in another folder than they."""
+        """Put pictures that are separate files into the buffer.
+
+        This is done if `path` is a ``.glb``, or if it is not in the folder of the copied document.
+        """
         if self.document is None:
             return
         for image in self.json.get("images", []):

@@ -110,7 +110,10 @@ class Document:
         return found
 
     def integer(self, item: dict[str, Any], key: str, what: str, least: int = 1) -> int:
-        """Integer ``item[key]``, which must be at least `least`; if `least` is 0, missing is 0."""
+        """Integer ``item[key]``, which must be at least `least`.
+
+        If `least` is 0, a missing integer is 0; otherwise it must not be missing.
+        """
         value = item.get(key, None if least else 0)
         if type(value) is not int or value < least:
             raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
@@ -121,7 +124,10 @@ class Document:
         return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
-        """Numbers of the list ``item[key]``, as many as `default`, which a missing list becomes."""
+        """Numbers of the list ``item[key]``, or `default` if the list is missing.
+
+        The list must have as many numbers as `default`.
+        """
         values = item.get(key, default)
         problem = f"{key} has {len(values)} numbers, not {len(default)}"
         self.check(len(values) == len(default), problem)
@@ -166,7 +172,7 @@ class Document:
         return self._buffers[index]
 
     def view(self, index: int) -> tuple[memoryview, int | None]:
-        """Bytes of a buffer view, decompressed, and its stride in bytes (None without one)."""
+        """Bytes of a buffer view, decompressed, and its stride (None if it states none)."""
         item = self.items("bufferViews")[index]
         stride = self.integer(item, "byteStride", "a view") if "byteStride" in item else None
         extensions = item.get("extensions", {})
@@ -246,7 +252,7 @@ class Document:
     def _rows(
         self, item: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, what: str
     ) -> NDArray[Any]:
-        """Array (count, width) of the elements that `item` refers to, over the bytes of its view.
+        """Elements (count, width) to which `item` refers, as an array over the file's own bytes.
 
         `item` is an accessor, or the `indices` or `values` of a sparse accessor.
         """

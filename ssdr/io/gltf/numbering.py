@@ -32,7 +32,7 @@ _KNOWN = """EXT_mesh_gpu_instancing EXT_meshopt_ EXT_texture_ KHR_draco_mesh_com
 
 
 def check_numbers(json: dict[str, Any]) -> str:
-    """Text about the first list or index of a document that is not valid; empty if all are."""
+    """Description of the first invalid list or index of a document; empty if all are valid."""
     for kind in _PLACES:
         items = json.get(kind, [])
         if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
@@ -52,9 +52,9 @@ def unknown_extensions(json: dict[str, Any]) -> list[str]:
 
 
 def _slots(item: Any, keys: list[str]) -> Iterator[tuple[Any, Any]]:
-    """Places of all indices at a path below `item`: a list or object, and a position or key in it.
+    """Lists or objects that hold an index at the end of a path, with the index's position or key.
 
-    `keys` are the parts of the path.
+    The path starts at `item`, and its parts are `keys`.
     """
     found: Any = [keys[0]] if keys[0] in item else []
     if keys[0] == "*":

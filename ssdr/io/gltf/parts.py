@@ -168,7 +168,7 @@ class PrimitiveGroup:
         return vertex, label
 
     def shape(self, nodes: Nodes) -> Shape:
-        """Vertices before skinning, or a function of the frame if morph targets move them."""
+        """Vertices before skinning, or a function from frame to vertices if they change."""
         count = len(self.targets)
         if not count:
             return self.positions
@@ -218,7 +218,7 @@ def check_meshes(document: Document, meshes: Any) -> list[str] | None:
     Raises
     ------
     InputError
-        If a name is that of no mesh in the file.
+        If no mesh of the file can be chosen by one of the names.
     """
     if meshes is None:
         return None
@@ -290,7 +290,7 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
     """Triangles (T, 3) of a primitive, also of a strip or fan; none if the primitive draws points.
 
-    They are indices of the primitive's vertices, `count` in number.
+    Corners are indices into the primitive's vertices, whose number is `count`.
     """
     index = np.arange(count)
     if "indices" in primitive:

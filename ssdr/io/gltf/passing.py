@@ -120,7 +120,7 @@ def _of_material(material: dict[str, Any]) -> list[str]:
 
 
 def _has_extras(value: Any) -> bool:
-    """Whether JSON has a field "extras" with other contents than this package writes."""
+    """Whether JSON holds extras that are not those of this package."""
     if isinstance(value, dict):
         extras = value.get("extras", {})
         if not (isinstance(extras, dict) and extras.keys() <= {"ssdr"}):

@@ -1,4 +1,4 @@
-"""Reading of glTF 2.0: baked to vertices (all animation), or as a skinning (skins and nodes)."""
+"""Reading of glTF 2.0, either baked to vertices or as a skinning."""
 
 from __future__ import annotations
 

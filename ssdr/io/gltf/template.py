@@ -1,4 +1,4 @@
-"""Writing of a model into the glTF file that its mesh came from, so that all else in it is kept.
+"""Writing of a model into the glTF file that its mesh came from; all else in the file is kept.
 
 The file is read again when the model is written, so that a model need not hold its contents. Two
 things are replaced: the vertex attributes that skinning needs, and the skins, joints and keys that
@@ -44,7 +44,7 @@ class Template:
     meshes : str or several of them, optional
         Names of the meshes that are replaced; all by default.
     clip_names : mapping
-        Name of a clip in the file to its name in the model, for clips whose names differ.
+        Names of clips in the model, by their names in the file, for clips whose names differ.
 
     Attributes
     ----------
@@ -155,9 +155,9 @@ class Template:
         return kept
 
     def _remove_morphs(self, node: int, mesh: dict[str, Any]) -> None:
-        """Remove the amounts and names of morph targets from a mesh and its node, and its lines.
+        """Remove what is left of morph targets in a mesh and its node, and the lines of the mesh.
 
-        Lines are reported as lost; they are removed because the new skin does not move them.
+        Lines are removed because the new skin does not move them, and reported as lost.
         """
         solid = [p for p in mesh["primitives"] if p.get("mode", 4) not in _LINES]
         if len(solid) < len(mesh["primitives"]):
@@ -206,7 +206,7 @@ class Template:
         self.builder.notes.append(f"the mesh of node {node} left a transform that mirrors it")
 
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
-        """Add the keys of each clip to the file's animation of the same name, else to a new one."""
+        """Add the keys of each clip to the file's animation of its name, or to a new animation."""
         added = []
         for clip in rig.clips:
             number, start = self.clips.get(clip.name, (None, 0.0))
@@ -249,7 +249,7 @@ class Template:
     def _unneeded_nodes(self, skins: set[int]) -> set[int]:
         """Nodes to remove: joints of only the old `skins`, and nodes with only these joints below.
 
-        A joint that must stay because other nodes are below it is noted.
+        A note says how many joints must stay because other nodes are below them.
         """
         listed = self.json["skins"]
         old = {joint for k in skins for joint in listed[k]["joints"]} | self.left
@@ -316,7 +316,7 @@ class Template:
         return self._subtrees(bare)
 
     def _subtrees(self, fits: Callable[[int, dict[str, Any]], bool]) -> set[int]:
-        """Indices of the nodes for which, and for all nodes below which, `fits` is true."""
+        """Indices of the nodes that `fits` accepts together with all nodes below them."""
         nodes = self.json["nodes"]
         children = (n.get("children", []) for n in nodes)
         found: set[int] = set()

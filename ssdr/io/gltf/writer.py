@@ -64,7 +64,7 @@ def write_skinning(
     meshes : str or several of them, optional
         Names of the template's meshes that the model replaces, or of their nodes; all by default.
     clip_names : mapping of str to str, optional
-        Name of a clip in the template to its name in the model, for clips whose names differ.
+        Names of clips in the model, by their names in the template, for clips whose names differ.
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
@@ -138,7 +138,10 @@ def write_along_bones(
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
-    """Copy of a rig whose joints are turned to `axes` (B, 3, 3) at rest, with the same motion."""
+    """Copy of a rig that moves in the same way, but whose joints have the rest axes `axes`.
+
+    The columns of each matrix in `axes` (B, 3, 3) are the axes of a joint.
+    """
     assert rig.parents is not None
     parent_axes = np.where((rig.parents >= 0)[:, None, None], axes[rig.parents], np.eye(3))
     turn = matrix_from_quaternion(rig.rotations.astype(np.float64))

@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_looks(path: Path, meshes: Sequence[MeshPrim]) -> Looks:
-    """UVs, normals and materials of the meshes of a stage, whose file is `path`."""
+    """UVs, normals and materials of `meshes`, which are those of the stage in the file `path`."""
     found = _Materials(path)
     index = [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes]
     uv, normals = [mesh.uv() for mesh in meshes], [mesh.normals() for mesh in meshes]
@@ -111,7 +111,7 @@ class _Materials:
 
 
 def _source(holder: Any) -> Any:
-    """The attribute that gives a shader input its value; None without one."""
+    """The attribute that gives a shader input its value; None if there is no such attribute."""
     found = UsdShade.Utils.GetValueProducingAttributes(holder) if holder else []
     return found[0] if found else None
 
@@ -121,7 +121,7 @@ def write_materials(
 ) -> None:
     """Define the materials of a surface as prims below `top`, and bind them to a mesh.
 
-    Each texture is written to a file beside `path`, which is added to `notes`.
+    Each texture is written to a file beside `path`, and a note of the file is added to `notes`.
     """
     types = Sdf.ValueTypeNames
     names = unique_names([identifier(m.name) for m in surface.materials])

@@ -27,7 +27,7 @@ class MeshPrim:
     Parameters
     ----------
     path : Path
-        File of the stage, which errors name.
+        File of the stage, for error messages.
     prim : Usd.Prim
     skeleton : UsdSkel.SkeletonQuery, optional
         The skeleton that the mesh is bound to.
@@ -160,9 +160,10 @@ class MeshPrim:
         self.skeleton = place, tuple(self._order), self._bind.tobytes()
 
     def _frames(self, transforms: Any) -> NDArray[np.float64]:
-        """Matrices (B, 4, 4) of this mesh's joints, taken from those of all joints of its skeleton.
+        """Matrices (B, 4, 4) of this mesh's joints, for column vectors.
 
-        `transforms` are USD's, for row vectors; the result is for column vectors.
+        They are taken from `transforms`, USD's matrices of all joints of the skeleton, which are
+        for row vectors.
         """
         usable = transforms and len(transforms) == len(self.joints.GetJointOrder())
         self._check(usable, "its skeleton has no usable bind or rest transforms")
@@ -225,7 +226,7 @@ class MeshPrim:
         return np.array(values, dtype=np.float64)
 
     def shape(self, codes: NDArray[np.float64]) -> Shape:
-        """Points before skinning, or a function of the frame if they change.
+        """Points before skinning; if they change, a function from frame to points.
 
         `codes` (F,) are the time codes of the frames.
         """

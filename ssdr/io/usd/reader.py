@@ -1,4 +1,4 @@
-"""Reading of USD: meshes that are moved by samples of their points, by transforms or by UsdSkel."""
+"""Reading of USD: meshes moved by samples of their points, by transforms or by UsdSkel."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class StageReader:
     Attributes
     ----------
     name : str
-        Name of the default prim; without one, of the file.
+        Name of the default prim or, if there is none, of the file.
     clips : list of StageClip
         Clips of the stage; that of the bound animation comes first.
     up : {"y", "z"}

@@ -132,5 +132,5 @@ def bind(
 
 
 def identifier(name: str) -> str:
-    """Copy of a name in which characters that USD does not accept in identifiers are replaced."""
+    """Identifier that USD accepts, made from a name by replacing other characters."""
     return str(Tf.MakeValidIdentifier(readable(name)))

@@ -89,9 +89,9 @@ def _check_layers(path: Path) -> None:
 
 
 def _check_nesting(file: Path, path: Path) -> None:
-    """Refuse a text layer with brackets so deeply nested that usd-core would crash, or a package.
+    """Refuse a package, and a text layer nested so deeply that usd-core would crash the process.
 
-    Errors name the file `path`, which refers to the layer.
+    `path` is the file that was to be opened, for error messages; `file` is one of its layers.
     """
     if not file.is_file():
         return
@@ -108,7 +108,7 @@ def _check_nesting(file: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def system_errors(path: Path) -> Iterator[None]:
-    """Raise USD's errors in the body as the OSErrors that caused them, about the file `path`."""
+    """Context that turns USD's errors about writing `path` into the OSErrors that caused them."""
     try:
         yield
     except Tf.ErrorException as error:

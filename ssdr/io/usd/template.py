@@ -62,7 +62,7 @@ def put(
     rig : Rig
         The rig of `model`.
     clip_names : mapping of str to str
-        Name of a clip in the template to its name in the model, for clips whose names differ.
+        Names of clips in the model, by their names in the template, for clips whose names differ.
     strict : bool
         Whether to raise an error if contents of the template are lost.
 
@@ -136,7 +136,7 @@ def _scope(prims: list[Any]) -> Any:
 
 
 def _free_path(stage: Any, scope: Any, name: str) -> Any:
-    """An unused path below `scope`: that of the child `name`, with a number if it is taken."""
+    """Path of a new prim below `scope`: its child `name`, with a number if that is taken."""
     place, k = scope.GetPath().AppendChild(name), 1
     while stage.GetPrimAtPath(place):
         place, k = scope.GetPath().AppendChild(f"{name}_{k}"), k + 1
@@ -160,10 +160,10 @@ def _remove_skeletons(stage: Any, meshes: Sequence[MeshPrim], animations: list[A
 
 
 def _put_points(prim: Any, mesh: MeshPrim, rest: NDArray[np.float32], first: float) -> Any:
-    """Replace the points and normals of a mesh by those of the rest pose `rest` in world space.
+    """Put a mesh into the rest pose `rest` (in world space), and return the mesh's matrix.
 
-    Blend shapes are removed. Returns the mesh's matrix to world space at the time code `first`, or
-    the identity if that matrix cannot be inverted.
+    Points and normals are replaced, and blend shapes are removed. The matrix takes the new points
+    to world space; it is that at the time code `first`, or the identity if that is not invertible.
     """
     world = UsdGeom.XformCache(first).GetLocalToWorldTransform(mesh.prim)
     if abs(world.GetDeterminant()) <= 1e-12:
@@ -191,7 +191,7 @@ def _set(attribute: Any, values: NDArray[np.floating]) -> None:
 
 
 def _put_normals(prim: Any, mesh: MeshPrim, points: NDArray[np.float64]) -> None:
-    """Replace a mesh's normals by those at the new `points`, with the interpolation of the old."""
+    """Carry the normals of a mesh to its new `points`; the interpolation of the normals stays."""
     values, interpolation, attribute = mesh.normal_values()
     index = mesh.value_index(interpolation)
     if values is None or index is None or not len(index) or index.max() >= len(values):

@@ -65,7 +65,7 @@ def write_skinning(
         and bindings, primvars, other prims. The unit, the up axis and the time codes are the
         template's.
     clip_names : mapping of str to str, optional
-        Name of a clip in the template to its name in the model, for clips whose names differ.
+        Names of clips in the model, by their names in the template, for clips whose names differ.
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
@@ -87,7 +87,7 @@ def write_skinning(
     Pixar, "UsdSkel schemas", https://openusd.org/release/api/usd_skel_page_front.html
     """
     rig = build_rig(skinning, influences=influences)
-    # A SkelAnimation stores all joints at a time code, so a key of one joint is a key of all.
+    # A SkelAnimation stores all joints at each time code, so a key of one joint is a key of all.
     together = np.broadcast_to(rig.keys.any(axis=1, keepdims=True), rig.keys.shape)
     rig = dataclasses.replace(
         rig,
