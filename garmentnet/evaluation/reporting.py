@@ -33,6 +33,8 @@ __all__ = ["fit_baselines", "group_of", "report"]
 
 _NUMBER = re.compile(r"[-_]\d+\Z")
 _RECORDED = "recorded"
+# Below so many clips, an interval of the bootstrap is mostly too narrow.
+_FEW_CLIPS = 8
 Progress = Callable[[str, float], None]
 
 
@@ -256,7 +258,9 @@ def _section(
     pinned = any(r.free != r.all for r in rows)
     for vertices in VERTICES if pinned else VERTICES[:1]:
         lines += [score_table(rows, vertices), "", class_table(rows, vertices), ""]
-        lines += [f"Ratios are to {found['reference']}.", "", interval_table(found, vertices), ""]
+        rough = " Intervals of so few clips are rough." if len(clips) < _FEW_CLIPS else ""
+        lines += [f"Ratios are to {found['reference']}.{rough}", ""]
+        lines += [interval_table(found, vertices), ""]
     return lines
 
 

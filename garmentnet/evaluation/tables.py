@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -59,7 +60,7 @@ def class_table(rows: Sequence[Scores], vertices: str) -> str:
 
 
 def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
-    """Overall errors and their ratios to those of a reference, each with its interval.
+    """Errors of each part and their ratios to those of a reference, with intervals.
 
     Parameters
     ----------
@@ -71,37 +72,37 @@ def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``reference`` and ``methods``: for each name and "all" or "free" the value, low and high
-        end of ``error`` (RMSE, mm) and of the ratios ``rmse``, ``hausdorff`` and ``sted``.  None
-        where there is no number: the interval of one clip, ratios to a method without error.
+        ``reference`` and ``methods``: for each name, "all" or "free" and part the value, low and
+        high end of ``error`` (RMSE, mm) and of the ratios ``rmse``, ``hausdorff`` and ``sted``.
+        None where there is no number: the interval of one clip, ratios to a method without error.
     """
     (against,) = (r for r in rows if r.name == reference)
     frames = [c.frames for c in against.clips]
 
-    def figures(row: Scores, vertices: str, figure: str) -> list[float]:
-        return [getattr(getattr(c, vertices).overall, figure) for c in row.clips]
+    def figures(row: Scores, vertices: str, part: str, figure: str) -> list[float]:
+        return [getattr(getattr(getattr(c, vertices), part), figure) for c in row.clips]
 
     methods: dict[str, Any] = {}
     for row in rows:
-        for vertices in VERTICES:
-            error = pooled_error(figures(row, vertices, "rmse"), frames=frames)
+        for vertices, part in itertools.product(VERTICES, PARTS):
+            error = pooled_error(figures(row, vertices, part, "rmse"), frames=frames)
             found = {"error": _plain(error)}
             for figure, power in _POWERS.items():
-                own, other = (figures(r, vertices, figure) for r in (row, against))
+                own, other = (figures(r, vertices, part, figure) for r in (row, against))
                 known = min(other) > _NOTHING
                 ratio = paired_ratio(own, other, frames=frames, power=power) if known else None
                 found[figure] = _plain(ratio)
-            methods.setdefault(row.name, {})[vertices] = found
+            methods.setdefault(row.name, {}).setdefault(vertices, {})[part] = found
     return {"reference": reference, "methods": methods}
 
 
 def interval_table(document: dict[str, Any], vertices: str) -> str:
-    """Text of :func:`intervals` over "all" or "free" vertices."""
+    """The overall part of :func:`intervals` over "all" or "free" vertices, as text."""
     head = ["RMSE, mm", "RMSE ratio", "Hausdorff ratio", "STED ratio"]
     lines = []
     for name, found in document["methods"].items():
-        cells = [_cell(found[vertices][k], 2 if k == "error" else 3) for k in found[vertices]]
-        lines.append([name, *cells])
+        cells = found[vertices]["overall"].items()
+        lines.append([name, *(_cell(value, 2 if k == "error" else 3) for k, value in cells)])
     return markdown([f"overall, {vertices} vertices", *head], lines)
 
 

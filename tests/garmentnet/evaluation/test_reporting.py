@@ -40,18 +40,19 @@ def test_ratios_and_clips(checkpoint, toy_store, tmp_path):
     (tmp_path / "second").mkdir()
     second = shutil.copy(checkpoint, tmp_path / "second" / "checkpoint.safetensors")
     options = {"baselines": False, "pictures": 0}
-    report([checkpoint, second], toy_store, tmp_path, **options)
+    text = report([checkpoint, second], toy_store, tmp_path, **options)
     document = json.loads((tmp_path / "report.json").read_text())
     (group,) = document["groups"].values()
     assert group["clips"] == ["base-test-0", "base-test-1"]
+    assert "Intervals of so few clips are rough." in text
     bones, first, other = group["rows"]
     assert bones["name"] == "bones themselves"
     assert first["all"] == other["all"]
     # The same network twice: the ratio is exactly 1 on every draw of clips.
     found = group["intervals"]
     assert found["reference"] == first["name"]
-    assert found["methods"]["second-checkpoint"]["free"]["sted"] == [1.0, 1.0, 1.0]
-    value, low, high = found["methods"][first["name"]]["free"]["error"]
+    assert found["methods"]["second-checkpoint"]["free"]["low"]["sted"] == [1.0, 1.0, 1.0]
+    value, low, high = found["methods"][first["name"]]["free"]["overall"]["error"]
     assert low <= value <= high
     assert math.isclose(value, first["free"]["overall"]["rmse"])
     clips = document["unseen_motions"][1]["clips"]
