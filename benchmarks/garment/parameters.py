@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
 from garmentnet.data.parameters import SimulationParameters
-from garmentnet.drawing.dressed import outfit_parts
+from garmentnet.drawing.dressed import dressed, outfit_parts
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.features import PoseFeatures
-from garmentnet.prediction.prediction import follow, predict
+from garmentnet.prediction.prediction import predict
 from garmentnet.scenes.cloth import Cloth
 from garmentnet.scenes.dance.choreography import dance
 from garmentnet.scenes.scene_file import load_data_set
@@ -150,7 +150,10 @@ def pictures(
     draw = ImageDraw.Draw(page)
     for r, name in enumerate(names):
         for e, cloth in enumerate(meshes[name]):
-            scene = follow(cloth, skins, garment.faces, rig.faces, data_set.fps, root, name)
+            # Not vertically, so that jumps stay visible.
+            place = root[:, None] * np.array([1.0, 0.0, 1.0])
+            faces = rig.faces, garment.faces
+            scene = dressed(skins - place, cloth - place, *faces, data_set.fps, name)
             for c, frame in enumerate(frames):
                 tile = render_frame(scene, frame, size=(size, size), azimuth=20, parts=parts)
                 x, y = (2 * c + e) * size, r * (size + 22)

@@ -33,6 +33,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
@@ -42,7 +44,6 @@ from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.evaluation.reporting import report
 from garmentnet.evaluation.santesteban import train_santesteban
-from garmentnet.evaluation.statistics import fit_power_law
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.ensemble import train_ensemble
 from garmentnet.training.run import choose_clips, train, with_mirrored
@@ -172,7 +173,7 @@ def collision(study: Study) -> None:
         report([path], study.store, folder, baselines=False, pictures=0, clips=names)
         found = json.loads((folder / "report.json").read_text("utf-8"))["unseen_motions"]
         row = next(r for r in found if r["name"] != "bones themselves")
-        rows.append({"weight": weight, **{k: row[k] for k in ("overall", "inside")}})
+        rows.append({"weight": weight, "overall": row["all"]["overall"], "inside": row["inside"]})
         study.note("collision", rows)
 
 
@@ -204,8 +205,11 @@ def curve(study: Study) -> None:
     best = best_rmse(study.history("rooted-0"))
     points.append({"frames": total, "epochs": full.train.epochs, "rmse_mm": best})
     if len(points) > 2:
-        law = fit_power_law([p["frames"] for p in points], [p["rmse_mm"] for p in points])
-        study.note("curve", {"points": points, "law": dataclasses.asdict(law)})
+        # error = coefficient · frames^−exponent, least squares on the logarithms
+        x, y = (np.log([p[k] for p in points]) for k in ("frames", "rmse_mm"))
+        slope, height = np.polyfit(x, y, 1)
+        law = {"exponent": -float(slope), "coefficient": float(np.exp(height))}
+        study.note("curve", {"points": points, "law": law})
     else:
         study.note("curve", {"points": points})
 

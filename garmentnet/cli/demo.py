@@ -10,8 +10,10 @@ from typing import Any
 from ..configs.config import load_config
 from ..data.virtual_bones import virtual_bones
 from ..evaluation.baselines import MeanShape, Ridge
+from ..evaluation.methods import Network
 from ..evaluation.pictures import draw_clip
-from ..evaluation.scores import evaluate, network_method, plain_method, table
+from ..evaluation.scores import evaluate
+from ..evaluation.tables import score_table
 from ..networks.checkpoint import load_checkpoint
 from ..prediction.output import save_prediction
 from ..prediction.prediction import predict
@@ -79,22 +81,18 @@ def run_demo(
     held, _ = choose_clips(store, config, "validation")
     seen = [c.name for c in store.clips("test") if c.parameters == base]
     checkpoint = load_checkpoint(path)
-    network = network_method(checkpoint)
-    methods = {
-        "network": network,
-        "ridge": plain_method(bones, Ridge(bones, names, held).predict),
-        "mean shape": plain_method(bones, MeanShape(bones, names).predict),
-    }
+    network = Network("network", checkpoint)
+    methods = [network, Ridge(bones, names, held), MeanShape(bones, names)]
     rows = evaluate(bones, methods, seen, progress=show)
     lap("evaluate")
     clip = store.clip(seen[0])
-    sheet = draw_clip(bones, clip, network(clip), folder / "truth-prediction-error.png")
+    sheet = draw_clip(clip, network.predict(clip), folder / "truth-prediction-error.png")
     film = folder / "prediction.gif"
     result = predict(checkpoint, clip.joints, name=clip.name)
     save_prediction(result, film, size=360, truth=clip, progress=lambda done: show("drawing", done))
     lap("draw")
     return {
         "seconds": seconds | {"all": round(time.perf_counter() - began, 1)},
-        "table": table(rows).splitlines(),
+        "table": score_table(rows).splitlines(),
         "files": [str(sheet), str(film), str(path)],
     }

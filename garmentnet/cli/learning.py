@@ -103,18 +103,11 @@ def evaluate(
     against: Annotated[
         str | None, typer.Option(metavar="NAME", help="Method that the others are divided by.")
     ] = None,
-    per_clip: Annotated[bool, typer.Option("--per-clip", help="Tables of each clip too.")] = False,
     push_out: Annotated[
         bool, typer.Option("--push-out", help="Score with vertices moved out of the body too.")
     ] = False,
-    rescore: Annotated[
-        bool, typer.Option("--rescore", help="Ignore the scores of an earlier run.")
-    ] = False,
 ) -> None:
-    """The paper's table on unseen motions and unseen parameters, beside baselines and floors.
-
-    Scores of a checkpoint on a clip are kept in the output folder and not computed again.
-    """
+    """The paper's table on unseen motions and unseen parameters, beside baselines and floors."""
     from ..data.store import ClipStore
     from ..evaluation.reporting import report
 
@@ -128,9 +121,7 @@ def evaluate(
             pictures=pictures,
             clips=clips or (),
             against=against,
-            per_clip=per_clip,
             push_out=push_out,
-            rescore=rescore,
             progress=lambda name, done: show(name, done, None),
         )
     typer.echo(text)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from PIL import Image
 from scipy.ndimage import gaussian_filter1d
 
 from ssdr import MeshSequence
 from ssdr.errors import InputError
-from ssdr.render import FABRIC, SKIN, Part
+from ssdr.render import FABRIC, SKIN, Part, contact_sheet
 
 from ..data.motion import CLASSES
 from ..data.outfit import Outfit
 
 __all__ = [
-    "AZIMUTH",
     "MILLIMETRES",
     "camera_track",
     "caption",
@@ -26,12 +27,13 @@ __all__ = [
     "free_vertices",
     "outfit_parts",
     "outfit_regions",
+    "outfit_sheet",
     "spread_frames",
 ]
 
 MILLIMETRES = ("mm", 1000.0)
 # Degrees beside the front of a body: both its front and the depth of a skirt are seen.
-AZIMUTH = 32.0
+_AZIMUTH = 32.0
 _SMOOTH = 0.25  # s, deviation of the Gaussian that smooths the path of the camera
 _HORIZONTAL = np.array([1.0, 0.0, 1.0])
 # Length of the heading, a unit vector seen from above, below which it says nothing.
@@ -131,6 +133,72 @@ def facing_the_camera(vertices: Any, root: ArrayLike, joints: Any) -> NDArray[np
     x, y, z = np.moveaxis(local, -1, 0)
     turned = [cosine[:, None] * x - sine[:, None] * z, y, sine[:, None] * x + cosine[:, None] * z]
     return np.stack(turned, axis=-1).astype(np.float32)
+
+
+def outfit_sheet(
+    body: MeshSequence,
+    cloth: MeshSequence,
+    truth: ArrayLike | None,
+    joints: Any,
+    root: ArrayLike,
+    *,
+    frames: Sequence[int],
+    captions: Sequence[str],
+    title: str,
+    free: ArrayLike | None = None,
+) -> Image.Image:
+    """A picture of some frames side by side, each seen from beside the body's front.
+
+    Rows are truth, prediction and error, or the prediction alone.  The head has the RMSE of all
+    frames over the cloth, a column that of its frame.
+
+    Parameters
+    ----------
+    body, cloth : MeshSequence
+        The cloth is the prediction.
+    truth : (F, V, 3) array or None
+        The simulated cloth.
+    joints : (F, J, 3, 4) array
+    root : (F, 3) array
+        Places of the root joint.
+    frames : sequence of int
+    captions : sequence of str
+        One for each of `frames`.
+    title : str
+    free : (V,) bool array, optional
+        Vertices that have a figure of their own.
+
+    Raises
+    ------
+    InputError
+        If `free` is no mask of the cloth.
+    """
+
+    def facing(vertices: Any) -> MeshSequence:
+        scene = dressed(body.vertices, vertices, body.faces, cloth.faces, cloth.fps)
+        # Truth and prediction have one body, so one turn suits both.
+        turned = facing_the_camera(scene.vertices, root, joints)
+        return dataclasses.replace(scene, vertices=turned)
+
+    sizes = body.n_vertices, cloth.n_vertices
+    options: dict[str, Any] = {
+        "frames": list(frames),
+        "parts": outfit_parts(*sizes),
+        "captions": list(captions),
+        "title": title,
+        "azimuth": _AZIMUTH,
+    }
+    if truth is None:
+        return contact_sheet(facing(cloth.vertices), row_names=("prediction",), **options)
+    return contact_sheet(
+        facing(cloth.vertices),
+        reference=facing(truth),
+        styles=["plain", "error"],
+        row_names=("truth", "prediction", "error"),
+        regions=outfit_regions(*sizes, free),
+        unit=MILLIMETRES,
+        **options,
+    )
 
 
 def spread_frames(count: int, n_frames: int) -> list[int]:

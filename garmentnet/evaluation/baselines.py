@@ -1,4 +1,4 @@
-"""Baselines, each with ``predict(joints)`` to ``(F, V, 3)``: mean shape, body skinning, ridge."""
+"""Baselines that learn at once: mean shape, body skinning, ridge regression."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ import ssdr
 from ssdr import Skinning
 
 from ..configs.config import FeatureOptions
+from ..data.clip import Clip
 from ..data.skin_weights import strongest
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import PoseFeatures, transforms_in_frame
 from ..networks.low_frequency import BoneCode
 from ..networks.skinning import TorchSkinning
+from .methods import Method
 
 __all__ = ["BodySkinned", "MeanShape", "Ridge", "body_skinning"]
 
@@ -38,7 +40,7 @@ _STATIC = FeatureOptions(
 )
 
 
-class MeanShape:
+class MeanShape(Method):
     """The mean of the training frames, moved with the root's position and heading.
 
     Parameters
@@ -47,6 +49,8 @@ class MeanShape:
     names : sequence of str
         Training clips.
     """
+
+    name = "mean shape"
 
     def __init__(self, bones: VirtualBones, names: Sequence[str]) -> None:
         self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
@@ -61,8 +65,8 @@ class MeanShape:
         self.high: NDArray[np.float64] = np.asarray(high / frames)
         self.shape: NDArray[np.float64] = total / frames + self.high
 
-    def predict(self, joints: Any) -> NDArray[np.float32]:
-        _, frame, _ = self.features(joints)
+    def predict(self, clip: Clip) -> NDArray[np.float32]:
+        _, frame, _ = self.features(clip.joints)
         turned = self.shape @ frame[..., :3].transpose(0, 2, 1)
         return np.asarray(turned + frame[:, None, :, 3], np.float32)
 
@@ -88,19 +92,21 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
     return Skinning(store.rest, indices, largest, body.transforms, faces=store.faces, fps=store.fps)
 
 
-class BodySkinned:
+class BodySkinned(Method):
     """The garment's rest pose, skinned by the body's joints."""
+
+    name = "body-skinned"
 
     def __init__(self, store: ClipStore) -> None:
         self.skinning = body_skinning(store)
 
-    def predict(self, joints: Any) -> NDArray[np.float32]:
+    def predict(self, clip: Clip) -> NDArray[np.float32]:
         s = self.skinning
-        m = np.asarray(joints, np.float64)
+        m = np.asarray(clip.joints, np.float64)
         return np.asarray(ssdr.skin(s.rest, s.indices, s.weights, m), np.float32)
 
 
-class Ridge:
+class Ridge(Method):
     """Ridge regression from the pose of a frame to the bones' motion, without memory.
 
     The input is the pose relative to the root as 6D rotations, the output the rotations and centres
@@ -113,6 +119,8 @@ class Ridge:
     names, validation : sequence of str
         Clips; mirrored ones too.
     """
+
+    name = "ridge"
 
     def __init__(
         self, bones: VirtualBones, names: Sequence[str], validation: Sequence[str]
@@ -152,8 +160,8 @@ class Ridge:
         z = ((x - self.centre) / self.scale).clip(-_STATIC.clamp, _STATIC.clamp)
         return np.asarray(z)
 
-    def predict(self, joints: Any) -> NDArray[np.float32]:
-        x, frame, _ = self.features(joints)
+    def predict(self, clip: Clip) -> NDArray[np.float32]:
+        x, frame, _ = self.features(clip.joints)
         y = (self._design(x) @ self.matrix + self.mean).reshape(len(x), *self.code.shape)
         low = self.lbs(self.code(torch.from_numpy(y).float())).double().numpy()
         local = low + self.high

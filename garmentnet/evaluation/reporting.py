@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -12,39 +13,29 @@ from typing import Any
 from ssdr.errors import InputError
 
 from ..configs.config import Config
-from ..data.clip_files import Split
+from ..data.clip import Clip
+from ..data.motion import CLASSES
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
-from .clip_scores import VERTICES, Method, Scorer
-from .entrants import SANTESTEBAN, baseline_methods
+from ..training.run import choose_clips, with_mirrored
+from .baselines import BodySkinned, MeanShape, Ridge
+from .bounds import by_looseness, chaos_floor, looseness
+from .methods import BonesThemselves, Method, Network, PushedMethod
 from .pictures import draw_clip, draw_moments
-from .pushed import pushed_method
-from .report_text import (
-    clip_tables,
-    name_width,
-    ratio_table,
-    ratios,
-    score_tables,
-    seed_figures,
-    seed_table,
-)
-from .score_cache import ScoreCache, digest_of_file
-from .scores import (
-    Row,
-    bones_themselves,
-    by_looseness,
-    chaos_floor,
-    evaluate,
-    looseness,
-    network_method,
-    pool,
-)
-from .selection import group_of, matching, seeds_of
+from .santesteban import Santesteban, train_santesteban
+from .scores import VERTICES, Scores, evaluate, pool
+from .tables import class_table, interval_table, intervals, markdown, score_table
 
-__all__ = ["report"]
+__all__ = ["fit_baselines", "group_of", "report"]
+
+_NUMBER = re.compile(r"[-_]\d+\Z")
+_RECORDED = "recorded"
+# Below so many clips, an interval of the bootstrap is mostly too narrow.
+_FEW_CLIPS = 8
+Progress = Callable[[str, float], None]
 
 
 def report(
@@ -57,11 +48,8 @@ def report(
     pictures: int = 1,
     clips: Sequence[str] = (),
     against: str | None = None,
-    per_clip: bool = False,
     push_out: bool = False,
-    rescore: bool = False,
-    bones_folder: Path | str | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> str:
     """Score checkpoints on unseen motions and, if they read parameters, unseen parameters.
 
@@ -71,10 +59,9 @@ def report(
         Checkpoints on one set of virtual bones.
     store : ClipStore
     folder : path
-        For ``report.json``, ``report.txt``, pictures, in ``baselines`` the trained baselines, and
-        in ``scores`` what each method scored on each clip: what is there is not scored again.
+        For ``report.md``, ``report.json``, pictures, and in ``baselines`` the trained baseline.
     baselines : bool
-        Whether to train and score them.
+        Whether to fit and score them.
     recurrent : Config, optional
         Settings of the recurrent baseline, of which it takes width, dropout and training; those of
         the first checkpoint by default.
@@ -82,22 +69,18 @@ def report(
         Test clips to draw for every checkpoint.
     clips : sequence of str
         Patterns of clip names as in a shell, ``base-small-*``; all test clips by default.  Clips
-        of other splits may be named, too; the text says which they are.
+        of other splits may be named, too.
     against : str, optional
         Method whose errors the others' are divided by; the baseline of Santesteban et al. 2019 by
         default where it is scored, else the first checkpoint.
-    per_clip : bool
-        Whether the text has the tables of each clip too; ``report.json`` always has its figures.
     push_out : bool
         Whether each checkpoint is scored a second time with its vertices moved out of the body,
         and drawn so.
-    rescore : bool
-        Whether to score again what is in ``scores``.
 
     Returns
     -------
     str
-        The text of ``report.txt``.
+        The text of ``report.md``.
 
     Raises
     ------
@@ -108,162 +91,180 @@ def report(
     folder = Path(folder)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    files = {_name(p, paths): p for p in paths}
-    models = {name: load_checkpoint(p) for name, p in files.items()}
-    for model in models.values():
-        model.check_fits(store)
-    first = next(iter(models.values()))
-    config = first.networks[0].config
-    roles, base = parameter_roles(store), _base(first, store)
-    several = {k: m for k, m in models.items() if m.kernel is not None or m.networks[0].condition}
-    chosen = matching(_candidates(store, base, roles, bool(several), clips), clips)
-    bones = virtual_bones(store, config.bones, folder=bones_folder, progress=progress)
-    bounds: dict[str, Method] = {"bones themselves": bones_themselves(bones)}
-    methods = bounds | {k: network_method(m) for k, m in models.items()}
-    digests = {k: digest_of_file(p) for k, p in files.items()}
-    if push_out:
-        for k in models:
-            methods[_pushed(k)] = pushed_method(methods[k], store)
-            digests[_pushed(k)] = f"{digests[k]} pushed out"
-    digests["bones themselves"] = digest_of_file(bones.folder / "bones.json")
+    networks = [Network(_name(p, paths), load_checkpoint(p)) for p in paths]
+    for network in networks:
+        network.checkpoint.check_fits(store)
+    first = networks[0].checkpoint
+    config, base = first.networks[0].config, _base(first, store)
+    reading = [n for n in networks if _reads_parameters(n.checkpoint)]
+    parts = _test_clips(store, base, bool(reading), clips)
+    shown: list[Method] = [PushedMethod(n, store) for n in networks] if push_out else [*networks]
+    fitted = (MeanShape, BodySkinned, Ridge, Santesteban) if baselines else ()
+    names = [m.name for m in (BonesThemselves, *networks, *fitted)]
+    names += [m.name for m in shown if m.name not in names]
+    against = against or (Santesteban.name if baselines else networks[0].name)
+    if against not in names:
+        raise InputError("against", f"one of {', '.join(names)}", repr(against))
+
+    bones = virtual_bones(store, config.bones, progress=progress)
+    bound = BonesThemselves(bones)
+    methods: list[Method] = [bound, *networks, *(shown if push_out else [])]
     if baselines:
-        found, digest = baseline_methods(
-            bones, recurrent or config, base, folder / "baselines", progress
-        )
-        methods |= found
-        digests |= {name: f"{name} {digest}" for name in found}
-    if against is None:
-        against = SANTESTEBAN if baselines else next(iter(models))
-    if against not in methods:
-        raise InputError("against", f"one of {', '.join(methods)}", repr(against))
-    scorer = Scorer(bones)
-    cache = ScoreCache(
-        folder / "scores",
-        digests,
-        identity=scorer.identity(),
-        n_vertices=store.n_vertices,
-        renew=rescore,
-    )
-    n_free = scorer.n_free
+        methods += fit_baselines(bones, recurrent or config, base, folder / "baselines", progress)
     document: dict[str, Any] = {
         "parameters": dataclasses.asdict(base),
-        "vertices": {"all": store.n_vertices, "free": n_free},
-        "bones": bones.report | {"test": bones.prepare(chosen["unseen_motions"], fit=True)},
+        "bones": bones.report | {"test": bones.prepare(parts["unseen_motions"], fit=True)},
+        "groups": {},
     }
-    lines: list[str] = [
-        f"{name} is no test clip, but of the split {store.clip(name).split}"
-        for name in chosen["unseen_motions"]
-        if store.clip(name).split != "test"
-    ]
-    tables = _Tables(n_free, seeds_of(models), against, per_clip, lines)
-    seen, rows = chosen["unseen_motions"], []
-    if seen:
-        rows = evaluate(bones, methods, seen, cache=cache, progress=progress)
-        document["unseen_motions"] = [r.as_dict() for r in rows]
-        document["ratios"] = ratios(rows, against)
-        document["seeds"] = seed_figures(rows, tables.seeds)
+    lines = ["RMSE and Hausdorff distance in mm, intervals of 95 % (paired bootstrap over clips)"]
+    others = [n for n in parts["unseen_motions"] if store.clip(n).split != "test"]
+    if others:
+        lines += ["", f"Of other splits than test: {', '.join(others)}"]
+    rows = []
+    for key, chosen in parts.items():
+        if not chosen:
+            continue
+        seen = key == "unseen_motions"
+        # Baselines do not read parameters.
+        entered = methods if seen else [bound, *reading]
+        found = evaluate(bones, entered, chosen, progress=progress)
+        document[key] = [r.as_dict() for r in found]
+        if not seen:
+            lines += _section(key.replace("_", " "), found, against, document)
+            continue
+        rows = found
         groups: dict[str, list[str]] = {}
-        for name in seen:
+        for name in chosen:
             groups.setdefault(group_of(store.clip(name)), []).append(name)
-        for group, names in groups.items():
-            title = f"unseen motions, group {group}, {base}"
-            part = [_of_clips(r, names, n_free) for r in rows]
-            document.setdefault("groups", {})[group] = tables.add(title, part)
-    for split in ("train", "test"):
-        key = f"unseen_parameters_{split}"
-        names = chosen.get(key, [])
-        if names:
-            reading = bounds | {k: methods[k] for k in several}
-            unseen = evaluate(bones, reading, names, cache=cache, progress=progress)
-            document[key] = [r.as_dict() for r in unseen]
-            title = f"unseen parameters, {split} motions"
-            document[f"{key}_ratios"] = tables.add(title, unseen)["ratios"]
-    lines += _chaos(bones, base, roles, document)
-    if seen:
-        lines += _by_distance(bones, seen, rows, document)
-        drawn = {k: methods.get(_pushed(k), methods[k]) for k in models}
-        _draw(bones, drawn, seen, pictures, folder, document)
-    lines += ["", *_timing(rows, cache, document), *cache.notices]
+        for group, members in groups.items():
+            part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in rows]
+            lines += _section(f"unseen motions, {group}", part, against, document)
+    lines += _chaos(bones, base, document)
+    if rows:
+        chosen = parts["unseen_motions"]
+        lines += _by_looseness(bones, chosen, rows)
+        for network, method in zip(networks, shown, strict=True) if pictures else ():
+            drawn = _draw(store, method, chosen[:pictures], chosen, folder / network.name)
+            document.setdefault("moments", {})[network.name] = drawn
     text = "\n".join(lines) + "\n"
     write_file(folder / "report.json", json.dumps(document).encode())
-    write_file(folder / "report.txt", text.encode())
+    write_file(folder / "report.md", text.encode())
     return text
 
 
-def _pushed(name: str) -> str:
-    return f"{name}, pushed out"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Tables:
-    """Appends the tables of one list of clips after another to the lines of the text."""
-
-    n_free: int
-    seeds: list[dict[int, str]]
-    against: str
-    per_clip: bool
-    lines: list[str]
-
-    def add(self, title: str, rows: Sequence[Row]) -> dict[str, Any]:
-        """Append the tables; rows, ratios and seeds for JSON, without what each clip has."""
-        names = [r.name for r in rows]
-        clips = rows[0].clips
-        self.lines.append(f"{title}, clips: {len(clips)}, frames: {rows[0].frames}")
-        self.lines.extend(score_tables(rows, self.n_free))
-        seeds = seed_figures(rows, [s for s in self.seeds if set(s.values()) <= set(names)])
-        # Baselines do not read parameters: the first checkpoint takes their place.
-        against = self.against if self.against in names else names[1]
-        divided = ratios(rows, against)
-        for vertices in VERTICES if self.n_free < len(rows[0].per_vertex) else ("all",):
-            if seeds:
-                self.lines.extend(seed_table(seeds, vertices))
-            self.lines.extend(ratio_table(divided, vertices))
-        if self.per_clip:
-            self.lines.extend(clip_tables(rows, self.n_free))
-        plain = [r.as_dict() for r in rows]
-        left_out = ("clips", "per_vertex")
-        return {
-            "clips": [c.clip for c in clips],
-            "rows": [{k: v for k, v in row.items() if k not in left_out} for row in plain],
-            "ratios": divided,
-            "seeds": seeds,
-        }
-
-
-def _candidates(
-    store: ClipStore,
+def fit_baselines(
+    bones: VirtualBones,
+    config: Config,
     base: SimulationParameters,
-    roles: dict[SimulationParameters, str],
-    reads_parameters: bool,
-    patterns: Sequence[str],
+    folder: Path,
+    progress: Progress | None = None,
+) -> list[Method]:
+    """The baselines, fitted to the training clips of one parameter set.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+    config : Config
+        Whose features, width and limits the recurrent baseline has.
+    base : SimulationParameters
+    folder : Path
+        For the recurrent baseline's training, which is not repeated if it is there.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        If the store lacks training or validation clips of these parameters.
+    """
+    store = bones.store
+    text = ",".join(repr(v) for v in dataclasses.astuple(base))
+    data = dataclasses.replace(config.data, parameters=text, condition=False)
+    plain = dataclasses.replace(config, data=data)
+    names, _ = choose_clips(store, plain)
+    held, _ = choose_clips(store, plain, "validation")
+
+    def after_epoch(p: Any) -> None:
+        if progress:
+            progress(f"training {Santesteban.name}", p.fraction)
+
+    bones.prepare([*names, *held])
+    learned = with_mirrored(store, config, names)
+    return [
+        MeanShape(bones, names),
+        BodySkinned(store),
+        Ridge(bones, names, held),
+        train_santesteban(bones, config, learned, held, folder, callback=after_epoch),
+    ]
+
+
+def group_of(clip: Clip) -> str:
+    """The group of test clips that a clip belongs to.
+
+    "recorded" for motion capture; else the motion's name without the number at its end.
+
+    Examples
+    --------
+    The motions ``dance-22000`` and ``small-2010`` are of the groups ``dance`` and ``small``.
+    """
+    source = clip.provenance.get("motion")
+    file = source.get("file") if isinstance(source, Mapping) else None
+    if file or (clip.classes == CLASSES.index(_RECORDED)).all():
+        return _RECORDED
+    return _NUMBER.sub("", clip.motion)
+
+
+def _test_clips(
+    store: ClipStore, base: SimulationParameters, unseen_parameters: bool, patterns: Sequence[str]
 ) -> dict[str, list[str]]:
     """Names of the clips of each part of the report; of other splits only what is named."""
-    seen = [
-        c.name
-        for c in store.clips()
-        if c.parameters == base
-        and (c.split == "test" or any(fnmatchcase(c.name, p) for p in patterns))
-    ]
-    if not seen:
+
+    def named(clip: Clip) -> bool:
+        return any(fnmatchcase(clip.name, p) for p in patterns)
+
+    clips = list(store.clips())
+    found = {"unseen_motions": [c for c in clips if c.parameters == base]}
+    test = [c for c in found["unseen_motions"] if c.split == "test" or named(c)]
+    if not test:
         raise InputError("store", f"test clips of {base}", str(store.path))
-    names = {"unseen_motions": seen}
-    splits: tuple[Split, ...] = ("train", "test")
-    for split in splits if reads_parameters else ():
-        unseen = [c.name for c in store.clips(split) if roles[c.parameters] == "test"]
-        names[f"unseen_parameters_{split}"] = unseen
-    return names
+    found["unseen_motions"] = test
+    roles = parameter_roles(store)
+    for split in ("train", "test") if unseen_parameters else ():
+        found[f"unseen_parameters_{split}"] = [
+            c for c in clips if c.split == split and roles[c.parameters] == "test"
+        ]
+    known = sorted({c.name for part in found.values() for c in part})
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in known):
+            some = ", ".join(known[:8]) + (f" and {len(known) - 8} more" if len(known) > 8 else "")
+            raise InputError("clips", f"a pattern of test clips ({some})", repr(pattern))
+    return {k: [c.name for c in part if not patterns or named(c)] for k, part in found.items()}
 
 
-def _of_clips(row: Row, names: Sequence[str], n_free: int) -> Row:
-    return pool(row.name, [c for c in row.clips if c.clip in names], n_free)
-
-
-def _chaos(
-    bones: VirtualBones,
-    base: SimulationParameters,
-    roles: dict[SimulationParameters, str],
-    document: dict[str, Any],
+def _section(
+    title: str, rows: Sequence[Scores], against: str, document: dict[str, Any]
 ) -> list[str]:
+    """The tables of some clips; their figures go to the document."""
+    names = [r.name for r in rows]
+    # Where it is not scored, the first checkpoint takes its place.
+    found = intervals(rows, against if against in names else names[1])
+    left = [{k: v for k, v in r.as_dict().items() if k != "clips"} for r in rows]
+    clips = [c.name for c in rows[0].clips]
+    document["groups"][title.removeprefix("unseen motions, ")] = {
+        "clips": clips,
+        "rows": left,
+        "intervals": found,
+    }
+    lines = ["", f"## {title}: {len(clips)} clips, {rows[0].frames} frames", ""]
+    pinned = any(r.free != r.all for r in rows)
+    for vertices in VERTICES if pinned else VERTICES[:1]:
+        lines += [score_table(rows, vertices), "", class_table(rows, vertices), ""]
+        rough = " Intervals of so few clips are rough." if len(clips) < _FEW_CLIPS else ""
+        lines += [f"Ratios are to {found['reference']}.{rough}", ""]
+        lines += [interval_table(found, vertices), ""]
+    return lines
+
+
+def _chaos(bones: VirtualBones, base: SimulationParameters, document: dict[str, Any]) -> list[str]:
     store = bones.store
     pairs: dict[SimulationParameters, list[tuple[str, str]]] = {}
     for pair in store.pairs():
@@ -271,65 +272,38 @@ def _chaos(
     # Soft cloth has a higher floor than stiff cloth, so every parameter set has its own.
     floors = {p: chaos_floor(bones, names) for p, names in pairs.items()}
     document["chaos_floor"] = floors.get(base, {})
-    document["chaos_floor_of_sets"] = {str(p): floor["all"] for p, floor in floors.items()}
-    lines = [f"chaos floor, {key}: {_floor(v)}" for key, v in document["chaos_floor"].items()]
-    return lines + [f"chaos floor, {p} ({roles[p]}): {_floor(f['all'])}" for p, f in floors.items()]
+    found = document["chaos_floor"] | {str(p): f["all"] for p, f in floors.items() if p != base}
+    keys = ("overall", "low", "overall_free", "low_free")
+    lines = [[k, *(f"{v[x]:.2f}" for x in keys), f"{v['frames']:.0f}"] for k, v in found.items()]
+    head = ["chaos floor, mm", "overall", "low", "overall, free", "low, free", "frames"]
+    return ["", markdown(head, lines)] if lines else []
 
 
-def _by_distance(
-    bones: VirtualBones, seen: Sequence[str], rows: Sequence[Row], document: dict[str, Any]
-) -> list[str]:
-    mean, deviation = looseness(bones, seen)
-    document["looseness"] = {"mean_mm": mean.tolist(), "deviation_mm": deviation.tolist()}
-    lines = ["", "mean error (mm) by distance to the body, quarters of the vertices"]
-    for row in rows:
-        cells = "  ".join(f"{d:6.0f}: {e:6.1f}" for d, e in by_looseness(row, mean))
-        lines.append(f"{row.name:<{name_width(rows)}}{cells}")
-    return lines
+def _by_looseness(bones: VirtualBones, names: Sequence[str], rows: Sequence[Scores]) -> list[str]:
+    mean = looseness(bones, names)
+    quarters = {r.name: by_looseness(r, mean) for r in rows}
+    head = ["mean error, mm, by distance to the body"]
+    head += [f"{distance:.0f} mm" for distance, _ in quarters[rows[0].name]]
+    lines = [[name, *(f"{e:.1f}" for _, e in found)] for name, found in quarters.items()]
+    return ["", markdown(head, lines)]
 
 
 def _draw(
-    bones: VirtualBones,
-    methods: dict[str, Method],
-    seen: Sequence[str],
-    pictures: int,
-    folder: Path,
-    document: dict[str, Any],
-) -> None:
-    for key, method in methods.items():
-        for name in seen[:pictures]:
-            clip = bones.store.clip(name)
-            file = folder / f"{key}-{name}.png"
-            with writing(file):
-                draw_clip(bones, clip, method(clip), file)
-        if pictures:
-            file = folder / f"{key}-moments.png"
-            with writing(file):
-                document.setdefault("moments", {})[key] = draw_moments(bones, method, seen, file)
+    store: ClipStore, method: Method, clips: Sequence[str], names: Sequence[str], stem: Path
+) -> list[tuple[str, str, int]]:
+    """Draw `clips` and the hardest frames of `names`; returns those frames."""
+    for name in clips:
+        clip = store.clip(name)
+        file = stem.with_name(f"{stem.name}-{name}.png")
+        with writing(file):
+            draw_clip(clip, method.predict(clip), file)
+    file = stem.with_name(f"{stem.name}-moments.png")
+    with writing(file):
+        return draw_moments(store, method.predict, names, file)
 
 
-def _timing(rows: Sequence[Row], cache: ScoreCache, document: dict[str, Any]) -> list[str]:
-    document["milliseconds_a_frame"] = {}
-    for row in rows:
-        times = {k: sum(getattr(c, k) for c in row.clips) for k in ("predicting", "scoring")}
-        document["milliseconds_a_frame"][row.name] = {
-            k: 1e3 * seconds / row.frames for k, seconds in times.items()
-        }
-    found = document["milliseconds_a_frame"]
-    width = name_width(rows)
-    lines = [
-        f"{name:<{width}}predicting {t['predicting']:.1f}, scoring {t['scoring']:.1f} ms a frame"
-        for name, t in found.items()
-    ]
-    return [*lines, f"scored now: {cache.written}, scored before: {cache.read}"]
-
-
-def _floor(value: dict[str, float]) -> str:
-    v = value
-    return (
-        f"{v['overall']:.2f} mm, low {v['low']:.2f} mm, free vertices {v['overall_free']:.2f} mm, "
-        f"low {v['low_free']:.2f} mm ({v['frames']:.0f} frames)"
-    )
+def _reads_parameters(model: Checkpoint) -> bool:
+    return model.kernel is not None or bool(model.networks[0].condition)
 
 
 def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from ssdr.io.atomic import write_bytes
 
 from ..configs.config import Config
+from ..data.clip import Clip
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import transforms_in_frame
@@ -30,6 +31,7 @@ from ..training.objectives import LEAST_DEVIATION, dropout_mask
 from ..training.precision import mixed_precision
 from ..training.run import build_network
 from .baselines import body_skinning
+from .methods import Method
 
 __all__ = ["Santesteban", "train_santesteban"]
 
@@ -37,7 +39,7 @@ __all__ = ["Santesteban", "train_santesteban"]
 _RIDGE = 1e-3
 
 
-class Santesteban(nn.Module):
+class Santesteban(nn.Module, Method):
     """A GRU that predicts offsets of the rest pose, which the body's joints then skin.
 
     v = Σ_j w_ij M_j (p_i + o_i(t)), after Santesteban et al. 2019, "Learning-based
@@ -50,6 +52,8 @@ class Santesteban(nn.Module):
     store : ClipStore
     hidden : int
     """
+
+    name = "Santesteban 2019"
 
     rest: Tensor
     weights: Tensor
@@ -98,12 +102,12 @@ class Santesteban(nn.Module):
         return sum(turned, m[..., 3])
 
     @torch.no_grad()
-    def predict(self, joints: Any, parameters: Any = None) -> NDArray[np.float32]:
+    def predict(self, clip: Clip) -> NDArray[np.float32]:
         (reader,) = self.reader
-        features, frame, _ = reader.features(joints)
-        x = reader.inputs(features, parameters)[None].to(self.mean.device)
+        features, frame, _ = reader.features(clip.joints)
+        x = reader.inputs(features, None)[None].to(self.mean.device)
         offsets = self(x)[0][0].cpu()
-        local = transforms_in_frame(joints, frame)
+        local = transforms_in_frame(clip.joints, frame)
         out = []
         for i in range(0, len(local), FRAMES_AT_ONCE):
             part = slice(i, i + FRAMES_AT_ONCE)
@@ -114,6 +118,8 @@ class Santesteban(nn.Module):
 
 
 class SantestebanObjective:
+    """Loss and validation of the baseline, for the training loop."""
+
     def __init__(self, module: Santesteban, tracks: list[Track], validation: list[Track]) -> None:
         self.module: Santesteban = module
         self.tracks, self.validation = tracks, validation
@@ -138,7 +144,7 @@ class SantestebanObjective:
     def validate(self) -> float:
         square, count = 0.0, 0
         for track in self.validation:
-            world = self.module.predict(track.clip.joints)
+            world = self.module.predict(track.clip)
             truth = track.bones.read("low") + track.bones.read("high")
             gap = (world - truth)[:, self.module.reader[0].free].astype(np.float64)
             square += float((gap**2).sum())

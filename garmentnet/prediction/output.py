@@ -9,29 +9,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
+from numpy.typing import ArrayLike, NDArray
 
 import ssdr
 from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError
 from ssdr.io.atomic import atomic_path
 from ssdr.io.registry import FORMATS
-from ssdr.render import Part, contact_sheet, write_picture
+from ssdr.render import write_picture
 from ssdr.render.film import Film
 from ssdr.rigid import nearest_rotation
 
 from ..data.clip import Clip
 from ..drawing.dressed import (
-    AZIMUTH,
     MILLIMETRES,
     camera_track,
     caption,
     dressed,
-    facing_the_camera,
     free_vertices,
     outfit_parts,
     outfit_regions,
+    outfit_sheet,
     spread_frames,
 )
 from ..io.files import writing
@@ -128,13 +126,20 @@ def save_prediction(
         If the file cannot be written.
     """
     file = Path(path)
-    shown = Picture.of(prediction, truth, free)
+    p = prediction
+    if truth is not None:
+        expected, found = p.cloth.vertices.shape[:2], (truth.n_frames, truth.outfit.n_vertices)
+        if expected != found:
+            text = "a clip of {} frames and {} vertices".format
+            raise InputError("truth", text(*expected), text(*found))
+        free = free_vertices(truth.outfit) if free is None else free
+    outfit_regions(p.body.n_vertices, p.cloth.n_vertices, free)  # refuses a mask that does not fit
     if every < 1:
         raise InputError("every", "1 or more", every)
     suffix = file.suffix.lower()
     with writing(file):
         if suffix in _FILMS:
-            film = shown.film(size, error, every)
+            film = _film(p, truth, size, error, every, free)
             if suffix == ".mp4":
                 _write_mp4(film, file, progress)
             else:
@@ -142,101 +147,59 @@ def save_prediction(
             beside = " of truth and prediction" if truth is not None else ""
             return f"a film{beside}, {len(film.order)} frames"
         if suffix in _PICTURES:
-            write_picture(shown.sheet(frames), file)
-            return f"{frames} frames"
+            chosen = spread_frames(frames, p.cloth.n_frames)
+            classes = None if truth is None else truth.classes
+            sheet = outfit_sheet(
+                p.body,
+                p.cloth,
+                None if truth is None else truth.sequence.frames(slice(None)),
+                p.joints,
+                p.root,
+                frames=chosen,
+                captions=[caption(t, p.cloth.fps, classes, "\n") for t in chosen],
+                title=p.cloth.name,
+                free=free,
+            )
+            write_picture(sheet, file)
+            return f"{len(chosen)} frames"
         return _save(prediction, file)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Picture:
-    """What films and sheets show of a prediction."""
+def _film(
+    p: Prediction, truth: Clip | None, size: int, error: bool, every: int, free: ArrayLike | None
+) -> Film:
+    """The camera walks along; the body turns before it."""
 
-    prediction: Prediction
-    truth: Clip | None
-    regions: dict[str, NDArray[np.bool_]]
-
-    @classmethod
-    def of(
-        cls, prediction: Prediction, truth: Clip | None, free: NDArray[np.bool_] | None
-    ) -> Picture:
-        """Check that the parts fit together."""
-        body, cloth = prediction.body.n_vertices, prediction.cloth.n_vertices
-        if truth is not None:
-            expected = prediction.cloth.n_frames, cloth
-            found = truth.n_frames, truth.outfit.n_vertices
-            if expected != found:
-                text = "a clip of {} frames and {} vertices".format
-                raise InputError("truth", text(*expected), text(*found))
-            free = free_vertices(truth.outfit) if free is None else free
-        return cls(prediction, truth, outfit_regions(body, cloth, free))
-
-    def film(self, size: int, error: bool, every: int) -> Film:
-        """The camera walks along; the body turns before it."""
-        p = self.prediction
-        side = size - size % 2
-        order = range(0, p.cloth.n_frames, every)
-        options: dict[str, Any] = {
-            "parts": self.parts,
-            "track": camera_track(p.root, p.cloth.fps),
-            "frames": order,
-            "fps": p.cloth.fps / every,
-            "elevation": _ELEVATION,
-        }
-        if self.truth is None:
-            return Film.of(self._dressed(p.cloth.vertices), size=(side, side), **options)
-        # Someone who stands is narrow.
-        width = size * 3 // 4
-        return Film.of(
-            self._dressed(p.cloth.vertices),
-            reference=self._dressed(self.truth.sequence.frames(slice(None))),
-            style=["plain", "error"] if error else ["plain"],
-            size=(width - width % 2, side),
-            titles=("truth", "prediction", "error")[: 3 if error else 2],
-            captions=[caption(t, p.cloth.fps, self.truth.classes) for t in order],
-            regions=self.regions,
-            unit=MILLIMETRES,
-            **options,
+    def scene(cloth: Any) -> MeshSequence:
+        return dressed(
+            p.body.vertices, cloth, p.body.faces, p.cloth.faces, p.cloth.fps, p.cloth.name
         )
 
-    def sheet(self, frames: int) -> Image.Image:
-        """Frames evenly over the clip, each seen from beside the body's front."""
-        p = self.prediction
-        chosen = spread_frames(frames, p.cloth.n_frames)
-        classes = None if self.truth is None else self.truth.classes
-        options: dict[str, Any] = {
-            "frames": chosen,
-            "parts": self.parts,
-            "captions": [caption(t, p.cloth.fps, classes, "\n") for t in chosen],
-            "title": p.cloth.name,
-            "azimuth": AZIMUTH,
-        }
-        subject = self._facing(p.cloth.vertices)
-        if self.truth is None:
-            return contact_sheet(subject, row_names=("prediction",), **options)
-        return contact_sheet(
-            subject,
-            reference=self._facing(self.truth.sequence.frames(slice(None))),
-            row_names=("truth", "prediction", "error"),
-            regions=self.regions,
-            unit=MILLIMETRES,
-            **options,
-        )
-
-    @property
-    def parts(self) -> tuple[Part, Part]:
-        """Body and cloth."""
-        return outfit_parts(self.prediction.body.n_vertices, self.prediction.cloth.n_vertices)
-
-    def _dressed(self, cloth: Any) -> MeshSequence:
-        p = self.prediction
-        faces = p.body.faces, p.cloth.faces
-        return dressed(p.body.vertices, np.asarray(cloth), *faces, p.cloth.fps, p.cloth.name)
-
-    def _facing(self, cloth: Any) -> MeshSequence:
-        p, scene = self.prediction, self._dressed(cloth)
-        # Truth and prediction have one body, so one turn suits both.
-        vertices = facing_the_camera(scene.vertices, p.root, p.joints)
-        return dataclasses.replace(scene, vertices=vertices)
+    sizes = p.body.n_vertices, p.cloth.n_vertices
+    side = size - size % 2
+    order = range(0, p.cloth.n_frames, every)
+    options: dict[str, Any] = {
+        "parts": outfit_parts(*sizes),
+        "track": camera_track(p.root, p.cloth.fps),
+        "frames": order,
+        "fps": p.cloth.fps / every,
+        "elevation": _ELEVATION,
+    }
+    if truth is None:
+        return Film.of(scene(p.cloth.vertices), size=(side, side), **options)
+    # Someone who stands is narrow.
+    width = size * 3 // 4
+    return Film.of(
+        scene(p.cloth.vertices),
+        reference=scene(truth.sequence.frames(slice(None))),
+        style=["plain", "error"] if error else ["plain"],
+        size=(width - width % 2, side),
+        titles=("truth", "prediction", "error")[: 3 if error else 2],
+        captions=[caption(t, p.cloth.fps, truth.classes) for t in order],
+        regions=outfit_regions(*sizes, free),
+        unit=MILLIMETRES,
+        **options,
+    )
 
 
 def _save(prediction: Prediction, file: Path) -> str:

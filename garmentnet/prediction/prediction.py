@@ -19,7 +19,7 @@ from ..data.parameters import RANGES, SimulationParameters
 from ..data.subject import Subject
 from ..networks.checkpoint import Checkpoint
 
-__all__ = ["Prediction", "follow", "predict", "trained_range"]
+__all__ = ["Prediction", "predict", "trained_range"]
 
 # Relative; parameters that are read from a file may be rounded.
 _ROUNDING = 1e-9
@@ -57,19 +57,6 @@ class Prediction:
     extrapolated: tuple[str, ...]
     moved: float = 0.0
     farthest: float = 0.0
-
-    def scene(self, *, still: bool = True) -> MeshSequence:
-        """Cloth and body as one mesh; `still`: without the root's horizontal motion."""
-        where = self.root if still else None
-        return follow(
-            self.cloth.vertices,
-            self.body.vertices,
-            self.cloth.faces,
-            self.body.faces,
-            self.cloth.fps,
-            where,
-            self.cloth.name,
-        )
 
 
 def predict(
@@ -202,21 +189,3 @@ def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[s
         if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
             messages.append(f"{key} {value:g}, trained from {low:g} to {high:g}")
     return tuple(messages)
-
-
-def follow(
-    cloth: Any,
-    body: Any,
-    cloth_faces: Any,
-    body_faces: Any,
-    fps: float,
-    root: NDArray[np.floating] | None,
-    name: str = "",
-) -> MeshSequence:
-    """Cloth and body as one mesh, without the horizontal motion of `root` ``(F, 3)`` if given."""
-    both = np.concatenate([np.asarray(body), np.asarray(cloth)], axis=1).astype(np.float64)
-    if root is not None:
-        # Not vertically, so that jumps stay visible.
-        both = both - np.asarray(root)[:, None] * np.array([1.0, 0.0, 1.0])
-    faces = np.concatenate([body_faces, np.asarray(cloth_faces) + np.asarray(body).shape[1]])
-    return MeshSequence(both.astype(np.float32), faces, fps, name=name)

@@ -1,7 +1,5 @@
 """Sheets of truth, prediction and error."""
 
-import types
-
 import numpy as np
 import pytest
 
@@ -11,27 +9,12 @@ pytest.importorskip("zarr")
 from PIL import Image
 
 from garmentnet.evaluation import pictures
-from garmentnet.evaluation.scores import Answer
 from ssdr.errors import InputError
 from ssdr.render import figures
 
 
-@pytest.fixture
-def bones(toy_store):
-    """What pictures use of virtual bones: the truth, without a detail."""
-
-    def clip(name):
-        vertices = np.asarray(toy_store.clip(name).sequence.vertices[:])
-        return types.SimpleNamespace(
-            read=lambda part, at=slice(None): vertices[at] * (part == "low")
-        )
-
-    return types.SimpleNamespace(store=toy_store, clip=clip)
-
-
 def off_by_30_mm(clip):
-    low = np.asarray(clip.sequence.vertices[:]) + np.float32([0, 0.03, 0])
-    return Answer(low, np.zeros_like(low))
+    return np.asarray(clip.sequence.vertices[:]) + np.float32([0, 0.03, 0])
 
 
 @pytest.fixture
@@ -54,12 +37,11 @@ def texts(monkeypatch):
     return seen
 
 
-def test_rows_are_named_and_the_exact_body_does_not_count(bones, toy_store, texts, tmp_path):
+def test_rows_are_named_and_the_exact_body_does_not_count(toy_store, texts, tmp_path, monkeypatch):
     clip = toy_store.clip("base-test-0")
     free = np.arange(toy_store.n_vertices) >= 16
-    path = pictures.draw_clip(
-        bones, clip, off_by_30_mm(clip), tmp_path / "a.png", frames=2, free=free
-    )
+    monkeypatch.setattr(pictures, "_FRAMES", 2)
+    path = pictures.draw_clip(clip, off_by_30_mm(clip), tmp_path / "a.png", free=free)
     with Image.open(path) as sheet:
         assert sheet.mode == "RGB"
         assert len(sheet.getcolors(1 << 24)) > 4096
@@ -70,16 +52,14 @@ def test_rows_are_named_and_the_exact_body_does_not_count(bones, toy_store, text
     assert texts.count("all 30.0 mm, free 30.0 mm") == 2
     assert "0.73 s" in texts
     with pytest.raises(InputError) as caught:
-        pictures.draw_clip(
-            bones, clip, off_by_30_mm(clip), tmp_path / "b.png", free=np.ones(5, bool)
-        )
+        pictures.draw_clip(clip, off_by_30_mm(clip), tmp_path / "b.png", free=np.ones(5, bool))
     assert caught.value.argument == "free"
     assert not (tmp_path / "b.png").exists()
 
 
-def test_moments_are_columns(bones, toy_store, texts, tmp_path, monkeypatch):
+def test_moments_are_columns(toy_store, texts, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures.moments, "__defaults__", (("walk", "spin"),))
-    found = pictures.draw_moments(bones, off_by_30_mm, ["base-test-0"], tmp_path / "m.png")
+    found = pictures.draw_moments(toy_store, off_by_30_mm, ["base-test-0"], tmp_path / "m.png")
     assert [label for label, _, _ in found] == ["walk", "spin"]
     assert "walk, spin" in texts
     for label, name, frame in found:

@@ -34,10 +34,10 @@ def test_santesteban_learns_and_goes_on(toy_bones, toy_store, toy_config, tmp_pa
     module = train_santesteban(toy_bones, config, TRAIN, HELD, tmp_path)
     clip = toy_store.clip("base-test-0")
     whole = clip.sequence.frames(slice(None))
-    learned = pooled(module.predict(clip.joints), whole)
-    assert learned < pooled(BodySkinned(toy_store).predict(clip.joints), whole)
+    learned = pooled(module.predict(clip), whole)
+    assert learned < pooled(BodySkinned(toy_store).predict(clip), whole)
     again = train_santesteban(toy_bones, config, TRAIN, HELD, tmp_path)
-    assert np.array_equal(again.predict(clip.joints), module.predict(clip.joints))
+    assert np.array_equal(again.predict(clip), module.predict(clip))
 
 
 def test_exact_offsets_are_the_statistics(toy_bones, toy_store, toy_config):

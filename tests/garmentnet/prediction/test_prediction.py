@@ -48,14 +48,6 @@ def test_skinning_is_the_low_part(pair, joints):
     assert np.abs(p.skinning.skin() - p.cloth.vertices).max() < 1e-5
 
 
-def test_the_camera_walks_along(toy_network, joints):
-    p = predict(toy_network, joints)
-    still = p.scene().vertices
-    place = still[:, : p.body.n_vertices].mean(axis=1)
-    assert np.abs(place[:, [0, 2]]).max() < 0.2
-    assert p.scene().n_vertices == p.body.n_vertices + p.cloth.n_vertices
-
-
 def test_vertices_inside_the_body_are_pushed_out(toy_network, joints):
 
     # The same body, so wide that it reaches through the skirt.

@@ -10,7 +10,8 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.data.store import ClipStore
 from garmentnet.evaluation.baselines import MeanShape, Ridge
-from garmentnet.evaluation.scores import evaluate, network_method, plain_method
+from garmentnet.evaluation.methods import Network
+from garmentnet.evaluation.scores import evaluate
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.training.run import choose_clips, train
 from helpers import toy_store as toy
@@ -21,14 +22,11 @@ def test_learns_what_a_pose_does_not_tell(toy_store, toy_bones, toy_network):
 
     names = [n for n in toy_store.names("train") if n.startswith("base")]
     held = [n for n in toy_store.names("validation") if n.startswith("base")]
-    methods = {
-        "network": network_method(toy_network),
-        "mean": plain_method(toy_bones, MeanShape(toy_bones, names).predict),
-        "ridge": plain_method(toy_bones, Ridge(toy_bones, names, held).predict),
-    }
+    others = [MeanShape(toy_bones, names), Ridge(toy_bones, names, held)]
+    methods = [Network("network", toy_network), *others]
     rows = {r.name: r for r in evaluate(toy_bones, methods, ["base-test-0", "base-test-1"])}
-    for other in ("mean", "ridge"):
-        assert rows["network"].overall.rmse < 0.7 * rows[other].overall.rmse
+    for other in others:
+        assert rows["network"].all.overall.rmse < 0.7 * rows[other.name].all.overall.rmse
 
 
 def test_resume_is_bit_for_bit(toy_store, toy_config, tmp_path):

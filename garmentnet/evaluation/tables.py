@@ -1,0 +1,116 @@
+"""The tables of a report, in Markdown."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from .scores import PARTS, VERTICES, Scores
+from .statistics import Interval, paired_ratio, pooled_error
+
+__all__ = ["class_table", "interval_table", "intervals", "markdown", "score_table"]
+
+# Of the figures of a score; RMSE is pooled in squares.
+_POWERS = {"rmse": 2.0, "hausdorff": 1.0, "sted": 1.0}
+# Below this many mm or units of STED nothing is left to divide by: a method that is exact.
+_NOTHING = 1e-6
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table whose first column is text and whose others are numbers."""
+    widths = [max(3, *(len(r[k]) for r in [head, *rows])) for k in range(len(head))]
+
+    def line(cells: Sequence[str]) -> str:
+        padded = [c.rjust(w) for c, w in zip(cells, widths, strict=True)]
+        return f"| {' | '.join([cells[0].ljust(widths[0]), *padded[1:]])} |"
+
+    rule = ["-" * widths[0], *("-" * (w - 1) + ":" for w in widths[1:])]
+    return "\n".join([line(head), line(rule), *map(line, rows)])
+
+
+def score_table(rows: Sequence[Scores], vertices: str = "all") -> str:
+    """The paper's table: RMSE and Hausdorff distance in mm, STED; vertices inside the body.
+
+    Parameters
+    ----------
+    rows : sequence of Scores
+    vertices : {"all", "free"}
+    """
+    head = [f"{vertices} vertices"]
+    for part in PARTS:
+        head += [f"{part} RMSE", "Hausd.", "STED"]
+    lines = []
+    for row in rows:
+        scores = [getattr(getattr(row, vertices), part) for part in PARTS]
+        cells = [
+            x for s in scores for x in (f"{s.rmse:.2f}", f"{s.hausdorff:.1f}", f"{s.sted:.4f}")
+        ]
+        inside = row.inside_free if vertices == "free" else row.inside
+        lines.append([row.name, *cells, f"{100 * inside:.2f} %"])
+    return markdown([*head, "inside"], lines)
+
+
+def class_table(rows: Sequence[Scores], vertices: str) -> str:
+    """Overall RMSE by class of motion, mm."""
+    kinds = list(rows[0].per_class)
+    lines = [[r.name, *(f"{getattr(r.per_class[k], vertices):.1f}" for k in kinds)] for r in rows]
+    return markdown([f"RMSE, {vertices} vertices", *kinds], lines)
+
+
+def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
+    """Errors of each part and their ratios to those of a reference, with intervals.
+
+    Parameters
+    ----------
+    rows : sequence of Scores
+        Of the same clips.
+    reference : str
+        Name of one of them.
+
+    Returns
+    -------
+    dict
+        ``reference`` and ``methods``: for each name, "all" or "free" and part the value, low and
+        high end of ``error`` (RMSE, mm) and of the ratios ``rmse``, ``hausdorff`` and ``sted``.
+        None where there is no number: the interval of one clip, ratios to a method without error.
+    """
+    (against,) = (r for r in rows if r.name == reference)
+    frames = [c.frames for c in against.clips]
+
+    def figures(row: Scores, vertices: str, part: str, figure: str) -> list[float]:
+        return [getattr(getattr(getattr(c, vertices), part), figure) for c in row.clips]
+
+    methods: dict[str, Any] = {}
+    for row in rows:
+        for vertices, part in itertools.product(VERTICES, PARTS):
+            error = pooled_error(figures(row, vertices, part, "rmse"), frames=frames)
+            found = {"error": _plain(error)}
+            for figure, power in _POWERS.items():
+                own, other = (figures(r, vertices, part, figure) for r in (row, against))
+                known = min(other) > _NOTHING
+                ratio = paired_ratio(own, other, frames=frames, power=power) if known else None
+                found[figure] = _plain(ratio)
+            methods.setdefault(row.name, {}).setdefault(vertices, {})[part] = found
+    return {"reference": reference, "methods": methods}
+
+
+def interval_table(document: dict[str, Any], vertices: str) -> str:
+    """The overall part of :func:`intervals` over "all" or "free" vertices, as text."""
+    head = ["RMSE, mm", "RMSE ratio", "Hausdorff ratio", "STED ratio"]
+    lines = []
+    for name, found in document["methods"].items():
+        cells = found[vertices]["overall"].items()
+        lines.append([name, *(_cell(value, 2 if k == "error" else 3) for k, value in cells)])
+    return markdown([f"overall, {vertices} vertices", *head], lines)
+
+
+def _plain(found: Interval | None) -> list[float | None]:
+    # JSON has no NaN.
+    return [x if math.isfinite(x) else None for x in found] if found else [None] * 3
+
+
+def _cell(found: list[float | None], digits: int) -> str:
+    value, low, high = ("-" if x is None else f"{x:.{digits}f}" for x in found)
+    return value if low == "-" else f"{value} [{low}, {high}]"
