@@ -168,5 +168,5 @@ class Ensemble(Predictor):
         first = self.networks[0]
         chosen = np.asarray(joints) if frames is None else np.asarray(joints)[frames]
         body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
-        low, _ = first.carry(first.lbs(transforms), None, body)
+        low = first.carry(first.lbs(transforms), body)
         return Motion(transforms, low, high, frame), tuple(states)

@@ -31,13 +31,13 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
     ends = ends[ends[:, 0] != ends[:, 1]]
-    degree = np.bincount(ends[:, 0], minlength=n_vertices)
-    first = np.concatenate([[0], np.cumsum(degree)])
-    table = np.tile(np.arange(n_vertices)[:, None], (1, max(1, int(degree.max(initial=0)))))
-    for k in range(table.shape[1]):
-        some = degree > 0
-        slot = first[:-1] + np.minimum(k, np.maximum(degree - 1, 0))
-        table[some, k] = ends[slot[some], 1]
+    degree = np.bincount(ends[:, 0], minlength=n_vertices)[:, None]
+    first = np.cumsum(degree)[:, None] - degree
+    slots = first + np.minimum(np.arange(max(1, int(degree.max(initial=0)))), degree - 1)
+    own = np.arange(n_vertices)[:, None]
+    # The appended row stands for a mesh without edges; a vertex without any reads no row.
+    others = np.append(ends[:, 1], 0)[np.minimum(slots, len(ends))]
+    table = np.where(degree > 0, others, own)
     return torch.from_numpy(table)
 
 

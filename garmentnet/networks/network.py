@@ -240,22 +240,20 @@ class MotionNetwork(nn.Module, Predictor):
         """
         return torch.as_tensor(self.lbs(self.low.code(z)))
 
-    def carry(
-        self, low: Tensor, high: Tensor | None, joints: Tensor
-    ) -> tuple[Tensor, Tensor | None]:
-        """Both parts with the vertices that the body carries where its joints put them.
+    def carry(self, mesh: Tensor, joints: Tensor, part: str = "low") -> Tensor:
+        """The low- or high-frequency part with what the body carries where its joints put it.
 
         Parameters
         ----------
-        low, high : (F, V, 3)
+        mesh : (F, V, 3)
         joints : (F, J, 3, 4)
             In the moving frame.
+        part : {"low", "high"}
         """
         if self.carried is None:
-            return low, high
+            return mesh
         smooth, true = self.carried(joints).chunk(2, dim=1)
-        low = low.index_copy(1, self.bound, smooth)
-        return low, None if high is None else high.index_copy(1, self.bound, true - smooth)
+        return mesh.index_copy(1, self.bound, smooth if part == "low" else true - smooth)
 
     def turned(self, numbers: Tensor, transforms: Tensor) -> Tensor:
         """Detail ``(F, V, 3)`` of the basis in the moving frame; 0 where the body carries.
@@ -321,7 +319,7 @@ class MotionNetwork(nn.Module, Predictor):
         body = torch.from_numpy(local).float().to(self.device)
         z, low_state = self.low(x, state.low)
         transforms = self.low.code(z[:, index])[0]
-        low, _ = self.carry(self.lbs(transforms), None, body)
+        low = self.carry(self.lbs(transforms), body)
         high, high_state = None, state.high
         if detail and self.high is not None:
             inputs = self.high_inputs(x, z)
@@ -331,5 +329,5 @@ class MotionNetwork(nn.Module, Predictor):
             else:
                 several, high_state = self.high(inputs, low[None], state.high, index[None])
                 out = several[0]
-            low, high = self.carry(low, out, body)
+            high = self.carry(out, body, "high")
         return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)

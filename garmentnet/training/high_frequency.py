@@ -91,7 +91,7 @@ class HighFrequencyObjective(Objective):
 
     def _low(self, z: Tensor, joints: Tensor) -> Tensor:
         """Low-frequency mesh ``(N, S, V, 3)``, with what the body carries in its place."""
-        mesh, _ = self.network.carry(self.network.mesh(z).flatten(0, 1), None, joints.flatten(0, 1))
+        mesh = self.network.carry(self.network.mesh(z).flatten(0, 1), joints.flatten(0, 1))
         return mesh.unflatten(0, z.shape[:2])
 
     def squared_error(self, track: Track) -> Tensor:
