@@ -164,8 +164,10 @@ def fit(
                 # Without validation clips the last weights are kept.
                 if math.isnan(rmse) or rmse < best:
                     waited, best_weights = 0, _copy(module)
-                rmse = None if math.isnan(rmse) else rmse
-                best = min(best, rmse or math.inf)
+                if math.isnan(rmse):
+                    rmse = None
+                else:
+                    best = min(best, rmse)
             epoch = {"epoch": number, "loss": value, "rmse": rmse, "learning_rate": rate}
             history.append(epoch | {"seconds": time.perf_counter() - began})
             saved = {"history": history, "best": best, "waited": waited}
