@@ -48,7 +48,7 @@ def main() -> None:
     for hidden in given.hidden:
         torch.manual_seed(0)
         x, weight = torch.randn(LANES, FRAMES, INPUTS), torch.randn(LANES, FRAMES, hidden)
-        theirs, ours = (kind(INPUTS, hidden, batch_first=True) for kind in (nn.GRU, GRU))
+        theirs, ours = nn.GRU(INPUTS, hidden, batch_first=True), GRU(INPUTS, hidden)
         ours.load_state_dict(theirs.state_dict())
         ways = {
             "torch, single": passes(theirs, x, weight, False),

@@ -83,7 +83,7 @@ class Measures:
 
 
 def _heading_frame() -> Any:
-    from garmentnet.configs import FeatureOptions
+    from garmentnet.configs.config import FeatureOptions
 
     return FeatureOptions(heading_free=True, translation=False, frame="heading")
 

@@ -38,8 +38,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from benchmarks import common
-from garmentnet.configs import load_config, override
-from garmentnet.configs.config import Config
+from garmentnet.configs.config import Config, load_config, override
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones
 from garmentnet.evaluation.reporting import report

@@ -1,7 +1,7 @@
 """Settings of a training run: typed, read from TOML, stored in checkpoints.
 
-``faithful.toml`` and ``rooted.toml`` beside this module list and explain all of them.  Another file
-needs only the settings that differ from the defaults, which are those of ``faithful.toml``.
+``faithful.toml`` beside this module lists and explains all of them; they are the defaults.  Any
+other file holds only the settings that differ.
 """
 
 from __future__ import annotations
@@ -78,12 +78,10 @@ class LowOptions:
     """The low-frequency module."""
 
     hidden: int = 600
-    layers: int = 1
-    rotation: Literal["euler", "vector", "sixd"] = "euler"
+    rotation: Literal["euler", "sixd"] = "euler"
     laplacian: float = 1.0
     dropout: float = 0.0
     collision: float = 0.0
-    frames: int = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +106,7 @@ class HighOptions:
 
 @dataclasses.dataclass(frozen=True)
 class TrainOptions:
-    """The training loop; `time_limit` in minutes for each module."""
+    """The training loop."""
 
     seed: int = 0
     batch: int = 8
@@ -121,7 +119,6 @@ class TrainOptions:
     high_epochs: int = 12
     validate_every: int = 2
     patience: int = 10
-    time_limit: float = 0.0
     threads: int = 0
     precision: Literal["single", "bfloat16", "auto"] = "auto"
     device: str = "auto"
@@ -174,21 +171,15 @@ class Config:
                 name = f"{section.name}.{field.name}"
                 if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
                     raise InputError(name, "a number >= 0", value)
+                if "dropout" in field.name and value >= 1:
+                    raise InputError(name, "a fraction below 1", value)
                 low = 0 if field.name in _ZERO or name == "data.frames" else 1
                 for number in value if isinstance(value, tuple) else (value,):
                     if type(number) is int and number < low:
                         raise InputError(name, f"an integer >= {low}", number)
-
         if self.high.kind == "basis" and self.high.collision:
             expected = 'collision = 0 where kind = "basis", which computes no mesh in training'
             raise InputError("high.collision", expected, self.high.collision)
-        for name, value in (
-            ("low.dropout", self.low.dropout),
-            ("high.dropout", self.high.dropout),
-            ("high.edge_dropout", self.high.edge_dropout),
-        ):
-            if value >= 1:
-                raise InputError(name, "a fraction below 1", value)
 
     def as_dict(self) -> dict[str, Any]:
         """Nested dictionaries; :meth:`of` reads them."""

@@ -21,13 +21,13 @@ from ..data.clip import Clip
 from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones
 from ..networks.features import transforms_in_frame
-from ..networks.gru import GRU
+from ..networks.gru import GRU, dropout_mask
 from ..networks.losses import frame_norm
 from ..networks.network import FRAMES_AT_ONCE, MotionNetwork
 from ..networks.skinning import apply_frame
 from ..training.batches import Batch, Track, load_tracks
-from ..training.loop import fit
-from ..training.objectives import LEAST_DEVIATION, dropout_mask
+from ..training.high_frequency import LEAST_DEVIATION
+from ..training.loop import Objective, fit
 from ..training.precision import mixed_precision
 from ..training.run import build_network
 from .baselines import body_skinning
@@ -66,7 +66,7 @@ class Santesteban(nn.Module, Method):
         self.reader = (reader,)  # a tuple hides its weights from this module
         self.n_vertices = skinning.n_vertices
         inputs = reader.features.size + reader.condition
-        self.gru = GRU(inputs, hidden, batch_first=True)
+        self.gru = GRU(inputs, hidden)
         self.out = nn.Linear(hidden, 3 * self.n_vertices)
         dense = np.asarray(skinning.dense_weights(), np.float32)
         self.register_buffer("weights", torch.from_numpy(dense), persistent=False)
@@ -117,7 +117,7 @@ class Santesteban(nn.Module, Method):
         return np.concatenate(out).astype(np.float32)
 
 
-class SantestebanObjective:
+class SantestebanObjective(Objective):
     """Loss and validation of the baseline, for the training loop."""
 
     def __init__(self, module: Santesteban, tracks: list[Track], validation: list[Track]) -> None:
@@ -141,15 +141,11 @@ class SantestebanObjective:
         # What the body carries is placed by it, as in every method.
         return frame_norm((posed - truth.to(device))[:, reader.free]), state
 
-    def validate(self) -> float:
-        square, count = 0.0, 0
-        for track in self.validation:
-            world = self.module.predict(track.clip)
-            truth = track.bones.read("low") + track.bones.read("high")
-            gap = (world - truth)[:, self.module.reader[0].free].astype(np.float64)
-            square += float((gap**2).sum())
-            count += gap.shape[0] * gap.shape[1]
-        return math.sqrt(square / count)
+    def squared_error(self, track: Track) -> Tensor:
+        world = self.module.predict(track.clip)
+        truth = track.bones.read("low") + track.bones.read("high")
+        gap = (world - truth)[:, self.module.reader[0].free].astype(np.float64)
+        return torch.from_numpy((gap**2).sum(axis=-1).mean(axis=-1))
 
     def fit_statistics(self) -> None:
         """Set mean and deviation from the offsets that reproduce the training frames."""
@@ -213,6 +209,5 @@ def train_santesteban(
         folder=folder,
         callback=callback,
     )
-    lines = [dataclasses.asdict(e) for e in history]
-    write_bytes(folder / "history.json", json.dumps({"low": lines}, indent=1).encode())
+    write_bytes(folder / "history.json", json.dumps({"low": history}, indent=1).encode())
     return module

@@ -8,7 +8,6 @@ kernel.  It names no Python module, so it does not depend on where the code lies
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from ..data.subject import Subject, mesh_identity
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
 from .network import Motion, MotionNetwork
-from .tensor_files import load_tensors, save_tensors
+from .tensor_files import load_tensors, part_of, save_tensors
 
 __all__ = [
     "Checkpoint",
@@ -39,12 +38,9 @@ __all__ = [
     "save_checkpoint",
 ]
 
-_FORMAT, _VERSION, _READ = "garmentnet checkpoint", 2, (1, 2)
-# Version 1 knew no vertices that the body carries, and had these in place of later settings.
-_BEFORE = {
-    "high": {"activation": "relu", "batch_norm": False, "dropout": 0.0, "edge_dropout": 0.0},
-    "ensemble": {"kernel": "gaussian"},
-}
+_FORMAT, _VERSION = "garmentnet checkpoint", 3
+_MESH = ("rest", "indices", "weights", "faces")
+_BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
 # Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
 # 80 bones in float32.
 _MAX_SKINNING = 4 << 30
@@ -109,14 +105,13 @@ class Checkpoint:
         InputError
             If the parameters are missing, or the joints do not fit the body.
         """
+        model = self.networks[0] if self.kernel is None else self.ensemble
+        theta = None
         if self.kernel is not None or self.networks[0].condition:
             if parameters is None:
                 raise InputError("parameters", "bending, density and time scale", None)
             theta = parameters.normalised()
-            if self.kernel is None:
-                return self.networks[0].motions(joints, parameters=theta, detail=detail)
-            return self.ensemble.motions(joints, theta=theta, detail=detail)
-        return self.networks[0].motions(joints, detail=detail)
+        return model.motions(joints, parameters=theta, detail=detail)
 
     def predict(
         self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
@@ -127,37 +122,30 @@ class Checkpoint:
 
     def check_fits(self, store: ClipStore) -> None:
         """Raise InputError unless the store has this garment, body and frame rate."""
-        trained, other = self.subject.garment_id, mesh_identity(store.rest, store.faces)
-        if trained != other:
-            raise InputError(
-                "checkpoint",
-                f"one of the garment of {store.path} ({other})",
-                f"another ({trained})",
-            )
-        subject = dataclasses.replace(self.subject, body=store.body, skeleton=store.skeleton)
-        if subject.body_id != self.subject.body_id:
-            raise InputError(
-                "checkpoint",
-                f"one of the body of {store.path} ({subject.body_id})",
-                f"another ({self.subject.body_id})",
-            )
-        if self.subject.fps != store.fps:
-            raise InputError("checkpoint", f"one of {store.fps:g} fps", f"{self.subject.fps:g}")
+        own = self.subject
+        there = dataclasses.replace(own, body=store.body, skeleton=store.skeleton).body_id
+        for what, expected, got in (
+            ("garment", mesh_identity(store.rest, store.faces), own.garment_id),
+            ("body", there, own.body_id),
+            ("fps", store.fps, own.fps),
+        ):
+            if expected != got:
+                wanted = f"one of the {what} of {store.path} ({expected})"
+                raise InputError("checkpoint", wanted, f"another ({got})")
 
 
 def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
     """Write a checkpoint under a temporary name; the file is renamed when it is complete."""
-    subject = checkpoint.subject
-    garment, body, skeleton = subject.garment, subject.body, subject.skeleton
-    tensors: dict[str, Tensor] = {}
-    for name, part in (("garment", garment), ("body", body)):
-        for field in ("rest", "indices", "weights", "faces"):
-            tensors[f"{name}.{field}"] = torch.from_numpy(np.array(getattr(part, field)))
-    tensors["skeleton.rest"] = torch.from_numpy(np.array(skeleton.rest))
-    tensors["skeleton.parents"] = torch.from_numpy(np.array(skeleton.parents))
+    subject, kernel = checkpoint.subject, checkpoint.kernel
+    arrays: dict[str, Any] = {
+        "skeleton.rest": subject.skeleton.rest,
+        "skeleton.parents": subject.skeleton.parents,
+    }
+    arrays |= {f"garment.{k}": getattr(subject.garment, k) for k in _MESH}
+    arrays |= {f"body.{k}": getattr(subject.body, k) for k in _MESH}
     if subject.bound is not None:
-        for key in (f.name for f in dataclasses.fields(BodyBound)):
-            tensors[f"bound.{key}"] = torch.from_numpy(np.array(getattr(subject.bound, key)))
+        arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in _BOUND}
+    tensors: dict[str, Tensor] = {}
     record: list[dict[str, Any]] = []
     networks, parameters = list(checkpoint.networks), list(checkpoint.parameters)
     if checkpoint.common is not None:
@@ -174,21 +162,19 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
                 "clamp": network.normaliser.clamp,
             }
         )
-        for key, value in network.state_dict().items():
-            tensors[f"network.{k}.{key}"] = value.detach().cpu()
-        for key in ("mean", "deviation"):
-            values = np.array(getattr(network.normaliser, key))
-            tensors[f"network.{k}.features.{key}"] = torch.from_numpy(values)
-    kernel = checkpoint.kernel
+        tensors |= {f"network.{k}.{key}": v for key, v in network.state_dict().items()}
+        arrays[f"network.{k}.features.mean"] = network.normaliser.mean
+        arrays[f"network.{k}.features.deviation"] = network.normaliser.deviation
     if kernel is not None:
-        tensors |= {f"kernel.{k}": v.detach() for k, v in kernel.state_dict().items()}
+        tensors |= {f"kernel.{k}": v for k, v in kernel.state_dict().items()}
+    tensors |= {k: torch.from_numpy(np.array(v)) for k, v in arrays.items()}
     document = {
         "format": _FORMAT,
         "version": _VERSION,
         "fps": subject.fps,
         "garment_id": subject.garment_id,
         "body_id": subject.body_id,
-        "joint_names": list(skeleton.names),
+        "joint_names": list(subject.skeleton.names),
         "networks": record,
         "kernel": None
         if kernel is None
@@ -212,13 +198,9 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         d = documents["checkpoint"]
         if not isinstance(d, dict) or d.get("format") != _FORMAT:
             raise FormatError("not a checkpoint of garmentnet")
-        if d.get("version") not in _READ:
-            raise FormatError(f"version {d.get('version')}, this reads {_READ[0]} to {_READ[-1]}")
-        arrays = {
-            k.replace(".joints", ".indices"): v.numpy()
-            for k, v in tensors.items()
-            if not k.startswith("network.")
-        }
+        if d.get("version") != _VERSION:
+            raise FormatError(f"version {d.get('version')}, this reads {_VERSION}")
+        arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("network.")}
         names = tuple(str(n) for n in d["joint_names"])
         skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
         bones = len(tensors["network.0.low.code.centres"])
@@ -234,12 +216,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             raise FormatError("the body is not the one that the file names")
         networks, parameters = [], []
         for k, record in enumerate(d["networks"]):
-            table = record["config"]
-            if d["version"] == 1:
-                table |= {k: v | table[k] for k, v in _BEFORE.items()}
-            config = Config.of(table, "configuration")
-            part = _part(tensors, f"network.{k}.")
-            networks.append(_network(config, subject, record, part))
+            networks.append(_network(subject, record, part_of(tensors, f"network.{k}.")))
             trained_on = record["parameters"]
             parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
         kernel, common, share = None, None, 0.0
@@ -251,15 +228,12 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             if any(p is None for p in parameters):
                 raise FormatError("pivots without parameters")
             inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
-            own_part = _part(tensors, "kernel.")
-            _expect(own_part, {"g.0.weight": (hidden, inputs), "g.2.weight": (latent, hidden)})
-            shape = str(d["kernel"].get("shape", "gaussian"))
+            shape, sigma = d["kernel"]["shape"], d["kernel"]["sigma"]
             if shape not in ("gaussian", "exponential"):
                 raise FormatError(f"a kernel of shape {shape!r}")
-            kernel = Kernel(
-                inputs, hidden=hidden, latent=latent, sigma=d["kernel"]["sigma"], shape=shape
-            )
-            kernel.load_state_dict(own_part)
+            with torch.device("meta"):
+                kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=sigma, shape=shape)
+            kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
         elif len(networks) != 1:
             raise FormatError(f"{len(networks)} networks without a kernel")
         checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, common, share)
@@ -311,10 +285,9 @@ def _skinning(
 
 
 def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
-    fields = [f.name for f in dataclasses.fields(BodyBound)]
-    if f"bound.{fields[0]}" not in arrays:
+    if "bound.index" not in arrays:
         return None
-    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in fields})
+    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in _BOUND})
     count, vertices = len(bound.index), len(arrays["garment.rest"])
     fits = (
         0 < count <= vertices
@@ -331,45 +304,17 @@ def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
     return bound
 
 
-def _network(
-    config: Config, subject: Subject, record: dict[str, Any], part: dict[str, Tensor]
-) -> MotionNetwork:
-    # The sizes of the configuration are checked against the tensors before anything is allocated.
-    o, n = config.high, subject.garment.n_vertices
-    if subject.bound is not None:
-        n -= len(subject.bound.index)
-    low = config.low.hidden
-    sizes: dict[str, tuple[int, ...]] = {"low.gru.weight_hh_l0": (3 * low, low)}
-    if record["high"] and o.kind == "basis":
-        sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
-        sizes["high.basis"] = (o.rank, 3 * n)
-        sizes["high.mean"] = (n, 3)
-    elif record["high"]:
-        sizes["high.gru.weight_hh_l0"] = (3 * o.hidden, o.hidden)
-        sizes["high.spread.weight"] = (n * o.global_features, o.hidden)
-        widths = (3, *o.edge_features) if o.local else ()
-        for k, (a, b) in enumerate(itertools.pairwise(widths)):
-            sizes[f"high.edges.{k}.linear.weight"] = (b, 2 * a)
-        chain = (o.global_features + (widths[-1] if widths else 0), *o.mlp, 3)
-        for k, (a, b) in enumerate(itertools.pairwise(chain)):
-            sizes[f"high.mlp.{2 * k}.weight"] = (b, a)
-    _expect(part, sizes)
+def _network(subject: Subject, record: dict[str, Any], part: dict[str, Tensor]) -> MotionNetwork:
+    config = Config.of(record["config"], "configuration")
     mean, deviation = part.pop("features.mean").numpy(), part.pop("features.deviation").numpy()
-    network = MotionNetwork(config, subject, Normaliser(mean, deviation, float(record["clamp"])))
+    # Weights have no memory before their sizes are found to be those of the tensors: a hostile
+    # configuration cannot fill it.
+    with torch.device("meta"):
+        normaliser = Normaliser(mean, deviation, float(record["clamp"]))
+        network = MotionNetwork(config, subject, normaliser)
+        if record["high"]:
+            network.add_high()
     if mean.shape != (network.features.size,) or deviation.shape != mean.shape:
         raise FormatError(f"statistics of {mean.shape} features, not {network.features.size}")
-    if record["high"]:
-        network.add_high()
-    network.load_state_dict(part)
+    network.load_state_dict(part, assign=True)
     return network.eval()
-
-
-def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
-
-
-def _expect(tensors: dict[str, Tensor], sizes: dict[str, tuple[int, ...]]) -> None:
-    for key, shape in sizes.items():
-        actual = tuple(tensors[key].shape)
-        if actual != shape:
-            raise FormatError(f"{key} is {actual}, the configuration says {shape}")

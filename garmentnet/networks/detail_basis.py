@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from .gru import GRU
+from .gru import GRULinear
 from .skinning import matrix_from_sixd
 
 __all__ = ["DetailBasis", "SurfaceTurns"]
@@ -26,7 +26,7 @@ class SurfaceTurns(nn.Module):
 
     Parameters
     ----------
-    joints, weights : (V, K) arrays
+    indices, weights : (V, K) arrays
         Of the virtual bones.
     n_bones : int
     vertices : (n,) int array
@@ -56,7 +56,7 @@ class SurfaceTurns(nn.Module):
         return matrix_from_sixd(blended)
 
 
-class DetailBasis(nn.Module):
+class DetailBasis(GRULinear):
     """Mean detail and principal components in the surface's frame, weighted by a GRU.
 
     Parameters
@@ -82,9 +82,7 @@ class DetailBasis(nn.Module):
     deviation: Tensor
 
     def __init__(self, inputs: int, n_vertices: int, *, hidden: int, rank: int) -> None:
-        super().__init__()
-        self.gru = GRU(inputs, hidden, batch_first=True)
-        self.out = nn.Linear(hidden, rank)
+        super().__init__(inputs, hidden, rank)
         self.register_buffer("mean", torch.zeros(n_vertices, 3))
         self.register_buffer("basis", torch.zeros(rank, 3 * n_vertices))
         self.register_buffer("deviation", torch.ones(rank))
@@ -92,18 +90,13 @@ class DetailBasis(nn.Module):
     def forward(
         self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Weights of the components ``(N, T, rank)``, metres, and the state ``(1, N, H)``.
-
-        `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
-        """
-        h, state = self.gru(x, state)
-        if mask is not None:
-            h = h * mask
-        return self.out(h) * self.deviation, state
+        """Weights of the components ``(N, T, rank)``, metres, and the state ``(1, N, H)``."""
+        out, state = super().forward(x, state, mask)
+        return out * self.deviation, state
 
     def local(self, numbers: Tensor) -> Tensor:
         """Detail ``(F, n, 3)`` in the surface's frame, metres, of weights ``(F, rank)``."""
-        return (numbers @ self.basis).unflatten(-1, (-1, 3)) + self.mean
+        return (numbers @ self.basis).unflatten(-1, self.mean.shape) + self.mean
 
     def code(self, local: Tensor) -> tuple[Tensor, Tensor]:
         """Weights ``(F, rank)`` of detail ``(F, n, 3)``, and the squared rest ``(F,)``."""

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from ssdr.errors import InputError
 
 from .features import transforms_in_frame
-from .network import FRAMES_AT_ONCE, Motion, MotionNetwork, NetworkState
+from .network import Motion, MotionNetwork, NetworkState, Predictor
 
 __all__ = ["Ensemble", "Kernel"]
 
@@ -27,9 +27,9 @@ _SQUARE = 1e-12
 
 
 class Kernel(nn.Module):
-    """Ψ(θ_i, θ), which falls with d = ‖g(θ_i) − g(θ)‖, normalised over the pivots.
+    """The RBF Ψ(θ_i, θ) of equation 4, normalised over the pivots to Ψ̄.
 
-    exp(−d² / (2 σ²)), or exp(−d / σ) as the published code has it.
+    Ψ = exp(−d² / (2 σ²)) with d = ‖g(θ_i) − g(θ)‖, or exp(−d / σ) as the published code has it.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Kernel(nn.Module):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Ensemble:
+class Ensemble(Predictor):
     """Pivot networks and the kernel that mixes them.
 
     A pivot that reads the simulation parameters reads its own, whatever is asked for.
@@ -121,15 +121,10 @@ class Ensemble:
         first = self.networks[0]
         for other in self._all()[1:]:
             a, b = first.subject.garment, other.subject.garment
-            same = (
-                a.rest.shape == b.rest.shape
-                and a.indices.shape == b.indices.shape
-                and np.array_equal(a.rest, b.rest)
-                and np.array_equal(a.indices, b.indices)
-                and np.array_equal(a.weights, b.weights)
-                and first.config.features.frame == other.config.features.frame
+            same = all(
+                np.array_equal(getattr(a, k), getattr(b, k)) for k in ("rest", "indices", "weights")
             )
-            if not same:
+            if not same or first.config.features.frame != other.config.features.frame:
                 raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
 
     def _all(self) -> tuple[MotionNetwork, ...]:
@@ -145,62 +140,33 @@ class Ensemble:
         joints: Any,
         state: tuple[NetworkState, ...] | None = None,
         *,
-        theta: Any,
+        parameters: Any = None,
         detail: bool = True,
+        frames: Any = None,
     ) -> tuple[Motion, tuple[NetworkState, ...]]:
-        """As :meth:`MotionNetwork.run`, at normalised parameters `theta`."""
-        theta = np.asarray(theta, float)
-        w = (1 - self.share) * self.weights(theta)
-        own = [*self.parameters]
-        if self.common is not None:
-            w, own = np.append(w, self.share), [*own, theta]
-        networks = self._all()
-        before = state or (NetworkState(),) * len(networks)
-        # A network of weight 0 is not run; of the pivots at least one has some.
-        used = [k for k in range(len(networks)) if w[k] > 0]
-        runs = {
-            k: networks[k].run(
+        """As :meth:`MotionNetwork.run`, at normalised parameters; equation 3 of the paper."""
+        theta, networks = np.asarray(parameters, float), self._all()
+        weights = np.append((1 - self.share) * self.weights(theta), self.share)
+        own = [*self.parameters, theta]
+        states = list(state or (NetworkState(),) * len(networks))
+        transforms: Any = 0.0
+        high: Any = 0.0
+        frame: Any = None
+        for k, network in enumerate(networks):
+            if weights[k] == 0:  # not run; of the pivots at least one has some
+                continue
+            motion, states[k] = network.run(
                 joints,
-                before[k],
-                parameters=own[k] if networks[k].condition else None,
+                states[k],
+                parameters=own[k] if network.condition else None,
                 detail=detail,
+                frames=frames,
             )
-            for k in used
-        }
-        motions = [runs[k][0] for k in used]
-        transforms = sum(float(w[k]) * runs[k][0].transforms for k in used)
-        assert isinstance(transforms, Tensor)
+            w, frame = float(weights[k]), motion.frame
+            transforms = transforms + w * motion.transforms
+            high = None if high is None or motion.high is None else high + w * motion.high
         first = self.networks[0]
-        moved = torch.from_numpy(transforms_in_frame(joints, motions[0].frame).astype(np.float32))
-        low, _ = first.carry(first.lbs(transforms), None, moved.to(first.device))
-        high: Tensor | None = None
-        if all(m.high is not None for m in motions):
-            parts = [
-                float(w[k]) * m.high
-                for k, m in zip(used, motions, strict=True)
-                if m.high is not None
-            ]
-            high = torch.stack(parts).sum(0)
-        after = tuple(runs[k][1] if k in runs else before[k] for k in range(len(networks)))
-        return Motion(transforms, low, high, motions[0].frame), after
-
-    def motions(self, joints: Any, *, theta: Any, detail: bool = True) -> list[Motion]:
-        """The motion in parts of at most 128 frames."""
-        joints, state, out = np.asarray(joints), None, []
-        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
-            part = joints[start : start + FRAMES_AT_ONCE]
-            motion, state = self.run(part, state, theta=theta, detail=detail)
-            out.append(motion)
-        return out
-
-    def predict(self, joints: Any, theta: Any, *, detail: bool = True) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` at normalised parameters."""
-        parts = self.motions(joints, theta=theta, detail=detail)
-        return np.concatenate([m.vertices() for m in parts])
-
-    def step(
-        self, state: tuple[NetworkState, ...] | None, pose: Any, theta: Any
-    ) -> tuple[tuple[NetworkState, ...], NDArray[np.float32]]:
-        """One frame: joints ``(J, 3, 4)`` to world positions ``(V, 3)``."""
-        motion, state = self.run(np.asarray(pose)[None], state, theta=theta)
-        return state, motion.vertices()[0]
+        chosen = np.asarray(joints) if frames is None else np.asarray(joints)[frames]
+        body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
+        low = first.carry(first.lbs(transforms), body)
+        return Motion(transforms, low, high, frame), tuple(states)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ from torch import Tensor, nn
 
 from .gru import GRU
 
-__all__ = ["Dropped", "EdgeConv", "HighFrequency", "neighbour_table"]
+__all__ = ["EdgeConv", "HighFrequency", "neighbour_table"]
 
 
 def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
@@ -32,13 +31,13 @@ def neighbour_table(faces: Any, n_vertices: int) -> Tensor:
     ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
     ends = ends[ends[:, 0] != ends[:, 1]]
-    degree = np.bincount(ends[:, 0], minlength=n_vertices)
-    first = np.concatenate([[0], np.cumsum(degree)])
-    table = np.tile(np.arange(n_vertices)[:, None], (1, max(1, int(degree.max(initial=0)))))
-    for k in range(table.shape[1]):
-        some = degree > 0
-        slot = first[:-1] + np.minimum(k, np.maximum(degree - 1, 0))
-        table[some, k] = ends[slot[some], 1]
+    degree = np.bincount(ends[:, 0], minlength=n_vertices)[:, None]
+    first = np.cumsum(degree)[:, None] - degree
+    slots = first + np.minimum(np.arange(max(1, int(degree.max(initial=0)))), degree - 1)
+    own = np.arange(n_vertices)[:, None]
+    # The appended row stands for a mesh without edges; a vertex without any reads no row.
+    others = np.append(ends[:, 1], 0)[np.minimum(slots, len(ends))]
+    table = np.where(degree > 0, others, own)
     return torch.from_numpy(table)
 
 
@@ -140,24 +139,10 @@ def _activation(name: str, channels: int) -> nn.Module:
     return nn.ReLU() if name == "relu" else _PReLU(channels)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Dropped:
-    """What dropout leaves out in one training step.
-
-    Attributes
-    ----------
-    hidden : (N, S, H) float tensor or None
-        Factors of the GRU's outputs, 0 or 1 / (1 − p).
-    edges : list of (V, D) bool tensors or None
-        For each EdgeConv layer the neighbours that are left out.
-    """
-
-    hidden: Tensor | None
-    edges: list[Tensor] | None
-
-
 class HighFrequency(nn.Module):
-    """Detail from global features (GRU) and local features (EdgeConv), by one MLP for all vertices.
+    """D_HF: detail from global features (GRU on M_v) and local ones (EdgeConv on G_LF).
+
+    One MLP for all vertices reads both (section 4.3).
 
     Parameters
     ----------
@@ -215,7 +200,7 @@ class HighFrequency(nn.Module):
         super().__init__()
         self.n_vertices, self.global_features = n_vertices, global_features
         chosen = np.arange(n_vertices) if vertices is None else np.asarray(vertices)
-        self.gru = GRU(inputs, hidden, batch_first=True)
+        self.gru = GRU(inputs, hidden)
         wide = len(chosen) * global_features
         self.spread = nn.Linear(hidden, wide)
         self.spread_act = _activation(activation, wide)
@@ -238,35 +223,21 @@ class HighFrequency(nn.Module):
         self.register_buffer("deviation", torch.ones(()))
         self.register_buffer("centre", torch.zeros(3))
 
-    def draw(
-        self, rng: np.random.Generator, shape: tuple[int, int], *, hidden: float, edges: float
-    ) -> Dropped:
-        """What a training step leaves out, from the probabilities of outputs and of edges.
+    def draw_edges(self, rng: np.random.Generator, share: float) -> list[Tensor] | None:
+        """For each EdgeConv layer the neighbours ``(V, D)`` that a training step leaves out.
 
-        Parameters
-        ----------
-        rng : numpy.random.Generator
-        shape : (N, S)
-            Clips and frames of the step.
-        hidden, edges : float
-            Probabilities; an edge is left out in both directions.
+        Edges are left out with probability `share`, in both directions; None: no edges.
         """
-        factors = None
-        if hidden:
-            stays = rng.random((*shape, self.gru.hidden_size), np.float32) >= hidden
-            factors = torch.from_numpy(stays).to(self.mean) / (1 - hidden)
-        if not (edges and len(self.edges)):
-            return Dropped(factors, None)
+        if not (share and len(self.edges)):
+            return None
         table = self.neighbours.cpu().numpy()
         here = np.arange(len(table))[:, None]
         # One number for both directions of an edge.
         name = np.minimum(table, here) * len(table) + np.maximum(table, here)
         _, edge = np.unique(name, return_inverse=True)
         edge = edge.reshape(table.shape)
-        lost = [rng.random(int(edge.max()) + 1) < edges for _ in self.edges]
-        return Dropped(
-            factors, [torch.from_numpy(x[edge]).to(self.neighbours.device) for x in lost]
-        )
+        lost = [rng.random(int(edge.max()) + 1) < share for _ in self.edges]
+        return [torch.from_numpy(x[edge]).to(self.neighbours.device) for x in lost]
 
     def forward(
         self,
@@ -274,7 +245,8 @@ class HighFrequency(nn.Module):
         low: Any,
         state: Tensor | None = None,
         frames: Tensor | None = None,
-        dropped: Dropped | None = None,
+        mask: Tensor | None = None,
+        dropped: list[Tensor] | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Detail and new state.
 
@@ -286,8 +258,10 @@ class HighFrequency(nn.Module):
         state : (1, N, H), optional
         frames : (N, S) int, optional
             Frames whose detail is computed; all by default.
-        dropped : Dropped, optional
-            In training.
+        mask : (N, S, H), optional
+            Factors of the GRU's outputs; see :func:`~garmentnet.networks.gru.dropout_mask`.
+        dropped : list of (V, D) bool, optional
+            Of :meth:`draw_edges`.
 
         Returns
         -------
@@ -296,16 +270,15 @@ class HighFrequency(nn.Module):
         h, state = self.gru(x, state)
         if frames is not None:
             h = h.gather(1, frames[..., None].expand(-1, -1, h.shape[-1]))
-        if dropped is not None and dropped.hidden is not None:
-            h = h * dropped.hidden
+        if mask is not None:
+            h = h * mask
         lead = h.shape[:2]
         wide = self.norm(self.spread_act(self.spread(h.flatten(0, 1))))
         features = wide.view(-1, len(self.vertices), self.global_features).transpose(0, 1)
         if len(self.edges):
             y = (low.reshape(-1, self.n_vertices, 3) - self.centre).transpose(0, 1).contiguous()
-            lost = dropped.edges if dropped is not None else None
             for k, layer in enumerate(self.edges):
-                y = layer(y, self.neighbours, lost[k] if lost else None)
+                y = layer(y, self.neighbours, dropped[k] if dropped else None)
             features = torch.cat([features, y[self.vertices]], dim=-1)
         out = self.mlp(features) * self.deviation + self.mean[self.vertices][:, None]
         if len(self.vertices) < self.n_vertices:

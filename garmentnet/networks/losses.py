@@ -26,11 +26,9 @@ __all__ = [
 
 # Square of 1 µm: a fit that is exact has no direction, and its gradient must stay finite.
 EXACT = 1e-12
-# Distances that the search for closest vertices has in memory at once: 64 MiB in float32.
-_PAIRS = 1 << 24
 
 
-def frame_norm(difference: Tensor, mask: Tensor | None = None) -> Tensor:
+def frame_norm(difference: Tensor) -> Tensor:
     """Mean over frames of ‖d‖₂ / √V, the RMSE of a frame.
 
     The paper's norm is not squared; divided by √V it does not depend on resolution.
@@ -38,18 +36,13 @@ def frame_norm(difference: Tensor, mask: Tensor | None = None) -> Tensor:
     Parameters
     ----------
     difference : (..., V, 3)
-    mask : (...) bool, optional
-        Frames that count.
 
     Examples
     --------
     >>> float(frame_norm(torch.ones(2, 5, 3)).square().round())
     3.0
     """
-    norm: Tensor = (difference.square().sum(-1).mean(-1) + EXACT).sqrt()
-    if mask is None:
-        return norm.mean()
-    return (norm * mask).sum() / mask.sum().clamp(min=1)
+    return (difference.square().sum(-1).mean(-1) + EXACT).sqrt().mean()
 
 
 def mesh_laplacian(faces: Any, n_vertices: int) -> csr_array:
@@ -109,18 +102,12 @@ def closest_vertices(points: Tensor, body: Tensor) -> Tensor:
             for p, q in zip(points.detach().numpy(), body.detach().numpy(), strict=True)
         ]
         return torch.from_numpy(np.stack(nearest).astype(np.int64))
-    step = max(1, _PAIRS // (points.shape[1] * body.shape[1]))
-    parts = []
-    for i in range(0, len(points), step):
-        p, q = points[i : i + step].detach(), body[i : i + step]
-        # |p − q|² without |p|² has the same minimum and needs one product.
-        distance = torch.baddbmm(q.square().sum(-1)[:, None], p, q.transpose(1, 2), alpha=-2)
-        parts.append(distance.argmin(dim=-1))
-    return torch.cat(parts)
+    # Frame by frame, because all distances at once would fill the memory.
+    return torch.stack([torch.cdist(p, q).argmin(1) for p, q in zip(points, body, strict=True)])
 
 
 def collision_depth(vertices: Tensor, body: Tensor, normals: Tensor) -> Tensor:
-    """Depth ``(N, V)`` inside the body, metres: max(−n_B·(v − v_B), 0).
+    """L_collision, the depth ``(N, V)`` inside the body: max(−n_B·(v − v_B), 0), metres.
 
     v_B is the body vertex closest to v and n_B its unit normal.
 

@@ -14,20 +14,16 @@ from torch import Tensor, nn
 from ssdr.errors import InputError
 from ssdr.rigid import sixd_from_matrix
 
-from .gru import GRU
-from .skinning import matrix_from_euler, matrix_from_rotation_vector, matrix_from_sixd
+from .gru import GRULinear
+from .skinning import matrix_from_euler, matrix_from_sixd
 
 __all__ = ["BoneCode", "LowFrequency"]
 
-_FROM = {
-    "euler": (3, matrix_from_euler),
-    "vector": (3, matrix_from_rotation_vector),
-    "sixd": (6, matrix_from_sixd),
-}
-# Smallest deviations that bone motion is divided by: a bone that hardly moves in training must not
-# move wildly for a small output.  Rotations in degrees, radians, none; translations in metres.
-_LEAST = {"euler": 0.5, "vector": 0.01, "sixd": 0.01}
-_LEAST_TRANSLATION = 1e-3
+# For each encoding of rotations its width, its decoder, and the smallest deviation that bone motion
+# is divided by, in degrees or none: a bone that hardly moves in training must not move wildly for
+# a small output.
+_ROTATIONS = {"euler": (3, matrix_from_euler, 0.5), "sixd": (6, matrix_from_sixd, 0.01)}
+_LEAST_TRANSLATION = 1e-3  # metres
 
 
 class BoneCode(nn.Module):
@@ -40,8 +36,8 @@ class BoneCode(nn.Module):
     ----------
     centres : (B, 3) array
         Centroids, in the rest pose, of the vertices that each bone moves; metres.
-    rotation : {"euler", "vector", "sixd"}
-        Euler angles in degrees, rotation vectors, or two columns of the matrix.
+    rotation : {"euler", "sixd"}
+        Euler angles in degrees, or two columns of the matrix.
 
     Examples
     --------
@@ -57,8 +53,8 @@ class BoneCode(nn.Module):
     def __init__(self, centres: Any, rotation: str) -> None:
         super().__init__()
         self.rotation = rotation
-        width = _FROM[rotation][0] + 3
-        self.register_buffer("centres", torch.as_tensor(np.asarray(centres)).float())
+        width = _ROTATIONS[rotation][0] + 3
+        self.register_buffer("centres", torch.from_numpy(np.array(centres, np.float32)))
         self.register_buffer("mean", torch.zeros(len(centres), width))
         self.register_buffer("deviation", torch.ones(len(centres), width))
 
@@ -70,7 +66,7 @@ class BoneCode(nn.Module):
     def fit(self, transforms: Any) -> None:
         """Set mean and deviation from fitted transforms ``(F, B, 3, 4)``."""
         numbers = self.numbers(transforms)
-        least = np.full(self.shape[1], _LEAST[self.rotation])
+        least = np.full(self.shape[1], _ROTATIONS[self.rotation][2])
         least[-3:] = _LEAST_TRANSLATION
         self.mean.copy_(torch.from_numpy(numbers.mean(axis=0)))
         self.deviation.copy_(torch.from_numpy(np.maximum(numbers.std(axis=0), least)))
@@ -84,15 +80,10 @@ class BoneCode(nn.Module):
         if self.rotation == "sixd":
             code = np.asarray(sixd_from_matrix(r))
         else:
-            turn = Rotation.from_matrix(r.reshape(-1, 3, 3))
             with warnings.catch_warnings():
                 # In gimbal lock one angle is free; any will do.
                 warnings.simplefilter("ignore", UserWarning)
-                angles = (
-                    turn.as_euler("xyz", degrees=True)
-                    if self.rotation == "euler"
-                    else turn.as_rotvec()
-                )
+                angles = Rotation.from_matrix(r.reshape(-1, 3, 3)).as_euler("xyz", degrees=True)
             code = np.asarray(angles).reshape(*r.shape[:2], 3)
         centre = np.einsum("fbij,bj->fbi", r, self.centres.double().cpu().numpy()) + m[..., 3]
         return np.concatenate([code, centre], axis=-1)
@@ -100,21 +91,19 @@ class BoneCode(nn.Module):
     def forward(self, z: Tensor) -> Tensor:
         """Transforms ``(..., B, 3, 4)`` of normalised numbers ``(..., B, C)``."""
         numbers = z * self.deviation + self.mean
-        r = _FROM[self.rotation][1](numbers[..., :-3])
+        r = _ROTATIONS[self.rotation][1](numbers[..., :-3])
         t = numbers[..., -3:] - (r @ self.centres[..., None])[..., 0]
         return torch.cat([r, t[..., None]], dim=-1)
 
 
-class LowFrequency(nn.Module):
-    """A GRU of one layer or more, and one linear layer.
+class LowFrequency(GRULinear):
+    """D_LF: body motion M_b to bone motion M_v by a GRU and a linear layer (section 4.2).
 
     Parameters
     ----------
     inputs : int
     hidden : int
     code : BoneCode
-    layers : int
-        Of the GRU.
 
     Examples
     --------
@@ -124,21 +113,14 @@ class LowFrequency(nn.Module):
     (torch.Size([1, 5, 2, 6]), torch.Size([1, 1, 8]))
     """
 
-    def __init__(self, inputs: int, hidden: int, code: BoneCode, layers: int = 1) -> None:
-        super().__init__()
+    def __init__(self, inputs: int, hidden: int, code: BoneCode) -> None:
         bones, width = code.shape
+        super().__init__(inputs, hidden, bones * width)
         self.code = code
-        self.gru = GRU(inputs, hidden, num_layers=layers, batch_first=True)
-        self.out = nn.Linear(hidden, bones * width)
 
     def forward(
         self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Normalised bone motion ``(N, T, B, C)`` and the new state ``(layers, N, H)``.
-
-        `mask` ``(N, T, H)`` multiplies what the linear layer reads, for dropout.
-        """
-        h, state = self.gru(x, state)
-        if mask is not None:
-            h = h * mask
-        return self.out(h).unflatten(-1, self.code.shape), state
+        """Normalised bone motion ``(N, T, B, C)`` and the GRU's last state ``(1, N, H)``."""
+        z, state = super().forward(x, state, mask)
+        return z.unflatten(-1, self.code.shape), state

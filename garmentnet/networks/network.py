@@ -20,7 +20,7 @@ from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
 from .skinning import TorchSkinning, apply_frame
 
-__all__ = ["FRAMES_AT_ONCE", "Motion", "MotionNetwork", "NetworkState"]
+__all__ = ["FRAMES_AT_ONCE", "Motion", "MotionNetwork", "NetworkState", "Predictor"]
 
 # Frames that are predicted at once: bounds the memory, results do not depend on it.
 FRAMES_AT_ONCE = 128
@@ -74,8 +74,55 @@ class Motion:
         return moved
 
 
-class MotionNetwork(nn.Module):
-    """Low- and high-frequency module on one set of virtual bones.
+class Predictor:
+    """What a network and an ensemble share: whole motions and single frames from :meth:`run`."""
+
+    def run(
+        self,
+        joints: Any,
+        state: Any = None,
+        *,
+        parameters: Any = None,
+        detail: bool = True,
+        frames: Any = None,
+    ) -> tuple[Motion, Any]:
+        """Consecutive frames from a state on, and the state after them."""
+        raise NotImplementedError
+
+    def motions(
+        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+    ) -> list[Motion]:
+        """The motion, or some of its frames, in parts of at most 128 frames."""
+        joints, state, out = np.asarray(joints), None, []
+        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
+            part, some = joints[start : start + FRAMES_AT_ONCE], None
+            if frames is not None:
+                some = np.asarray(frames, np.int64) - start
+                some = some[(some >= 0) & (some < len(part))]
+            motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)
+            out.append(motion)
+        return out
+
+    def predict(
+        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+    ) -> NDArray[np.float32]:
+        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
+        parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
+        return np.concatenate([m.vertices() for m in parts])
+
+    def step(
+        self, state: Any, pose: Any, *, parameters: Any = None
+    ) -> tuple[Any, NDArray[np.float32]]:
+        """One frame: joints ``(J, 3, 4)`` to the new state and world positions ``(V, 3)``.
+
+        Equal to :meth:`predict`, except for rounding.
+        """
+        motion, state = self.run(np.asarray(pose)[None], state, parameters=parameters)
+        return state, motion.vertices()[0]
+
+
+class MotionNetwork(nn.Module, Predictor):
+    """D: low- and high-frequency module on one set of virtual bones, G = G_LF + G_HF.
 
     Parameters
     ----------
@@ -89,7 +136,7 @@ class MotionNetwork(nn.Module):
     A network for a triangle that hangs from one joint, with random weights:
 
     >>> from ssdr import Skinning
-    >>> from garmentnet.configs import LowOptions
+    >>> from garmentnet.configs.config import LowOptions
     >>> rig = Skinning(
     ...     np.eye(3), np.zeros((3, 1), int), np.ones((3, 1)), np.eye(3, 4)[None, None],
     ...     faces=[[0, 1, 2]], bone_names=("root",),
@@ -115,7 +162,7 @@ class MotionNetwork(nn.Module):
         self.lbs = TorchSkinning.of(garment)
         code = BoneCode(garment.centroids(), config.low.rotation)
         inputs = self.features.size + self.condition
-        self.low = LowFrequency(inputs, config.low.hidden, code, config.low.layers)
+        self.low = LowFrequency(inputs, config.low.hidden, code)
         self.high: HighFrequency | DetailBasis | None = None
         bound = subject.bound
         n = garment.n_vertices
@@ -135,32 +182,30 @@ class MotionNetwork(nn.Module):
             self.register_buffer("bound", index, persistent=False)
 
     def add_high(self) -> HighFrequency | DetailBasis:
-        """Add the high-frequency module, with random weights."""
+        """Add the high-frequency module with random weights, in the memory of the processor."""
         o, garment = self.config.high, self.subject.garment
-        bones, width = self.low.code.shape
-        inputs = bones * width if o.source == "bones" else self.features.size
+        inputs = self.low.code.mean.numel() if o.source == "bones" else self.features.size
+        inputs += self.condition
+        high: HighFrequency | DetailBasis
         if o.kind == "basis":
-            basis = DetailBasis(
-                inputs + self.condition, len(self.free), hidden=o.hidden, rank=o.rank
+            high = DetailBasis(inputs, len(self.free), hidden=o.hidden, rank=o.rank)
+        else:
+            a = np.asarray(garment.rest, np.float64)[garment.faces]
+            high = HighFrequency(
+                inputs,
+                garment.faces,
+                garment.n_vertices,
+                hidden=o.hidden,
+                global_features=o.global_features,
+                edge_features=o.edge_features if o.local else (),
+                mlp=o.mlp,
+                edge_length=float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean()),
+                activation=o.activation,
+                batch_norm=o.batch_norm,
+                vertices=self.free,
             )
-            self.high = basis.to(self.device)
-            return self.high
-        a = np.asarray(garment.rest, np.float64)[garment.faces]
-        edge = float(np.linalg.norm(a - a[:, [1, 2, 0]], axis=-1).mean())
-        self.high = HighFrequency(
-            inputs + self.condition,
-            garment.faces,
-            garment.n_vertices,
-            hidden=o.hidden,
-            global_features=o.global_features,
-            edge_features=o.edge_features if o.local else (),
-            mlp=o.mlp,
-            edge_length=edge,
-            activation=o.activation,
-            batch_norm=o.batch_norm,
-            vertices=self.free,
-        ).to(self.device)
-        return self.high
+        self.high = high
+        return high
 
     @property
     def device(self) -> torch.device:
@@ -195,22 +240,20 @@ class MotionNetwork(nn.Module):
         """
         return torch.as_tensor(self.lbs(self.low.code(z)))
 
-    def carry(
-        self, low: Tensor, high: Tensor | None, joints: Tensor
-    ) -> tuple[Tensor, Tensor | None]:
-        """Both parts with the vertices that the body carries where its joints put them.
+    def carry(self, mesh: Tensor, joints: Tensor, part: str = "low") -> Tensor:
+        """The low- or high-frequency part with what the body carries where its joints put it.
 
         Parameters
         ----------
-        low, high : (F, V, 3)
+        mesh : (F, V, 3)
         joints : (F, J, 3, 4)
             In the moving frame.
+        part : {"low", "high"}
         """
         if self.carried is None:
-            return low, high
+            return mesh
         smooth, true = self.carried(joints).chunk(2, dim=1)
-        low = low.index_copy(1, self.bound, smooth)
-        return low, None if high is None else high.index_copy(1, self.bound, true - smooth)
+        return mesh.index_copy(1, self.bound, smooth if part == "low" else true - smooth)
 
     def turned(self, numbers: Tensor, transforms: Tensor) -> Tensor:
         """Detail ``(F, V, 3)`` of the basis in the moving frame; 0 where the body carries.
@@ -224,8 +267,6 @@ class MotionNetwork(nn.Module):
         assert isinstance(self.high, DetailBasis)
         local = self.high.local(numbers)
         detail = (self.turns(transforms) @ local[..., None])[..., 0]
-        if len(self.free) == self.subject.garment.n_vertices:
-            return detail
         out = detail.new_zeros(len(detail), self.subject.garment.n_vertices, 3)
         out[:, self.free] = detail
         return out
@@ -272,59 +313,21 @@ class MotionNetwork(nn.Module):
         state = state or NetworkState()
         features, frame, pose = self.features(joints, state.pose)
         x = self.inputs(features, parameters).to(self.device)[None]
+        chosen = np.arange(len(frame)) if frames is None else np.asarray(frames, np.int64)
+        index, frame = torch.from_numpy(chosen).to(self.device), frame[chosen]
+        local = transforms_in_frame(np.asarray(joints)[chosen], frame)
+        body = torch.from_numpy(local).float().to(self.device)
         z, low_state = self.low(x, state.low)
-        index, joints = None, np.asarray(joints)
-        if frames is not None:
-            joints = joints[np.asarray(frames, np.int64)]
-            index = torch.as_tensor(np.asarray(frames, np.int64), device=self.device)
-            frame = frame[np.asarray(frames, np.int64)]
-        transforms = self.low.code(z if index is None else z[:, index])[0]
-        moved = torch.from_numpy(transforms_in_frame(joints, frame).astype(np.float32))
-        low, _ = self.carry(self.lbs(transforms), None, moved.to(self.device))
+        transforms = self.low.code(z[:, index])[0]
+        low = self.carry(self.lbs(transforms), body)
         high, high_state = None, state.high
         if detail and self.high is not None:
             inputs = self.high_inputs(x, z)
             if isinstance(self.high, DetailBasis):
                 numbers, high_state = self.high(inputs, state.high)
-                out = self.turned(numbers[0] if index is None else numbers[0, index], transforms)
+                out = self.turned(numbers[0, index], transforms)
             else:
-                chosen = None if index is None else index[None]
-                several, high_state = self.high(inputs, low[None], state.high, chosen)
+                several, high_state = self.high(inputs, low[None], state.high, index[None])
                 out = several[0]
-            low, high = self.carry(low, out, moved.to(self.device))
+            high = self.carry(out, body, "high")
         return Motion(transforms, low, high, frame), NetworkState(pose, low_state, high_state)
-
-    def predict(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
-    ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
-        parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
-        return np.concatenate([m.vertices() for m in parts])
-
-    def motions(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
-    ) -> list[Motion]:
-        """The motion, or some of its frames, in parts of at most 128 frames."""
-        joints, state, out = np.asarray(joints), None, []
-        chosen = None if frames is None else np.asarray(frames, np.int64)
-        for start in range(0, max(1, len(joints)), FRAMES_AT_ONCE):
-            part = joints[start : start + FRAMES_AT_ONCE]
-            here = None
-            if chosen is not None:
-                here = chosen[(chosen >= start) & (chosen < start + len(part))] - start
-            # At least one frame, because a mesh of no frames has no shape.
-            some = here if here is None or len(here) else [0]
-            motion, state = self.run(part, state, parameters=parameters, detail=detail, frames=some)
-            if here is None or len(here):
-                out.append(motion)
-        return out
-
-    def step(
-        self, state: NetworkState | None, pose: Any, *, parameters: Any = None
-    ) -> tuple[NetworkState, NDArray[np.float32]]:
-        """One frame: joints ``(J, 3, 4)`` to world positions ``(V, 3)``.
-
-        Equal to :meth:`predict`, except for rounding.
-        """
-        motion, state = self.run(np.asarray(pose)[None], state, parameters=parameters)
-        return state, motion.vertices()[0]

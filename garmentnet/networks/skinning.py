@@ -15,7 +15,6 @@ __all__ = [
     "TorchSkinning",
     "apply_frame",
     "matrix_from_euler",
-    "matrix_from_rotation_vector",
     "matrix_from_sixd",
     "remove_frame",
 ]
@@ -25,7 +24,7 @@ _SHORT = 1e-8
 
 
 class TorchSkinning(nn.Module):
-    """Linear blend skinning as one matrix product.
+    """Linear blend skinning as one matrix product (equation 1 of the paper).
 
     v = A M with A = w ⊗ (p, 1), dense ``(V, 4B)``, and M the transposed
     transforms ``(4B, 3 F)`` of all frames side by side.  For about 80 bones this is
@@ -34,7 +33,7 @@ class TorchSkinning(nn.Module):
     Parameters
     ----------
     rest : (V, 3) array
-    joints, weights : (V, K) arrays
+    indices, weights : (V, K) arrays
     n_bones : int
 
     Examples
@@ -79,7 +78,9 @@ class TorchSkinning(nn.Module):
         lead = transforms.shape[:-3]
         m = transforms.reshape(-1, self.n_bones, 3, 4).permute(1, 3, 0, 2)
         posed = self.matrix @ m.reshape(4 * self.n_bones, -1)
-        return posed.view(len(self.matrix), -1, 3).transpose(0, 1).reshape(*lead, -1, 3)
+        return (
+            posed.view(len(self.matrix), -1, 3).transpose(0, 1).reshape(*lead, len(self.matrix), 3)
+        )
 
 
 def matrix_from_euler(degrees: Tensor) -> Tensor:
@@ -98,29 +99,6 @@ def matrix_from_euler(degrees: Tensor) -> Tensor:
         -sy, sx * cy, cx * cy,
     ]  # fmt: skip
     return torch.stack(rows, dim=-1).reshape(*degrees.shape, 3)
-
-
-def matrix_from_rotation_vector(vector: Tensor) -> Tensor:
-    """Rotation matrices ``(..., 3, 3)`` of axis times angle ``(..., 3)`` in radians (Rodrigues).
-
-    Examples
-    --------
-    >>> matrix_from_rotation_vector(torch.zeros(3)).tolist()
-    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    """
-    square = (vector * vector).sum(-1)[..., None, None]
-    # Taylor series below 1e-4 rad, exact in float32 there.  The square root's slope is infinite
-    # at 0 and must not reach the gradient through the branch that is not taken.
-    small = square < 1e-8
-    angle = torch.where(small, torch.ones_like(square), square).sqrt()
-    a = torch.where(small, 1 - square / 6, angle.sin() / angle)
-    b = torch.where(small, 0.5 - square / 24, (1 - angle.cos()) / (angle * angle))
-    x, y, z = vector.unbind(-1)
-    o = torch.zeros_like(x)
-    k = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).reshape(*vector.shape, 3)
-    eye = torch.eye(3, dtype=vector.dtype, device=vector.device)
-    out: Tensor = eye + a * k + b * (k @ k)
-    return out
 
 
 def matrix_from_sixd(sixd: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from ssdr.io.registry import reading
 from ..io.files import writing
 from ..io.packages import require
 
-__all__ = ["load_tensors", "save_tensors"]
+__all__ = ["load_tensors", "part_of", "save_tensors"]
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, Any]) -> Path:
@@ -34,6 +34,11 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], documents: dict[str, An
         # safetensors makes the file readable by its owner alone.
         temporary.chmod(mode)
     return path
+
+
+def part_of(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors whose names begin with a prefix, named without it."""
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
 
 def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -54,7 +59,8 @@ def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], 
             text = (file.metadata() or {}).get("garmentnet")
             if text is None:
                 raise FormatError("safetensors, but not of garmentnet")
-            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118
+            # Copies lie at aligned addresses; products of others differ in their last bits.
+            tensors = {k: file.get_tensor(k).clone() for k in file.keys()}  # noqa: SIM118
         documents = json.loads(text)
         missing = [k for k in wanted if k not in documents]
         if missing:

@@ -17,7 +17,10 @@ from ..networks.features import transforms_in_frame
 from ..networks.network import MotionNetwork
 from ..networks.skinning import remove_frame
 
-__all__ = ["Batch", "Track", "Window", "batches", "load_tracks"]
+__all__ = ["Batch", "Track", "Window", "batches", "load_tracks", "spread"]
+
+# Frames of vertices in memory at once.
+_FRAMES_AT_ONCE = 64
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class Track:
     inputs : (F, D) float32 tensor
     frame : (F, 3, 4) float64
         From the moving frame, in which the network predicts, to the world.
-    extra : (F, ...) float32 tensor, optional
+    extra : (F, ...) float32 tensor
         What an objective computed beforehand for every frame.
     """
 
@@ -39,11 +42,16 @@ class Track:
     bones: ClipBones
     inputs: Tensor
     frame: NDArray[np.float64]
-    extra: Tensor | None = None
+    extra: Tensor = dataclasses.field(default_factory=lambda: torch.empty(0))
 
     @property
     def n_frames(self) -> int:
         return len(self.inputs)
+
+    def parts(self) -> list[slice]:
+        """All frames, 64 at a time."""
+        starts = range(0, self.n_frames, _FRAMES_AT_ONCE)
+        return [slice(i, min(i + _FRAMES_AT_ONCE, self.n_frames)) for i in starts]
 
     def target(self, part: str, frames: Any = slice(None)) -> Tensor:
         """Frames of "low" or "high" in the moving frame, ``(f, V, 3)`` float32."""
@@ -104,6 +112,35 @@ class Batch:
         """``(N, T, D)``, zero where there is no frame."""
         return self.stack([w and w.track.inputs[w.frames] for w in self.windows])
 
+    def extra(self) -> Tensor:
+        """What the objective computed for the frames that exist, one lane after the other."""
+        return torch.cat([w.track.extra[w.frames] for w in self.windows if w])
+
+    def some_frames(
+        self, count: int, rng: np.random.Generator
+    ) -> tuple[list[int], list[tuple[Track, NDArray[np.int64]]], NDArray[np.int64]]:
+        """Frames for the terms of a loss that are too expensive for all.
+
+        Returns
+        -------
+        lanes : list of int
+            Those that hold a window.
+        frames : list of (Track, (S,) int array)
+            For each of them its track, and the chosen frames of that track.
+        chosen : (N, S) int array
+            The same for every lane, counted from the window's start.
+        """
+        lanes, frames = [], []
+        chosen = np.zeros((len(self.windows), count), np.int64)
+        for k, w in enumerate(self.windows):
+            if w is not None:
+                length = w.stop - w.start
+                # Some twice where a window is shorter.
+                chosen[k] = np.sort(rng.choice(length, count, replace=length < count))
+                lanes.append(k)
+                frames.append((w.track, w.start + chosen[k]))
+        return lanes, frames, chosen
+
     def stack(self, parts: Sequence[Tensor | None]) -> Tensor:
         """One tensor of every lane, padded with zeros to ``(N, T, ...)``."""
         shape = next(p.shape[1:] for p in parts if p is not None)
@@ -159,3 +196,19 @@ def batches(
                 mask[lane, : w.stop - w.start] = True
                 fresh[lane] = w.start == 0
         yield Batch(windows, mask, fresh)
+
+
+def spread(lengths: Sequence[int], count: int) -> list[NDArray[np.int64]]:
+    """For clips of these lengths the frames of each, `count` or all together, evenly spread.
+
+    Examples
+    --------
+    >>> [f.tolist() for f in spread([3, 1, 4], 3)]
+    [[0], [0], [3]]
+    """
+    total = sum(lengths)
+    chosen = np.unique(np.linspace(0, total - 1, min(total, count)).astype(np.int64))
+    ends = np.cumsum(lengths)
+    cuts = np.searchsorted(chosen, ends)[:-1]
+    starts = ends - np.asarray(lengths)
+    return [c - s for c, s in zip(np.split(chosen, cuts), starts, strict=True)]

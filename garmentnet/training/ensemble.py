@@ -22,11 +22,12 @@ from ssdr.errors import InputError
 from ..configs.config import Config
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
-from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..data.virtual_bones import parameter_roles
 from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..networks.ensemble import Kernel
 from ..networks.network import MotionNetwork
+from .batches import spread
 from .loop import Progress
 from .pivots import (
     error_of,
@@ -45,6 +46,8 @@ __all__ = ["Sweep", "compare_networks", "sweep_pivots", "train_ensemble"]
 Array = NDArray[np.float64]
 # Weights (K,) of pivots (K, P) at parameters (P,), all normalised.
 Mixer = Callable[[Array, Any], Array]
+# Gram matrix of the networks' residuals on a parameter set, and its normalised parameters (P,).
+Compared = tuple[Array, Array]
 # Clips of a parameter set on which networks are compared, at most: predicting is the cost.
 _CLIPS = 4
 # Shares of the common network that are tried.
@@ -60,27 +63,31 @@ class Sweep:
     pivots : list of int
         Indices of training sets.
     kernel : Kernel
-    sigma : float
-        Bandwidth with the smallest error on the validation sets.
-    validation : float
-        That error, mm.
-    score : float
-        Mean error, mm, over the validation sets and over every training set predicted from the
-        other pivots: one validation set alone says little.
-    errors : dict
-        mm, of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training motions
-        (``train``) and test motions (``test``); with a common network of ``mixed`` and ``common``.
+        With the bandwidth that has the smallest error on the validation sets.
+    validation_mm : float or None
+        That error; None where nothing can be left out.
+    score_mm : float
+        Mean error over the validation sets and over every training set predicted from the other
+        pivots: one validation set alone says little.
+    test_mm : dict
+        Errors of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training
+        motions (``train``) and test motions (``test``); with a common network of ``mixed`` and
+        ``common``.
     share : float
         Of the common network in ``mixed``.
     """
 
     pivots: list[int]
     kernel: Kernel
-    sigma: float
-    validation: float
-    score: float
-    errors: dict[str, dict[str, float]]
-    share: float = 0.0
+    validation_mm: float | None
+    score_mm: float
+    test_mm: dict[str, dict[str, float]]
+    share: float
+
+    def record(self) -> dict[str, Any]:
+        """The entry in ``ensemble.json``."""
+        fields = {k: v for k, v in vars(self).items() if k != "kernel"}
+        return {"count": len(self.pivots), "sigma": self.kernel.sigma} | fields
 
 
 def train_ensemble(
@@ -152,66 +159,61 @@ def train_ensemble(
             raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
         return load_checkpoint(path)
 
-    common: Checkpoint | None = None
-    checkpoints: list[Checkpoint] = []
+    condition, o = config.data.condition, config.ensemble
     if base is not None:
         base.check_fits(store)
-        fits = (
-            base.networks[0].condition if config.data.condition else base.parameters[0] == sets[0]
-        )
+        fits = base.networks[0].condition if condition else base.parameters[0] == sets[0]
         if base.kernel is not None or not fits:
-            of = "all training sets" if config.data.condition else str(sets[0])
+            of = "all training sets" if condition else str(sets[0])
             raise InputError("base", f"a network of {of}", base.parameters)
-    if config.data.condition:
+    common: Checkpoint | None = None
+    if condition:
         everything = dataclasses.replace(config.data, parameters="")
         common = base or run("common", dataclasses.replace(config, data=everything), None)
-    elif base is not None:
-        checkpoints.append(base)
-    o = config.ensemble
-    for k, parameters in list(enumerate(sets))[len(checkpoints) :]:
+    checkpoints = [base] if base is not None and not condition else []
+    shorter = dataclasses.replace(
+        config.train,
+        epochs=o.epochs,
+        high_epochs=o.high_epochs,
+        learning_rate=o.learning_rate,
+        high_learning_rate=o.learning_rate,
+    )
+    for parameters in sets[len(checkpoints) :]:
+        first, values = not checkpoints, dataclasses.astuple(parameters)
         # Named by its parameters, because numbers would change as the store grows.
-        name = "set-" + "-".join(f"{v:g}" for v in dataclasses.astuple(parameters))
-        data = dataclasses.replace(config.data, parameters=_text(parameters))
-        settings = dataclasses.replace(config, data=data)
+        name = "set-" + "-".join(f"{v:g}" for v in values)
+        if first and common is None:
+            name = "base"
         start = common
-        if common is None:
-            name = name if k else "base"
-            start = checkpoints[0] if k and o.start_from_base else None
+        if common is None and not first and o.start_from_base:
+            start = checkpoints[0]
+        own = dataclasses.replace(config.data, parameters=",".join(map(repr, values)))
+        settings = dataclasses.replace(config, data=own)
         if start is not None:
-            shorter = dataclasses.replace(
-                config.train,
-                epochs=o.epochs,
-                high_epochs=o.high_epochs,
-                learning_rate=o.learning_rate,
-                high_learning_rate=o.learning_rate,
-            )
             settings = dataclasses.replace(settings, train=shorter)
         # Sets beside the base have few clips, all to learn from.
-        checkpoints.append(run(name, settings, start, validated=k == 0))
+        checkpoints.append(run(name, settings, start, validated=first))
 
-    bones = virtual_bones(store, config.bones, folder=bones_folder)
     networks = tuple(c.networks[0] for c in checkpoints)
     shared = None if common is None else common.networks[0]
-    sweep = sweep_pivots(store, bones, networks, sets, config, common=shared, progress=progress)
-    count = o.pivots or smallest_good([s.score for s in sweep])
+    sweep = sweep_pivots(store, networks, sets, config, common=shared, progress=progress)
+    count = o.pivots or smallest_good([s.score_mm for s in sweep])
     chosen = sweep[min(count, len(sweep)) - 1]
-    text = json.dumps(_report(sets, sweep, chosen), indent=1)
-    write_file(folder / "ensemble.json", text.encode())
-    return save_checkpoint(
-        Checkpoint(
-            tuple(networks[i] for i in chosen.pivots),
-            tuple(sets[i] for i in chosen.pivots),
-            chosen.kernel,
-            shared,
-            chosen.share,
-        ),
-        folder / "ensemble.safetensors",
-    )
+    report = {
+        "sets": [dataclasses.asdict(p) for p in sets],
+        "pivots": chosen.pivots,
+        "sigma": chosen.kernel.sigma,
+        "sweep": [s.record() for s in sweep],
+    }
+    write_file(folder / "ensemble.json", json.dumps(report, indent=1).encode())
+    pivots = tuple(networks[i] for i in chosen.pivots)
+    trained_on = tuple(sets[i] for i in chosen.pivots)
+    whole = Checkpoint(pivots, trained_on, chosen.kernel, shared, chosen.share)
+    return save_checkpoint(whole, folder / "ensemble.safetensors")
 
 
 def sweep_pivots(
     store: ClipStore,
-    bones: VirtualBones,
     networks: Sequence[MotionNetwork],
     sets: Sequence[SimulationParameters],
     config: Config,
@@ -229,78 +231,73 @@ def sweep_pivots(
     list of Sweep
         For K = 1 to the number of training sets.
     """
-    roles = parameter_roles(store)
-    by_role = {r: [p for p in store.parameters() if roles[p] == r] for r in ("validation", "test")}
-    o = config.ensemble
+    roles, o = parameter_roles(store), config.ensemble
+    held, tested = (
+        [p for p in store.parameters() if roles[p] == role] for role in ("validation", "test")
+    )
 
-    def grams(of: Sequence[SimulationParameters], split: str) -> list[Array]:
+    def grams(of: Sequence[SimulationParameters], split: str) -> list[Compared]:
         out = []
         for k, p in enumerate(of):
             every = [*networks] if common is None else [*networks, common]
             own = [*sets] if common is None else [*sets, p]
-            out.append(compare_networks(store, bones, every, own, p, split, o.frames))
+            out.append((compare_networks(store, every, own, p, split, o.frames), p.normalised()))
             if progress:
                 progress(f"comparing networks, {split} motions", (k + 1) / len(of))
         return out
 
     theta = np.stack([p.normalised() for p in sets])
-    train_grams = grams(sets, "train")
-    held = [p.normalised() for p in by_role["validation"]]
-    held_out = list(zip(grams(by_role["validation"], "train"), held, strict=True))
-    tests = {split: grams(by_role["test"], split) for split in ("train", "test")}
-    places = [p.normalised() for p in by_role["test"]]
+    train_grams = [q for q, _ in grams(sets, "train")]
+    held_out = grams(held, "train")
+    tests = {split: grams(tested, split) for split in ("train", "test")}
 
-    def error_at(q: Array, at: Array, mix: Mixer, pivots: list[int]) -> float:
-        w = mix(theta[pivots], at)
-        mixed = [*pivots, len(sets)][: len(w)]  # the common network comes last
-        return error_of(q[np.ix_(mixed, mixed)], w)
-
-    def test_error(split: str, mix: Mixer, pivots: list[int]) -> float:
-        pairs = zip(tests[split], places, strict=True)
-        return 1e3 * float(np.mean([error_at(q, at, mix, pivots) for q, at in pairs]))
-
-    def fit(pivots: list[int], sigma: float) -> tuple[Kernel, float]:
-        seed = config.train.seed
-        return fit_kernel(
-            train_grams,
-            theta,
-            pivots,
-            validation=held_out,
-            sigma=sigma,
-            shape=o.kernel,
-            steps=o.steps,
-            seed=seed,
-        )
+    def errors(of: Sequence[Compared], mix: Mixer, pivots: list[int]) -> list[float]:
+        found = []
+        for q, at in of:
+            w = mix(theta[pivots], at)
+            mixed = [*pivots, len(sets)][: len(w)]  # the common network comes last
+            found.append(error_of(q[np.ix_(mixed, mixed)], w))
+        return found
 
     sweep = []
     for count in range(1, len(sets) + 1):
         pivots = select_pivots(train_grams, theta, count)
-        fits = [(*fit(pivots, sigma), sigma) for sigma in o.sigmas]
+        fits = [
+            fit_kernel(
+                train_grams,
+                theta,
+                pivots,
+                validation=held_out,
+                sigma=sigma,
+                shape=o.kernel,
+                steps=o.steps,
+                seed=config.train.seed,
+            )
+            for sigma in o.sigmas
+        ]
         # With one pivot the weights are 1, and all errors are the same or NaN.
-        kernel, validation, sigma = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
+        kernel, validation = min(fits, key=lambda f: (math.isnan(f[1]), f[1]))
+        rbf = kernel.weights
         mixers: dict[str, Mixer] = {
-            "rbf": kernel.weights,
+            "rbf": rbf,
             "inverse distance": inverse_distance,
             "nearest": nearest,
         }
-        seen = left_out_errors(kernel, train_grams, theta, pivots)
-        seen += [error_at(q, at, kernel.weights, pivots) for q, at in held_out]
+        seen = left_out_errors(kernel, train_grams, theta, pivots) + errors(held_out, rbf, pivots)
         share = 0.0
         if common is not None:
-            mixtures = [(_with_share(kernel.weights, x), x) for x in _SHARES]
             if held_out:
                 share = min(
-                    mixtures,
-                    key=lambda m: sum(error_at(q, at, m[0], pivots) for q, at in held_out),
-                )[1]
-            mixers["mixed"] = _with_share(kernel.weights, share)
-            mixers["common"] = _with_share(kernel.weights, 1.0)
-        errors = {
-            name: {split: test_error(split, mix, pivots) for split in tests if tests[split]}
+                    _SHARES, key=lambda s: sum(errors(held_out, _with_share(rbf, s), pivots))
+                )
+            mixers |= {"mixed": _with_share(rbf, share), "common": _with_share(rbf, 1.0)}
+        test_mm = {
+            name: {k: 1e3 * float(np.mean(errors(q, mix, pivots))) for k, q in tests.items() if q}
             for name, mix in mixers.items()
         }
-        score = 1e3 * float(np.mean(seen))
-        sweep.append(Sweep(pivots, kernel, sigma, 1e3 * validation, score, errors, share))
+        validation_mm = None if math.isnan(validation) else 1e3 * validation
+        score_mm = 1e3 * float(np.mean(seen))
+        sweep.append(Sweep(pivots, kernel, validation_mm, score_mm, test_mm, share))
     return sweep
 
 
@@ -311,7 +308,6 @@ def _with_share(mix: Mixer, share: float) -> Mixer:
 
 def compare_networks(
     store: ClipStore,
-    bones: VirtualBones,
     networks: Sequence[MotionNetwork],
     own: Sequence[SimulationParameters],
     parameters: SimulationParameters,
@@ -331,55 +327,19 @@ def compare_networks(
     names = [c.name for c in store.clips(split) if c.parameters == parameters]
     if not names:
         raise InputError("store", f"{split} motions of {parameters}", str(store.path))
-    some = np.unique(np.linspace(0, len(names) - 1, _CLIPS).astype(int))
+    (some,) = spread([len(names)], _CLIPS)
     names = [names[k] for k in some]
-    lengths = [store.clip(n).n_frames for n in names]
-    total, used, first = np.zeros((len(networks), len(networks))), 0, 0
-    chosen = np.unique(np.linspace(0, sum(lengths) - 1, min(frames, sum(lengths))).astype(int))
-    for name, length in zip(names, lengths, strict=True):
-        here = chosen[(chosen >= first) & (chosen < first + length)] - first
-        first += length
+    total, used = np.zeros((len(networks), len(networks))), 0
+    chosen = spread([store.clip(n).n_frames for n in names], frames)
+    for name, here in zip(names, chosen, strict=True):
         if not len(here):
             continue
         clip = store.clip(name)
-        truth = clip.sequence.frames(here)
         upto = clip.joints[: here[-1] + 1]
         answers = [
             n.predict(upto, frames=here, parameters=p.normalised() if n.condition else None)
             for n, p in zip(networks, own, strict=True)
         ]
-        total += gram(answers, truth) * len(here)
+        total += gram(answers, clip.sequence.frames(here)) * len(here)
         used += len(here)
     return total / used
-
-
-def _text(p: SimulationParameters) -> str:
-    return f"{p.bending!r},{p.density!r},{p.time_scale!r}"
-
-
-def _report(
-    sets: Sequence[SimulationParameters], sweep: Sequence[Sweep], chosen: Sweep
-) -> dict[str, Any]:
-    within = {}
-    for split in ("train", "test"):
-        curve = [s.errors["rbf"].get(split) for s in sweep]
-        if all(e is not None for e in curve):
-            within[split] = smallest_good([float(e) for e in curve if e is not None])
-    return {
-        "sets": [dataclasses.asdict(p) for p in sets],
-        "pivots": chosen.pivots,
-        "sigma": chosen.sigma,
-        "smallest_within_2_percent": within,
-        "sweep": [
-            {
-                "count": len(s.pivots),
-                "pivots": s.pivots,
-                "sigma": s.sigma,
-                "validation_mm": None if math.isnan(s.validation) else s.validation,
-                "score_mm": s.score,
-                "share": s.share,
-                "test_mm": s.errors,
-            }
-            for s in sweep
-        ],
-    }

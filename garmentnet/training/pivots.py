@@ -7,6 +7,7 @@ r_i = G_i − Ĝ_s of every network i, ‖Σ w_i G_i − Ĝ_s‖² = wᵀ Q_s w 
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -198,8 +199,6 @@ def fit_kernel(
     sigma: float = 0.5,
     shape: str = "gaussian",
     steps: int = 600,
-    learning_rate: float = 1e-2,
-    weight_decay: float = 1e-3,
     seed: int = 0,
 ) -> tuple[Kernel, float]:
     """Train the kernel, leaving out one training set at a time.
@@ -221,7 +220,7 @@ def fit_kernel(
     sigma, shape : float, str
         Of the kernel.
     steps : int
-        Of Adam, with `learning_rate` and `weight_decay`.
+        Of Adam.
     seed : int
         Of the initial weights.
 
@@ -238,43 +237,30 @@ def fit_kernel(
     >>> round(error, 3)
     1.0
     """
-    torch_state = torch.random.get_rng_state()
-    torch.manual_seed(seed)
-    kernel = Kernel(np.shape(parameters)[1], sigma=sigma, shape=shape)
-    torch.random.set_rng_state(torch_state)
-    p = list(pivots)
-    theta = torch.as_tensor(np.asarray(parameters, float))
-    places = theta[p]
-    left_out = []
-    for s, q in enumerate(grams):
-        others = [k for k, i in enumerate(p) if i != s]
-        if others:
-            indices = [p[k] for k in others]
-            left_out.append(
-                (places[others], theta[s], torch.as_tensor(q[np.ix_(indices, indices)]))
-            )
-    held_out = [
-        (places, torch.as_tensor(np.asarray(t, float)), torch.as_tensor(q[np.ix_(p, p)]))
-        for q, t in validation
-    ]
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        kernel = Kernel(np.shape(parameters)[1], sigma=sigma, shape=shape)
+    p, theta = list(pivots), np.asarray(parameters, float)
+    left_out = _left_out(grams, theta, p)
+    held_out = [(theta[p], np.asarray(at, float), q[np.ix_(p, p)]) for q, at in validation]
 
-    def mean_error(sets: list[tuple[Tensor, Tensor, Tensor]]) -> Tensor:
+    def mean_error(sets: list[tuple[Array, Array, Array]]) -> Tensor:
         errors = []
-        for where, at, q in sets:
-            w = kernel(where, at)
-            errors.append((w @ q @ w).clamp(min=_EXACT).sqrt())
+        for places, at, q in sets:
+            w = kernel(torch.from_numpy(places), torch.from_numpy(at))
+            errors.append((w @ torch.from_numpy(q) @ w).clamp(min=_EXACT).sqrt())
         return torch.stack(errors).mean()
 
     if not left_out:  # one pivot that is the only set: its weight is 1 whatever g is
         return kernel, float("nan")
-    optimiser = torch.optim.Adam(kernel.parameters(), lr=learning_rate, weight_decay=weight_decay)
-    best, best_state = float("inf"), {k: v.clone() for k, v in kernel.state_dict().items()}
+    optimiser = torch.optim.Adam(kernel.parameters(), lr=1e-2, weight_decay=1e-3)
+    best, best_state = float("inf"), copy.deepcopy(kernel.state_dict())
     for _ in range(steps + 1):
         loss = mean_error(left_out)
         with torch.no_grad():
             value = float(mean_error(held_out)) if held_out else float(loss)
         if value < best or not held_out:
-            best, best_state = value, {k: v.clone() for k, v in kernel.state_dict().items()}
+            best, best_state = value, copy.deepcopy(kernel.state_dict())
         optimiser.zero_grad()
         torch.autograd.backward(loss)
         optimiser.step()
@@ -289,13 +275,20 @@ def left_out_errors(
 
     A set that is the only pivot is skipped.
     """
-    theta, errors = np.asarray(parameters, float), []
+    sets = _left_out(grams, np.asarray(parameters, float), pivots)
+    return [error_of(q, kernel.weights(places, at)) for places, at, q in sets]
+
+
+def _left_out(
+    grams: Sequence[Array], theta: Array, pivots: Sequence[int]
+) -> list[tuple[Array, Array, Array]]:
+    """For each set s the parameters of the other pivots, those of s, and the others' Q_s."""
+    found = []
     for s, q in enumerate(grams):
         others = [i for i in pivots if i != s]
         if others:
-            weights = kernel.weights(theta[others], theta[s])
-            errors.append(error_of(q[np.ix_(others, others)], weights))
-    return errors
+            found.append((theta[others], theta[s], q[np.ix_(others, others)]))
+    return found
 
 
 def smallest_good(errors: Sequence[float], within: float = 0.02) -> int:

@@ -7,7 +7,6 @@ of threads.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
@@ -28,10 +27,10 @@ from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
 from ..networks.detail_basis import DetailBasis
 from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
 from ..networks.network import MotionNetwork
-from .batches import Track, load_tracks
-from .detail import DetailObjective
-from .loop import Progress, fit
-from .objectives import HighFrequencyObjective, LowFrequencyObjective
+from .batches import Track, load_tracks, spread
+from .high_frequency import DetailObjective, HighFrequencyObjective
+from .loop import Objective, Progress, fit
+from .low_frequency import LowFrequencyObjective
 
 __all__ = ["build_network", "choose_clips", "train", "with_mirrored"]
 
@@ -114,19 +113,17 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
     """A network with random weights and the statistics of the named clips."""
     subject = bones.subject
     features = PoseFeatures(subject.skeleton, config.features, subject.fps)
-    inputs, low, frames, first = [], [], [], 0
-    plain = {n for n in names if not n.endswith(MIRRORED)}
-    total = sum(bones.store.clip(n).n_frames for n in plain)
     # Evenly spread frames are enough for the mean and deviation of the bones' motion.
-    chosen = np.unique(np.linspace(0, total - 1, min(total, _STATISTICS)).astype(int))
+    plain = [n for n in names if not n.endswith(MIRRORED)]
+    chosen = spread([bones.store.clip(n).n_frames for n in plain], _STATISTICS)
+    some = dict(zip(plain, chosen, strict=True))
+    inputs, low, frames = [], [], []
     for name in names:
         x, frame, _ = features(bones.store.clip(name).joints)
         inputs.append(x)
-        if name in plain:
-            here = chosen[(chosen >= first) & (chosen < first + len(x))] - first
-            first += len(x)
-            low.append(bones.clip(name).read("low", here))
-            frames.append(frame[here])
+        if name in some:
+            low.append(bones.clip(name).read("low", some[name]))
+            frames.append(frame[some[name]])
     transforms = bones.fit(np.concatenate(low), tolerance=1e-3)[0]
     o = config.features
     normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)
@@ -201,41 +198,34 @@ def train(
     tracks = load_tracks(network, bones, learned)
     validation = load_tracks(network, bones, held)
 
-    stopped = False
+    history, stopped = {}, False
 
     def after_epoch(p: Progress) -> bool:
         nonlocal stopped
         stopped = bool(callback(p)) if callback else False
         return stopped
 
-    history = {
-        "low": fit(
-            LowFrequencyObjective(network, tracks, validation),
+    def learn(objective: Objective, name: str, epochs: int, rate: float) -> None:
+        history[name] = fit(
+            objective,
             o,
-            name="low",
-            epochs=o.epochs,
-            learning_rate=o.learning_rate,
+            name=name,
+            epochs=epochs,
+            learning_rate=rate,
             folder=folder,
             callback=after_epoch,
         )
-    }
+
+    learn(LowFrequencyObjective(network, tracks, validation), "low", o.epochs, o.learning_rate)
     if not stopped:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
-        begun = start is not None and start.networks[0].high is not None
-        objective = _high_objective(network, tracks, validation, start if begun else None)
-        history["high"] = fit(
-            objective,
-            o,
-            name="high",
-            epochs=o.high_epochs,
-            learning_rate=o.high_learning_rate,
-            folder=folder,
-            callback=after_epoch,
-        )
-    lines = {k: [dataclasses.asdict(e) for e in v] for k, v in history.items()}
-    write_bytes(folder / "history.json", json.dumps(lines, indent=1).encode())
+        network.to(device)
+        begun = start if start is not None and start.networks[0].high is not None else None
+        objective = _high_objective(network, tracks, validation, begun)
+        learn(objective, "high", o.high_epochs, o.high_learning_rate)
+    write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
     return save_checkpoint(
         Checkpoint((network,), (parameters,), None), folder / "checkpoint.safetensors"
     )
@@ -246,7 +236,7 @@ def _high_objective(
     tracks: list[Track],
     validation: list[Track],
     start: Checkpoint | None,
-) -> HighFrequencyObjective | DetailObjective:
+) -> Objective:
     """The loss of the high-frequency module, whose statistics are set, or weights loaded."""
     if isinstance(network.high, DetailBasis):
         if start is not None:
@@ -261,7 +251,7 @@ def _high_objective(
 
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     # Settings that do not change the weights may differ from call to call.
-    free = ("patience", "time_limit", "tensorboard", "device", "threads")
+    free = ("patience", "tensorboard", "device", "threads")
     record = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
     record["config"]["data"].pop("store")
     for key in free:

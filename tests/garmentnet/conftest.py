@@ -10,7 +10,7 @@ import pytest
 @pytest.fixture(scope="session")
 def toy_config():
     pytest.importorskip("torch")
-    from garmentnet.configs import BoneOptions, load_config
+    from garmentnet.configs.config import BoneOptions, load_config
 
     def make(preset="rooted", **train):
         c = load_config(preset)
@@ -28,6 +28,9 @@ def toy_config():
             "kind": "vertices",
             "edge_features": (8, 8, 16),
             "mlp": (32,),
+            "activation": "relu",
+            "batch_norm": False,
+            "edge_dropout": 0.0,
             "collision": 0.1,
             "dropout": 0.0,
         }

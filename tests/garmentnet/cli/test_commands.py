@@ -17,7 +17,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from garmentnet.cli import app, main
-from garmentnet.configs import load_config
+from garmentnet.configs.config import load_config
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.store import ClipStore
 from garmentnet.data.virtual_bones import virtual_bones

@@ -11,11 +11,11 @@ torch = pytest.importorskip("torch")
 
 from scipy.spatial.transform import Rotation
 
-from garmentnet.configs import Config, HighOptions
+from garmentnet.configs.config import Config, HighOptions
 from garmentnet.networks.checkpoint import load_checkpoint
 from garmentnet.networks.detail_basis import DetailBasis, SurfaceTurns
 from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.detail import DetailObjective
+from garmentnet.training.high_frequency import DetailObjective
 from garmentnet.training.run import train
 from ssdr.errors import InputError
 

@@ -52,13 +52,15 @@ def test_mixed_bones_are_mixed_meshes(toy_network, toy_store):
     mixed = sum(
         a * n.predict(joints, detail=False) for a, n in zip(w, ensemble.networks, strict=True)
     )
-    assert np.abs(ensemble.predict(joints, [0.3, 0, 0], detail=False) - mixed).max() < 2e-6
+    assert (
+        np.abs(ensemble.predict(joints, parameters=[0.3, 0, 0], detail=False) - mixed).max() < 2e-6
+    )
     full = sum(a * n.predict(joints) for a, n in zip(w, ensemble.networks, strict=True))
-    whole = ensemble.predict(joints, [0.3, 0, 0])
+    whole = ensemble.predict(joints, parameters=[0.3, 0, 0])
     assert np.abs(whole - full).max() < 2e-6
     state, steps = None, []
     for pose in joints:
-        state, vertices = ensemble.step(state, pose, [0.3, 0, 0])
+        state, vertices = ensemble.step(state, pose, parameters=[0.3, 0, 0])
         steps.append(vertices)
     assert np.abs(np.stack(steps) - whole).max() < 3e-6
 
@@ -85,10 +87,10 @@ def test_a_common_network_has_its_share(reading, toy_store, tmp_path):
     common = reading.predict(joints, parameters=asked.normalised())
     expected = 0.7 * (w[0] * own[0] + w[1] * own[1]) + 0.3 * common
     assert np.abs(own[0] - own[1]).max() > 1e-3  # the parameters do something
-    got = ensemble.predict(joints, asked.normalised())
+    got = ensemble.predict(joints, parameters=asked.normalised())
     assert np.abs(got - expected).max() < 3e-6
     alone = Ensemble((reading, reading), theta, Kernel(), reading, 1.0)
-    assert np.abs(alone.predict(joints, asked.normalised()) - common).max() < 1e-6
+    assert np.abs(alone.predict(joints, parameters=asked.normalised()) - common).max() < 1e-6
     file = save_checkpoint(
         Checkpoint((reading, reading), sets, Kernel(shape="exponential"), reading, 0.3),
         tmp_path / "both.safetensors",

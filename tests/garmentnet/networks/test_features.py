@@ -7,7 +7,7 @@ pytest.importorskip("torch")
 
 from scipy.spatial.transform import Rotation
 
-from garmentnet.configs import FeatureOptions, load_config
+from garmentnet.configs.config import FeatureOptions, load_config
 from garmentnet.data.skeleton import check_joints
 from garmentnet.networks.features import Normaliser, PoseFeatures
 from helpers import toy_store as toy

@@ -20,15 +20,14 @@ def _slopes(module, x, state, weight):
     return [out.detach(), last.detach(), *found]
 
 
-@pytest.mark.parametrize("layers", [1, 2])
 @pytest.mark.parametrize("begun", [False, True])
-def test_same_as_torch(layers, begun):
+def test_same_as_torch(begun):
     torch.manual_seed(0)
-    own, theirs = (kind(5, 7, num_layers=layers, batch_first=True) for kind in (GRU, torch.nn.GRU))
+    own, theirs = GRU(5, 7), torch.nn.GRU(5, 7, batch_first=True)
     theirs.load_state_dict(own.state_dict())
     own, theirs = own.double(), theirs.double()
     x, weight = torch.randn(3, 11, 5).double(), torch.randn(3, 11, 7).double()
-    state = torch.randn(layers, 3, 7).double() if begun else None
+    state = torch.randn(1, 3, 7).double() if begun else None
     for a, b in zip(_slopes(own, x, state, weight), _slopes(theirs, x, state, weight), strict=True):
         assert torch.allclose(a, b, rtol=1e-10, atol=1e-12)
     with torch.no_grad():
@@ -38,7 +37,7 @@ def test_same_as_torch(layers, begun):
 def test_rounded_products():
     """Under autocast results differ from float32 by the rounding of bfloat16, and do differ."""
     torch.manual_seed(1)
-    gru = GRU(6, 32, batch_first=True)
+    gru = GRU(6, 32)
     x, weight = torch.randn(4, 20, 6), torch.randn(4, 20, 32)
     exact = _slopes(gru, x, None, weight)
     with torch.autocast("cpu", torch.bfloat16):

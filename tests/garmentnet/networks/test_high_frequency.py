@@ -10,6 +10,7 @@ torch = pytest.importorskip("torch")
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from garmentnet.networks.gru import dropout_mask
 from garmentnet.networks.high_frequency import EdgeConv, HighFrequency, neighbour_table
 from helpers import toy_store as toy
 
@@ -83,7 +84,7 @@ def test_edge_conv_without_some_edges(activation):
     module = HighFrequency(
         2, faces, 24, hidden=4, global_features=2, edge_features=(5,), mlp=(), edge_length=1.0
     )
-    dropped = module.draw(np.random.default_rng(3), (1, 2), hidden=0.0, edges=0.7).edges[0]
+    dropped = module.draw_edges(np.random.default_rng(3), 0.7)[0]
     table = module.neighbours
     stays = {
         (i, int(j)) for i in range(24) for j, d in zip(table[i], dropped[i], strict=True) if not d
@@ -108,14 +109,16 @@ def test_dropped_shares():
     module = HighFrequency(
         2, faces, 112, hidden=50, global_features=2, edge_features=(4, 4), mlp=(), edge_length=1.0
     )
-    drawn = module.draw(np.random.default_rng(0), (8, 4), hidden=0.5, edges=0.8)
-    assert set(drawn.hidden.unique().tolist()) == {0.0, 2.0}
-    assert abs(float(drawn.hidden.mean()) - 1) < 0.1
-    assert len(drawn.edges) == 2
-    assert not torch.equal(drawn.edges[0], drawn.edges[1])
-    assert all(abs(float(e.double().mean()) - 0.8) < 0.05 for e in drawn.edges)
-    again = module.draw(np.random.default_rng(0), (8, 4), hidden=0.5, edges=0.8)
-    assert torch.equal(again.hidden, drawn.hidden)
+    rng = np.random.default_rng(0)
+    first, second = module.draw_edges(rng, 0.8)
+    assert not torch.equal(first, second)
+    many = [torch.stack(module.draw_edges(rng, 0.8)).double().mean() for _ in range(20)]
+    assert abs(float(torch.stack(many).mean()) - 0.8) < 0.02
+    cpu = torch.device("cpu")
+    mask, again = (dropout_mask(np.random.default_rng(0), (8, 4, 50), 0.5, cpu) for _ in range(2))
+    assert set(mask.unique().tolist()) == {0.0, 2.0}
+    assert abs(float(mask.mean()) - 1) < 0.1
+    assert torch.equal(again, mask)
 
 
 @torch.no_grad()

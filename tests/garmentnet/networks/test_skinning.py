@@ -13,7 +13,6 @@ from garmentnet.networks.skinning import (
     TorchSkinning,
     apply_frame,
     matrix_from_euler,
-    matrix_from_rotation_vector,
     matrix_from_sixd,
     remove_frame,
 )
@@ -68,26 +67,13 @@ def test_wrong_number_of_bones():
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from([1e-9, 1e-5, 1e-3, 1.0, 3.0]))
-def test_rotations(seed, scale):
-    rng = np.random.default_rng(seed)
-    vector = torch.from_numpy(rng.normal(size=(3, 3)) * scale).requires_grad_()
-    expected = Rotation.from_rotvec(vector.detach().numpy()).as_matrix()
-    got = matrix_from_rotation_vector(vector)
-    assert np.abs(got.detach().numpy() - expected).max() < 1e-9
-    got.sum().backward()
-    assert bool(torch.isfinite(vector.grad).all())
-    degrees = rng.uniform(-180, 180, size=(3, 3))
+@given(st.integers(0, 10**6))
+def test_rotations(seed):
+    degrees = np.random.default_rng(seed).uniform(-180, 180, size=(3, 3))
     expected = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
     assert np.abs(matrix_from_euler(torch.from_numpy(degrees)).numpy() - expected).max() < 1e-12
     columns = torch.from_numpy(np.concatenate([expected[..., 0], expected[..., 1]], -1))
     assert np.abs(matrix_from_sixd(2.5 * columns).numpy() - expected).max() < 1e-12
-
-
-def test_rotation_vector_of_zero_has_a_gradient():
-    vector = torch.zeros(1, 3, dtype=torch.float64, requires_grad=True)
-    matrix_from_rotation_vector(vector)[0, 2, 1].backward()
-    assert torch.allclose(vector.grad, torch.tensor([[1.0, 0, 0]], dtype=torch.float64))
 
 
 def test_frames_undo_each_other():

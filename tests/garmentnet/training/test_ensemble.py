@@ -30,7 +30,6 @@ def test_from_store_to_ensemble(toy_store, toy_config, tmp_path):
     report = json.loads((tmp_path / "ensemble.json").read_text())
     assert [s["count"] for s in report["sweep"]] == [1, 2, 3, 4, 5]
     assert all(set(s["test_mm"]["rbf"]) == {"train", "test"} for s in report["sweep"])
-    assert set(report["smallest_within_2_percent"]) == {"train", "test"}
     loaded = load_checkpoint(path)
     assert [dataclasses.asdict(p) for p in loaded.parameters] == [
         report["sets"][i] for i in report["pivots"]

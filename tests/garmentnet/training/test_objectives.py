@@ -8,10 +8,11 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
-from garmentnet.configs import override
+from garmentnet.configs.config import override
 from garmentnet.networks.losses import mesh_laplacian
 from garmentnet.training.batches import batches, load_tracks
-from garmentnet.training.objectives import HighFrequencyObjective, LowFrequencyObjective
+from garmentnet.training.high_frequency import HighFrequencyObjective
+from garmentnet.training.low_frequency import LowFrequencyObjective
 
 _EXACT = ["low.dropout=0.0", "train.precision=single"]
 
