@@ -174,7 +174,7 @@ def file_weights(
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
-    """Index of each part's first vertex in the joined vertices, then the number of these."""
+    """Index of each part's first vertex in the joined vertices; the last entry is their number."""
     return np.cumsum([0, *(len(part.indices) for part in parts)])
 
 
