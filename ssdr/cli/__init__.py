@@ -1,4 +1,4 @@
-"""The command ``ssdr``; :func:`main` is where it begins."""
+"""The command ``ssdr``, whose entry point is :func:`main`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Those of the process by default.
+        Arguments of the command; by default those of the process.
     """
     try:
         from .app import run

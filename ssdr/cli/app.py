@@ -1,4 +1,4 @@
-"""The command ``ssdr``: its commands, its errors and its exit codes."""
+"""The program ``ssdr``: its commands, its error messages and its exit codes."""
 
 from __future__ import annotations
 
@@ -69,7 +69,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Those of the process by default; without any, the help is shown.
+        Arguments of the command; by default those of the process. If there are none, the help is
+        shown.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     with safe_streams(), interrupt_on_signals(), warnings.catch_warnings():
@@ -86,7 +87,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _sample(word: str) -> str:
-    """The path of a sample that is given as ``sample:NAME``; other words as they are."""
+    """Path of the sample NAME if a word is ``sample:NAME``; any other word unchanged."""
     if not word.startswith("sample:"):
         return word
     from ..samples import path
@@ -95,7 +96,7 @@ def _sample(word: str) -> str:
 
 
 def _report(error: BaseException, output: Output) -> int:
-    """Say in one line what went wrong; the exit code."""
+    """Print an error in one line, and return the exit code."""
     code = _exit_code(error)
     if isinstance(error, BrokenPipeError):  # the reader of stdout has gone
         return code
@@ -106,7 +107,7 @@ def _report(error: BaseException, output: Output) -> int:
     line = " ".join(_message(error).split())
     if as_json:
         document = {"error": line, "kind": type(error).__name__, "exit_code": code}
-        with contextlib.suppress(OSError):  # stderr is what is left
+        with contextlib.suppress(OSError):  # without stdout, stderr gets the error
             output.write(json.dumps({**document, "warnings": output.warnings}) + "\n")
             return code
     sys.stderr.write(f"ssdr: {line}\n" if code == 130 else f"ssdr: error: {line}\n")
@@ -114,14 +115,14 @@ def _report(error: BaseException, output: Output) -> int:
 
 
 def _exit_code(error: BaseException) -> int:
-    """2 to 4 and 130 for what may be expected, 1 for everything else."""
+    """Exit code of an error: 2 to 4 or 130 for expected kinds, 1 for all others."""
     if _is_usage(error) or getattr(error, "errno", None) in _BAD_NAMES:
         return 2
     return next((code for kinds, code in _CODES if isinstance(error, kinds)), 1)
 
 
 def _message(error: BaseException) -> str:
-    """The text of an error."""
+    """Text of an error for the user."""
     if isinstance(error, KeyboardInterrupt):
         return "interrupted"
     if _is_usage(error):
@@ -133,5 +134,5 @@ def _message(error: BaseException) -> str:
 
 
 def _is_usage(error: BaseException) -> bool:
-    """Whether it comes from the parser of the command line."""
+    """Whether an error comes from the parser of the command line."""
     return hasattr(error, "format_message")

@@ -1,4 +1,4 @@
-"""``ssdr compare``."""
+"""The command ``ssdr compare``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SLACK = 0.02  # in log10 (5 %), between the ratio of two diagonals and a power 
 
 @dataclasses.dataclass(kw_only=True)
 class CompareOptions(Options):
-    """What ``compare`` takes."""
+    """Arguments and options of ``ssdr compare``."""
 
     reference: Annotated[Path, argument("A", "The reference.")]
     other: Annotated[Path, argument("B", "What is measured against it.")]
@@ -65,7 +65,10 @@ def compare(options: CompareOptions) -> None:
 
 
 def _other_units(a: MeshSequence, b: MeshSequence, scale: float) -> str:
-    """A hint if the sizes of two meshes differ by a power of ten."""
+    """Hint for the user if the sizes of two meshes differ by about a power of ten, else "".
+
+    `scale` is the factor by which B was read.
+    """
     sizes = a.diagonal(), b.diagonal()
     if min(sizes) <= 0:
         return ""
@@ -94,7 +97,7 @@ def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequenc
 
 
 def _spread(sequence: MeshSequence, like: MeshSequence) -> MeshSequence:
-    """A welded sequence on the vertices of the original mesh, if the other has those."""
+    """Sequence spread to the vertices before its welding, if `like` has as many; else unchanged."""
     if sequence.vertex_map is None or len(sequence.vertex_map) != like.n_vertices:
         return sequence
     vertices = np.concatenate([sequence.unweld(block, axis=1) for _, block in sequence.chunks()])

@@ -1,4 +1,4 @@
-"""``ssdr convert``."""
+"""The command ``ssdr convert``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .template import options_with_template, shared_format
 
 @dataclasses.dataclass(kw_only=True)
 class ConvertOptions(Options):
-    """What ``convert`` takes."""
+    """Arguments and options of ``ssdr convert``."""
 
     source: Annotated[Path, argument("IN", "A sequence or a skinning.")]
     target: Annotated[Path, argument("OUT", "The suffix chooses the format.")]

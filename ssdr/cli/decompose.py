@@ -1,4 +1,4 @@
-"""``ssdr decompose``."""
+"""The command ``ssdr decompose``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .options import MODEL, RIG, FitOptions, option, takes
 
 @dataclasses.dataclass(kw_only=True)
 class DecomposeOptions(FitOptions):
-    """What ``decompose`` takes."""
+    """Arguments and options of ``ssdr decompose``."""
 
     smoothness: Annotated[float, option(MODEL, "Smoothness of the weights.", min=0.0)] = 0.0
     rig: Annotated[
@@ -53,7 +53,7 @@ def decompose(options: DecomposeOptions) -> None:
 
 
 def _arguments(options: DecomposeOptions) -> dict[str, Any]:
-    """Arguments of :func:`ssdr.decompose`: smoothness, the rig, and weights that are kept."""
+    """Arguments of :func:`ssdr.decompose` from those options that only this command has."""
     import ssdr
 
     smooth = {"smoothness": options.smoothness}

@@ -1,4 +1,4 @@
-"""What ``ssdr decompose`` and ``ssdr smallest`` have in common: from files to files."""
+"""Steps that ``ssdr decompose`` and ``ssdr smallest`` share: read, solve, save and print."""
 
 from __future__ import annotations
 
@@ -58,16 +58,18 @@ def fit(
     Parameters
     ----------
     command : str
+        Name of the command.
     solve : callable
         :func:`ssdr.decompose` or :func:`ssdr.smallest`.
     options : FitOptions
     arguments : callable
-        Checks the options that this command alone has, and returns the arguments for `solve`.
+        Function that checks the options that only this command has, and returns their arguments for
+        `solve`.
 
     Raises
     ------
     Cancelled
-        If a signal stopped the solver, once its best model is saved.
+        If a signal stopped the solver; the best model is saved before.
     """
     output = Output.start(options)
     began = time.perf_counter()
@@ -104,7 +106,7 @@ def fit(
 
 
 def _check_files(options: FitOptions) -> None:
-    """Find out before the work whether everything can be written after it."""
+    """Raise an InputError before the work if an output could not be written after it."""
     check_outputs(options.outputs, options.write, force=options.force, sources=options.inputs)
     others = [*options.inputs, *options.outputs]
     checkpoint, picture = options.checkpoint, options.picture
@@ -122,7 +124,7 @@ def _check_files(options: FitOptions) -> None:
 
 
 def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
-    """The clips, what the solver starts from, and the options with which outputs are saved."""
+    """Clips of the inputs, the start of the solver, and for each output the options to save it."""
     names = ", ".join(map(str, options.inputs))
     read = read_options(options.inputs, options)
     with output.waiting(f"loading {names}"):
@@ -142,7 +144,7 @@ def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, d
 
 
 def _start(text: str | None) -> Any:
-    """A model to go on from, the rest pose of a mesh, or the frame whose rest pose is taken."""
+    """Parse `--start`: a model to go on from, a mesh as rest pose, or the number of a frame."""
     import ssdr
 
     if text is None:
@@ -156,7 +158,10 @@ def _start(text: str | None) -> Any:
 def _solve(
     solve: Solver, options: FitOptions, shots: Shots, stop: threading.Event, own: dict[str, Any]
 ) -> Any:
-    """Call the solver, show its progress and let it be stopped."""
+    """Result of the solver, whose progress is shown and which ends once `stop` is set.
+
+    `own` holds the arguments that only this command has.
+    """
     own |= {name: getattr(options, name) for name in _SHARED} | {"rng": options.seed}
     with Output.current.progress_bar() as show:
 
@@ -175,7 +180,7 @@ def _print(
     reports: list[SaveReport],
     about: dict[str, Any],
 ) -> None:
-    """Print the result; `about` holds what else belongs to it."""
+    """Print the result as a table or as JSON; `about` holds further entries, such as times."""
     from .. import __version__
 
     diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]

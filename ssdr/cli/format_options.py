@@ -1,4 +1,4 @@
-"""``--read`` and ``--write``: options of the formats of files."""
+"""Parsing of ``--read`` and ``--write``, the options for formats of files."""
 
 from __future__ import annotations
 
@@ -22,13 +22,15 @@ def read_options(
 ) -> list[dict[str, Any]]:
     """Keyword arguments of :func:`ssdr.load` for each file.
 
-    ``key=value`` is for the files whose format knows the key, ``suffix:key=value`` for those of
-    that suffix, ``A:key=value`` for the one that has this role.
+    They come from ``--read``: ``key=value`` is for every file whose format has the option `key`,
+    ``suffix:key=value`` only for files of that suffix, and ``A:key=value`` only for the file with
+    the role A. `roles` lists the roles in the order of `paths`.
 
     Raises
     ------
     InputError
-        If no file knows a key, or no file has what stands before the colon.
+        If no file's format has an option, or the text before the colon is neither the suffix nor
+        the role of a file.
     """
     shared = {"fps": options.fps, "weld": options.weld or None}
     result = [{k: v for k, v in shared.items() if v is not None} for _ in paths]
@@ -54,12 +56,12 @@ def read_options(
 
 
 def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
-    """Keyword arguments of :func:`ssdr.save` for one file.
+    """Keyword arguments of :func:`ssdr.save` for one file, from the values of ``--write``.
 
     Raises
     ------
     InputError
-        If no format has what stands before a colon.
+        If the text before a colon is not the suffix of a format.
     """
     options = {}
     for pair in pairs or ():
@@ -73,7 +75,7 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
 
 
 def keywords(format_: Format | None, role: str) -> set[str]:
-    """Names of the options of one of a format's functions, such as ``"read"``."""
+    """Names of the options of a format's function, such as ``"read"``; empty if it has none."""
     if format_ is None or getattr(format_, role) is None:
         return set()
     parameters = inspect.signature(function_of(format_, role)).parameters.values()
@@ -81,7 +83,7 @@ def keywords(format_: Format | None, role: str) -> set[str]:
 
 
 def readable_format(path: Path) -> Format | None:
-    """The format of a file that is to be read, if there is one."""
+    """Format by which a file is read; None if there is none."""
     try:
         return format_to_read(path)
     except FormatError:
@@ -89,7 +91,7 @@ def readable_format(path: Path) -> Format | None:
 
 
 def _known(path: Path) -> set[str]:
-    """Keyword arguments of :func:`ssdr.load` for a file."""
+    """Names of the keyword arguments with which a file can be read."""
     format_ = readable_format(path)
     of_format = keywords(format_, "read") | keywords(format_, "read_skinning")
     return (of_format | {"fps", "scale", "weld"}) - {"clip"}
@@ -100,7 +102,7 @@ def _suffix(path: Path) -> str:
 
 
 def _parse(option: str, pair: str) -> tuple[str, str, Any]:
-    """Prefix, key and value of an option; a value that is no JSON is a text."""
+    """Prefix, key and value of ``PREFIX:KEY=VALUE``; a value that is not JSON stays a text."""
     match = _PREFIX.match(pair)
     key, equals, value = pair[match.end() if match else 0 :].partition("=")
     if not equals or not key.isidentifier():

@@ -1,4 +1,4 @@
-"""``ssdr info``."""
+"""The command ``ssdr info``."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _MESH = {
 
 @dataclasses.dataclass(kw_only=True)
 class InfoOptions(Options):
-    """What ``info`` takes."""
+    """Arguments and options of ``ssdr info``."""
 
     source: Annotated[Path, argument("FILE", "A sequence or a skinning.")]
 
@@ -150,7 +150,7 @@ def _about_tree(skinning: Skinning, parents: NDArray[np.int32]) -> dict[str, Any
 
 
 def _seams(skinning: Skinning, weights: NDArray[np.float64]) -> int:
-    """Number of vertices that have the rest position and the weights of another one."""
+    """Number of vertices whose rest position and weights another vertex has as well."""
     size = rest_diagonal(skinning.rest) or 1.0
     columns = np.concatenate([skinning.rest, weights * size], axis=1)
     columns = np.pad(columns, ((0, 0), (0, -columns.shape[1] % 3)))
@@ -160,7 +160,7 @@ def _seams(skinning: Skinning, weights: NDArray[np.float64]) -> int:
 
 
 def _about_mesh(thing: MeshSequence | Skinning) -> dict[str, Any]:
-    """Counts that tell whether a mesh is closed, clean and in one piece, and its surface."""
+    """Entries for the report on a mesh: counts, defects, connected components and surface."""
     n, faces, surface = thing.n_vertices, thing.faces, thing.surface
     first = thing.rest if isinstance(thing, Skinning) else thing.frames(0)
     points = np.asarray(first, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Options that several commands take, in the panels of their help."""
+"""Options that several commands have, and the panels in which the help shows them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _PAIR = "[SUFFIX:]KEY=VALUE"
 
 
 def option(panel: str, help: str, *names: str, **more: Any) -> Any:
-    """An option in a panel of the help, called like the field unless names are given."""
+    """Option in a panel of the help, named after its field unless `names` are given."""
     return typer.Option(*names, help=help, rich_help_panel=panel, **more)
 
 
 def argument(metavar: str, help: str) -> Any:
-    """An argument."""
+    """Positional argument, named `metavar` in the help."""
     return typer.Argument(metavar=metavar, help=help)
 
 
 @dataclasses.dataclass(kw_only=True)
 class Options:
-    """What every command takes."""
+    """Options of every command."""
 
     clip: Annotated[
         list[str] | None, option(FILES, "Clip to read; repeat it, or say all.", metavar="NAME")
@@ -60,7 +60,7 @@ Write = Annotated[
 
 @dataclasses.dataclass(kw_only=True)
 class FitOptions(Options):
-    """What ``decompose`` and ``smallest`` take."""
+    """Arguments and options of both ``ssdr decompose`` and ``ssdr smallest``."""
 
     inputs: Annotated[
         list[Path], argument("IN...", "Animated mesh; several files of one mesh are its clips.")
@@ -107,12 +107,12 @@ class FitOptions(Options):
 
 
 def takes(function: Callable[[Any], None]) -> Callable[..., None]:
-    """Turn a function of one dataclass into a command, whose options are the fields of it."""
+    """Turn a function of one dataclass into a command whose options are the fields of the class."""
     (kind,) = (get_type_hints(function)[name] for name in inspect.signature(function).parameters)
     hints = get_type_hints(kind, include_extras=True)
 
     def panel(parameter: inspect.Parameter) -> tuple[int, bool]:
-        """The place in the help; within a panel, what is required comes first."""
+        """Sorting key: the panel in the help, then required options before others."""
         name = parameter.annotation.__metadata__[0].rich_help_panel
         return _PANELS.index(name), parameter.default is not parameter.empty
 

@@ -1,4 +1,4 @@
-"""Results, warnings and waits of a command: tables or JSON on stdout, the rest on stderr."""
+"""Output of a command: results on stdout (table or JSON), warnings and progress on stderr."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Rows = Iterable[tuple[str, str]]
 
 @dataclasses.dataclass
 class Output:
-    """Where results and warnings of one command go.
+    """Printer of the results and warnings of one command.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Output:
     printed : bool
         Whether a result has been printed.
     current : Output
-        That of the command that runs.
+        Output of the command that is running.
     """
 
     options: Options
@@ -43,7 +43,7 @@ class Output:
 
     @classmethod
     def start(cls, options: Options) -> Output:
-        """Take the options of the command, and set up log and threads."""
+        """Set the options of the current output, the log and the threads; return this output."""
         from ..parallel import set_threads
 
         handler = logging.StreamHandler(sys.stderr)
@@ -57,11 +57,11 @@ class Output:
         return cls.current
 
     def waiting(self, text: str) -> contextlib.AbstractContextManager[Any]:
-        """Show on a terminal what is being waited for."""
+        """Context that shows `text` on a terminal while its block runs."""
         return waiting(text) if self._live else contextlib.nullcontext()
 
     def progress_bar(self) -> contextlib.AbstractContextManager[Show]:
-        """Show on a terminal how far the work is."""
+        """Context that shows a progress bar on a terminal while its block runs."""
         return progress_bar() if self._live else contextlib.nullcontext(lambda *_: None)
 
     @property
@@ -69,20 +69,20 @@ class Output:
         return sys.stderr.isatty() and not (self.options.json or self.options.quiet)
 
     def warn(self, message: Warning | str, *_: Any, **__: Any) -> None:
-        """Print a warning; stands in for ``warnings.showwarning``."""
+        """Print a warning on stderr and keep it; takes the place of ``warnings.showwarning``."""
         text = " ".join(str(message).split())
         self.warnings.append(text)
         sys.stderr.write(f"ssdr: warning: {text}\n")
 
     def result(self, document: Mapping[str, Any], rows: Rows | str) -> None:
-        """Print the result: as JSON, as a table of names and values, or as a text.
+        """Print the result: `document` as JSON if asked for, else `rows`, a table or a text.
 
         Raises
         ------
         BrokenPipeError
-            If nobody reads it and no file was written.
+            If the reader of stdout has gone and no file was written.
         OSError
-            If it cannot be written.
+            If stdout cannot be written.
         """
         if self.options.json:
             text = json.dumps({**_plain(document), "warnings": self.warnings}, allow_nan=False)
@@ -97,7 +97,7 @@ class Output:
                 raise
 
     def write(self, text: str) -> None:
-        """Write to stdout; an error names it."""
+        """Write a text to stdout; an error of writing names standard output."""
         try:
             sys.stdout.write(text)
             sys.stdout.flush()
@@ -106,14 +106,14 @@ class Output:
 
 
 def _table(rows: Rows) -> str:
-    """Lines of names and values, without those that have none."""
+    """Text with a line for each name and value; names without a value are left out."""
     shown = [(name, value) for name, value in rows if value]
     width = max(len(name) for name, _ in shown)
     return "\n".join(f"{name:<{width}}  {value}" for name, value in shown)
 
 
 def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Rows of a table: names, and texts filled with the values of a document."""
+    """Rows of a table: each name of `texts`, and its text filled with values of the document."""
 
     def words(value: Any) -> Any:
         if isinstance(value, bool):
@@ -125,7 +125,7 @@ def in_words(document: Mapping[str, Any], texts: Mapping[str, str]) -> list[tupl
 
 
 def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
-    """A :class:`SaveReport` in one line; lengths in percent of the diagonal as well."""
+    """Report of saving in one line; lengths are also given in percent of the diagonal."""
     parts = [str(report.path), decimal(report.bytes)]
     lengths = {"error of storage": report.error, "between frames": report.between_frames}
     for name, length in lengths.items():
@@ -136,7 +136,7 @@ def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Only what JSON knows; what is not finite becomes null."""
+    """Copy of a value in the types that JSON has; NaN and infinity become None."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -1,4 +1,4 @@
-"""Progress on stderr."""
+"""Status line and progress bar on stderr."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Show = Callable[[str, float, str], None]
 
 
 def waiting(text: str) -> contextlib.AbstractContextManager[Any]:
-    """Show a text while the block runs."""
+    """Context that shows a text on stderr while its block runs."""
     from rich.console import Console
     from rich.text import Text
 
@@ -20,12 +20,13 @@ def waiting(text: str) -> contextlib.AbstractContextManager[Any]:
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Show]:
-    """Show a bar while the block runs.
+    """Show a progress bar on stderr while the block runs.
 
     Yields
     ------
     callable
-        Takes what is being done, the fraction of the work that is done, and a text.
+        Function that updates the bar with the name of the phase, the fraction of the work that is
+        done, and a text.
     """
     from rich.console import Console
     from rich.progress import Progress, TextColumn

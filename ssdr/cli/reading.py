@@ -1,4 +1,4 @@
-"""Read files by clips."""
+"""Reading of input files and the choice of their clips."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .output import Output
 
 
 def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
-    """A skinning if the file holds one, else a sequence."""
+    """Skinning of a file if it holds one, else its sequence."""
     from .. import io
 
     known = keywords(readable_format(path), "read_skinning")
@@ -36,7 +36,7 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
 
 
 def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...]:
-    """The clips of a file; none if its format holds only one."""
+    """Clips of a file; empty if its format has none or the file does not exist."""
     from ..io import list_clips
 
     known = keywords(readable_format(path), "list_clips")
@@ -48,7 +48,7 @@ def clips_in(path: Path, options: dict[str, Any]) -> tuple[Clip, ...]:
 def read_clips(
     paths: Sequence[Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[MeshSequence]:
-    """One sequence for each clip, in the order of the files, under names that differ.
+    """Sequences of the chosen clips, in the order of the files, with clip names that differ.
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ def read_clips(
     Raises
     ------
     InputError
-        If no file has a clip of that name, a file with several clips has none of those named,
-        or the files hold different meshes.
+        If no file has a clip of a name in `names`, a file with several clips has none of these
+        names, or the files hold different meshes.
     """
     from ..io import load
 
@@ -89,7 +89,7 @@ def read_clips(
 def read_model(
     path: Path, names: list[str] | None, options: dict[str, Any]
 ) -> MeshSequence | Skinning:
-    """A skinning with the named clips (all by default), else the vertices of one clip."""
+    """Skinning with the named clips (all by default); from a file without one, a sequence."""
     thing = read_any(path, **options)
     if isinstance(thing, Skinning):
         _check_names(names, [clip.name for clip in thing.clips])
@@ -101,7 +101,7 @@ def read_model(
 
 
 def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) -> MeshSequence:
-    """The vertices of one clip."""
+    """Sequence of one clip of a file, which is the first if no clip is named."""
     shots = read_clips([path], names, [options])
     if len(shots) > 1:
         known = ", ".join(shot.clip for shot in shots)
@@ -112,12 +112,12 @@ def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) 
 def read_pairs(
     paths: tuple[Path, Path], names: list[str] | None, options: Sequence[dict[str, Any]]
 ) -> list[tuple[str, MeshSequence, MeshSequence]]:
-    """The clips of two files A and B side by side, with their names.
+    """Clips of two files in pairs: name, sequence of the first file A, sequence of the second B.
 
     Raises
     ------
     InputError
-        If a clip is missing in one of them, or their numbers differ.
+        If B lacks a clip of A, or the files do not have the same number of clips.
     """
     several = [
         "animation" not in given and len(clips_in(path, given)) > 1
@@ -142,7 +142,7 @@ def read_pairs(
 
 
 def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:
-    """Clips for JSON."""
+    """Clips as dicts for JSON."""
     return [
         {**dataclasses.asdict(clip), "frames": clip.n_frames, "duration": clip.n_frames / clip.fps}
         for clip in clips
@@ -150,12 +150,12 @@ def clips_document(clips: Sequence[Clip]) -> list[dict[str, Any]]:
 
 
 def clips_text(clips: Sequence[Clip]) -> str:
-    """Clips in one line."""
+    """Names, numbers of frames and frame rates of clips in one line."""
     return ", ".join(f"{c.name or 'unnamed'} ({c.n_frames} at {c.fps:g} a second)" for c in clips)
 
 
 def join(shots: Sequence[MeshSequence]) -> MeshSequence:
-    """One sequence with the frames of all clips."""
+    """Sequence with the frames of all shots, one after the other."""
     if len(shots) == 1:
         return shots[0]
     vertices = np.concatenate([np.concatenate([b for _, b in s.chunks()]) for s in shots])
@@ -163,7 +163,7 @@ def join(shots: Sequence[MeshSequence]) -> MeshSequence:
 
 
 def _chosen(names: list[str] | None, known: list[str], path: Path) -> list[str]:
-    """The requested clips of a file that has several."""
+    """Names of the clips to read from a file with several; `names` are those asked for."""
     listed = ", ".join(known)
     if names is None:
         Output.current.warn(
@@ -194,7 +194,7 @@ def _check_one_mesh(found: list[tuple[Path, MeshSequence]]) -> None:
 
 
 def _named(found: list[tuple[Path, MeshSequence]]) -> list[MeshSequence]:
-    """Give clips that share a name the name of their file, or both names."""
+    """Rename clips that share a name after their files, or after file and clip if need be."""
     own = [shot.clip or shot.name for _, shot in found]
     files = [path for path, _ in found]
     names = [

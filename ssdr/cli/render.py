@@ -1,4 +1,4 @@
-"""``ssdr render``."""
+"""The command ``ssdr render``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _STYLES = "plain|weights|bones|error"
 
 @dataclasses.dataclass(kw_only=True)
 class RenderOptions(Options):
-    """What ``render`` takes."""
+    """Arguments and options of ``ssdr render``."""
 
     source: Annotated[Path, argument("IN", "A sequence or a skinning.")]
     target: Annotated[
@@ -98,7 +98,7 @@ def render(options: RenderOptions) -> None:
 
 
 def _truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> MeshSequence:
-    """The reference: the clips of the subject, where the file has several."""
+    """Sequence of the reference file; if it has several clips, those named as in `clips`."""
     several = len(clips_in(path, options)) > 1
     names = [clip.name for clip in clips] if several and clips else None
     return join(read_clips([path], names, [options]))

@@ -1,4 +1,4 @@
-"""Check outputs before the work, and save a model after it."""
+"""Checks of outputs before the work, and saving of a model after it."""
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ _SHEARED = np.array([[1.0, 0.5, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0,
 def check_outputs(
     paths: Iterable[Path], pairs: list[str] | None, *, force: bool, sources: Sequence[Path]
 ) -> None:
-    """Find out before the work whether the outputs can be written after it.
+    """Raise an error before the work if an output could not be written after it.
 
     Raises
     ------
     InputError
-        If a suffix is unknown or only read, an option is unknown, a file exists (without
-        `force`), is named twice or is an input, or its folder cannot be written to.
+        If a suffix is unknown, a format can only be read, an option names an unknown suffix, or an
+        output exists (without `force`), is named twice, is an input or lies in a folder that cannot
+        be written to.
     MissingDependencyError
         If a format needs a package that is not installed.
     """
@@ -63,7 +64,7 @@ def check_outputs(
 
 
 def check_file(path: Path, option: str, *, force: bool, others: Iterable[Path]) -> None:
-    """Refuse a file that exists, that is one of the others, or that cannot be written."""
+    """Raise an InputError if a file exists (without `force`), is in `others` or is not writable."""
     if not (path.suffix.lower() == ".zarr" and path.is_dir()):
         try:
             check_writable(path)
@@ -85,10 +86,10 @@ def check_file(path: Path, option: str, *, force: bool, others: Iterable[Path]) 
 def try_format(
     path: Path, settings: Settings, options: FitOptions, mesh: MeshSequence, clips: Sequence[Clip]
 ) -> None:
-    """Write a small model to a temporary folder, so that a format refuses it before the work.
+    """Save a small model like the one to come, so that errors of the format come before the work.
 
-    It has the mesh, the clips (two frames each), the bone model and the influences of the model
-    to come.
+    The small model has the mesh, the clips (with two frames each), the bone model and the number of
+    influences of the model to come. It is written to a temporary folder.
 
     Raises
     ------
@@ -115,16 +116,16 @@ def try_format(
 
 
 def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveReport]:
-    """Write a model to all outputs, given with their options.
+    """Write a model to all outputs; `outputs` maps each path to options of :func:`ssdr.save`.
 
-    An output that cannot be written, say because the disk is full, does not keep the others
-    from being written.  If no file holds the model then, it is written as ``.npz`` beside the
-    first output or, where that fails, to the folder for temporary files.
+    If an output cannot be written, for example because the disk is full, the others still are. If
+    then no file holds the skinning, it is written as ``.npz`` to the folder of the first output
+    that could not be written or, if that is not possible either, to the folder for temporary files.
 
     Raises
     ------
     SsdrError, OSError
-        Of the first output that could not be written, in the end.
+        The error of the first output that could not be written, raised at the end.
     """
     import ssdr
 
@@ -146,7 +147,7 @@ def save_model(model: Skinning, outputs: Mapping[Path, Settings]) -> list[SaveRe
 
 
 def _save_beside(model: Skinning, path: Path) -> Path | None:
-    """Write a model near an output that did not take it; the file, or None if that fails."""
+    """Save a model near an output that could not be written, and return the new file or None."""
     import ssdr
 
     for folder in (path.parent, None):

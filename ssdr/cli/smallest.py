@@ -1,4 +1,4 @@
-"""``ssdr smallest``."""
+"""The command ``ssdr smallest``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .options import MODEL, RIG, FitOptions, option, takes
 
 @dataclasses.dataclass(kw_only=True)
 class SmallestOptions(FitOptions):
-    """What ``smallest`` takes."""
+    """Arguments and options of ``ssdr smallest``."""
 
     tolerance: Annotated[
         str, option(MODEL, "A length in the mesh's units, or 0.5% of the diagonal.")
@@ -41,7 +41,7 @@ def smallest(options: SmallestOptions) -> None:
 
 
 def _arguments(options: SmallestOptions) -> dict[str, Any]:
-    """Arguments of :func:`ssdr.smallest` alone."""
+    """Arguments of :func:`ssdr.smallest` from those options that only this command has."""
     tolerance: str | float = options.tolerance
     with contextlib.suppress(ValueError):
         tolerance = float(tolerance)

@@ -1,4 +1,4 @@
-"""Standard streams that are full, whose reader has gone, or that lack characters."""
+"""Standard streams that do not stop the work if they cannot be written."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Any
 def safe_streams() -> Iterator[None]:
     """Keep the work inside the block going if a message cannot be written.
 
-    A character that an encoding lacks is written as its escape.  What stderr cannot take is
-    dropped; an error of stdout, which holds results, is raised where it is written.
+    A character that the encoding of a stream lacks is written as an escape sequence. What stderr
+    cannot take is dropped; an error of stdout, which holds results, is raised where it is written.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, ValueError):
@@ -33,7 +33,7 @@ def safe_streams() -> Iterator[None]:
 
 
 class _Messages:
-    """A stream that drops what it cannot write."""
+    """Stream that drops text which it cannot write."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream

@@ -1,4 +1,4 @@
-"""Inputs as templates of outputs, which keep from them all that is not the mesh's skin."""
+"""Choice of an input as template, from which an output keeps all but the mesh's skin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _AXES = "orientations of the joints"
 
 
 def shared_format(source: Path, target: Path) -> Format | None:
-    """The format of both files, if it is one whose files can be copied as a whole."""
+    """Format of both files, if it is the same and its files can be copied whole; else None."""
     format_ = readable_format(source)
     if format_ is None or not format_.copy or format_of(target)[1] is not format_:
         return None
@@ -31,23 +31,24 @@ def options_with_template(
     new_bones: bool,
     clips: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Options of :func:`ssdr.save`, with the first input of the output's format as its template.
+    """Options of :func:`ssdr.save` for an output, with an input as template if one can be.
 
-    A warning names what of the inputs is not kept; with the option ``strict=true`` it is an
-    error.  ``template=null`` writes the model without a template.
+    The template is the first input of the output's format that can be one. A warning names the
+    contents of the inputs that are not kept; with the option ``strict=true`` there is an error
+    instead. The option ``template=null`` writes the model without a template.
 
     Parameters
     ----------
     target : Path
     pairs : list of str or None
-        ``--write``.
+        Values of ``--write``.
     inputs : mapping of Path to dict
         The inputs, and the options with which each of them was read.
     new_bones : bool
-        Whether the bones are not those of the input, so that the axes of its joints are not
-        missed.
+        Whether the output has other bones than the inputs. If so, there is no warning that
+        orientations of the input's joints are not kept.
     clips : names
-        Clips of the model, which may be named after their files.
+        Names of the model's clips; a clip may be named after its file.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def options_with_template(
 
 
 def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | None:
-    """The first input that can be the template of an output."""
+    """First input that can be the template of an output; None if there is none."""
     for source, read in inputs.items():
         format_ = shared_format(source, target)
         if format_ is None:
@@ -91,7 +92,7 @@ def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | N
 
 
 def _new_names(source: Path, clips: Sequence[str]) -> dict[str, str]:
-    """New names of those clips of a file that are named differently in the model."""
+    """Names of clips in the model by their names in the file, where the two differ."""
     from ..io import list_clips
 
     names = {}
@@ -102,7 +103,7 @@ def _new_names(source: Path, clips: Sequence[str]) -> dict[str, str]:
 
 
 def _left_out(inputs: Inputs) -> list[str]:
-    """Things in the files that a model cannot hold."""
+    """Phrases that name the contents of the input files that a model cannot hold."""
     from ..io import left_out
 
     files = [(path, read) for path, read in inputs.items() if path.is_file()]

@@ -1,1 +1,1 @@
-"""Passes over frames that are not in memory: on disk, in a store, on the workers of a cluster."""
+"""Passes over frames on disk or in a store, in this process or on the workers of a cluster."""

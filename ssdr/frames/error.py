@@ -25,15 +25,16 @@ _CHUNK = 512  # vertices in a task, as in the solver
 def squared_error(
     sequences: Sequence[MeshSequence], *skinning: Any, executor: Executor | None = None
 ) -> Array:
-    """Squared error of each vertex summed over the frames, Σ_t |d|²: (V,).
+    """Squared distance Σ_t |d|² of each vertex to its target, summed over all frames t: (V,).
 
     Parameters
     ----------
     sequences : sequence of MeshSequence
+        Target vertices, with the frames of one sequence after those of the other.
     *skinning : arrays
         Rest pose, indices, weights and transforms, as :func:`ssdr.skin` takes them.
     executor : Executor, optional
-        This process by default.
+        Where the work is done; in this process by default.
     """
     total = np.zeros(len(skinning[0]))
     for part in _of_each_span(_squared_error_of_span, sequences, skinning, executor):
@@ -44,7 +45,7 @@ def squared_error(
 def largest_error(
     sequences: Sequence[MeshSequence], *skinning: Any, executor: Executor | None = None
 ) -> float:
-    """Largest distance |d| of any vertex in any frame; arguments as in :func:`squared_error`."""
+    """Largest distance |d| of a vertex to its target; arguments as in :func:`squared_error`."""
     squares = list(_of_each_span(_largest_square_of_span, sequences, skinning, executor))
     return math.sqrt(np.max(squares))  # NumPy's maximum, since Python's skips NaN
 

@@ -52,21 +52,24 @@ class Frames:
         return sum(last - first for _, first, last in self.pieces)
 
     def blocks(self) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """Pairs of first frame, counted in the span, and block (n, V, 3) of a few dozen MiB."""
+        """Blocks (n, V, 3) of a few dozen MiB, each as (number of its first frame, block).
+
+        Frames are numbered from the start of the span.
+        """
         for start, stop in chunk_bounds(len(self), max(_FEWEST, _BLOCK // (24 * self.n_vertices))):
             read = [native(array[i:k]) for array, i, k in _cut(self.pieces, start, stop)]
             yield start, read[0] if len(read) == 1 else np.concatenate(read)
 
 
 def spans_of(n_frames: int) -> list[tuple[int, int]]:
-    """First frame of each span and the one after its last; at most a few dozen spans."""
+    """Split frames into a few dozen spans: (first frame, the one after the last) of each."""
     return chunk_bounds(n_frames, max(_FEWEST, -(-n_frames // _SPANS)))
 
 
 def _cut(
     pieces: Iterable[tuple[Any, int, int]], start: int, stop: int
 ) -> Iterator[tuple[Any, int, int]]:
-    """Pieces that cover the frames from `start` to `stop`, counted over all pieces."""
+    """Parts of the pieces that hold frames `start` to `stop` - 1, counted through all pieces."""
     offset = 0
     for array, first, last in pieces:
         i, k = max(start - offset, 0), min(stop - offset, last - first)
@@ -77,7 +80,7 @@ def _cut(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SpanTask:
-    """A call of ``function(frames, *arguments(k), *shared)`` for every span k of some shots."""
+    """Task to call ``function(frames, *arguments(k), *shared)`` for every span k of some shots."""
 
     function: Callable[..., Any]
     sequences: Sequence[MeshSequence]
@@ -94,27 +97,27 @@ class SpanTask:
 
 
 class Local:
-    """Calls in this process, one span after the other, each with all threads."""
+    """Executor that calls in this process, one span after the other, each with all threads."""
 
     def map(self, task: SpanTask) -> Iterator[Any]:
-        """Results in the order of the spans, each computed when it is taken."""
+        """Results in the order of the spans; each is computed when the iterator reaches it."""
         for k in range(len(task.spans)):
             frames = Frames(tuple(task.pieces(k)), task.n_vertices)
             yield task.function(frames, *task.arguments(k), *task.shared)
 
 
 class Cluster:
-    """Calls on the workers of a Dask client.
+    """Executor that calls on the workers of a Dask client.
 
-    A call carries or reads all that it needs, so that the scheduler can repeat it on another
-    worker when one is lost.
+    A call carries its arrays or opens their files itself, so that the scheduler can repeat it on
+    another worker if one is lost.
     """
 
     def __init__(self, client: Any) -> None:
         self.client = client
 
     def map(self, task: SpanTask) -> Iterator[Any]:
-        """Results in the order of the spans; some are computed ahead."""
+        """Results in the order of the spans; some are computed before the iterator reaches them."""
         import dask
 
         waiting: collections.deque[Any] = collections.deque()
@@ -161,8 +164,8 @@ def _remote(
 
 
 def _reopening(array: np.memmap[Any, Any]) -> functools.partial[np.memmap[Any, Any]]:
-    """Call that maps the same part of the file again, on another process."""
-    # A slice keeps the offset of the whole map; only its address tells where it lies.
+    """Function that maps the same part of the file again, for use in another process."""
+    # A slice of a map keeps the offset of the whole map; its address tells where it begins.
     begin = int(array.offset) - int(array.offset) % mmap.ALLOCATIONGRANULARITY
     mapped = np.frombuffer(array._mmap, dtype=np.uint8)  # type: ignore[attr-defined]
     offset = begin + int(array.ctypes.data) - int(mapped.ctypes.data)
@@ -171,7 +174,7 @@ def _reopening(array: np.memmap[Any, Any]) -> functools.partial[np.memmap[Any, A
 
 
 def _opens_elsewhere(array: Any) -> bool:
-    """Whether a worker can read the array itself."""
+    """Whether a Dask worker can read the array without this process."""
     if isinstance(array, np.memmap):
         named = isinstance(array.filename, (str, Path))
         return named and array.flags.c_contiguous and getattr(array, "_mmap", None) is not None
@@ -179,7 +182,7 @@ def _opens_elsewhere(array: Any) -> bool:
 
 
 def executor_for(sequences: Sequence[MeshSequence]) -> Executor:
-    """The workers of the active Dask client if there is one, else this process."""
+    """Dask workers if a client is active and they can read all sequences, else this process."""
     distributed = sys.modules.get("distributed")  # without it there is no client
     if distributed is None:
         return Local()

@@ -1,4 +1,4 @@
-"""Reading and writing; a format is chosen by its suffix."""
+"""Reading and writing of files, in a format chosen by the file's suffix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Writing of files so that they appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ _STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its 
 def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     """Temporary file that becomes `path` when the block ends without an error.
 
-    It lies in the same folder and has the suffix of `path`, for writers that look at it.
-    If the block raises, `path` is untouched and the temporary file is removed.  A process that
-    is killed leaves it, until `path` is written again an hour or more later.  Where `path` is a
-    symbolic link, the file at its end is replaced and the link stays.
+    The temporary file lies in the folder of `path` and has its suffix, because some writers choose
+    the format by it. If the block raises an exception, `path` is untouched and the temporary file
+    is removed. If the process is killed, the temporary file stays until `path` is written again an
+    hour or more later. If `path` is a symbolic link, the file that it points to is replaced and the
+    link stays.
 
     Parameters
     ----------
     path : path
     flush : bool
-        Write the file to the disk before the renaming and the renaming before this returns, so
-        that a power cut leaves the old file or the new one, and look for files that killed
-        processes left.  Slow for hundreds of files.
+        Force the file to the disk before it is renamed, and the new name before the block is left,
+        so that after a power cut there is the old file or the new one. Also remove temporary files
+        that killed processes left. Slow for hundreds of files.
 
     Raises
     ------
     InputError
-        If the folder does not exist or `path` is no file.
+        If the folder does not exist, or `path` is a folder or a device.
     OSError
         If the file cannot be written; the error names `path`.
     """
@@ -61,9 +62,9 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def naming(path: Path | str, temporary: Path) -> Iterator[None]:
-    """Name `path` in the system's errors inside the block, instead of `temporary` or no file.
+    """Make an OSError of the block name `path` if it names `temporary` or no file.
 
-    An error of writing to an open file, such as a full disk, names no file.
+    Errors while writing to an open file, such as that of a full disk, name no file.
     """
     try:
         yield
@@ -74,12 +75,12 @@ def naming(path: Path | str, temporary: Path) -> Iterator[None]:
 
 
 def check_writable(path: Path | str) -> None:
-    """Refuse a path at which no file can be made, before hours of work.
+    """Raise an InputError if no file can be made at `path`; to be called before hours of work.
 
     Raises
     ------
     InputError
-        If `path` is no name of a file or its folder takes no new file.
+        If `path` cannot name a file, or no file can be created in its folder.
     """
     probe = free_name(_file_behind(path))
     try:
@@ -92,13 +93,13 @@ def check_writable(path: Path | str) -> None:
 
 
 def write_bytes(path: Path | str, data: bytes, *, flush: bool = True) -> int:
-    """Write `data` to `path` as :func:`atomic_path` does; returns the number of bytes."""
+    """Write `data` to `path` by :func:`atomic_path`, and return the number of bytes."""
     with atomic_path(path, flush=flush) as temporary:
         return temporary.write_bytes(data)
 
 
 def free_name(target: Path) -> Path:
-    """Hidden name beside `target`, of the same suffix, that no other process uses."""
+    """Hidden path beside `target`, with the same suffix, that no other process uses."""
     # tempfile would make a file that its owner alone can read.
     mark = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
     most = _LONGEST_NAME - len(os.fsencode(f"..{mark}{target.suffix}"))
@@ -107,7 +108,7 @@ def free_name(target: Path) -> Path:
 
 
 def _remove_stale(target: Path) -> None:
-    """Remove the temporary files of `target` that killed processes left over an hour ago."""
+    """Remove temporary files of `target` that killed processes left more than an hour ago."""
     start, end = re.escape(f".{target.stem}."), re.escape(target.suffix)
     with contextlib.suppress(OSError):  # another process may remove them at the same time
         for entry in os.scandir(target.parent):
@@ -125,7 +126,7 @@ def remove(path: Path) -> None:
 
 
 def _file_behind(path: Path | str) -> Path:
-    """File that a write to `path` replaces: the one at the end of its symbolic links."""
+    """Path that a write to `path` replaces: the end of its symbolic links, or `path` itself."""
     link = Path(path)
     try:
         target = link.resolve() if link.is_symlink() else link
@@ -145,12 +146,12 @@ def _file_behind(path: Path | str) -> Path:
 
 
 def _flush(path: Path) -> None:
-    """Have the system write a file, or a folder's list of names, to the disk."""
+    """Force a file, or the list of names in a folder, from the system's memory to the disk."""
     number = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     try:
         os.fsync(number)
     except OSError as error:
-        # Network and pseudo file systems without fsync say so, which is no failure.
+        # Some network and pseudo file systems have no fsync, which is not an error here.
         if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS):
             raise
     finally:

@@ -1,4 +1,4 @@
-"""Up axes of files and models, and turns from one to the other."""
+"""Up axes of files and models, and rotations from one to the other."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 def check_up(up: object, *, optional: bool = False) -> None:
-    """Refuse anything but "y" and "z" (and None where `optional`)."""
+    """Raise an InputError unless `up` is "y" or "z" (or None, if `optional`)."""
     if up not in ("y", "z") and not (optional and up is None):
         raise InputError("up", '"y" or "z"' + (" or None" if optional else ""), repr(up))
 
 
 def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
-    """Vectors ``(..., 3)``, turned from the up axis `source` to `target`."""
+    """Vectors ``(..., 3)``, rotated so that `target` is the up axis in place of `source`."""
     if source == target:
         return values
     turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T
@@ -34,7 +34,7 @@ def turn_up(values: NDArray[Any], source: Up, target: Up) -> NDArray[Any]:
 
 
 def turn_sequence_up(sequence: MeshSequence, source: Up, target: Up) -> MeshSequence:
-    """A sequence with another axis up."""
+    """Sequence rotated so that `target` is the up axis in place of `source`."""
     if source == target:
         return sequence
     return dataclasses.replace(
@@ -51,7 +51,10 @@ def _turn_surface_up(surface: Surface | None, source: Up, target: Up) -> Surface
 
 
 def turn_skinning_up(skinning: Skinning, source: Up, target: Up) -> Skinning:
-    """A skinning with another axis up: x' = Q x, M' = Q M Q⁻¹."""
+    """Skinning rotated so that `target` is the up axis in place of `source`.
+
+    The rotation Q takes positions x to Q x, and bone transforms M to Q M Q⁻¹.
+    """
     if source == target:
         return skinning
     turn = _Y_FROM_Z if source == "z" else _Y_FROM_Z.T

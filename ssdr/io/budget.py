@@ -1,4 +1,4 @@
-"""The memory that a file may ask for: one limit for every format."""
+"""Limit of the memory that a file of any format may ask for."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from pathlib import Path
 from ..errors import FormatError
 
 MOST_BYTES = 16 << 30  # 16 GiB: more than a mesh needs, less than a false count can ask for
-# Compression of more than this ratio is refused in what is larger than this size: frames of a
-# real animation shrink to a tenth at best, and a small file must not fill the memory.
+# Data above this size that inflate by more than this ratio are refused: frames of a real
+# animation shrink to a tenth at best, and a small file must not fill the memory.
 _MOST_RATIO, _UNSUSPICIOUS_BYTES = 100, 256 << 20
 
 
 def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None) -> None:
-    """Refuse a file that needs more memory than it may, before any of it is allocated.
+    """Raise a FormatError if a file needs more memory than the limit, before it is allocated.
 
     Parameters
     ----------
     n_bytes : float
-        Memory that reading on would take.
+        Memory that reading the file would take.
     what : str
-        What the file states, such as ``"9600 frames of 800 vertices"``.
+        What needs the memory, such as ``"9600 frames of 800 vertices"``.
     path : path
     most : int, optional
-        The caller's `max_bytes`; `MOST_BYTES` by default.
+        Limit in bytes, which is the caller's `max_bytes`; `MOST_BYTES` by default.
 
     Raises
     ------
     FormatError
-        If `n_bytes` is larger, infinite or no number.
+        If `n_bytes` is larger than the limit, or NaN.
     """
     limit = MOST_BYTES if most is None else most
     if not n_bytes <= limit:
@@ -42,16 +42,16 @@ def afford(n_bytes: float, what: str, path: Path | str, most: int | None = None)
 def refuse_bomb(
     n_bytes: int, stored: int, what: str, path: Path | str, most: int | None = None
 ) -> None:
-    """Refuse compressed data that inflate like a zip bomb, before they do.
+    """Raise a FormatError for compressed data like a zip bomb, before they are inflated.
 
     Parameters
     ----------
     n_bytes, stored : int
-        Size once inflated and in the file.
+        Size of the inflated data, and of the compressed data in the file.
     what, path
         As for :func:`afford`.
     most : int, optional
-        The caller's `max_bytes`, which admits any ratio where it is stated.
+        The caller's `max_bytes`; if it is given, any ratio is accepted.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The mesh that goes with a file of vertices alone (``.npy``, ``.pc2``, ``.mdd``, zarr)."""
+"""Mesh for a file that holds only vertices (``.npy``, ``.pc2``, ``.mdd``, zarr)."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ _SUFFIXES = (".obj", ".ply", ".off", ".npz")
 def over_mesh(
     vertices: Any, path: Path, given: Any, argument: str, fps: float | None
 ) -> MeshSequence:
-    """Vertices of a file over the mesh that goes with it.
+    """Sequence of a file's vertices, with faces and surface of the mesh that goes with it.
 
     Parameters
     ----------
     vertices : (F, V, 3) array-like
     path : Path
-        The file that holds them.
+        The file that holds the vertices.
     given : None, "none", path, (T, 3) int array or MeshSequence
-        The mesh, or its faces.  None looks for ``<stem>.faces.npy`` and for a mesh of the same
-        stem beside `path`; "none" is a point cloud.
+        The mesh, its path, or its faces. None looks for ``<stem>.faces.npy`` and for a mesh of the
+        same stem in the folder of `path`; "none" makes a point cloud.
     argument : str
-        What the caller calls `given`, for messages.
+        Name of the caller's argument for `given`, for messages.
     fps : float, optional
-        That of the mesh by default.
+        Frames per second; those of the mesh by default.
 
     Raises
     ------
     InputError
-        If no mesh is found, or what was given does not fit.
+        If no mesh is found, or `given` does not fit the vertices.
     FormatError
-        If a file does not fit, or the vertices are no sequence.
+        If the mesh of a file does not fit the vertices, or these are not valid for a sequence.
     """
     n_vertices = vertices.shape[1]
     if given is None:
@@ -90,6 +90,6 @@ def _read(file: Path, path: Path, n_vertices: int) -> MeshSequence:
 
 
 def _still(faces: Any, n_vertices: int, argument: str) -> MeshSequence:
-    """Faces as a mesh of one frame."""
+    """Sequence of one frame with these faces, all of whose vertices are at the origin."""
     checked = check_faces(faces, n_vertices, argument)
     return MeshSequence(np.zeros((1, n_vertices, 3)), checked, validate=False)

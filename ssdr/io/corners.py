@@ -1,4 +1,4 @@
-"""UVs and normals at the corners of triangles: split vertices, normals in another pose."""
+"""UVs and normals at triangle corners: vertices split for them, and normals of another pose."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _UP = np.array([0.0, 1.0, 0.0])
 def unit(
     vectors: NDArray[np.floating], fallback: NDArray[np.floating] = _UP, least: float = 1e-300
 ) -> NDArray[np.float64]:
-    """Vectors ``(..., 3)`` at unit length; `fallback` where they are shorter than `least`."""
+    """Vectors ``(..., 3)`` scaled to length 1; `fallback` where their length is up to `least`."""
     length = np.linalg.norm(np.asarray(vectors, dtype=np.float64), axis=-1, keepdims=True)
     found = length > least
     return np.asarray(np.where(found, vectors / np.where(found, length, 1.0), fallback))
@@ -24,15 +24,15 @@ def unit(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Corners:
-    """Vertices of a format that has one UV and one normal per vertex.
+    """Mesh whose vertices are split so that each has one UV and one normal.
 
-    The first V of the N are the model's own vertices in their order; the copies that seams and
-    hard edges need follow.
+    The first V of its N vertices are the model's own in their order. After them come the copies
+    that seams and hard edges need.
 
     Attributes
     ----------
     vertex : (N,) int32
-        The model's vertex.
+        The model's vertex at each vertex of this mesh.
     faces : (T, 3) int32
     uv : (N, 2) float32 or None
     normals : (N, 3) float32 or None
@@ -50,7 +50,7 @@ def split_corners(
     uv: NDArray[np.float32] | None,
     normals: NDArray[np.float32] | None,
 ) -> Corners:
-    """One vertex for each different (vertex, uv, normal) at the corners of the triangles."""
+    """Mesh with one vertex for each different (vertex, UV, normal) at the triangle corners."""
     flat = faces.reshape(-1).astype(np.int64)
     columns = [flat[:, None]]
     for values in (uv, normals):
@@ -84,10 +84,11 @@ def split_corners(
 def corner_normals(
     rest: NDArray[np.floating], faces: NDArray[np.integer], surface: Surface | None
 ) -> NDArray[np.float32]:
-    """Normals ``(T, 3, 3)`` of a rest pose, with the hard edges of the input.
+    """Normals ``(T, 3, 3)`` at triangle corners of a pose, hard where those of `surface` are.
 
-    The mean of the normals of the triangles around a vertex, weighted by their angle there, over
-    those corners whose input normals are equal (over all corners without input normals).
+    Each is the mean of the normals of the triangles around a vertex, weighted by their angles
+    there. The mean is over the corners at which `surface` has equal normals, or over all corners of
+    the vertex if it has no normals.
 
     References
     ----------
@@ -109,7 +110,7 @@ def corner_normals(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Deformation:
-    """A mesh in two poses, which carries normals and tangents from the one to the other.
+    """A mesh in two poses, which carries normals and tangents from the first to the second.
 
     Attributes
     ----------
@@ -117,7 +118,7 @@ class Deformation:
         Index of the normal or tangent at each corner.
     faces : (T, 3) int array
     source, target : (V, 3) float64 arrays
-        Vertices in both poses.
+        Vertices in the first and the second pose.
     """
 
     holder: NDArray[np.integer]
@@ -126,18 +127,22 @@ class Deformation:
     target: NDArray[np.float64]
 
     def carry_normals(self, normals: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Unit normals ``(N, 3)`` in the target pose, as smooth or hard as they were set.
+        """Unit normals ``(N, 3)`` in the target pose, from those in the source pose.
 
-        Each triangle that meets in a normal transforms it by the cofactors of its deformation; the
-        mean is weighted by the angle there. Where the mesh has moved rigidly, this is that motion.
-        Normals of no usable triangle stay as they are.
+        Each triangle that has a normal at a corner transforms it by the cofactor matrix of the
+        triangle's deformation. The result is the mean of these, weighted by the angles at the
+        corners. So edges stay as smooth or hard as they were, and where the mesh moves rigidly,
+        normals move with it. A normal stays unchanged if all its triangles are degenerate.
         """
         return self._carry(normals, cofactors=True).astype(np.float32)
 
     def carry_tangents(
         self, tangents: NDArray[np.float64], normals: NDArray[np.floating]
     ) -> NDArray[np.float32]:
-        """Tangents ``(N, 4)`` in the target pose, perpendicular to its `normals`; signs stay."""
+        """Tangents ``(N, 4)`` in the target pose, perpendicular to `normals` of that pose.
+
+        The signs in the last column stay.
+        """
         moved = self._carry(tangents[:, :3], cofactors=False)
         flat = moved - (moved * normals).sum(axis=1, keepdims=True) * normals
         return np.concatenate([unit(flat, moved, 1e-6), tangents[:, 3:]], axis=1).astype(np.float32)
@@ -156,7 +161,10 @@ class Deformation:
 
 
 def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Two edges and the unit normal of each triangle as columns, and where it has an area."""
+    """Matrix (T, 3, 3) with two edges and the unit normal as columns, and a mask (T,).
+
+    The mask is false for triangles without area.
+    """
     a, b = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
     normal = np.cross(a, b)
     size = np.maximum((a**2).sum(axis=1), (b**2).sum(axis=1))
@@ -165,7 +173,7 @@ def _triangle_frames(p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 
 
 def _angles(p: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles ``(T, 3)`` of triangles at their corners."""
+    """Angles ``(T, 3)`` at the corners of triangles, given the positions ``(T, 3, 3)`` of these."""
     toward, back = np.roll(p, -1, axis=1) - p, np.roll(p, 1, axis=1) - p
     cross = np.linalg.norm(np.cross(toward, back), axis=2)
     return np.asarray(np.arctan2(cross, (toward * back).sum(axis=2)))
@@ -174,6 +182,6 @@ def _angles(p: NDArray[np.float64]) -> NDArray[np.float64]:
 def _sums(
     values: NDArray[np.float64], group: NDArray[np.integer], size: int = 0
 ) -> NDArray[np.float64]:
-    """Sums ``(n, 3)`` of the vectors of each group."""
+    """Sums ``(n, 3)`` of the vectors in each of n groups, at least `size` of them."""
     rows = values.reshape(-1, 3)
     return np.stack([np.bincount(group, rows[:, c], size) for c in range(3)], axis=1)

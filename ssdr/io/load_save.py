@@ -1,4 +1,4 @@
-"""Load and save: the format is chosen by the suffix, its module imported when first needed."""
+"""Load and save files; the suffix chooses the format, whose module is imported at first use."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def load(
     scale: float = 1.0,
     **options: Any,
 ) -> MeshSequence:
-    """Read an animated mesh; a file that holds a skinning is baked to vertices.
+    """Read an animated mesh; from a file with a skinning, the skinned vertices of every frame.
 
-    A sequence is one clip: :func:`list_clips` says which a file has.
+    One clip is read; :func:`list_clips` lists the clips of a file.
 
     Parameters
     ----------
@@ -53,20 +53,19 @@ def load(
         A file, a folder of numbered meshes or a pattern of them
         (``frame_%04d.obj``, ``frame_*.ply``, ``mesh_*.glb``).
     clip : str or int, optional
-        Name or number of the clip, the first by default; the log lists them
-        where there are several.
+        Name or number of the clip; the first by default. If there are several, the log lists them.
     weld : bool
-        Merge vertices that coincide in every frame, as seams of UVs or normals
-        do; the map back is kept in `vertex_map` and the number merged is
-        logged.
+        Merge vertices that coincide in every frame, as vertices along seams of UVs or normals do.
+        `vertex_map` of the result holds the merged vertex of each original one, and the log says
+        how many were merged.
     fps : float, optional
-        Frames per second, instead of what the file says; where it says nothing,
-        24.
+        Frames per second, in place of the rate in the file. By default the file's rate, or 24 if it
+        states none.
     scale : float
-        Factor of all lengths: 0.01 reads centimetres as metres.  Other than 1,
-        all frames are read into memory.
+        Factor by which all lengths are multiplied: 0.01 turns centimetres into metres. With any
+        factor but 1, all frames are read into memory.
     **options
-        Options of the format, see the page on formats.
+        Options of the format; the page on formats lists them.
 
     Returns
     -------
@@ -75,11 +74,11 @@ def load(
     Raises
     ------
     FormatError
-        If the suffix is unknown or the file is truncated, hostile, mislabelled
-        or holds what a sequence must not.
+        If the suffix is unknown, the file is truncated, hostile or mislabelled, or its contents are
+        not valid for a :class:`MeshSequence`.
     InputError
-        If an option is not usable or unknown to the format, or the file has no
-        such clip.
+        If the format does not have an option, the value of an option is not valid, or the file has
+        no such clip.
     MissingDependencyError
         If the format needs an optional package that is not installed.
     FileNotFoundError
@@ -110,9 +109,9 @@ def load(
 def list_clips(
     path: str | os.PathLike[str], *, fps: float | None = None, **options: Any
 ) -> tuple[Clip, ...]:
-    """Clips of a file, with frames numbered as in :func:`load_skinning`.
+    """Clips of a file; their frames are numbered as :func:`load_skinning` numbers them.
 
-    A file of a format without clips is one clip, named after its animation, mesh or file.
+    If a format has no clips, a file counts as one clip, named after its animation, mesh or file.
 
     Parameters
     ----------
@@ -149,23 +148,24 @@ def load_skinning(
     scale: float = 1.0,
     **options: Any,
 ) -> Skinning:
-    """Read rest pose, skin weights and bone transforms.
+    """Read a skinning: rest pose, skin weights and bone transforms.
 
     Parameters
     ----------
     path : path
         ``.npz``, ``.glb``, ``.gltf``, ``.fbx`` or USD.
     clip : str, int or several of them, optional
-        Names or numbers of the clips; all by default.
+        Names or numbers of the clips to read; all by default.
     fps : float, optional
-        As in :func:`load`, of every clip.
+        Frames per second of every clip, as in :func:`load`.
     scale : float
-        Factor of all lengths, of the rest pose and of how far bones move.
+        Factor by which all lengths are multiplied: positions of vertices and joints, and
+        translations of the bones.
 
     Raises
     ------
     FormatError
-        If the format or the file holds no skinning, or the file is damaged.
+        If no skinning can be read from the format, the file holds none, or the file is damaged.
     InputError, MissingDependencyError, FileNotFoundError
         As in :func:`load`.
 
@@ -198,7 +198,10 @@ def load_skinning(
 def _readable(
     path: Any, fps: float | None, scale: float = 1.0, function: str = "read"
 ) -> tuple[Path, Format]:
-    """Path and format of an existing file, after a check of the options that all formats have."""
+    """Path and format of a file, after checking that it can be read and the options are valid.
+
+    `function` names the function that the format needs, such as ``"read"``.
+    """
     for argument, value in (("fps", fps), ("scale", scale)):
         if value is not None and not (is_real(value) and value > 0):
             raise InputError(argument, "a positive number", repr(value))
@@ -218,19 +221,20 @@ def _readable(
 
 
 def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
-    """Write a sequence or a skinning.
+    """Write a sequence or a skinning to a file.
 
-    The file appears whole or not at all.  A format that holds no skinning gets
-    its vertices, the frames of all clips one behind the other.
+    If writing stops with an error, no incomplete file is left. If the format cannot hold a
+    skinning, its skinned vertices are written, with the frames of all clips one after the other.
 
     Parameters
     ----------
     thing : MeshSequence, Skinning or Decomposition
+        Of a decomposition, its skinning is written.
     path : path
-        The suffix chooses the format; numbered meshes take a pattern such as
+        File to write, whose suffix chooses the format. For numbered meshes, a pattern such as
         ``folder/frame_%04d.obj``.
     **options
-        Options of the format, see the page on formats.
+        Options of the format; the page on formats lists them.
 
     Returns
     -------
@@ -239,7 +243,7 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
     Raises
     ------
     InputError
-        If the thing cannot be written in that format or an option is unknown.
+        If `thing` cannot be written in that format, or the format does not have an option.
     MissingDependencyError
         If the format needs an optional package that is not installed.
 
@@ -292,19 +296,21 @@ def copy(
     *,
     clips: Sequence[str | int] | None = None,
 ) -> SaveReport:
-    """Write a glTF or USD file again, in another variant of its format, with all that is in it.
+    """Copy a glTF or USD file with all its contents, also to another suffix of its format.
 
     Parameters
     ----------
-    path, target : path
+    path : path
+        File to copy.
+    target : path
+        File to write.
     clips : names or numbers, optional
-        The clips to keep; all by default.
+        Clips to keep; all by default.
 
     Raises
     ------
     InputError
-        If the two suffixes are not of one format, this one is not glTF or USD, or there is no
-        such clip.
+        If `path` is not glTF or USD, `target` is of another format, or there is no such clip.
     FormatError, MissingDependencyError, FileNotFoundError
         As in :func:`load`.
 
@@ -328,15 +334,16 @@ def copy(
 
 
 def left_out(path: str | os.PathLike[str], **options: Any) -> tuple[str, ...]:
-    """Contents of a file that :func:`load` and :func:`load_skinning` leave out, in words.
+    """Phrases that name what is not read from a file.
 
-    Known for glTF, USD and FBX, empty for other formats.
+    These are the contents that neither :func:`load` nor :func:`load_skinning` reads. Only files of
+    glTF, USD and FBX have any; for other formats the result is empty.
 
     Parameters
     ----------
     path : path
     **options
-        Options of :func:`load`, of which `meshes` matters.
+        Options given to :func:`load`; only `meshes` changes the result.
 
     Examples
     --------

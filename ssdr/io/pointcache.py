@@ -1,9 +1,9 @@
-"""Point caches ``.pc2`` and ``.mdd``: vertices over a mesh that another file holds.
+"""Point caches ``.pc2`` and ``.mdd``: positions of the vertices of a mesh in another file.
 
-PC2 (3ds Max, Blender): ``POINTCACHE2\\0``, then little-endian int32 version,
-int32 points, float32 start, float32 rate (frames a sample), int32 samples, and
-the samples as float32.  MDD (LightWave, Blender): big-endian int32 samples,
-int32 points, the float32 time of every sample, then the samples as float32.
+PC2 (3ds Max, Blender): ``POINTCACHE2\\0``, then little-endian int32 version, int32 number of
+points, float32 start, float32 frames per sample, int32 number of samples, and the points of each
+sample as float32. MDD (LightWave, Blender): big-endian int32 number of samples, int32 number of
+points, the float32 time of each sample, then the points of each sample as float32.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ _MDD = struct.Struct(">ii")
 def read(
     path: Path, *, fps: float | None = None, mesh: Any = None, mmap: bool = False
 ) -> MeshSequence:
-    """Read a cache.
+    """Read a point cache as the motion of a mesh in another file.
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        By default the rate of the times of an MDD cache.  A PC2 cache states none and takes the
-        rate of the mesh, else 24.
+        Frames per second. By default those that the times in an MDD cache imply. A PC2 cache has no
+        times; for it the default is the rate of the mesh, or 24 if that states none.
     mesh : path, MeshSequence, (T, 3) int array or "none", optional
-        What the cache deforms; the mesh of the same stem beside it by default,
-        "none" for a point cloud.
+        Mesh that the cache deforms, or its faces; by default the mesh file of the same stem in the
+        same folder. "none" makes a point cloud.
     mmap : bool
-        Map the file instead of reading it.
+        Map the file into memory instead of reading it.
 
     Raises
     ------
@@ -79,15 +79,15 @@ def read(
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) -> SaveReport:
-    """Write a cache; the times of MDD carry the frames per second.
+    """Write a point cache; an MDD file also holds the time of every frame.
 
     Parameters
     ----------
     sequence : MeshSequence
     path : Path
     unweld : bool
-        Write the vertices of the mesh before it was welded (`vertex_map`), for
-        playing on that mesh.
+        Write the vertices that the mesh had before it was welded (by `vertex_map`), so that the
+        cache fits that mesh.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
 
 
 def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:
-    """Frames per second of the times of an MDD cache."""
+    """Frames per second from the times in an MDD cache; None if there are fewer than two."""
     if len(times) < 2:
         return None
     steps = np.diff(times.astype(np.float64))

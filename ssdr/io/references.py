@@ -1,7 +1,7 @@
 """Lookup of files that another file names, limited to the folder of that file.
 
-A model from elsewhere may name any file of the machine that reads it, whose contents would
-then go into an output.
+Without this limit, a model from elsewhere could name any file of the machine that reads it, and the
+contents of that file would go into an output.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ _log = logging.getLogger(__name__)
 
 
 def is_inside(file: Path, folder: Path) -> bool:
-    """Whether a file lies in a folder or below it, wherever links lead."""
+    """Whether a file lies in a folder or below it, once symbolic links are followed."""
     return file.resolve().is_relative_to(folder.resolve())
 
 
 def locate(path: Path, name: str) -> tuple[Path, str]:
-    """File to which `path` refers by a name, and why it must not be read ("" if it may).
+    """File that `path` refers to as `name`, and the reason not to read it ("" if there is none).
 
-    A pipe or a device is no file, nor is a name that no file can have.
+    A pipe, a device and a name that no file can have count as missing.
     """
     file = path.parent / name
     try:
@@ -33,14 +33,14 @@ def locate(path: Path, name: str) -> tuple[Path, str]:
 
 
 def find_inside(path: Path, what: str, spellings: Iterable[str]) -> Path | None:
-    """First file of several names that lies in the folder of `path` or below it.
+    """First existing file of several names in the folder of `path` or below it, or None.
 
-    Logs a warning if there is none, or only one outside.
+    If there is none, or only one outside that folder, a warning is logged.
 
     Parameters
     ----------
     path : Path
-        File that names the other.
+        File that refers to the other.
     what : str
         Kind of the other file, for the warning.
     spellings : iterable of str

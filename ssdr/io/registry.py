@@ -48,16 +48,16 @@ class SaveReport:
         Largest number of influences of a vertex in the file; None where the
         file holds no skin weights.
     error : float or None
-        sqrt(Σ |d|² / (F V)) between what the file holds and what was given, in
-        the mesh's units; None where the file is exact.
+        Root mean square sqrt(Σ |d|² / (F V)) of the distances |d| between the vertices in the file
+        and those given, in the mesh's units; None if the file is exact.
     max_error : float or None
-        Largest distance of a vertex, likewise.
+        Largest of these distances; None if the file is exact.
     between_frames : float or None
-        As `error`, midway between frames: an engine's interpolation of the
-        bones against the mean of the two frames.  None where no engine
-        interpolates.
+        Root mean square distance halfway between frames, between the vertices that interpolated
+        bones move and the mean of the given vertices in the two frames. None if the file has no
+        bones that an engine interpolates.
     note : str
-        A sentence on what else the user should know.
+        Further information for the user; may be empty.
     lost : tuple of str
         Contents of the template file that the new file does not have.
 
@@ -82,11 +82,13 @@ class SaveReport:
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """Functions of a file format: each field is named after one and holds its module, or None.
+    """A file format, and the modules that hold its functions.
 
-    A format with `list_clips` may have several clips in a file, and its `read` takes the option
-    `clip`. A format with `copy` passes through: its `write_skinning` takes the option `template`,
-    and its `template_problem` returns why a file cannot be one.
+    `extra` is the extra of ssdr that the format needs. Each field after it is named after a
+    function, and holds the name of the module with that function, or None. If a format has
+    `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If it has
+    `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
+    `template`, and `template_problem` returns the reason why a file cannot be a template.
     """
 
     title: str
@@ -102,7 +104,7 @@ class Format:
 
 
 def _format(title: str, extra: str | None = None, **modules: str) -> Format:
-    """Format from the names of its functions by module; ``__`` stands for a dot in a module."""
+    """Format from keywords ``module="function ..."``, where ``__`` in a module stands for a dot."""
     places = {
         function: module.replace("__", ".")
         for module, functions in modules.items()
@@ -154,7 +156,7 @@ def format_of(path: Path) -> tuple[str, Format]:
     Raises
     ------
     FormatError
-        If the suffix is not in the table.
+        If the suffix is not in `FORMATS`.
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
@@ -164,19 +166,19 @@ def format_of(path: Path) -> tuple[str, Format]:
 
 
 def is_many(path: Path) -> bool:
-    """Whether a path stands for a folder of numbered files or a pattern of their names."""
+    """Whether a path is a folder of numbered files or a pattern of their names."""
     if path.suffix.lower() == ".zarr":
         return False
     return path.is_dir() or (not path.exists() and any(c in path.name for c in "%*?["))
 
 
 def format_to_read(path: Path) -> Format:
-    """Format of a file, or of a folder or pattern of numbered files, that is to be read.
+    """Format by which a file, or a folder or pattern of numbered files, is read.
 
     Raises
     ------
     FormatError
-        If the suffix is not in the table.
+        If the suffix is not in `FORMATS`.
     """
     stated = FORMATS.get(path.suffix.lower(), _NUMBERED)
     if is_many(path) and (stated is _GLTF or stated.read == _NUMBERED.read):
@@ -185,18 +187,18 @@ def format_to_read(path: Path) -> Format:
 
 
 def function_of(format_: Format, name: str) -> Callable[..., Any]:
-    """One of a format's functions, such as ``"read"``; its module is imported here."""
+    """Function of a format by its name, such as ``"read"``; its module is imported now."""
     module = importlib.import_module(f".{getattr(format_, name)}", __package__)
     return getattr(module, name)  # type: ignore[no-any-return]
 
 
 def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
-    """Call a format's function after checking the options, which a command line may have given.
+    """Call a format's function by its name, after checking the names and types of the options.
 
     Raises
     ------
     InputError
-        If the function has no such option or its value is of another kind.
+        If the function does not have an option, or the option's value has another type.
     """
     target = function_of(format_, function)
     parameters = inspect.signature(target).parameters
@@ -213,7 +215,10 @@ def call(format_: Format, function: str, *args: Any, **options: Any) -> Any:
 
 
 def _check_option(name: str, value: Any, annotation: str) -> None:
-    """Refuse a value that is not of the annotated type: any text would count as true."""
+    """Raise an InputError if a value is not of the annotated type.
+
+    Without this check, any text would count as true for an option that is true or false.
+    """
     kind, _, rest = annotation.partition(" | ")
     if rest not in ("", "None") or (value is None and rest):
         return
@@ -227,7 +232,10 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
 
 
 def pick_clip(names: Sequence[str], clip: Any, path: Path, argument: str = "clip") -> int:
-    """Index of the clip that a name or number chooses, by :func:`~ssdr.clips.pick`."""
+    """Index of the clip that a name or number chooses, by :func:`~ssdr.clips.pick`.
+
+    If there are several clips, the log names the chosen one.
+    """
     index = pick(names, clip, argument)
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, names[index], list(names))
@@ -235,7 +243,7 @@ def pick_clip(names: Sequence[str], clip: Any, path: Path, argument: str = "clip
 
 
 def bake(skinning: Skinning) -> MeshSequence:
-    """Vertices of a skinning over its frames.
+    """Sequence of a skinning's vertices in every frame.
 
     Raises
     ------
@@ -264,9 +272,10 @@ def bake(skinning: Skinning) -> MeshSequence:
 def written_vertices(
     thing: MeshSequence | Skinning, unweld: bool
 ) -> tuple[NDArray[np.integer], str]:
-    """Indices of the vertices that are written, and a note on them for the user.
+    """Indices of the vertices to write, and a note on them for the user.
 
-    They are all of `thing` or, with `unweld`, those of the mesh before it was welded.
+    Without `unweld`, they are all vertices of `thing`. With it, they are the vertex of `thing` for
+    each vertex that the mesh had before it was welded.
 
     Raises
     ------
@@ -284,10 +293,11 @@ def written_vertices(
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn every error of a parser inside the block into a FormatError that names the file.
+    """Turn errors of a parser inside the block into a FormatError that names the file.
 
-    An InputError inside the block is about the contents of the file and becomes one, too; arguments
-    of the caller are checked outside.
+    An InputError inside the block becomes a FormatError, too, because it is about the contents of
+    the file; check arguments of the caller outside the block. Errors of a missing file, permission
+    or package stay as they are.
     """
     try:
         refuse_device(path)
@@ -307,36 +317,36 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def check(valid: Any, problem: str) -> None:
-    """Raise a FormatError that states the problem, unless what a file holds is valid."""
+    """Raise a FormatError with the text `problem` unless `valid` is true."""
     if not valid:
         raise FormatError(problem)
 
 
 def refuse_device(path: Path) -> None:
-    """Refuse a device, a pipe or a socket, which may never end, before it is opened.
+    """Raise a FormatError for a device, a pipe or a socket, because reading it may never end.
 
     Raises
     ------
     FormatError
-        If `path` is neither a file nor a folder, nor missing.
+        If `path` exists and is neither a file nor a folder.
     """
     usual = path.is_file() or path.is_dir() or not path.exists()
     check(usual, f"{path}: a device, a pipe or a socket, not a file")
 
 
 def read_file(path: Path) -> bytes:
-    """All bytes of a file that is parsed in memory; to be called inside :func:`reading`."""
+    """All bytes of a file, after a check of its size; to be called inside :func:`reading`."""
     afford(path.stat().st_size, "the whole file", path)
     return path.read_bytes()
 
 
 def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
-    """Times of frames, for formats that hold them as float32.
+    """Times of frames in seconds, after checking that float32 can hold them.
 
     Raises
     ------
     InputError
-        If the rate is so low that float32 does not.
+        If `fps` is so low that a time exceeds the range of float32.
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         times = np.asarray(frames / np.float64(fps), dtype=np.float64)
@@ -346,13 +356,13 @@ def seconds(frames: NDArray[np.integer], fps: float) -> NDArray[np.float64]:
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
-    """Sorting key in which numbers inside names count: ``bone_2`` before ``bone_10``."""
+    """Sorting key that compares numbers in names by value: ``bone_2`` before ``bone_10``."""
     parts = re.split(r"([0-9]+)", name)
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in parts]
 
 
 def require(module: str, extra: str, what: str) -> Any:
-    """Import a package that an extra of ssdr brings; errors as of :func:`import_optional`."""
+    """Import a package that ``ssdr[extra]`` installs, by :func:`import_optional`."""
     return import_optional(module, f"ssdr[{extra}]", what)
 
 
@@ -363,14 +373,14 @@ def import_optional(module: str, requirement: str, what: str) -> Any:
     ----------
     module : str
     requirement : str
-        What brings it, as pip knows it.
+        Argument of ``pip install`` that installs the package.
     what : str
-        What needs it, at the start of the message.
+        What needs the package; the error message begins with it.
 
     Raises
     ------
     MissingDependencyError
-        If it is not installed; the message says how to install it.
+        If the package is not installed; the message says how to install it.
     """
     try:
         return importlib.import_module(module)

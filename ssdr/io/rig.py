@@ -1,9 +1,9 @@
-"""Skeletons as engines play them: joints, keys, stored weights, and the error of storing them.
+"""Skeletons of joints, keys and weights as engines play them, and the error of storing them.
 
-With a hierarchy, its joints and local transforms are stored. A bone without one has no joint of
-its own; it gets one at the centroid of what it moves, so that an engine that interpolates
-translation and rotation between two keys stays near the surface: a rotation about a far origin
-would sweep the bone along a chord.
+If the model has a hierarchy, its joints are stored, with transforms relative to their parents. If
+it has none, each bone gets a joint at the centroid of the vertices that it moves. The reason is
+that engines interpolate translation and rotation apart from each other: between two keys of a
+rotation about a far origin, they would move the vertices along a chord instead of an arc.
 """
 
 from __future__ import annotations
@@ -39,38 +39,40 @@ _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rig:
-    """A skinning as a skeleton of joints, in the precision of its storage.
+    """A skinning as a skeleton of joints, rounded as a file stores it.
 
-    Keys of a joint are relative to its parent; those of a root, and all without a hierarchy, are
-    relative to the world.
+    Rotations, translations and scales of a joint are relative to its parent; those of a root, and
+    of every joint if there is no hierarchy, are relative to the world.
 
     Attributes
     ----------
     rest : (V, 3) float32
     indices : (V, K) int32
     weights : (V, K) float32, uint16 or uint8
-        As stored, in steps of 1/65535 or 1/255 where they are integers; descending, no bone twice.
+        As stored; integers count steps of 1/65535 (uint16) or 1/255 (uint8). Each row descends and
+        has no bone twice.
     centers : (B, 3) float32
         Joints in the rest pose.
     rotations : (F, B, 4) float32
-        Unit quaternions xyzw whose sign never flips from a frame to the next.
+        Unit quaternions xyzw, whose signs do not flip between consecutive frames.
     translations : (F, B, 3) float32
         Position of each joint.
     scales : (F, B) float32 or None
-        None: all are 1.
+        None if every scale is 1.
     parents : (B,) int32 or None
         -1 at roots; None without a hierarchy.
     offsets : (B, 3) float32
-        Position of each joint in the rest pose, relative to its parent; the only position of a
-        joint that does not translate.
+        Position of each joint in the rest pose, relative to its parent. A joint that does not
+        translate has this position in every frame.
     translating : (B,) bool
-        Which joints store their `translations`.
+        True for the joints whose `translations` are stored.
     keys : (F, B) bool
-        Frames that are stored.
+        True where the transform of a joint in a frame is stored.
     names : tuple of str
     clips : tuple of Clip
     axes : (B, 3, 3) float64 or None
-        With a hierarchy: orientations of the joints in the rest pose; None: those of the world.
+        Orientations of the joints in the rest pose, used only with a hierarchy. None if all joints
+        are aligned with the world.
     """
 
     rest: NDArray[np.float32]
@@ -97,10 +99,10 @@ class Rig:
         return len(self.centers)
 
     def matrices(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Transforms ``(n, B, 3, 4)`` from the stored keys at `times` (in frames).
+        """Transforms ``(n, B, 3, 4)`` of the bones at n `times` (in frames), from the stored keys.
 
-        Between keys, translation and scale are interpolated linearly and rotation along the
-        shortest arc, relative to the parent where there is one, as glTF and UsdSkel prescribe.
+        Between keys, the translation and scale relative to the parent are interpolated linearly,
+        and the rotation along the shortest arc, as glTF and UsdSkel prescribe.
         """
         count = self.n_frames
         frame = np.arange(count)[:, None]
@@ -129,17 +131,19 @@ class Rig:
         return np.concatenate([rotation, shift[..., None]], axis=-1)
 
     def error(self, model: Skinning, *, between: bool = False) -> tuple[float | None, float | None]:
-        """Root mean square and largest distance of vertices between this rig and `model`.
+        """Root mean square and largest distance between the vertices of this rig and of `model`.
 
-        What is stored is skinned again in float64. Both are None where there is nothing to compare.
+        The stored arrays are skinned in float64. Both numbers are None if there are no frames to
+        compare.
 
         Parameters
         ----------
         model : Skinning
         between : bool
-            Midway between frames, against the mean of the two frames of the model: what an engine
-            shows there. The path of a turning vertex is curved and the mean lies on its chord, so
-            a part of this number is the motion itself; it falls with the square of the frame time.
+            Compare halfway between consecutive frames, where engines interpolate, with the mean of
+            the model's vertices in the two frames. A turning vertex moves on an arc but that mean
+            lies on the chord, so a part of the distance is no error of the rig; this part falls
+            with the square of the frame time.
         """
         rest, weights = self.rest.astype(np.float64), weight_values(self.weights)
         error = StorageError()
@@ -153,7 +157,7 @@ class Rig:
         return error.rmse, error.largest
 
     def report(self, model: Skinning, **fields: Any) -> SaveReport:
-        """A report with the errors and influences of what is stored, and further `fields`."""
+        """Report on saving `model` as this rig: errors, influences and further `fields`."""
         rmse, largest = self.error(model)
         return SaveReport(
             influences=self.indices.shape[1],
@@ -171,23 +175,23 @@ def build_rig(
     most: int | None = None,
     storage: WeightStorage = "float32",
 ) -> Rig:
-    """Rig of a skinning: the joints of its hierarchy, else joints at the centroids of the bones.
+    """Rig whose joints are those of the skinning's hierarchy or, without one, bone centroids.
 
     Parameters
     ----------
     skinning : Skinning
     influences : int, optional
-        How many of the largest weights of a vertex to keep.
+        Number of weights to keep for each vertex, namely the largest; all by default.
     most : int, optional
-        How many the format can hold.
+        Largest number of weights for each vertex that the format can hold.
     storage : {"float32", "uint16", "uint8"}
-        How weights are stored.
+        Type in which weights are stored.
 
     Raises
     ------
     InputError
-        If there are more influences than `most`, a bone is not a scaled rotation, or numbers are
-        too large for float32.
+        If a vertex has more than `most` weights, the transform of a bone is not a scaled rotation,
+        or coordinates are too large for float32.
     """
     if influences is not None:
         skinning = skinning.prune(influences)
@@ -214,8 +218,8 @@ def build_rig(
         moving = translating(
             transforms, parents, skinning.joint_positions, rest_diagonal(skinning.rest)
         )
-        # In float32, a bind matrix and a node differ in their last bits; the mean of all frames
-        # takes neither.
+        # After rounding to float32, a file's bind matrices and nodes differ in their last bits;
+        # the mean over all frames prefers neither.
         steady = np.where(moving[:, None], rest_offsets(parents, at), local[..., 3].mean(axis=0))
         offsets = steady.astype(np.float32)
         local[..., 3] = np.where(moving[:, None], local[..., 3], offsets)
@@ -248,7 +252,7 @@ def _sorted_weights(skinning: Skinning) -> tuple[NDArray[np.int32], NDArray[np.f
 
 
 def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scales (F, B) of scaled rotations (F, B, 3, 3)."""
+    """Scale factors (F, B) of the matrices (F, B, 3, 3), which must be scaled rotations."""
     scales = np.cbrt(np.linalg.det(linear))
     rotations = linear / np.where(scales > 0, scales, 1.0)[..., None, None]
     off = np.abs(np.swapaxes(rotations, -1, -2) @ rotations - np.eye(3)).max(axis=(-1, -2))
@@ -265,7 +269,11 @@ def _scales_of(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
-    """Keys (F, B): every frame, or the keyframes and the ends of several clips."""
+    """Mask (F, B) of the stored keys: the model's keyframes, or every frame if it has none.
+
+    If a model with keyframes has several clips, the first and last frame of each clip are stored,
+    too.
+    """
     if skinning.keyframes is None:
         return np.ones(skinning.transforms.shape[:2], dtype=bool)
     keys: NDArray[np.bool_] = skinning.keyframes.copy()
@@ -281,7 +289,7 @@ def _stored_frames(skinning: Skinning) -> NDArray[np.bool_]:
 def interpolate_quaternions(
     a: NDArray[Any], b: NDArray[Any], u: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """:func:`slerp` of quaternions ``(..., 4)`` that need not have unit length."""
+    """Interpolate quaternions ``(..., 4)`` by :func:`slerp`, after scaling them to unit length."""
     p, q = (x / np.linalg.norm(x, axis=-1, keepdims=True) for x in (a.astype(float), b))
     return slerp(p, q, u)
 
@@ -289,12 +297,12 @@ def interpolate_quaternions(
 def quantise(
     indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
 ) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Weights as a file stores them, in steps that sum to exactly 1.
+    """Weights as a file stores them, rounded so that those of a vertex sum to exactly 1.
 
     Returns
     -------
     indices : (V, K) int32
-        0 where the stored weight is 0, as glTF asks.
+        As given, but 0 where the stored weight is 0, as glTF requires.
     stored : (V, K) float32, uint16 or uint8
 
     Raises
@@ -310,7 +318,7 @@ def quantise(
         steps = np.iinfo(storage).max
         scaled = weights * steps
         whole = np.floor(scaled)
-        # Largest remainders: the rounding whose rows keep their sum with the least error.
+        # The largest remainders are rounded up: rows keep their sum with the least error.
         order = np.argsort(-np.where(weights > 0, scaled - whole, -1.0), axis=1, kind="stable")
         rank = np.argsort(order, axis=1, kind="stable")
         whole += rank < np.rint(steps - whole.sum(axis=1))[:, None]
@@ -319,16 +327,16 @@ def quantise(
 
 
 def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
-    """Weights as float64, from stored ones."""
+    """Weights in float64 from stored weights; integers are divided by the maximum of their type."""
     steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
     return np.asarray(stored / np.float64(steps))
 
 
 def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:
-    """Frames per second that key times in seconds imply; None if they imply none.
+    """Frames per second at which all key times (in seconds) fall on frames; None if none is found.
 
-    The rate on whose frames all keys lie: that of the closest two keys, else the lowest usual
-    rate. Sparse keys say little, so rates below 10 do not count.
+    First the rate is tried at which the closest two keys are one frame apart, then the usual rates
+    from the lowest. Rates below 10 are not taken, because sparse keys alone would suggest them.
     """
     stamps = np.unique(np.concatenate([np.zeros(0), *times]))
     if len(stamps) < 2:

@@ -1,4 +1,4 @@
-"""Meshes of a scene, joined into one sequence or skinning, for glTF, USD and FBX."""
+"""Joining of a scene's meshes into one sequence or skinning, for glTF, USD and FBX."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ Shape = NDArray[np.float64] | Callable[[int], NDArray[np.float64]]
 
 
 class SceneBudget:
-    """Total memory that a scene file may ask for: 1000 times its size, at least 1 GiB.
+    """Limit of the memory that a scene file may ask for: 1000 times its size, from 1 to 16 GiB.
 
-    A scene states counts, frames and copies of meshes that need no data of their own, so a small
-    file can ask for any amount of memory.
+    The limit is needed because a small file can ask for any amount of memory: it can state counts,
+    frames and copies of meshes without holding data for each.
 
     Parameters
     ----------
     path : Path
     n_bytes : int
-        Size of the file and of what it refers to.
+        Size of the file and of the files that it refers to.
     max_bytes : int, optional
-        The caller's limit instead.
+        Limit set by the caller, used in place of that by size.
     """
 
     def __init__(self, path: Path, n_bytes: int, max_bytes: int | None = None) -> None:
@@ -48,38 +48,41 @@ class SceneBudget:
         self.grow(n_bytes)
 
     def grow(self, n_bytes: int) -> None:
-        """Raise the limit for another file of that size."""
+        """Raise the limit for another file of `n_bytes`, unless the caller has set it."""
         if self._fixed is None:
             self.most = min(MOST_BYTES, max(self.most, 1000 * n_bytes))
 
     def spend(self, n_bytes: float, what: str) -> None:
-        """Count memory that reading on takes, and refuse more than the limit.
+        """Add `n_bytes` to the memory asked for so far, and check the sum against the limit.
+
+        `what` names what needs these bytes, for the error message.
 
         Raises
         ------
         FormatError
-            If it does; see :func:`~ssdr.io.budget.afford`.
+            If the sum exceeds the limit; see :func:`~ssdr.io.budget.afford`.
         """
         self.spent += n_bytes
         afford(self.spent, what, self.path, self.most)
 
 
 class ScenePart(Protocol):
-    """Vertices of a scene that one skeleton moves, and the triangles over them.
+    """Vertices of a scene that one skeleton moves, and their triangles.
 
-    Its methods take the `time` of a :class:`Sample`: `shape` returns the vertices (V, 3) before
-    skinning, or a function of the frame where they change; `transforms` those of the bones from
-    the rest pose, (F, B, 3, 4); `bones` the skeleton with such transforms.
+    `shape(time)` returns the vertices (V, 3) before skinning or, if these change over time, a
+    function from a frame's number to them. `transforms(time)` returns the transforms (F, B, 3, 4)
+    of the bones from the rest pose. `bones(transforms)` returns the skeleton with such transforms.
+    `time` is that of a :class:`Sample`.
 
     Attributes
     ----------
     skeleton : hashable
-        Parts with the same one share its bones.
+        Identity of the skeleton: parts with equal ones share its bones.
     indices : (V, K) int array
-        Bones of the skeleton.
+        Bones of the skeleton that move each vertex.
     weights : (V, K) float array
     faces : (T, 3) int array
-        Over the part's own vertices.
+        Indices into the part's own vertices.
     """
 
     skeleton: Any
@@ -97,7 +100,7 @@ Part = TypeVar("Part", bound=ScenePart)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sample(Generic[Part]):
-    """What a scene shows in one clip.
+    """One clip of a scene, with the parts to show in it.
 
     Attributes
     ----------
@@ -105,7 +108,7 @@ class Sample(Generic[Part]):
     parts : sequence of ScenePart
         The same parts in every clip of a file.
     time : object
-        The frames of the clip, in the terms of the file format.
+        Frames of the clip, in the form that the parts of this file format take.
     """
 
     clip: Clip
@@ -115,7 +118,7 @@ class Sample(Generic[Part]):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bones:
-    """The bones of a skeleton: names, parents (B,), joints (B, 3), transforms (F, B, 3, 4)."""
+    """Skeleton of B bones: names, parents (B,), joints (B, 3) and transforms (F, B, 3, 4)."""
 
     names: Sequence[str]
     parents: NDArray[np.integer]
@@ -125,14 +128,16 @@ class Bones:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Looks:
-    """The surface of each part of a scene.
+    """UVs, normals and materials of the parts of a scene.
 
     Attributes
     ----------
     uv, normals : list
-        For each part an array (T, 3, 2) and (T, 3, 3), or None.
+        For each part, the UVs (T, 3, 2) and the normals (T, 3, 3) at the corners of its triangles,
+        or None.
     material_index : list of (T,) int arrays
-        -1 for a triangle without a material, which gets a default one.
+        For each part, the index into `materials` of each triangle; -1 stands for a default
+        material.
     materials : list of Material
     """
 
@@ -145,12 +150,15 @@ class Looks:
 def file_weights(
     indices: NDArray[np.integer], weights: NDArray[np.floating], n_joints: int, what: object
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices and weights (V, K) of a file; weights sum to 1, indices of zero weights are 0.
+    """Indices and weights (V, K) of a file, with weights scaled to sum 1 and unused indices 0.
+
+    `what` names the mesh in messages.
 
     Raises
     ------
     FormatError
-        If a weight is negative or not finite, a vertex has none, or a joint is not there.
+        If a weight is negative or not finite, a vertex has no weight above 0, or an index is not
+        below `n_joints`.
     """
     usable = np.isfinite(weights).all() and (weights >= 0).all()
     check(usable, f"{what}: skin weights that are negative or not finite")
@@ -166,12 +174,12 @@ def file_weights(
 
 
 def part_starts(parts: Sequence[ScenePart]) -> NDArray[np.int64]:
-    """Index of each part's first vertex in the joined arrays, and the number of all vertices."""
+    """Index of each part's first vertex in the joined vertices; the last entry is their number."""
     return np.cumsum([0, *(len(part.indices) for part in parts)])
 
 
 def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
-    """Triangles of all parts, whose vertices follow each other."""
+    """Triangles (T, 3) of all parts, as indices into their concatenated vertices."""
     starts = part_starts(parts)[:-1]
     joined = [part.faces + start for part, start in zip(parts, starts, strict=True)]
     return np.concatenate(joined).astype(np.int32)
@@ -180,10 +188,10 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
 def _join_surface(
     parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], looks: Looks
 ) -> Surface | None:
-    """UVs, normals and materials of all parts; None where there are none.
+    """Surface of all parts joined; None if there are no UVs, normals or materials.
 
-    A part without UVs beside others that have some gets zeros, one without normals those of its
-    rest pose.
+    If only some parts have UVs, the others get zeros. If only some have normals, the others get the
+    normals of their rest pose.
     """
     index, materials = np.concatenate(looks.material_index), looks.materials
     some_uv = any(uv is not None for uv in looks.uv)
@@ -208,7 +216,7 @@ def _join_surface(
 
 
 def join_sequence(sample: Sample[Any], looks: Looks, name: str) -> MeshSequence:
-    """A sequence of the skinned vertices of all parts."""
+    """Sequence called `name` of the skinned vertices of all parts in the frames of one clip."""
     clip, parts = sample.clip, sample.parts
     starts = part_starts(parts)
     frames = np.empty((clip.n_frames, starts[-1], 3), dtype=np.float32)
@@ -229,7 +237,7 @@ def join_sequence(sample: Sample[Any], looks: Looks, name: str) -> MeshSequence:
 
 
 def join_skinning(samples: Sequence[Sample[Any]], looks: Looks, name: str) -> Skinning:
-    """A skinning of all parts together, with a clip for each sample.
+    """Skinning called `name` of all parts, with one clip for each sample.
 
     Raises
     ------
@@ -284,7 +292,11 @@ def make_skinning(
     bones: Bones,
     **fields: Any,
 ) -> Skinning:
-    """A skinning of the narrowest bone model; it has a hierarchy if some bone has a parent."""
+    """Skinning with the narrowest bone model that holds the transforms.
+
+    It has a hierarchy if some bone has a parent. `fields` are further arguments of
+    :class:`Skinning`.
+    """
     tree = bool((bones.parents >= 0).any())
     return Skinning(
         rest,
@@ -300,7 +312,7 @@ def make_skinning(
 
 
 def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
-    """The narrowest bone model that holds the transforms to float32 accuracy."""
+    """Narrowest of rigid, similarity and affine that holds the transforms to about 1e-4."""
     linear = transforms[..., :3]
     gram = np.swapaxes(linear, -1, -2) @ linear
     size = np.trace(gram, axis1=-2, axis2=-1) / 3
@@ -313,12 +325,14 @@ def _bone_model_of(transforms: NDArray[np.float64]) -> BoneModel:
 def match_template(
     parts: Sequence[ScenePart], model: Skinning, path: Path
 ) -> list[NDArray[np.integer]]:
-    """For each part of a template, indices of the model's vertices at its vertices.
+    """For each part of a template file, the index of the model's vertex at each of its vertices.
+
+    `path` is the template file, for messages.
 
     Raises
     ------
     InputError
-        If the model has another number of vertices, or other triangles.
+        If the template has another number of vertices than the model, or other triangles.
     """
     starts = part_starts(parts)
     count = int(starts[-1])
@@ -333,12 +347,14 @@ def match_template(
 
 
 def check_kept(lost: Sequence[str], strict: bool) -> None:
-    """Refuse, if `strict`, to lose contents of a template.
+    """Raise an InputError if contents of a template would be lost and `strict` forbids it.
+
+    `lost` names these contents.
 
     Raises
     ------
     InputError
-        If something is lost.
+        If `strict` is true and `lost` is not empty.
     """
     if lost and strict:
         raise InputError("template", "a file all of which can be kept", "; ".join(lost))

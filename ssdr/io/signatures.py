@@ -1,4 +1,4 @@
-"""Types of files and pictures, by their first bytes."""
+"""Recognition of files and pictures by their first bytes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FORMATS = {
 
 
 def describe(head: bytes) -> str:
-    """Format that the first bytes of a file look like, for error messages."""
+    """Phrase for error messages that says which format the first bytes of a file look like."""
     if not head:
         return "the file is empty"
     for magic, name in _FORMATS.items():
@@ -32,5 +32,5 @@ def describe(head: bytes) -> str:
 
 
 def picture_type(data: bytes) -> str | None:
-    """MIME type of PNG and JPEG data; None for others."""
+    """MIME type of PNG or JPEG data; None for any other data."""
     return next((kind for magic, kind in _PICTURES.items() if data.startswith(magic)), None)

@@ -1,4 +1,4 @@
-"""Error of a format's storage, summed over blocks of frames."""
+"""Error that a file format adds by rounding positions, summed over blocks of frames."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ _BLOCK_BYTES = 64 << 20  # bytes of float64 positions in a block: more only take
 
 
 def frame_blocks(start: int, stop: int, n_vertices: int) -> Iterator[slice]:
-    """Consecutive ranges of frames whose float64 positions take little memory."""
+    """Split `start` to `stop` into slices of at most 64 MiB of float64 positions, or one frame."""
     step = max(1, _BLOCK_BYTES // (24 * n_vertices))
     for first in range(start, stop, step):
         yield slice(first, min(first + step, stop))
 
 
 class StorageError:
-    """Distances between vertices as stored and as given."""
+    """Root mean square and largest distance between stored and given vertices."""
 
     def __init__(self) -> None:
         self._squares, self._count, self._largest = 0.0, 0, 0.0
 
     def add(self, stored: NDArray[np.floating], given: NDArray[np.floating]) -> None:
-        """Count a block of frames ``(F, V, 3)``."""
+        """Add the distances between two blocks of frames ``(F, V, 3)``, `stored` and `given`."""
         squares = ((np.asarray(stored, dtype=np.float64) - given) ** 2).sum(axis=2)
         self._squares += float(squares.sum())
         self._count += squares.size
         self._largest = max(self._largest, float(squares.max()))
 
     def round(self, block: NDArray[np.floating], first: int) -> NDArray[np.float32]:
-        """Round a block that begins with frame `first` to float32, and count its error.
+        """Return `block` in float32, and add the error of this rounding.
+
+        `first` is the number of the block's first frame, for the error message.
 
         Raises
         ------
@@ -51,10 +53,10 @@ class StorageError:
 
     @property
     def rmse(self) -> float | None:
-        """Root mean square distance; None if nothing was counted."""
+        """Root mean square of all distances added; None if there are none."""
         return math.sqrt(self._squares / self._count) if self._count else None
 
     @property
     def largest(self) -> float | None:
-        """Largest distance of a vertex; None if nothing was counted."""
+        """Largest of all distances added; None if there are none."""
         return math.sqrt(self._largest) if self._count else None

@@ -1,4 +1,4 @@
-"""Skin weights as CSV (``vertex,bone,weight``), for other programs and for eyes."""
+"""Skin weights as a CSV table with the columns ``vertex,bone,weight``."""
 
 from __future__ import annotations
 
@@ -34,9 +34,10 @@ class SkinWeights:
     Attributes
     ----------
     indices : (V, K) int32
-        Bones of each vertex, largest weight first; padded with bone 0, weight 0.
+        Bones of each vertex, from the largest weight to the smallest; unused entries are bone 0
+        with weight 0.
     weights : (V, K) float64
-        Non-negative, summing to 1 over K.
+        Non-negative; those of a vertex sum to 1.
     bone_names : tuple of B str
 
     Examples
@@ -58,15 +59,14 @@ class SkinWeights:
 def write_skinning(skinning: Skinning, path: Path, *, unweld: bool = False) -> SaveReport:
     """Write one row ``vertex,bone,weight`` for every weight above 0, without loss.
 
-    A bone that moves nothing gets a row of vertex 0 and weight 0, so that it is
-    not lost.
+    A bone that moves no vertex gets a row with vertex 0 and weight 0, so that its name is kept.
 
     Parameters
     ----------
     skinning : Skinning
     path : Path
     unweld : bool
-        Write the vertices of the mesh before it was welded.
+        Write the weights of the vertices that the mesh had before it was welded.
     """
     written, note = written_vertices(skinning, unweld)
     indices, weights = skinning.indices[written], skinning.weights[written]
@@ -92,17 +92,17 @@ def read_weights(
     bones: Sequence[str] | None = None,
     n_vertices: int | None = None,
 ) -> SkinWeights:
-    """Read skin weights from ``.csv``.
+    """Read skin weights from a ``.csv`` file.
 
     Parameters
     ----------
     path : path
     bones : sequence of str, optional
-        Names of the bones in the order that the indices shall have; by default
-        the natural order of the names (``bone_2`` before ``bone_10``).
+        Names of the bones, in the order in which the result numbers them; by default the natural
+        order of the names (``bone_2`` before ``bone_10``).
     n_vertices : int, optional
-        How many vertices there must be; a file that lost its last lines shows
-        it in nothing else.
+        Number of vertices that the table must have. Without it, a table that has lost its last
+        lines is not noticed.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def read_weights(
         If the table is damaged, a vertex is missing, a bone is unknown, or
         weights are negative or do not sum to 1 within 1e-4.
     InputError
-        If the suffix is another.
+        If the suffix is not ``.csv``, or `bones` has the same name twice.
 
     Examples
     --------
@@ -161,7 +161,7 @@ def _pack(
     weight: NDArray[np.float64],
     names: tuple[str, ...],
 ) -> SkinWeights:
-    """Rows of the table as arrays (V, K), descending."""
+    """Skin weights from the columns of a table, in which `bone` holds indices into `names`."""
     usable = np.isfinite(weight).all() and (weight >= 0).all()
     check(usable, "a weight is negative or not finite")
     used = weight > 0
@@ -183,7 +183,10 @@ def _pack(
 def weight_rows(
     vertex: NDArray[np.integer], bone: NDArray[np.integer], weight: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Indices and weights (V, K), largest first, from a list of entries; each vertex has one."""
+    """Indices and weights (V, K), largest weight first, from (vertex, bone, weight) entries.
+
+    Every vertex has at least one entry.
+    """
     order = np.lexsort((bone, -weight, vertex))
     count = np.bincount(vertex)
     row, place = vertex[order], np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)

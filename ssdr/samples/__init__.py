@@ -1,4 +1,4 @@
-"""Animations that ship with the package; where they come from is in ``ORIGIN.md`` beside them."""
+"""Animations that ship with the package; ``ORIGIN.md`` in this folder tells their origin."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def path(name: str = "dancer") -> _Path:
 
 
 def load(name: str = "dancer") -> MeshSequence:
-    """Load a sample, ``ssdr.load(ssdr.samples.path(name))``.
+    """Load a sample by its name, as ``ssdr.load(ssdr.samples.path(name))`` does.
 
     Raises
     ------

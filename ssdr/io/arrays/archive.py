@@ -1,7 +1,7 @@
 """Zip archives of ``.npy`` arrays, checked before they are inflated.
 
-Type and shape in a member's ``.npy`` header must agree with its size in the
-archive, and that with the memory that a file may ask for.  Nothing is unpickled.
+The type and shape in a member's ``.npy`` header must agree with its size in the archive, and the
+sizes must stay below the limit of memory. Nothing is unpickled.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ def read_arrays(
     ----------
     path : Path
     required, optional : names
-        Optional names may be patterns (``texture_*``).
+        Names of the arrays to read; optional ones may be patterns (``texture_*``).
     mapped : names
-        To be memory-mapped rather than read.
+        Names of the arrays to map into memory instead of reading them.
     max_bytes : int, optional
-        Largest size of all arrays read; `MOST_BYTES` by default, and then an array that
-        inflates like a zip bomb is refused as well.
+        Largest total size of the arrays that are read. By default it is `MOST_BYTES`, and arrays
+        that inflate like a zip bomb are refused as well.
 
     Raises
     ------
@@ -82,10 +82,10 @@ def read_arrays(
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], *, compress: bool = True) -> int:
-    """Write an archive at once; the same arrays give the same bytes.
+    """Write an archive and return its size in bytes; the same arrays give the same bytes.
 
-    Arrays may be lazy (a memory map, zarr): they are copied by chunks of the
-    first axis.  Returns the size in bytes.
+    Arrays are copied in chunks along the first axis, so that lazy ones (memory maps, zarr arrays)
+    take little memory.
     """
     with atomic_path(path) as temporary:
         method = zipfile.ZIP_DEFLATED if compress else zipfile.ZIP_STORED
@@ -116,7 +116,7 @@ def read_array(path: Path, *, mmap: bool = False) -> NDArray[Any]:
 
 
 def write_array(stream: IO[bytes], array: Any) -> None:
-    """Write a ``.npy`` header and the array's rows, by chunks of the first axis."""
+    """Write a ``.npy`` header and the rows of an array, in chunks along its first axis."""
     dtype = np.dtype(array.dtype)
     header = {
         "descr": _npy.dtype_to_descr(dtype),
@@ -140,7 +140,7 @@ def names_in(path: Path) -> set[str]:
 
 
 def shape_of(path: Path, key: str) -> tuple[int, ...]:
-    """Shape of an array of an archive, from its header alone."""
+    """Shape of the array `key` of an archive, read from its header alone."""
     with _open(path) as (_, archive, members):
         return _header_of(archive, members[key])[1]
 
@@ -151,7 +151,7 @@ _Header = tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]
 
 @contextlib.contextmanager
 def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
-    """Open an archive: its file, the archive, and its members by the name of their array."""
+    """Open an archive, and yield its file, the archive, and its members by name of array."""
     with reading(path), path.open("rb") as stream:
         head = stream.read(64)
         check(head.startswith(b"PK\x03\x04"), f"not an .npz archive: {describe(head)}")
@@ -167,12 +167,12 @@ def _open(path: Path) -> Iterator[tuple[IO[bytes], zipfile.ZipFile, _Members]]:
 
 
 def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
-    """Type, shape and order that a ``.npy`` stream states; the stream is left at its data.
+    """Type, shape and memory order in a ``.npy`` header; the stream then stands at the data.
 
     Raises
     ------
     FormatError
-        If it is not one, or holds objects (a pickle) or records.
+        If the stream has no valid ``.npy`` header, or holds objects (a pickle) or records.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # NumPy warns about headers by Python 2
@@ -209,7 +209,7 @@ def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
     with archive.open(info) as member:
         array = _npy.read_array(member, allow_pickle=False, max_header_size=_MOST_HEADER)
         member.read(1)  # the checksum is compared at the end of the member
-    return np.ascontiguousarray(array).reshape(array.shape)  # which makes a scalar a vector
+    return np.ascontiguousarray(array).reshape(array.shape)  # it makes a scalar a vector
 
 
 def _map(path: Path, stream: IO[bytes], info: zipfile.ZipInfo, header: _Header) -> NDArray[Any]:

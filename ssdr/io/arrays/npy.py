@@ -16,19 +16,19 @@ from .archive import read_array, write_array
 def read(
     path: Path, *, fps: float | None = None, faces: Any = None, mmap: bool = False
 ) -> MeshSequence:
-    """Read an array of shape (F, V, 3).
+    """Read vertices from an array of shape (F, V, 3).
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        24 by default: the file says nothing.
+        Frames per second; by default those of the mesh in `faces`, or 24 if it states none.
     faces : (T, 3) int array, path, MeshSequence or "none", optional
-        A path is of a mesh, an ``.npz`` or a ``.npy`` of faces.  By default
-        ``<stem>.faces.npy``, then ``<stem>.obj``, ``.ply``, ``.off`` or
-        ``.npz`` beside the file; "none" is a point cloud.
+        Faces, a mesh, or the path of a mesh file or of a ``.npy`` file of faces. By default the
+        first existing of ``<stem>.faces.npy``, ``<stem>.obj``, ``.ply``, ``.off`` and ``.npz`` in
+        the same folder. "none" makes a point cloud.
     mmap : bool
-        Map the file instead of reading it.
+        Map the file into memory instead of reading it.
     """
     array = read_array(path, mmap=mmap)
     if array.ndim != 3 or array.shape[2] != 3:

@@ -1,8 +1,8 @@
 """NumPy archives (``.npz``), the package's own format.
 
-A sequence is ``vertices, faces, fps``; a skinning ``rest, indices, weights,
-transforms, faces, fps, format_version``, with ``parents, joint_positions`` where it has a
-hierarchy.
+A sequence is stored as arrays ``vertices, faces, fps``. A skinning is stored as ``rest, indices,
+weights, transforms, faces, fps, format_version`` and, if it has a hierarchy, ``parents,
+joint_positions``.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def read(
     mmap: bool = False,
     max_bytes: int | None = None,
 ) -> MeshSequence:
-    """Read ``vertices, faces, fps``, or bake a skinning.
+    """Read a sequence, or the vertices of a skinning in every frame.
 
     Parameters
     ----------
@@ -54,17 +54,17 @@ def read(
     clip : str or int, optional
         Clip of a skinning that has several; the first by default.
     fps : float, optional
-        Instead of the file's own.
+        Frames per second, in place of those in the file.
     mmap : bool
         Map the vertices of an uncompressed archive instead of reading them.
     max_bytes : int, optional
-        Largest size of the arrays in memory; 16 GiB by default, and then
-        arrays that inflate more than 100-fold beyond 256 MiB are refused too.
+        Largest total size of the arrays in memory. By default it is 16 GiB, and arrays above 256
+        MiB that inflate more than 100-fold are refused, too.
 
     Raises
     ------
     FormatError
-        If the archive is damaged, hostile, or lacks a key.
+        If the archive is damaged or hostile, or lacks an array.
     InputError
         If `mmap` is true and the archive is compressed.
     """
@@ -103,7 +103,7 @@ def read(
 def list_clips(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> tuple[Clip, ...]:
-    """Clips of a skinning; a sequence is one clip."""
+    """Clips of the skinning in a file; a sequence counts as one clip."""
     if _is_skinning(path):
         skinning = read_skinning(path, fps=fps, max_bytes=max_bytes)
         return _named(skinning.clips, skinning.name, path)
@@ -125,14 +125,14 @@ def _named(clips: tuple[Clip, ...], name: str, path: Path) -> tuple[Clip, ...]:
 
 
 def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``vertices, faces, fps`` and, where given, name, surface and map, without loss.
+    """Write a sequence without loss, with its name, clip, surface and vertex map if it has them.
 
     Parameters
     ----------
     sequence : MeshSequence
     path : Path
     compress : bool
-        Deflate; an uncompressed archive can be memory-mapped.
+        Compress by deflate; only an uncompressed archive can be memory-mapped.
     """
     return _write(sequence, path, {"vertices": sequence.vertices}, compress)
 
@@ -140,7 +140,7 @@ def write_sequence(sequence: MeshSequence, path: Path, *, compress: bool = True)
 def read_skinning(
     path: Path, *, fps: float | None = None, max_bytes: int | None = None
 ) -> Skinning:
-    """Read a file of :func:`write_skinning`; `fps` replaces the rate of every clip."""
+    """Read a file of :func:`write_skinning`; `fps`, if given, becomes the rate of every clip."""
     from ...skinning import Skinning
 
     arrays = read_arrays(
@@ -179,7 +179,7 @@ def read_skinning(
 
 
 def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> SaveReport:
-    """Write ``rest, indices, weights, transforms, faces, fps`` and more, without loss."""
+    """Write a skinning without loss, with all its fields."""
     arrays: dict[str, Any] = {
         "rest": skinning.rest,
         "indices": skinning.indices,
@@ -199,7 +199,7 @@ def write_skinning(skinning: Skinning, path: Path, *, compress: bool = True) -> 
 
 
 def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> SaveReport:
-    """Write arrays and the fields that a sequence and a skinning have in common."""
+    """Write `arrays`, and the fields of `thing` that sequences and skinnings have in common."""
     arrays |= {"faces": thing.faces, "fps": np.float64(thing.fps)}
     for key in ("name", "clip"):
         if getattr(thing, key, ""):
@@ -261,7 +261,7 @@ def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:
 
 
 def surface_from(arrays: Mapping[str, NDArray[Any]]) -> Surface | None:
-    """The surface that the arrays of an archive state; None without one."""
+    """Surface that the arrays of an archive describe; None if they describe none."""
     fields: dict[str, Any] = {}
     for field, kind in _FIELDS.items():
         array = arrays.get(f"surface_{field}")

@@ -1,4 +1,4 @@
-"""Chunked arrays in a folder (``.zarr``), read lazily by chunks of frames."""
+"""Arrays in the chunks of a folder (``.zarr``), whose frames are read when they are needed."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ _METADATA = ("zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata")
 def read(
     path: Path, *, fps: float | None = None, faces: Any = None, max_bytes: int | None = None
 ) -> MeshSequence:
-    """Open an array ``(F, V, 3)``, or a group of ``vertices`` and ``faces``.
+    """Open a store that holds an array ``(F, V, 3)``, or a group of ``vertices`` and ``faces``.
 
     Parameters
     ----------
     path : Path
     fps : float, optional
-        The attribute ``fps``, else 24, by default.
+        Frames per second. By default the store's attribute ``fps``, or those of the mesh in
+        `faces`, or 24.
     faces
-        As for ``.npy``; a group's own by default.
+        As for ``.npy``; by default the ``faces`` of the group, if it has them.
     max_bytes : int, optional
-        Largest size of a chunk in memory; 16 GiB by default, and then chunks that inflate more
-        than 100-fold beyond 256 MiB are refused too.
+        Largest size of a chunk in memory. By default it is 16 GiB, and arrays above 256 MiB that
+        inflate more than 100-fold are refused, too.
 
     Raises
     ------
@@ -69,9 +70,9 @@ def read(
 
 
 def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
-    """Refuse an array whose chunks are missing or take more memory than allowed.
+    """Raise a FormatError if chunks of an array are missing or take more memory than allowed.
 
-    A missing chunk reads as zeros: a damaged store would give wrong positions, and a store
+    zarr reads a missing chunk as zeros, so a damaged store would give wrong positions, and a store
     without data could state any number of frames.
     """
     codecs = [type(codec).__name__.removesuffix("Codec") for codec in array.compressors]
@@ -98,12 +99,12 @@ def _check_chunks(array: Any, folder: Path, max_bytes: int | None) -> None:
 
 
 def _number(data: Any, start: int, width: int) -> int:
-    """Little-endian integer."""
+    """Little-endian integer in the `width` bytes of `data` from `start` on."""
     return int.from_bytes(data[start : start + width].tobytes(), "little")
 
 
 def _zstd_size(data: Any) -> int:
-    """Size that zstd frames (RFC 8878) decode to, by their headers."""
+    """Size to which zstd data (RFC 8878) inflate, from the headers of its frames and blocks."""
     size = at = 0
     while at < len(data):
         flags = _number(data, at + 4, 1)
@@ -115,7 +116,7 @@ def _zstd_size(data: Any) -> int:
         size += _number(data, at, width) + 256 * (width == 2)
         at += width
         block = 0
-        while not block & 1:  # the last block
+        while not block & 1:  # a block whose lowest bit is set is the last
             check(at < len(data), "a chunk is truncated")
             block = _number(data, at, 3)
             at += 3 + (1 if block >> 1 & 3 == 1 else block >> 3)
@@ -124,7 +125,7 @@ def _zstd_size(data: Any) -> int:
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
-    """Write a group of ``vertices`` in chunks of whole frames, ``faces`` and ``fps``; no loss."""
+    """Write ``vertices`` in chunks of whole frames, ``faces`` and ``fps``, without loss."""
     zarr = require("zarr", "zarr", str(path))
     if not path.parent.is_dir():
         raise InputError("path", "a folder in a folder that exists", str(path))

@@ -23,12 +23,12 @@ _PRINTF = re.compile(r"%0?([0-9]{0,2})d")
 
 
 def read(path: Path, *, fps: float | None = None) -> MeshSequence:
-    """Read one mesh, a folder of them or a pattern.
+    """Read a mesh file, or a folder or pattern of numbered files with one frame each.
 
-    Files come in the natural order of their names (2 before 10).  Polygons are
-    cut into fans of triangles.  STL has no shared vertices: corners that
-    coincide in every frame become one vertex and `vertex_map` (3T,) keeps which.
-    A glTF file is one frame.  UVs, normals and materials are those of the first file.
+    Frames follow the natural order of the files' names (2 before 10). Polygons are cut into fans of
+    triangles. Because triangles in STL share no vertices, corners that coincide in every frame
+    become one vertex, and `vertex_map` (3T,) holds the vertex of each corner. A glTF file must hold
+    one frame. UVs, normals and materials are those of the first file.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
         A file, a folder, a glob (``frame_*.ply``) or a printf pattern
         (``frame_%04d.obj``, ``mesh_*.glb``).
     fps : float, optional
-        24 by default: such files say nothing.
+        Frames per second; 24 by default, because such files state no rate.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
         If a file is damaged, or differs from the first in its number of
         vertices or in its faces.
     FileNotFoundError
-        If nothing matches.
+        If no file matches `path`.
     """
     files = _files(path)
     parse = _PARSERS[files[0].suffix.lower()]
@@ -76,15 +76,15 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     ----------
     sequence : MeshSequence
     path : Path
-        A pattern such as ``folder/frame_%04d.obj``, whose folder is made where
-        it is missing; a plain name for a sequence of one frame.
+        A pattern such as ``folder/frame_%04d.obj``; the folder is made if it is missing. A sequence
+        of one frame may have a plain name.
     start : int
         Number of the first file.
 
     Raises
     ------
     InputError
-        If a sequence of several frames gets a plain name.
+        If a sequence of several frames has a plain name, or `start` is negative.
     """
     several = check_pattern(path, sequence.n_frames)
     if start < 0:
@@ -110,12 +110,12 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
 
 
 def check_pattern(path: Path, n_frames: int) -> bool:
-    """Whether a name holds a number, as ``frame_%04d.obj`` does; several frames need one.
+    """Whether a file name has a place for the frame's number, as ``frame_%04d.obj`` has.
 
     Raises
     ------
     InputError
-        If there is none, or more than one.
+        If there is more than one place, or none for several frames.
     """
     names = _PRINTF.findall(path.name)
     if len(names) > 1 or (not names and n_frames > 1):
@@ -147,7 +147,10 @@ def _files(path: Path) -> list[Path]:
 
 
 def _report_gaps(path: Path, files: list[Path]) -> None:
-    """Warn of frames that are missing and of names that differ in more than a number."""
+    """Log a warning if frames are missing, or names differ in more than a number.
+
+    Two files with the same number are an error.
+    """
     if len(files) < 2:
         return
     parts = [re.fullmatch(r"(.*?)([0-9]+)([^0-9]*)", f.stem) for f in files]

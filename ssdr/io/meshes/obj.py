@@ -1,7 +1,7 @@
-"""Wavefront OBJ with the vertex order of the file, and its MTL materials.
+"""Wavefront OBJ files, read in their order of vertices, and their MTL materials.
 
-trimesh splits vertices at seams of texture coordinates; here they stay whole
-and the coordinates go to the corners.
+trimesh is not used here because it splits vertices at seams of texture coordinates. Here vertices
+stay whole, and the coordinates are stored at the corners of triangles.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
     ----------
     path : Path
     like : Mesh, optional
-        A file of the same sequence: where the text of the faces is the same,
-        they are not parsed again, and the surface is not read.
+        Another file of the same sequence. If given, no surface is read, and its faces are taken if
+        the text of the faces is the same.
     """
     with reading(path):
         data = read_file(path)
@@ -45,7 +45,7 @@ def parse_obj(path: Path, like: Mesh | None = None) -> Mesh:
         check(rows, f"no vertices: {describe(data[:64])}")
         vertices = vertex_rows(rows)
         topology = b"\n".join(line for line in lines if line.startswith(b"f "))
-        # Negative indices count from where they stand, so that equal text may differ in meaning.
+        # Negative indices count back from their line, so equal text may name other vertices.
         if like is not None and topology == like.topology and b"-" not in topology:
             return Mesh(vertices=vertices, faces=like.faces, topology=topology)
         faces, surface = _faces(path, lines, with_surface=like is None)
@@ -100,7 +100,7 @@ def _faces(
 
 
 def _corner(word: bytes, tables: dict[bytes, list[list[bytes]]]) -> list[int]:
-    """Indices of vertex, texture coordinate and normal from 0 on, -1 where there is none."""
+    """Indices (from 0) of the vertex, UV and normal of a corner; -1 for what is missing."""
     corner = []
     parts = [*word.split(b"/"), b"", b""]
     for part, table in zip(parts, tables.values(), strict=False):
@@ -177,7 +177,7 @@ def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
 
 
 class ObjWriter:
-    """Writer of the frames of one mesh; the text that all frames share is made once."""
+    """Writer of one file per frame of a mesh, which makes the text common to all files once."""
 
     def __init__(
         self, faces: NDArray[np.int32], surface: Surface | None, folder: Path, stem: str
@@ -215,7 +215,7 @@ class ObjWriter:
         self._f = "".join(f"{line}\n" for line in lines).encode()
 
     def write(self, path: Path, vertices: NDArray[Any], *, first: bool) -> None:
-        """Write one frame, with the given normals in the first and computed ones in others."""
+        """Write one frame; normals are those of the surface if `first`, else computed anew."""
         parts = [self._head, _rows("v", vertices), self._vt]
         normals = self._surface.normals
         if normals is not None:

@@ -1,7 +1,7 @@
-"""OFF, and STL by trimesh from files that are seen to be whole.
+"""OFF and STL files, with checks that a file is complete.
 
-trimesh reads no polygons of five and more corners from OFF, and leaves out rows
-that are cut off without an error.
+STL is read by trimesh. OFF is not, because trimesh reads no polygons of five or more corners from
+it, and drops rows that are cut off without an error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .polygons import Mesh, fan, vertex_rows
 
 
 def parse_off(path: Path, _like: Mesh | None = None) -> Mesh:
-    """Read one OFF file; colours and normals of vertices are not kept."""
+    """Read one OFF file, without the colours and normals of its vertices."""
     with reading(path):
         data = read_file(path)
         rows = [line.split(b"#", 1)[0].split() for line in data.splitlines()]
@@ -45,7 +45,7 @@ def parse_stl(path: Path, _like: Mesh | None = None) -> Mesh:
     from trimesh.exchange.stl import load_stl
 
     with reading(path), warnings.catch_warnings():
-        warnings.simplefilter("error")  # as which numbers that are cut off are reported
+        warnings.simplefilter("error")  # trimesh only warns of numbers that are cut off
         data = read_file(path)
         loaded = load_stl(io.BytesIO(data))
         solids = loaded.get("geometry", {"": loaded}).values()

@@ -1,7 +1,7 @@
-"""PLY, ASCII and binary of both byte orders, polygons of any size.
+"""PLY files: ASCII, and binary in both byte orders, with polygons of any size.
 
-trimesh refuses binary files with polygons of different sizes (Blender writes
-such), reorders polygons, and reads on where a number or a row is cut off.
+trimesh is not used here because it refuses binary files with polygons of different sizes (as
+Blender writes), reorders polygons, and does not notice that a number or a row is cut off.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..registry import check, read_file, reading
 from ..signatures import describe
 from .polygons import Mesh, fan
 
-_KINDS = {  # as struct and NumPy call them
+_KINDS = {  # type codes of struct and NumPy
     **dict.fromkeys(("char", "int8"), "b"),
     **dict.fromkeys(("uchar", "uint8"), "B"),
     **dict.fromkeys(("short", "int16"), "h"),
@@ -36,14 +36,14 @@ _MOST_HEADER = 1 << 16  # bytes searched for end_header, so that no large file i
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 
-# Name, type of the numbers and, of a list, type of its length.
+# Name, type of the numbers, and type of a list's length (None if the property is no list).
 _Property = tuple[str, str, str | None]
-_Elements = dict[str, tuple[int, list[_Property]]]  # how many, and what each has
-_Columns = dict[str, tuple[NDArray[np.int64], NDArray[Any]]]  # numbers in each row, all numbers
+_Elements = dict[str, tuple[int, list[_Property]]]  # number of rows, and properties
+_Columns = dict[str, tuple[NDArray[np.int64], NDArray[Any]]]  # counts by row, all numbers
 
 
 def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
-    """Read one PLY file; normals and texture coordinates of vertices go to the corners."""
+    """Read one PLY file; normals and UVs of its vertices are copied to the triangle corners."""
     with reading(path):
         data = read_file(path)
         elements, ascii_, start = _header(data)
@@ -70,7 +70,7 @@ def parse_ply(path: Path, _like: Mesh | None = None) -> Mesh:
 
 
 def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> int:
-    """Write one binary little-endian PLY file, float or double as given; returns its size."""
+    """Write a binary PLY file in the float type of `vertices`, and return its size in bytes."""
     kind, name = ("<f8", "double") if vertices.dtype == np.float64 else ("<f4", "float")
     header = "\n".join(
         [
@@ -90,7 +90,7 @@ def write_ply(path: Path, vertices: NDArray[Any], faces: NDArray[np.int32]) -> i
 
 
 def _header(data: bytes) -> tuple[_Elements, bool, int]:
-    """Elements of a file, whether its body is ASCII, and the byte where the body begins."""
+    """Elements of a file, whether its body is ASCII, and the offset of the body in bytes."""
     check(data.startswith((b"ply\n", b"ply\r")), f"not a PLY file: {describe(data[:64])}")
     end = data.find(b"end_header", 0, _MOST_HEADER)
     newline = data.find(b"\n", end, end + 16)
@@ -125,7 +125,7 @@ def _header(data: bytes) -> tuple[_Elements, bool, int]:
 def _even(
     length: int, properties: list[_Property], body: memoryview
 ) -> tuple[_Columns, int] | None:
-    """Columns and size of an element whose rows have the layout of the first; None otherwise."""
+    """Columns and size in bytes of an element, all of whose rows have equal layout; else None."""
     fields: list[Any] = []
     at = 0
     for name, kind, count in properties:
@@ -147,7 +147,7 @@ def _even(
 
 
 def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
-    """Columns and size of an element whose rows differ in the lengths of their lists."""
+    """Columns and size in bytes of an element whose rows hold lists of different lengths."""
     sizes = [np.dtype(kind).itemsize for _, kind, _ in properties]
     lengths = [None if count is None else struct.Struct(count) for _, _, count in properties]
     counts: list[int] = []
@@ -170,7 +170,7 @@ def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple
         count = np.array(counts[k :: len(sizes)], dtype=np.int64)
         n_bytes = count * sizes[k]
         gaps = np.array(starts[k :: len(sizes)], dtype=np.int64) - np.cumsum(n_bytes) + n_bytes
-        offsets = np.repeat(gaps, n_bytes)  # from a byte's place in the column to that in the file
+        offsets = np.repeat(gaps, n_bytes)  # place of a byte in the file minus that in the column
         data = np.frombuffer(body, np.uint8)[offsets + np.arange(len(offsets))]
         columns[name] = count, data.view(kind)
     return columns, at

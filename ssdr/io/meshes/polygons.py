@@ -1,4 +1,4 @@
-"""Mesh of one file, and triangles of its polygons."""
+"""Mesh read from one file, and the cutting of polygons into triangles."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ class Mesh:
     faces : (T, 3) int
     surface : Surface or None
     topology : bytes
-        Text that the faces were parsed from, if they were: another file with
-        the same text has the same faces.
+        Text from which the faces were parsed, for comparison with other files; may be empty.
     """
 
     vertices: NDArray[Any]
@@ -33,19 +32,19 @@ class Mesh:
 
 
 def fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Cut polygons into triangles that share their first corner, in order.
+    """Cut polygons into triangles that share the first corner of their polygon.
 
     Parameters
     ----------
     counts : (N,) int
-        Corners of each polygon.
+        Number of corners of each polygon.
 
     Returns
     -------
     corners : (T, 3) int
-        Positions in the concatenated corners of all polygons.
+        Corners of each triangle, as positions in the concatenated corners of all polygons.
     polygon : (T,) int
-        The polygon that each triangle comes from.
+        Index of the polygon that each triangle comes from.
 
     Raises
     ------
@@ -64,7 +63,7 @@ def fan(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 
 def vertex_rows(rows: list[list[bytes]]) -> NDArray[np.float64]:
-    """Coordinates ``(V, 3)`` from split lines; what follows the third number is dropped."""
+    """Coordinates ``(V, 3)`` from the words of each line; words after the third are ignored."""
     if any(len(row) < 3 for row in rows):
         short = next(k for k, row in enumerate(rows) if len(row) < 3)
         raise FormatError(f"vertex {short} has {len(rows[short])} coordinates")
