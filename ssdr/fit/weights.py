@@ -30,10 +30,10 @@ def fit_weights(
 ) -> Fit:
     """Fit convex weights of at most K bones to every vertex of a model.
 
-    For each vertex it minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0 with Σ w = 1, where v^t is
-    the vertex in frame t of the sequence, p̃ its rest position in homogeneous coordinates, and M_j^t
-    the transform of bone j.  An active-set method solves for all bones, then for the K bones of
-    largest weight; then bones are exchanged as long as this lowers the error.
+    For each vertex it minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0 with Σ w = 1, where v^t
+    is the vertex in frame t of the sequence, p̃ its rest position in homogeneous coordinates, and
+    M_j^t the transform of bone j.  An active-set method solves for all bones, then for the K bones
+    of largest weight; then bones are exchanged while this lowers the error.
 
     Parameters
     ----------

@@ -219,7 +219,7 @@ class Tracks:
         return out
 
     def _standing(self) -> tuple[NDArray[np.intp], Array]:
-        """Attributes `still` and `still_cost` of the class."""
+        """Find for each bone the frame whose transform fits all frames best, and its error."""
         weighted = self._moment * self._size[..., None, None]
         local = self.local - self.local.mean(axis=0)  # avoids rounding errors far from the origin
         cross = np.einsum("tjab,tjbc->jac", local, weighted)

@@ -160,7 +160,7 @@ class Ladder:
         given: Given | None = None,
         until: float | None = None,
     ) -> None:
-        """Run a schedule; keep its best model unless one with as many bones has no more error.
+        """Run a schedule, and keep its best model if no other with as many bones is as good.
 
         Parameters
         ----------
@@ -223,7 +223,7 @@ class Ladder:
         )
 
     def _level(self, model: Model) -> None:
-        """Lower the largest error: each round scales importance by the errors (Lawson 1961)."""
+        """Lower the largest error: each round scales importance by vertex errors (Lawson 1961)."""
         importance = self.frames.data.importance
         first = () if self.stages.rigid_joints else (Alternate(steps=2),)
         for _ in range(_LEVEL_ROUNDS):

@@ -29,7 +29,7 @@ def rank_bound(data: Trajectories, allowed: float) -> int:
 
 
 def rank_of(data: Trajectories, allowed: float) -> int:
-    """Least rank of a matrix that differs from the trajectories by at most the allowed squares.
+    """Least rank with which a matrix approximates the trajectories to the allowed squared error.
 
     It is 0 if there are too many singular values to compute.
     """

@@ -259,5 +259,5 @@ def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
 
 
 def time_bytes(frames: int) -> int:
-    """Bytes of a key's frame number, for a number of frames."""
+    """Bytes of a key's frame number in an animation of `frames` frames."""
     return 2 if frames <= 1 << 16 else 4

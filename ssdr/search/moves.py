@@ -1,6 +1,7 @@
 """Changes of a model that lead out of a poor minimum: bones and influences added, moved, removed.
 
-A change returns a changed copy of the model; the caller keeps it if its objective is lower.
+A change returns a changed copy of the model; the caller keeps it if its objective is lower.  The
+cheapest bones are those whose removal raises the objective least.
 """
 
 from __future__ import annotations
@@ -89,7 +90,8 @@ def move_cheapest_bone(
 ) -> Model | None:
     """Move one of the cheapest bones to the patch with most error; None if no bone can move.
 
-    The moved bone is fitted by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.
+    The cheapest bones are those whose removal raises the objective least.  The moved bone is fitted
+    by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.
     """
     if not float(data.importance @ model.error) > 0:
         return None
@@ -129,9 +131,9 @@ def exchange_bones(
 ) -> Model:
     """Add one or two bones, polish, then remove as many of the cheapest bones.
 
-    The cheapest bones are chosen only after the polish, when the new bones have taken over vertices
-    from the old ones.  Until then each vertex has one more influence, so that it can follow both an
-    old and a new bone.
+    The cheapest bones, whose removal raises the objective least, are chosen only after the polish,
+    when the new bones have taken over vertices from the old ones.  Until then each vertex has one
+    more influence, so that it can follow both an old and a new bone.
     """
     k, _, steps = _draw_influences(model, rng)
     count = int(rng.integers(1, _MOST_EXCHANGED + 1))
@@ -171,9 +173,9 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
 def exchange_influences(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Polish with one or two more influences per vertex, then drop those that cost least.
+    """Polish with one or two more influences per vertex, then drop as many.
 
-    An influence costs the rise of the error that its removal causes.  Since the model changes
+    Each vertex drops the influences whose removal raises its error least.  Since the model changes
     little, its objective is usually lower afterwards.
     """
     k, extra, steps = _draw_influences(model, rng)
@@ -197,11 +199,10 @@ def polish_then_drop_influence(
 
 
 def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
-    """Remove one influence of every vertex that has K: the one that costs least (in place).
+    """Remove from each vertex with K influences the one that it needs least (in place).
 
-    The cost is the rise of the vertex's error.  Each removal is tried, with the other weights and
-    the rest position solved again, because the removal of the smallest weight often costs more than
-    that of another.
+    Each removal is tried, with the other weights and the rest position solved again, and that of
+    least error is made.  It is often not the removal of the smallest weight.
     """
     k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
     full = (model.weights > 0).all(axis=1) & ~keep
@@ -241,7 +242,7 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
 
 
 def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, int]:
-    """Number of influences of a model, and drawn numbers of further ones and of polish steps."""
+    """Return the number of influences; draw how many to add and how many polish steps to make."""
     k, n_bones = model.n_influences, model.n_bones
     extra = min(int(rng.integers(1, _MOST_WIDER + 1)), max(0, n_bones - k))
     return k, extra, int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
@@ -264,9 +265,9 @@ def _with_fewer_influences(
 def alternate_some(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Alternate one to five times; an alternation keeps the K largest weights of each vertex.
+    """Alternate one to five times, keeping the K largest weights of each vertex.
 
-    The K largest weights are kept even if that raises the error.
+    The other weights are dropped even if that raises the error.
     """
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):

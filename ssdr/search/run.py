@@ -70,7 +70,7 @@ Schedule = tuple[Stage, ...]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Lowest(Stage):
-    """Run several schedules, each from its own start; continue from the lowest objective.
+    """Run several schedules, each from its own start; continue from the model of least objective.
 
     Attributes
     ----------
@@ -277,7 +277,7 @@ class Run:
 
     @property
     def idle_bones(self) -> int:
-        """Number of bones of the best model without which, one at a time, it would be as good.
+        """Number of bones that the best model could lose, one at a time, without more error.
 
         In a tree only bones without children count.
         """
@@ -309,7 +309,7 @@ class Run:
         return lower
 
     def compress(self) -> None:
-        """Continue with compressed trajectories, which have few columns in place of all frames."""
+        """Continue with trajectories that are compressed to as few columns as the bones need."""
         self.whole = self.data = self.whole.compressed(self.bones)
 
     def take_sample(self, count: int) -> None:

@@ -77,8 +77,8 @@ class AllVertices(Stage):
 class ReturnToBest(Stage):
     """Continue from the best model so far.
 
-    While a sample of vertices is used, the present model is kept if its error on the sample is not
-    larger than the best model's.
+    While a sample of vertices is used, this is done only if the best model has less error on the
+    sample than the present model.
     """
 
     phase: ClassVar[str] = "return to best"

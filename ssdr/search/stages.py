@@ -173,7 +173,9 @@ class Polish(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Merge(Stage):
-    """Remove the excess bones, in each step the cheapest third of them, then alternate.
+    """Remove excess bones, in each step the cheapest third of the excess, and alternate.
+
+    The cheapest bones are those whose removal raises the objective least.
 
     Attributes
     ----------
@@ -196,6 +198,8 @@ class Merge(Stage):
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MoveBones(Stage):
     """Move one of the cheapest bones to where the error is largest; keep the better model.
+
+    The cheapest bones are those whose removal raises the objective least.
 
     Attributes
     ----------

@@ -103,11 +103,11 @@ class QuickStart(StartFromMotion):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartFromModel(Stage):
-    """Start from a whole model that the caller gave, unless its transforms are of other frames.
+    """Start from a whole model that the caller gave.
 
-    They count as such if bones have less error when each is fitted to the vertices that it moves
-    most.  Then the bones are fitted anew to the weights, and a later stage attaches them to their
-    joints again.
+    Its transforms are taken to be of other frames if the bones have less error when each is fitted
+    to the vertices that it moves most.  In that case the bones are fitted anew to the weights, and
+    a later stage attaches them to their joints again.
     """
 
     phase: ClassVar[str] = "start"
