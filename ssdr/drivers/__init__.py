@@ -1,1 +1,1 @@
-"""One checked problem, solved in memory or streamed: problem, schedule, drivers."""
+"""Solution of a checked problem, in memory or streamed: the problem, schedules, drivers."""

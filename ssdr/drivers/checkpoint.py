@@ -1,4 +1,4 @@
-"""The best model so far, written to an ordinary file while it is being looked for."""
+"""Checkpoint: a file with the best model so far, written while the run goes on."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ..skinning import Skinning
 
 __all__ = ["Checkpoint"]
 
-_SECONDS = 60.0  # between two writes; a killed process loses at most as much
+_SECONDS = 60.0  # between two writes, and so the most that a killed process loses
 
 
 class Checkpoint:
-    """An ``.npz`` that holds the best model so far; it is written whole or not at all.
+    """File ``.npz`` with the best model so far, which is never left half written.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class Checkpoint:
             raise InputError("checkpoint", "a name ending in .npz in a folder that exists", path)
 
     def offer(self, skinning: Callable[[], Skinning], *, now: bool = False) -> None:
-        """Write the model if the last write is a minute ago, or `now`.
+        """Write the model that `skinning` returns, at most once a minute unless `now` is set.
 
-        A full disk or a folder that is gone does not end a run of hours: it warns.
+        If the write fails, as on a full disk, a warning is issued, so that a run of hours goes on.
         """
         if self.path is None or (not now and time.monotonic() - self._last < _SECONDS):
             return

@@ -1,6 +1,6 @@
-"""The numbers of the three efforts, and how they follow the size of a problem.
+"""Numbers of steps, starts and trials of the three efforts, some by the size of the problem.
 
-Sizes are in vertices × frames × bones.
+The size is the number of vertices × frames × bones.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ class Numbers:
     Attributes
     ----------
     polish : int
-        Polish steps at the end where the caller gave bones or weights.
+        Polish steps at the end if the caller gave bones or weights.
     settle : int
         Polish steps after a streamed model has been carried over to more frames.
     smooth : int
         Most alternations under a smoothness penalty.
     trees : int
-        Starts of a tree; the one of lowest objective is continued.
+        Number of trees made from different starts; that of lowest objective is continued.
     limbs : int
-        Starts on a skeleton without weights.
+        Number of starts from the motion on a skeleton without weights.
     weight_trials : int
-        Trials of a search that leaves the tree of a skeleton as it is.
+        Trials of a search for better weights on a skeleton.
     rounds : int
         How many times the weights on a skeleton are relaxed and searched.
     """
@@ -70,7 +70,7 @@ NUMBERS: dict[Effort, Numbers] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Rebuilds:
-    """Numbers of rebuilds, starts and trials of "best", which depend on the problem's size.
+    """Numbers of rebuilds, starts and trials of the effort "best" for problems of one size.
 
     Attributes
     ----------
@@ -79,9 +79,9 @@ class Rebuilds:
     before, after : int
         How often the best model is rebuilt before and after the merged start.
     trees : int
-        Starts of a tree from which free bones begin, too.
+        Number of trees made for free bones, which start from the tree of lowest objective as well.
     tree_searches : int
-        How many times the best of several trees is searched.
+        How many times several trees are made and the best of them is searched.
     """
 
     trials: int
@@ -91,20 +91,21 @@ class Rebuilds:
     tree_searches: int
 
 
-# Chosen on a dozen sequences.  Where a rebuild takes seconds the first model is rebuilt six times
-# before the merged start is set beside it (ea_bone with 5 bones: 3.95 for 4.48 without); larger
-# problems have fewer rebuilds, for the time that they take.
-REBUILDS = (  # each up to a size
+# Chosen on a dozen sequences.  If a rebuild takes only seconds, the first model is rebuilt six
+# times before the merged start (error of ea_bone with 5 bones: 3.95, against 4.48 without).  Larger
+# problems have fewer rebuilds because each takes long.
+REBUILDS = (  # size below which the numbers hold, and the numbers
     (2e6, Rebuilds(trials=10, before=6, after=6, trees=6, tree_searches=6)),
     (1e7, Rebuilds(trials=10, before=0, after=4, trees=1, tree_searches=4)),
     (math.inf, Rebuilds(trials=6, before=0, after=3, trees=1, tree_searches=3)),
 )
 TRIALS_OF_A_REBUILD = 6
-# From so many bones on, alternations alone put many of them in better places, and some starts end
-# where no rebuild helps: so there are several, with few trials each.
+# From this number of bones on there are several starts with few trials each, because alternations
+# alone put many bones in better places, and after some starts no rebuild helps.
 MANY_BONES, STARTS_OF_MANY_BONES, TRIALS_OF_A_START = 24, 3, 4
-# The lowest tree is relaxed and searched six times, two trials of each change a time: against 24
-# to 48 trials at one go, E of cow_elastic with 24 bones is 7.14 for 7.36.
+# The tree of lowest objective is relaxed and searched six times, each time with two trials of each
+# change.  The error E of cow_elastic with 24 bones is then 7.14, against 7.36 after one search with
+# 24 to 48 trials.
 TREE_ROUNDS, TRIALS_OF_A_TREE = 6, 12
-# Seconds of a start: of any, and for each vertex × frame × bone.
+# Seconds of a start: a constant part, and a part for each vertex × frame × bone.
 START_SECONDS, SECONDS_OF_A_NUMBER = 0.02, 1e-6

@@ -1,4 +1,4 @@
-"""Check of what a caller gives to begin from: a start, and a skeleton."""
+"""Checks of the parts of a model that a caller gives to begin from: a start, and a skeleton."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ __all__ = ["check_skeleton", "check_start", "extra_parents", "with_skeleton"]
 
 Skin = tuple[NDArray[np.int32], Array]
 
-# Joint gaps relative to the mesh's size: rounding in double precision, and rounding in single
-# precision or in a file's keys.  Gaps between the two are closed at once.
+# Largest joint gaps, relative to the mesh's size, that are rounding errors: of double precision,
+# and of single precision or a file's keys.  Gaps between these two bounds are closed at once.
 _EXACTLY, _NEARLY = 1e-12, 1e-4
 _TURNED = 1e-6  # change of a rotation's entries from which a locked joint counts as turned
 
@@ -41,7 +41,10 @@ _TURNED = 1e-6  # change of a rotation's entries from which a locked joint count
 def check_start(
     start: Skinning | Start | None, shape: tuple[int, int, int, int], bone_model: BoneModel
 ) -> tuple[Given, Skinning | None]:
-    """The parts to begin from, and the model if a whole one is given; `shape` is (F, V, B, K)."""
+    """Return the parts of a model to begin from, and `start` itself if it is a whole model.
+
+    `shape` is (F, V, B, K).
+    """
     if isinstance(start, Skinning):
         return _from_model(start, shape, bone_model), start
     return Given() if start is None else _from_parts(start, shape, bone_model), None
@@ -112,7 +115,7 @@ def _from_parts(start: Start, shape: tuple[int, int, int, int], bone_model: Bone
 
 
 def check_skeleton(rig: Skeleton) -> None:
-    """Refuse a skeleton without hierarchy, and joints of an unknown kind."""
+    """Raise InputError for a skeleton without a hierarchy, or for an unknown kind of joints."""
     model = rig.skinning
     if not isinstance(model, Skinning) or model.parents is None:
         came = "one without parents" if isinstance(model, Skinning) else type(model).__name__
@@ -127,9 +130,9 @@ def with_skeleton(
     influences: int,
     start: Skinning | None,
 ) -> Given:
-    """The given parts with the tree of a skeleton, its extra bones and its locked joints.
+    """A copy of the given parts with the tree, extra bones and locked joints of a skeleton.
 
-    `start` is the whole model, if one is given.
+    `start` is the whole model that the caller gave to begin from, if any.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     skeleton, extra = rig.skinning, extra_parents(rig, n)
@@ -165,9 +168,10 @@ def with_skeleton(
 
 
 def _same_tree(start: Skinning, given: Given, skeleton: Skinning, rotations: Array | None) -> Tree:
-    """Tree of a model to start from, whose parents must be those of the skeleton.
+    """Tree of the model to start from, whose parents must be those of the skeleton.
 
-    If a locked rotation differs from the model's, the joints are no longer rigid.
+    If a locked rotation differs from the model's, the tree is marked as not rigid, so that the
+    bones are attached to it anew.
     """
     known = skeleton.n_bones
     if given.tree is None or not np.array_equal(given.tree.parents[:known], skeleton.parents):
@@ -186,7 +190,10 @@ def _check_rest(rest: Any, n_vertices: int) -> Array:
 
 
 def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin:
-    """Indices and weights, the largest weights first, no bone twice at a vertex."""
+    """Check indices and weights; return them with the largest weight of each vertex first.
+
+    `size` is (V, B, K).  A bone that occurs twice at a vertex is an error.
+    """
     n, bones, influences = size
     indices, w = check_skin(indices, weights, n, bones, "start.")
     used = int((w > 0).sum(axis=1).max())
@@ -205,14 +212,14 @@ def _sorted_skin(indices: Any, weights: Any, size: tuple[int, int, int]) -> Skin
 
 
 def _largest(skeleton: Skinning, influences: int) -> Skin:
-    """The largest influences of every vertex, largest first."""
+    """Indices and weights of the `influences` largest influences of each vertex, largest first."""
     pruned = skeleton.prune(influences)
     weights = pruned.weights.astype(np.float64)
     return pruned.indices, weights / weights.sum(axis=1, keepdims=True)
 
 
 def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
-    """The parents of the bones that are added to a skeleton; −1: where the error is."""
+    """Parents of the bones added to a skeleton; −1 if a bone goes where the error is largest."""
     named = rig.extra_bones if isinstance(rig.extra_bones, Mapping) else {"": rig.extra_bones}
     parents: list[int] = []
     for name, count in named.items():
@@ -229,7 +236,10 @@ def extra_parents(rig: Skeleton, n_vertices: int) -> tuple[int, ...]:
 
 
 def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | None:
-    """Local rotations (F, B, 3, 3) of the named joints, NaN for the others; None without names."""
+    """Rotations (F, B, 3, 3) of the joints `names` relative to their parents; NaN for others.
+
+    None if there are no names.
+    """
     listed = [names] if isinstance(names, str) or not np.iterable(names) else list(names)
     if isinstance(names, str) or not all(isinstance(name, str) for name in listed):
         raise InputError("rig.locked_joints", "names of joints of the skeleton", repr(names))
@@ -249,7 +259,7 @@ def _locked_rotations(skeleton: Skinning, names: Any, n_frames: int) -> Array | 
 
 
 def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
-    """Index of the joint called `name`; an InputError if none or several have that name."""
+    """Index of the joint called `name`; InputError unless exactly one joint has that name."""
     names = skeleton.names()
     there = [k for k, known in enumerate(names) if known == name]
     if len(there) != 1:
@@ -259,7 +269,7 @@ def _single_joint(skeleton: Skinning, name: Any, argument: str) -> int:
 
 
 def _frame(sequences: list[MeshSequence], index: int) -> Array:
-    """One frame of the shots, counted through all of them."""
+    """Positions (V, 3) of frame `index`, counted over the frames of all shots."""
     for sequence in sequences:
         if index < len(sequence):
             return np.asarray(sequence.vertices[index], dtype=np.float64)

@@ -23,8 +23,8 @@ from .problem import Problem
 
 __all__ = ["Outcome", "Step", "outcome_of", "skinning_of"]
 
-# Largest ratio of the true error to the objective's at which records are scaled to the true error.
-# Beyond it, the error is of vertices that have almost no importance.
+# Largest ratio of the true error to that of the objective at which records are scaled to the true
+# error.  A larger ratio means that the error is of vertices with almost no importance.
 _MOST_RATIO = 10.0
 
 # iteration, seconds, squared error and phase of an accepted model
@@ -39,7 +39,7 @@ class Outcome:
     ----------
     skinning : Skinning
     rmse : float
-        Over all frames, measured by skinning.
+        Error over all frames, measured by skinning the rest pose.
     stop_reason : str
     history : tuple of Record
     warnings : tuple of str
@@ -58,9 +58,9 @@ def skinning_of(
     model: Model,
     sequences: list[MeshSequence] | None = None,
 ) -> Skinning:
-    """A model in the input's space, with what the input carries beside its shape.
+    """Convert a model to a skinning in the input's space, with the faces and names of the input.
 
-    `sequences` are the frames that the model is of; all of them by default.
+    `sequences` are the frames of the model; all frames by default.
     """
     sequences = problem.sequences if sequences is None else sequences
     padded = model.with_influences(problem.influences)
@@ -95,9 +95,11 @@ def outcome_of(
     idle: int,
     executor: Executor | None = None,
 ) -> Outcome:
-    """The model in the input's space with its true error; never above the one it started from.
+    """Outcome of a run: the model in the input's space, its true error, and the history.
 
-    `steps` hold squared errors in the solver's space.
+    If the call started from a model that has less error and could be its result, that model is
+    handed back.  `steps` hold squared errors in the solver's space; `idle` is the number of bones
+    that could each be removed at no loss.
     """
     count = problem.n_frames * problem.n_vertices
 
@@ -125,7 +127,7 @@ def outcome_of(
 
 
 def _is_an_answer(problem: Problem, start: Skinning) -> bool:
-    """Whether the model that a call starts from could be its result, judged by its error."""
+    """Whether the model that a call starts from could be its result if its error is less."""
     plain = problem.vertex_importance is None and problem.frame_importance is None
     rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
     frames = start.n_frames == problem.n_frames
@@ -133,7 +135,7 @@ def _is_an_answer(problem: Problem, start: Skinning) -> bool:
 
 
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
-    """The model that a call starts from, with the names and clips of the model that was found."""
+    """Skinning of the model that a call starts from, with the names and clips of `found`."""
     given, k = problem.given, problem.influences
     assert given.indices is not None
     assert given.weights is not None
@@ -150,7 +152,7 @@ def _start_as_result(problem: Problem, found: Skinning) -> Skinning:
 def _with_tree(
     skinning: Skinning, problem: Problem, model: Model, alignment: Alignment
 ) -> Skinning:
-    """The skinning with parents, joints and names: of a skeleton, else of the tree found."""
+    """A copy of the skinning with parents, joints and names, of the skeleton or else as found."""
     tree, n_bones = problem.given.tree, skinning.n_bones
     if problem.rig == "loose" and tree is not None:
         tree = refit_joints(skinning.transforms, tree)
@@ -172,10 +174,10 @@ def _with_tree(
 
 
 def _history(steps: list[Step], errors: np.ndarray, rmse: float) -> tuple[Record, ...]:
-    """Records whose last error is the true one, measured on the frames.
+    """Records of the steps, scaled so that the last has the true error, measured on all frames.
 
-    The reduced basis and importance change the objective, but not which model is better.  So the
-    other records are scaled with the last one, unless its objective is 0 or far too small.
+    Compression and importance change the objective, but not which model is better.  So all errors
+    are scaled by the same factor, unless the last objective is 0 or far too small.
     """
     last = errors[-1]
     proportional = last > 0 and rmse < _MOST_RATIO * last

@@ -1,4 +1,4 @@
-"""The driver for frames that fit into memory."""
+"""Driver for frames that fit into memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["begin", "solve"]
 
 
 def solve(problem: Problem) -> Outcome:
-    """Solve on all frames, in memory.
+    """Solve a problem on all frames at once.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def solve(problem: Problem) -> Outcome:
     clock = Clock()
     data = problem.trajectories(problem.sequences, problem.frame_importance)
     run = begin(problem, data, problem.given.inside(data), clock)
-    del data  # what a compressed run needs no longer is freed
+    del data  # frees the frames once the run has compressed them
     reason = run.make_steps(
         ProgressReport(problem.callback, clock, problem.time_limit),
         save=lambda: problem.checkpoint.offer(
@@ -44,7 +44,7 @@ def begin(
     clock: Clock,
     schedule: Schedule | None = None,
 ) -> Run:
-    """A run on some frames; the schedule is the effort's by default."""
+    """Begin a run on the frames of `data`, by default with the schedule of the problem's effort."""
     smoothness = WeightSmoothness.build(data, problem.sequences[0].faces, problem.smoothness)
     if schedule is None:
         schedule = schedule_for(

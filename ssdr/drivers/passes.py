@@ -1,8 +1,9 @@
-"""Alternations over all frames, read by spans, of a model that was found on some of them.
+"""Passes over all frames, which finish a model that was found on some of them.
 
-A pass solves the bones of every frame, then weights and rest pose from the sums Y and G that it has
-gathered.  It holds a block of frames, the transforms and two (V, 4B) matrices; its error is that
-of all frames, not an estimate.
+A pass is one alternation.  It reads the frames span by span and solves the bones of each, then
+solves weights and rest pose from two sums over all frames: Y, the products of vertices with
+transforms, and G, those of transforms with each other.  It holds a block of frames, the transforms
+and two (V, 4B) matrices in memory.  Its error is that of all frames, not an estimate.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ from .scan import OnProgress, Scan
 __all__ = ["ENTERING", "GAIN", "AllFrames", "carried"]
 
 _SWEEPS = 6  # Gauss–Seidel sweeps after a leap of the bones
-# Leaps in a pass, and in the first one, where bones start from those of another frame.
+# Leaps in a pass, and in the first pass, whose bones start with transforms of another frame.
 _LEAPS, _FIRST_LEAPS = 2, 4
 _ROUNDS = 3  # Gauss–Newton rounds on a vertex
-ENTERING = 3  # bones that may enter a vertex's support in a pass
-GAIN = 2e-3  # relative decrease of the objective below which no other pass is made
+ENTERING = 3  # number of bones that may enter a vertex's support in a pass
+GAIN = 2e-3  # relative decrease of the objective below which a pass is the last
 
 
 def carried(
     model: Model, nearest: NDArray[np.int64], ratio: float, given: Given, locked: Locked
 ) -> Model:
-    """A copy with transforms for all frames, each from the most similar frame of the model.
+    """A copy of a model for all frames, each with the transforms of the model's most similar frame.
 
     Parameters
     ----------
@@ -45,9 +46,10 @@ def carried(
     nearest : (F,) int
         Position, among the model's frames, of the one most similar to each frame.
     ratio : float
-        Scale of the model's space over that of the new one.
+        Scale of the model's space, divided by the scale of the new space.
     given : Given
-        In the new space: locked bones, or all bones of a model to go on from.
+        Given parts in the new space; its transforms replace those of locked bones, or of all bones
+        if it is a whole model to go on from.
     locked : Locked
     """
     transforms = model.transforms[nearest]
@@ -65,23 +67,23 @@ def carried(
 
 
 class AllFrames:
-    """A model of all frames that was found on some of them; each pass is an alternation.
+    """Model for all frames, carried over from some of them and improved by passes over all.
 
     Parameters
     ----------
     sequences : list of MeshSequence
     scan : Scan
     data : Trajectories
-        The chosen frames.
+        Trajectories of the chosen frames.
     model : Model
-        Their model; it is copied.
+        Model of the chosen frames; it is copied.
     locked : Locked
     given : Given
-        In the solver's space of all frames.
+        Given parts in the solver's space of all frames.
     importance : (F,) array or None
         Importance of the frames.
     executor : Executor, optional
-        Reads the spans of frames; this process by default.
+        What walks over the spans of frames; this process by default.
     """
 
     def __init__(
@@ -106,16 +108,17 @@ class AllFrames:
         self.frame_scale = frame_scale_of(importance, len(scan.nearest))
 
     def pass_over(self, *, entering: int, on_progress: OnProgress | None = None) -> float:
-        """One exact alternation; returns the objective in the solver's space.
+        """Alternate once over all frames; return the objective in the solver's space.
 
-        `on_progress` is called with the fraction of the frames that is done.
+        `entering` is the number of bones that may enter the support of a vertex.  `on_progress` is
+        called with the fraction of the frames that is done.
         """
         model, n_frames = self.model, len(self.frame_scale)
         n, n_bones = len(model.rest), model.n_bones
         y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)
         spans = spans_of(n_frames)
         leaps = _LEAPS if self.passes else _FIRST_LEAPS
-        # the transforms of a span go with it, and a pass reads no support
+        # each span is sent with its own transforms, and a pass does not read the support
         still = dataclasses.replace(
             model,
             transforms=model.transforms[:0],
@@ -168,7 +171,7 @@ def _pass_span(
     locked: Locked,
     leaps: int,
 ) -> tuple[Array, Array, Array, Array]:
-    """Bones of a span, and its part of Y, G and Σ|x|²."""
+    """Solve the bones of a span; return their transforms and the span's part of Y, G and Σ|x|²."""
     n, n_bones = len(model.rest), transforms.shape[1]
     transforms = transforms.copy()
     y, g, x2 = np.zeros((n, 4 * n_bones)), np.zeros((4 * n_bones, 4 * n_bones)), np.zeros(n)

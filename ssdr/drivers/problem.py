@@ -1,4 +1,4 @@
-"""A checked call of ``decompose`` or ``smallest``: what every driver solves."""
+"""Problem that a driver solves: the checked arguments of ``decompose`` or ``smallest``."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from .schedule import RigKind
 
 __all__ = ["Problem", "check_problem"]
 
-# Importance of a frame relative to the largest: with less, the steps of all bones together would
-# not notice what the frame's own bones do.
+# Least importance of a frame, relative to the largest: with less, the steps of all bones together
+# would be blind to the transforms of that frame.
 _LEAST_FRAME = 1e-4
 
 
@@ -51,13 +51,13 @@ class Problem:
     names : tuple of str
         Names of the bones of a given skeleton.
     locked : Locked
-        Parts that stay, and the bone model.
+        Parts that are kept, and the bone model.
     given : Given
-        In the input's space, of all frames.
+        Parts that the caller gave, in the input's space and for all frames.
     start : Skinning or None
         A whole model to go on from.
     smoothness : float
-        In the mesh's units.
+        Length in the mesh's units.
     vertex_importance : (V,) array or None
     frame_importance : (F,) array or None
     rng : numpy.random.Generator
@@ -94,13 +94,13 @@ class Problem:
 
     @property
     def offsets(self) -> NDArray[np.int64]:
-        """(S + 1,) first frame of each shot, and the number of frames."""
+        """First frame of each of the S shots, followed by the number of frames, (S + 1,)."""
         return np.cumsum([0, *[len(s) for s in self.sequences]])
 
     def trajectories(
         self, sequences: Sequence[MeshSequence], frame_importance: Array | None
     ) -> Trajectories:
-        """Frames as the solver sees them: all of them, or those that a driver has chosen."""
+        """Trajectories, in the solver's space, of the frames of `sequences`."""
         return gather(
             sequences,
             bones=self.bones,
@@ -111,7 +111,7 @@ class Problem:
 
     @property
     def placed(self) -> bool:
-        """True if weights or all bones are locked, so that no bone has to find its place."""
+        """Whether weights or all bones are locked, so that no bone has to find its place."""
         every = self.locked.bone_mask(self.bones).all() if self.locked.bones is not None else False
         return self.given.locked_vertices is not None or bool(every)
 
@@ -134,12 +134,12 @@ def check_problem(
     checkpoint: Any = None,
     callback: Any = None,
 ) -> Problem:
-    """Check the arguments of ``decompose``; those left out are not offered by the caller.
+    """Check the arguments of ``decompose``, or of a function that offers some of them.
 
     Raises
     ------
     InputError
-        Before anything has been computed.
+        If an argument is not usable, before anything is computed.
     """
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
@@ -204,7 +204,7 @@ def _is_kind(rig: Any) -> bool:
 
 
 def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
-    """Number of bones: as asked for, or that of the skeleton or model."""
+    """Number of bones: that of the given skeleton or model, or else `bones`."""
     known, what = None, "bones"
     if isinstance(rig, Skeleton):
         check_skeleton(rig)
@@ -223,7 +223,7 @@ def _count_bones(bones: Any, n_vertices: int, rig: Any, start: Any) -> int:
 
 
 def _check_rig(kind: RigKind, given: Given, bone_model: str, smoothness: float) -> None:
-    """Refuse arguments that cannot be combined with bones attached at joints."""
+    """Raise InputError for arguments that cannot be combined with bones attached at joints."""
     if kind == "none":
         return
     beside = "beside a Skeleton" if given.keeps_tree else f"beside rig={kind!r}"

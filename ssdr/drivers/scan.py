@@ -1,7 +1,7 @@
 """The first pass over frames that do not fit into memory: alignment and representative frames.
 
 Frames are compared by a few vertices after alignment and chosen by farthest-point sampling, so that
-rare poses are among the representative ones.
+rare poses are among the representative frames.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ..solver.trajectories import Alignment, Array, centred, rotations_onto, sca
 
 __all__ = ["OnProgress", "Scan", "needs_streaming", "scan", "subset"]
 
-_IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which everything is held at once
-_SUBSET = 128 << 20  # bytes of those of the representative frames
-_FEWEST, _MOST = 120, 1000  # representative frames
-# Bytes of trajectories, and number of frames, on which the model is settled: half of what is held
-# at once, since the polish needs as much again.
+_IN_MEMORY = 1 << 30  # bytes of float64 trajectories up to which all frames are held in memory
+_SUBSET = 128 << 20  # bytes of the trajectories of the representative frames
+_FEWEST, _MOST = 120, 1000  # bounds of the number of representative frames
+# Most bytes of trajectories, and most frames, on which the model is settled: half of the bytes that
+# may be held in memory, since the polish needs as much again.
 _SETTLED, _MOST_SETTLED = 512 << 20, 4000
 _PROBES = 64  # vertices by which frames are compared: enough to tell poses apart
 
@@ -33,7 +33,7 @@ OnProgress = Callable[[float], Any]  # called with the fraction that is done
 
 
 def needs_streaming(sequences: Sequence[MeshSequence]) -> bool:
-    """True if the trajectories are too large to be held at once."""
+    """Whether the trajectories of all frames are too large to be held in memory."""
     frames = sum(len(s) for s in sequences)
     return sequences[0].n_vertices * frames * 24 > _IN_MEMORY and frames > _FEWEST
 
@@ -45,10 +45,10 @@ class Scan:
     Attributes
     ----------
     alignment : Alignment
-        That of all frames.
+        Alignment of all frames.
     chosen : (S,) int64
-        Representative frames, ascending; the first frame is one of them.  After
-        :meth:`extended` others as well.
+        Representative frames, ascending; the first frame is one of them.  A scan returned by
+        :meth:`extended` has other frames as well.
     nearest : (F,) int64
         For each frame, the position in `chosen` of the most similar one.
     """
@@ -58,15 +58,18 @@ class Scan:
     nearest: NDArray[np.int64]
 
     def importance(self, frames: Array | None) -> Array:
-        """(S,) summed importance of the frames that each representative one stands for."""
+        """Importance (S,) of each chosen frame: the sum over the frames that it stands for.
+
+        `frames` is the importance (F,) of all frames; None if each has 1.
+        """
         each = np.ones(len(self.nearest)) if frames is None else frames
         counts = np.bincount(self.nearest, weights=each, minlength=len(self.chosen))
         return counts.astype(np.float64)
 
     def extended(self, n_vertices: int) -> Scan | None:
-        """The representative frames and as many evenly spread ones as can be held.
+        """A copy with further chosen frames, evenly spread, as many as fit into memory.
 
-        None if that would not be many more.
+        None if fewer than twice the frames chosen so far fit.
         """
         n_frames = len(self.nearest)
         count = min(_SETTLED // (24 * n_vertices), _MOST_SETTLED, n_frames)
@@ -88,10 +91,10 @@ def scan(
     executor: Executor | None = None,
     on_progress: OnProgress | None = None,
 ) -> Scan:
-    """Read all frames once: their alignment, their size, and the representative ones.
+    """Read all frames once; return their alignment and the representative frames.
 
-    The frames `keep` are chosen in any case.  `on_progress` is called with the fraction of the
-    frames that is done.
+    `importance` is that of the vertices.  The frames `keep` are chosen in any case.  `on_progress`
+    is called with the fraction of the frames that is done.
     """
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
     weight = None if importance is None else importance / importance.sum()
@@ -153,7 +156,7 @@ def subset(
     *,
     executor: Executor | None = None,
 ) -> MeshSequence:
-    """The named frames, ascending, as one sequence in memory."""
+    """Read the frames with the numbers `frames`, ascending, into one sequence in memory."""
     first = sequences[0]
     spans = spans_of(sum(len(s) for s in sequences))
     bounds = [np.searchsorted(frames, span) for span in spans]

@@ -1,10 +1,10 @@
-"""Which stages in which order: one builder, with the numbers of :mod:`.efforts`.
+"""Schedules: which stages a call runs, in which order; the numbers are in :mod:`.efforts`.
 
-    fast       a first model, soon; excess bones, merged and moved about on a sample; polish
-    balanced   the same; then relax and polish
+    fast       a first model; then more bones, merged and moved on a sample of the vertices; polish
+    balanced   the stages of "fast"; then relax and polish
     best       several starts, each relaxed and searched; then the best model rebuilt repeatedly
 
-A schedule reads from the first line to the last.
+The stages of a schedule run in the order in which they are written.
 """
 
 from __future__ import annotations
@@ -57,15 +57,15 @@ RigKind = Literal["none", "loose", "rigid"]
 
 # --- pieces --------------------------------------------------------------------------------------
 
-# On the frames as they are and without excess bones: a usable model early.
+# A usable model early, without excess bones and before the frames are compressed.
 FIRST_MODEL: Schedule = (QuickStart(), Alternate(steps=20, gain=0.01), Compress())
-# Four polish steps at each number of influences, where "best" takes eight, and an end where eight
-# steps gain less than 1 % of the error.
+# Four polish steps at each number of influences, of which "best" makes eight; the last polish ends
+# when eight steps gain less than 1 % of the error.
 RELAXED: Schedule = (Relax(polish_steps=4, cost=30), Polish(steps=40, gain=0.01))
 RELAXED_TREE: Schedule = (Relax(polish_steps=6, cost=30), Polish(steps=24, gain=0.01))
 ATTACHED: Schedule = (AttachToJoints(), Polish(steps=8))
 LAST_OF_TREES = Polish(steps=40, gain=0.002)
-# from the best tree so far, again and again
+# Repeated searches, each from the best tree so far.
 TREES_SEARCHED: Schedule = TREE_ROUNDS * (
     ReturnToBest(),
     *RELAXED_TREE,
@@ -81,9 +81,9 @@ def merged_start(
     rigid: bool = False,
     influences: int | None = None,
 ) -> Schedule:
-    """Start with `factor` times the bones asked for and merge them down.
+    """Schedule that starts with `factor` times the bones asked for and merges them down.
 
-    `before` and `after` are the most alternations on either side of the merge.
+    `before` and `after` are the most alternations before and after the merge.
     """
     return (
         StartFromMotion(factor=factor, rigid=rigid, influences=influences),
@@ -93,8 +93,8 @@ def merged_start(
     )
 
 
-# Bones are placed on a sample of the vertices, at a fifth of the cost; all vertices then decide
-# whether the result is better.
+# Bones are placed on a sample of the vertices, which takes a fifth of the time; whether the result
+# is better is then decided on all vertices.
 PLACED: Schedule = (
     *FIRST_MODEL,
     SampleVertices(),
@@ -108,7 +108,10 @@ PLACED: Schedule = (
 
 
 def searched(trials: int) -> Schedule:
-    """Relax, polish, search: bones in new places can be judged only after the weights adapt."""
+    """Schedule that relaxes, polishes, then searches with at most `trials` trials.
+
+    Bones in new places can be judged only after the weights have adapted to them.
+    """
     return (Relax(), Polish(steps=8), Search(steps=trials, patience=trials))
 
 
@@ -121,18 +124,19 @@ def lowest(count: int, start: Schedule) -> Schedule:
 
 
 def rebuilds(size: float) -> Rebuilds:
-    """Numbers of "best" for a problem of this size."""
+    """Numbers of rebuilds, starts and trials of the effort "best" for a problem of this size."""
     return next(numbers for bound, numbers in REBUILDS if size < bound)
 
 
 def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> Schedule:
-    """Bones without a hierarchy; with `stretching`, rigid bones are a second start.
+    """Schedule for bones without a hierarchy.
 
-    Bones that stretch must keep det > 0 in every step, which blocks many paths from their own
-    start where a part is thin.  Which of the two starts is better shows only at the end.
+    If bones may stretch (`stretching`), a second start is made from rigid bones.  Bones that
+    stretch must keep det > 0 in every step, which blocks many paths from their own start if a part
+    of the mesh is thin.  Which of the two starts is better shows only at the end.
     """
     rigid_start = merged_start(12, 6, rigid=True)
-    # where a start of a small problem is soon made, as many as a tenth of a second allows
+    # for a small problem, as many further starts as fit into a tenth of a second
     count = int(0.1 / (START_SECONDS + SECONDS_OF_A_NUMBER * size))
     if effort == "fast" and stretching:
         more = count * (*rigid_start, MoveBones(rigid=True), Polish(steps=8))
@@ -152,7 +156,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         moved = (StartFromMotion(), Alternate(steps=12), AddAndMerge(steps=10, patience=8))
         first = STARTS_OF_MANY_BONES * (*moved, *searched(TRIALS_OF_A_START))
     rebuild = (ReturnToBest(), AddAndMerge(), *searched(min(n.trials, TRIALS_OF_A_REBUILD)))
-    # where the animation comes from a skeleton, a tree leads to a model that free bones miss
+    # if the animation comes from a skeleton, a tree leads to a model that free bones do not find
     tree = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
     from_tree: Schedule = (
         *lowest(n.trees, tree),
@@ -166,7 +170,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
         *(() if stretching else from_tree),
         *(from_rigid if n.before else ()),
         *n.before * rebuild,
-        # on small smooth motions, such as a beam's, the other starts end far above this one
+        # on small smooth motions, such as a beam's, the other starts end with far more error
         *merged_start(12, 6),
         MoveBones(),
         *searched(TRIALS_OF_A_START if many else n.trials),
@@ -177,7 +181,7 @@ def free_bones(effort: Effort, bones: int, size: float, *, stretching: bool) -> 
 
 
 def last_search(trials: int) -> Schedule:
-    """Search around the best model, then polish it to its minimum."""
+    """Schedule that searches around the best model, then polishes it to its minimum."""
     return (
         ReturnToBest(),
         Search(steps=trials, patience=trials),
@@ -187,16 +191,17 @@ def last_search(trials: int) -> Schedule:
 
 
 def nothing_to_place(effort: Effort) -> Schedule:
-    """One start and descent to the nearest minimum, where weights or all bones are locked."""
+    """Schedule for locked weights or bones: one start and a descent to the nearest minimum."""
     last = Polish(steps=NUMBERS[effort].polish, gain=1e-3)
     return (Compress(), StartFromMotion(), Alternate(steps=10), last)
 
 
 def smooth(effort: Effort, *, placed: bool) -> Schedule:
-    """Alternations until the penalised error settles, since the polish ignores the penalty.
+    """Schedule under a smoothness penalty, which ends with alternations until the error settles.
 
-    Then a polish without the penalty and alternations again, which sometimes end lower.  `placed`:
-    weights or all bones are locked.
+    The polish ignores the penalty and cannot be last.  Unless weights or all bones are locked
+    (`placed`), a polish and further alternations follow the first ones, since this sometimes lowers
+    the penalised error.
     """
     settle = Alternate(steps=NUMBERS[effort].smooth)
     if placed:
@@ -218,10 +223,11 @@ def smooth(effort: Effort, *, placed: bool) -> Schedule:
 def tree_of_bones(effort: Effort, size: float) -> Schedule:
     """Schedule for bones with joints whose tree is not known.
 
-    First trees from several starts, then, unless the effort is "fast", a search for better trees.
-    Bones start with one influence a vertex, which makes them compact and the tree over them close
-    to the best. Once the bones are attached, more influences follow. A search ends near its start,
-    hence several starts: of twelve on the Fox of the glTF samples, two led to the right tree.
+    It makes trees from several starts and, unless the effort is "fast", searches for better trees.
+    Bones start with one influence per vertex, which makes them compact and the tree over them close
+    to the best.  Once the bones are attached, more influences follow.  There are several starts
+    because a search ends near its start: of twelve starts on the Fox of the glTF samples, two led
+    to the right tree.
     """
     early = (QuickStart(influences=1), Alternate(steps=20, gain=0.01), Compress(), *ATTACHED)
     start = (*merged_start(12, 6, influences=1), MoveBones(), *ATTACHED)
@@ -241,15 +247,15 @@ def tree_of_bones(effort: Effort, size: float) -> Schedule:
 
 
 def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
-    """Weights and motion of bones whose tree is known.
+    """Schedule for bones whose tree is known: it finds their weights and motion.
 
-    Where the skeleton brings no weights, the vertices near each limb are one start, those that move
-    together another, and the lower one is continued.
+    If the skeleton brings no weights, one start binds vertices to the nearest limb, and others bind
+    vertices that move together; the run continues from the lowest objective.
     """
     n, placed = NUMBERS[effort], given.weights is not None
     start: Schedule = (Compress(), StartOnSkeleton())
     settle = Polish(steps=n.polish, gain=1e-3)
-    if not rigid:  # bones that are free, from where the skeleton puts them
+    if not rigid:  # loose bones, which start where the skeleton puts them
         relaxed = () if placed or effort == "fast" else (Polish(steps=8), *RELAXED)
         return (*start, Alternate(steps=20, gain=1e-3), *relaxed, settle)
     attached = (*start, AttachToJoints(), Polish(steps=20, gain=0.01))
@@ -277,7 +283,7 @@ def on_skeleton(effort: Effort, given: Given, *, rigid: bool) -> Schedule:
 def from_model(
     effort: Effort, size: float, *, rigid: bool, keeps_tree: bool, smoothed: bool
 ) -> Schedule:
-    """Continue from a whole model, such as a checkpoint."""
+    """Schedule that continues from a whole model, such as a checkpoint."""
     n = rebuilds(size)
     if smoothed:
         return (StartFromModel(), Compress(), Alternate(steps=NUMBERS[effort].smooth))
@@ -311,7 +317,7 @@ def schedule_for(
     size: float,
     rig: RigKind = "none",
 ) -> Schedule:
-    """The schedule of a call.
+    """Schedule of a call.
 
     Parameters
     ----------
@@ -320,12 +326,13 @@ def schedule_for(
     bones : int
     given : Given
     placed : bool
-        Weights or all bones are locked.
+        Whether weights or all bones are locked.
     smoothed : bool
-        There is a penalty on the weights.
+        Whether there is a penalty on the weights.
     size : float
-        Vertices × frames × bones.
+        Number of vertices × frames × bones.
     rig : {"none", "loose", "rigid"}
+        Kind of joints.
     """
     if given.free:
         return from_model(
@@ -344,7 +351,7 @@ def schedule_for(
 
 
 def settling_schedule(effort: Effort, *, smoothed: bool) -> Schedule:
-    """Stages of a model that was found on some frames and carried over to more of them."""
+    """Schedule for a model that was found on some frames and carried over to more frames."""
     steps = NUMBERS[effort].settle
     if smoothed:
         return (Spread(), Alternate(steps=steps, gain=0.002, cost=6))

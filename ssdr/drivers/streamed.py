@@ -1,11 +1,13 @@
-"""The driver for frames that do not fit into memory: solve on some, finish on all.
+"""Driver for frames that do not fit into memory: solve on some, finish on all.
 
-    scan of all frames -> the usual run on the representative ones
-         -> the polish on as many as may be held: few and extreme frames leave something open
-         -> passes over all frames, each an exact alternation, while they pay
+    scan of all frames
+         -> the usual run on representative frames
+         -> a polish on as many frames as fit into memory, since representative ones are extreme
+         -> passes over all frames, each an exact alternation, until one gains little
 
-Each walk over the frames is a function of a span of them, called here or by the workers of a
-cluster, and a sum in the order of the spans: the result does not depend on who works.
+Each walk over the frames calls a function for every span of them, here or in the workers of a
+cluster, and sums the results in the order of the spans, so that the sum does not depend on which
+worker computed a part.
 """
 
 from __future__ import annotations
@@ -32,19 +34,19 @@ from .schedule import settling_schedule
 
 __all__ = ["PASSES", "SCANNED", "scan_of", "solve"]
 
-# Fractions of the work that are done after the scan, the run on representative frames, the run
-# on more of them: as measured at the paper's size.
+# Fractions of the work that are done after the scan, after the run on representative frames, and
+# after the run on more frames, as measured for sequences of the paper's size.
 SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
-PASSES = {"fast": 1, "balanced": 4, "best": 8}  # over all frames, at most
+PASSES = {"fast": 1, "balanced": 4, "best": 8}  # most passes over all frames
 
 
 def solve(problem: Problem) -> Outcome:
-    """Solve on representative frames, settle on more of them, finish on all.
+    """Solve a problem on representative frames, settle it on more frames, finish it on all.
 
     Raises
     ------
     InputError
-        If joints are locked, which is for frames in memory.
+        If joints are locked, which is possible only for frames in memory.
     Cancelled
         If the callback stopped the run before there was any model.
     """
@@ -57,7 +59,7 @@ def solve(problem: Problem) -> Outcome:
     importance = problem.frame_importance
     sequence, data, given = _read_chosen(problem, few, few.importance(importance), executor)
     run = begin(problem, data, given, clock)
-    del data  # what a compressed run needs no longer is freed
+    del data  # frees the frames once the run has compressed them
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
     # the transforms of a start are dropped if they turned out to be of other frames
     given_later = problem.given
@@ -88,7 +90,7 @@ def solve(problem: Problem) -> Outcome:
 
 
 def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
-    """The first walk over the frames, reported."""
+    """Scan all frames of a problem, and report the progress to the callback."""
     report = ProgressReport(problem.callback, clock, problem.time_limit)
 
     def on_progress(done: float) -> None:
@@ -107,7 +109,7 @@ def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
 def _read_chosen(
     problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
 ) -> tuple[MeshSequence, Trajectories, Given]:
-    """The chosen frames in memory, as the solver sees them, and what was given for them."""
+    """Read the chosen frames; return them, their trajectories, and the given parts for them."""
     sequence = subset(problem.sequences, chosen.chosen, executor=executor)
     data = problem.trajectories([sequence], importance)
     return sequence, data, problem.given.of_frames(chosen.chosen).inside(data)
@@ -126,9 +128,10 @@ def _make_steps(
 def _settling(
     problem: Problem, few: Scan, more: Scan, first: Run, data: Trajectories, given: Given
 ) -> Run:
-    """A run that settles the model of the representative frames on more of them.
+    """Begin a run that settles the model of the representative frames on more frames.
 
-    Representative frames alone, few and extreme, lead weights to follow what only they do.
+    Representative frames are few and extreme; solved on these alone, the weights follow motion that
+    other frames do not have.
     """
     smoothed = problem.smoothness > 0
     schedule = settling_schedule(problem.effort, smoothed=smoothed)
@@ -140,10 +143,10 @@ def _settling(
 
 
 def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
-    """The model of a run on some frames, ready for passes over all of them."""
+    """Prepare the model of a run on some frames for passes over all frames."""
     locked = problem.locked
     if run.smoothness is not None:
-        # a pass knows nothing of the penalty: weights stay as the run left them
+        # a pass ignores the penalty, so that it must keep the weights of the run
         locked = dataclasses.replace(locked, weights=np.ones(run.whole.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
@@ -160,7 +163,15 @@ def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) ->
 def _passes(
     problem: Problem, run: Run, frames: AllFrames, *, hurried: bool
 ) -> tuple[list[Step], str | None]:
-    """Passes until they do not pay, one if `hurried`; and why they ended before that, if so."""
+    """Make passes over all frames until one gains little; only one if `hurried`.
+
+    Returns
+    -------
+    list of Step
+        One for each pass.
+    str or None
+        "cancelled" or "time limit" if that ended the passes.
+    """
     report = ProgressReport(problem.callback, run.clock, problem.time_limit)
     most = PASSES[problem.effort]
     unit = frames.alignment.scale / math.sqrt(problem.n_frames * problem.n_vertices)

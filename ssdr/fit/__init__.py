@@ -1,1 +1,1 @@
-"""One step of the solver alone, for parts that a caller has: weights, bones, rest pose, a start."""
+"""Single steps of the solver, each usable alone: weights, bones, rest pose, or a start."""

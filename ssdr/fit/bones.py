@@ -1,4 +1,4 @@
-"""Bone transforms of given weights, usable alone."""
+"""Fit of bone transforms to given weights, usable alone."""
 
 from __future__ import annotations
 
@@ -31,23 +31,26 @@ from .fit import NAMES, Fit, checked, rmse_of
 
 __all__ = ["BoneFit", "fit_bones"]
 
-_SWEEPS = 5  # between two steps of all bones together
-_STUCK = 0.9  # ratio of a frame's squared errors below which another start is taken
-_ROUNDS = 16  # a run of stuck frames is freed from both ends, two frames a round
+_SWEEPS = 5  # sweeps between two steps of all bones together
+# A frame's transforms are replaced if another start reaches less than this part of its squared
+# error.
+_STUCK = 0.9
+# Rounds of restarts; each frees the first and the last of a row of stuck frames.
+_ROUNDS = 16
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BoneFit(Fit):
-    """A model whose transforms were solved for.
+    """A model whose transforms were fitted, and its error.
 
     Attributes
     ----------
     skinning, squared_error, rmse
         As in :class:`Fit`.
     sweeps : int
-        Gauss–Seidel sweeps over the bones.
+        Number of Gauss–Seidel sweeps over the bones.
     converged : bool
-        True if the last ones moved no entry by more than the tolerance.
+        Whether the last sweeps changed no entry of a transform by more than the tolerance.
 
     Examples
     --------
@@ -72,33 +75,33 @@ def fit_bones(
     tolerance: float = 1e-6,
     max_sweeps: int = 200,
 ) -> BoneFit:
-    """Transforms that reproduce a sequence under the rest pose and weights of a model.
+    """Fit transforms that reproduce a sequence with the rest pose and weights of a model.
 
-    Each sweep solves one weighted Kabsch a bone and frame with the others held
-    (Gauss–Seidel), for similarity bones with Umeyama's scale; after every five, all
-    bones take a Gauss–Newton step together.  For affine ones a single linear solve
-    finds all of them, from rigid ones on.  Frames whose error is far higher than
-    from the bones of a neighbouring frame start again from those.  Also the way to carry a
+    A sweep solves a weighted Kabsch problem for each bone in each frame while the other bones are
+    held (Gauss–Seidel); for similarity bones, the solution includes Umeyama's scale.  After every
+    five sweeps, all bones take a Gauss–Newton step together.  Affine bones start from rigid ones,
+    and a linear solve then finds all bones of a frame at once.  A frame starts again from the bones
+    of a neighbouring frame if these lead to far less error.  The function also serves to carry a
     model over to new motion of the same mesh.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     skinning : Skinning
-        Its rest pose, weights and number of bones are used; its frames may be others.
+        Its rest pose, weights and number of bones are used; it need not have the same frames.
     bone_model : {"rigid", "similarity", "affine"}, optional
-        That of the model by default.
+        By default that of `skinning`.
     from_transforms : bool
-        Start from the model's transforms, which then are of these frames; by default from
-        each bone's own fit.
+        Whether to start from the transforms of `skinning`, which must then be of these frames.  By
+        default each bone starts from a fit to the vertices that it moves most.
     locked_bones : mask or indices, optional
-        Bones that keep the model's transforms.
+        Bones that keep the transforms of `skinning`.
     vertex_importance : (V,) array, optional
     tolerance : float
-        Largest change of a transform's entry (translations relative to the
-        mesh's size) at which to stop.
+        The sweeps end when no entry of a transform changes by more than this; translations are
+        relative to the mesh's size.
     max_sweeps : int
-        From each start.
+        Most sweeps from each start.
 
     Returns
     -------
@@ -139,8 +142,8 @@ def fit_bones(
     )
     inner, start = data.from_world(rest, world, NAMES)
     locked = Locked(rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind)
-    # a bone may not turn inside out on its way, which bars affine ones some ways from their
-    # own fit that are open from rigid ones
+    # no step may turn a bone inside out, which blocks some paths of affine bones from their own
+    # fit; from rigid bones these paths are open
     kinds: list[BoneModel] = [kind]
     indices = skinning.indices
     if start is None:
@@ -174,9 +177,9 @@ def fit_bones(
 def _settle(
     data: Trajectories, model: Model, locked: Locked, tolerance: float, most: int
 ) -> tuple[int, float]:
-    """Sweep until no entry moves more than `tolerance` (in place).
+    """Sweep until no entry of a transform changes by more than `tolerance` (in place).
 
-    Returns the number of sweeps and the last move.
+    Returns the number of sweeps, which is at most `most`, and the largest change in the last ones.
     """
     sweeps, moved = 0, np.inf
     damping: float | None = None
@@ -192,9 +195,10 @@ def _settle(
 
 
 def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int) -> bool:
-    """Restart frames that are stuck from the frames beside them (in place); whether any was.
+    """Solve frames again from the bones of the frames beside them, and keep what is far better.
 
-    Where bones overlap widely, a frame's own start may end in a poor minimum.
+    If bones overlap widely, a frame's own start may end in a poor minimum.  The model is changed
+    in place; returns whether any frame was improved.
     """
     u, c = bone_sums(data, model.indices, model.weights, model.rest, model.n_bones)
     flat = stack_blocks(u)
@@ -206,7 +210,7 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
     )
 
     def error(transforms: Array) -> Array:
-        """(F,) squared error."""
+        """Squared error (F,) of each frame under `transforms`."""
         hat = data.stack(transforms).reshape(data.n_frames, 3, -1)
         told: Array = (hat * (hat @ flat - 2 * c.reshape(hat.shape))).sum(axis=(1, 2))
         return energy + told
@@ -233,9 +237,9 @@ def _from_neighbours(data: Trajectories, model: Model, locked: Locked, most: int
 def _step_together(
     data: Trajectories, model: Model, locked: Locked, damping: float | None
 ) -> float:
-    """One Gauss–Newton step of all bones (in place); returns the damping for the next.
+    """Make one Gauss–Newton step of all bones (in place); return the damping for the next step.
 
-    Sweeps alone take hundreds of rounds where bones overlap widely.
+    If bones overlap widely, sweeps alone would need hundreds of rounds.
     """
     polish = GaussNewton(data, model, locked=locked, damping=damping)
     polish.step()

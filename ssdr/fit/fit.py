@@ -1,4 +1,4 @@
-"""Result of a fit of one part of a model, and the check of its arguments."""
+"""Result of fitting one part of a model, and checks of the arguments."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ..solver.trajectories import Array, Trajectories, gather
 __all__ = ["NAMES", "Fit", "checked", "fit_of", "gathered", "rmse_of"]
 
 Gathered = tuple[Trajectories, Array, Array]
-NAMES = ("skinning.rest", "skinning.transforms")  # of what is taken into the solver's space
+NAMES = ("skinning.rest", "skinning.transforms")  # names of the arguments in error messages
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
-    """A model of which one part was solved for, and its error.
+    """A model of which one part was fitted, and its error.
 
     Attributes
     ----------
     skinning : Skinning
     squared_error : (V,) float64
-        Σ_t |d|² of each vertex, in squared units of the mesh.
+        Squared distance of each vertex from its place in the sequence, summed over the frames.
     rmse : float
-        sqrt(Σ|d|² / (F V)).
+        Square root of the mean squared distance over all vertices and frames.
 
     Examples
     --------
@@ -46,7 +46,7 @@ class Fit:
 
 
 def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Array]:
-    """The shots, and rest pose and weights of a model of the same mesh in double precision."""
+    """Check the arguments; return the shots, and the model's rest pose and weights as float64."""
     sequences = as_sequences(sequence)
     if not isinstance(skinning, Skinning):
         raise InputError("skinning", "a Skinning", type(skinning).__name__)
@@ -60,9 +60,9 @@ def checked(sequence: Any, skinning: Any) -> tuple[list[MeshSequence], Array, Ar
 
 
 def gathered(sequences: list[MeshSequence], skinning: Skinning, rest: Array) -> Gathered:
-    """The shots and the model's rest pose and transforms in the solver's space.
+    """Take the shots, and the model's rest pose and transforms, into the solver's space.
 
-    The transforms must be of as many frames as the shots.
+    The model must have as many frames as the shots.
     """
     n_frames = sum(len(s) for s in sequences)
     world = check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
@@ -73,7 +73,7 @@ def gathered(sequences: list[MeshSequence], skinning: Skinning, rest: Array) -> 
 
 
 def fit_of(data: Trajectories, error: Array, skinning: Skinning) -> Fit:
-    """A fitted model with its error, from that of each vertex in the solver's space."""
+    """Fit of a model, from the squared error (V,) of its vertices in the solver's space."""
     squared = error * data.scale**2
     return Fit(skinning=skinning, squared_error=squared, rmse=rmse_of(squared, data.n_frames))
 

@@ -1,4 +1,4 @@
-"""Bones and weights to start from, usable alone."""
+"""Start of bones and weights from motion, usable alone."""
 
 from __future__ import annotations
 
@@ -36,26 +36,27 @@ def initialize(
     rest: Any = None,
     rng: int | np.random.Generator = 0,
 ) -> Skinning:
-    """Bones and weights to start from, by motion alone.
+    """Make bones and weights to start from, by motion alone.
 
-    Eight patches a bone are found by farthest-point sampling of the
-    trajectories, each is fitted by Kabsch in every frame, and the bones are
-    those patches that greedily lower Σ_i min_j E_ij most (facility location),
-    refitted to the vertices that they serve best.  One weight solve follows.
+    For each bone asked for, farthest-point sampling of the trajectories finds eight patches of
+    vertices, and each patch is fitted by Kabsch in every frame.  Let E_ij be the squared error of
+    vertex i if it moves with patch j.  The bones are patches chosen one by one, each to lower
+    Σ_i min_j E_ij most (greedy facility location), and refitted to the vertices that they fit best.
+    The weights are then solved once.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     faces : (T, 3) int array, optional
-        With plain arrays.  Connectivity plays no part: separate components and
-        point clouds are served like everything else.
+        Triangles, if `sequence` is a plain array.  They have no effect on bones and weights, so
+        that separate components and point clouds may be used as well.
     bones : int
-        1 to V.
+        Number of bones, from 1 to V.
     influences : int
-        Most bones a vertex.
+        Most influences per vertex.
     bone_model : {"rigid", "similarity", "affine"}
     rest : (V, 3) array, optional
-        A rest pose to keep; by default it is solved for, from the first frame on.
+        A rest pose to keep; by default it is solved for, starting with the first frame.
     rng : int or numpy.random.Generator
 
     Returns

@@ -1,4 +1,4 @@
-"""The rest pose of given weights and bones, usable alone."""
+"""Fit of the rest pose to given weights and bones, usable alone."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ __all__ = ["fit_rest_pose"]
 def fit_rest_pose(
     sequence: MeshSequence | Any, skinning: Skinning, *, locked_vertices: Any = None
 ) -> Fit:
-    """Least-squares rest position of every vertex of a model: a 3×3 solve each.
+    """Fit the rest position of every vertex of a model by least squares, a 3×3 solve each.
 
-    Minimises Σ_t |v^t − Σ_j w_j (R_j^t p + T_j^t)|² over p.
+    For each vertex it minimises Σ_t |v^t − Σ_j w_j (R_j^t p + T_j^t)|² over the rest position p,
+    where v^t is the vertex in frame t of the sequence, w_j its weight for bone j, and R_j^t and
+    T_j^t are the matrix and the translation of that bone.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     skinning : Skinning
-        Its weights and transforms, of as many frames, are used.  Its rest pose holds the positions
-        of locked vertices, and those that the motion does not determine.
+        Its weights and transforms are used; it must have as many frames as the sequence.  Its rest
+        positions are kept at locked vertices, and where the motion does not determine them.
     locked_vertices : mask or indices, optional
-        Vertices that keep their position.
+        Vertices that keep their rest position.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Skin weights of given bones: the sparse convex QP of every vertex, usable alone."""
+"""Fit of skin weights to given bones, a sparse convex QP for every vertex, usable alone."""
 
 from __future__ import annotations
 
@@ -28,23 +28,27 @@ def fit_weights(
     smoothness: float = 0.0,
     iterations: int = 20,
 ) -> Fit:
-    """Best convex weights of at most K bones for every vertex of a model.
+    """Fit convex weights of at most K bones to every vertex of a model.
 
-    Minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0, Σ w = 1: an active-set
-    solve over all bones, then over the K largest, then exchanges that lower the error.
+    For each vertex it minimises Σ_t |v^t − Σ_j w_j M_j^t p̃|² over w >= 0 with Σ w = 1, where v^t
+    is the vertex in frame t of the sequence, p̃ its rest position in homogeneous coordinates, and
+    M_j^t the transform of bone j.  An active-set method solves for all bones, then for the K bones
+    of largest weight; then bones are exchanged while this lowers the error.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
     skinning : Skinning
-        Its rest pose and transforms, of as many frames, are used; its weights are not.
+        Its rest pose and transforms are used, its weights are not; it must have as many frames as
+        the sequence.
     influences : int
-        Most bones a vertex (K).
+        Most influences per vertex (K).
     smoothness : float
-        Length in the mesh's units: a jump of 1 in a weight across an edge costs
-        as much as this distance in every frame at one vertex.  0: off.
+        Length in the mesh's units; a difference of 1 in a weight between the ends of an edge costs
+        as much as an error of this length at one vertex in every frame.  With 0 there is no such
+        cost.
     iterations : int
-        Most sweeps over the mesh where `smoothness` couples the vertices.
+        Most sweeps over the mesh if `smoothness` couples the vertices.
 
     Returns
     -------
@@ -57,8 +61,8 @@ def fit_weights(
 
     References
     ----------
-    Le and Deng 2012, section 3.2 (there by bounded variable least squares);
-    keeping the K largest and solving again as in their section 3.2.
+    Le and Deng 2012, section 3.2: they solve by bounded variable least squares, keep the K largest
+    weights and solve again.
 
     Examples
     --------

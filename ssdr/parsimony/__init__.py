@@ -1,4 +1,4 @@
-"""Size of models in bytes, error against size, and the report of ``ssdr.smallest``."""
+"""Size of models in bytes, curves of error against size, and the report of ``ssdr.smallest``."""
 
 from __future__ import annotations
 

@@ -26,16 +26,16 @@ __all__ = ["Driver"]
 
 _ROUNDING = 1e-13  # error that counts as zero, relative to the largest coordinate
 _LOOSE = 10.0  # largest tolerance in use, relative to the scale of the frames
-_RETRIES = 4  # searches with stricter and stricter tolerances on representative frames
+_RETRIES = 4  # most searches on representative frames, each with a stricter tolerance
 
 
 class Driver:
-    """Search for the smallest model, its limits, and its result.
+    """Search for the smallest model that holds a tolerance.
 
     Parameters
     ----------
     problem : Problem
-        Its `bones` are an upper bound.
+        Its `bones` is the largest number of bones allowed.
     tolerance : float
         In the mesh's units.
     measure : {"rmse", "max"}
@@ -48,7 +48,7 @@ class Driver:
         data = frames.data
         check_squarable(data.centre, "vertices")
         largest = max(float(np.abs(data.centre).max()), data.scale)
-        # a tolerance that every model holds is reduced, since its square may overflow
+        # a tolerance so large that every model holds it is reduced, since its square may overflow
         most = _LOOSE * data.scale * math.sqrt(data.n_frames * data.n_vertices)
         self.tolerance = max(min(tolerance, most), _ROUNDING * largest)
         self.least, exact = self._least_bones()
@@ -59,23 +59,28 @@ class Driver:
         self.search = FewestBones(
             self.ladder, min(self.least, most_bones), most_bones, exact, effort
         )
-        self.skinning: Skinning | None = None  # the last one made of all frames
+        self.skinning: Skinning | None = None  # the last skinning made for all frames
         self.prunings: list[Pruning] = []
         self.stopped: str | None = None
 
     def _least_bones(self) -> tuple[int, int]:
-        """Lower bound by the rank of the motion, and most bones of an exact skinning (0: none)."""
+        """Lower bound on the number of bones, and most bones that an exact skinning may have.
+
+        Both follow from the rank of the motion.  The second is 0 if the rank does not suggest that
+        there is an exact skinning.
+        """
         problem, frames = self.problem, self.frames
         weighted = problem.vertex_importance is not None or problem.frame_importance is not None
         if weighted or frames.scan is not None:
             return 1, 0
         least = rank_bound(frames.data, frames.squared(self.tolerance))
-        # a joint that two bones share lowers the rank 4B − 1 by one: it is at least 3B
+        # an exact skinning has the rank 4B − 1, less one for each joint that two bones share: since
+        # the rank is at least 3B, there are at most a third as many bones
         exact = -(-rank_of(frames.data, 0.0) // 3)
         return least, 0 if exact > 2 * least + 1 else exact
 
     def solve(self) -> Smallest:
-        """The smallest model that holds the tolerance, or that of least error.
+        """Find the smallest model that holds the tolerance; if none does, that of least error.
 
         Raises
         ------
@@ -102,7 +107,7 @@ class Driver:
         Raises
         ------
         Stopped
-            If the callback asks for it, or time is up and a model is `ready`.
+            If the callback asks to stop, or if time is up and there is a model (`ready`).
         """
         ladder, held = self.ladder, self.ladder.fewest
         if held is not None:
@@ -117,7 +122,7 @@ class Driver:
             raise Stopped(self.stopped)
 
     def _stops(self) -> bool:
-        """Report within a pass over all frames; True if the search ends after the pass."""
+        """Report within a pass over all frames; return True if the search ends after this pass."""
         try:
             self.report("all frames", self.ladder.iteration, self.ladder.fraction)
         except Stopped:
@@ -133,8 +138,8 @@ class Driver:
     def _find_bones(self) -> None:
         """Find the fewest bones.
 
-        Where the search sees representative frames, it is repeated with a stricter tolerance until
-        the model holds the tolerance on all frames.
+        If frames are streamed, the search solves representative ones.  It is then repeated with a
+        stricter tolerance until the model holds the tolerance on all frames.
         """
         ladder, frames, search = self.ladder, self.frames, self.search
         for _ in range(_RETRIES):
@@ -154,7 +159,7 @@ class Driver:
             search.least = held
 
     def _prune(self) -> None:
-        """Spend the rest of the tolerance on fewer influences and keyframes."""
+        """Drop influences and keyframes as far as the tolerance allows."""
         frames, ladder = self.frames, self.ladder
         if self.skinning is None or not ladder.held:
             return
@@ -206,7 +211,7 @@ class Driver:
         )
 
     def _shortfall(self, skinning: Skinning, error: float, reason: str) -> str:
-        """Warning that the tolerance is not held."""
+        """Text of the warning that the tolerance is not held."""
         diagonal = max(s.diagonal() for s in self.problem.sequences)
 
         def text(value: float) -> str:

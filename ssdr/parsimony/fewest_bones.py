@@ -1,7 +1,7 @@
-"""The fewest bones that hold a tolerance.
+"""Search for the fewest bones that hold a tolerance.
 
-    climb      new starts with more and more bones, from a proven lower bound, until one holds
-    descend    merge bones; where the next smaller number fails, refine it
+    climb      new starts with more and more bones, from a proven lower bound, until one holds it
+    descend    merge bones to smaller numbers; refine the number just below one that holds it
     refine     new starts with that number of bones, then a long search around the best model
 
 An attempt ends as soon as it holds the tolerance.
@@ -18,30 +18,30 @@ from .ladder import Ladder
 
 __all__ = ["FewestBones"]
 
-_GROWTH = 1.5  # next number of bones, relative to one that failed
+_GROWTH = 1.5  # next number of bones, relative to one that misses the tolerance
 # Number of bones, relative to the proven bound, up to which a large error may be that of a bad
 # local minimum.
 _NEAR_RANK = 1.5
-_MOVES = 6  # moves of bones, or changes of the tree, in a short search
-_AGAIN = 1.3  # bones of the start that is tried again at the fewest bones, relative to those
+_MOVES = 6  # number of moves of bones, or of changes of the tree, in a short search
+_AGAIN = 1.3  # bones of a last new start, relative to the fewest bones to which they are merged
 
 
 @dataclasses.dataclass(frozen=True)
 class Refinement:
-    """Attempts at a number of bones before it is given up.
+    """Work spent on a number of bones before it is given up.
 
     Attributes
     ----------
     polish : int
         Most polish steps of a merged model.
     starts : tuple of float
-        Number of bones of each new start, relative to that asked for.
+        Number of bones of each new start, relative to the number to which they are merged.
     moves, trials : int
-        Moves of bones, and trials, of the search around the best model.
+        Number of moves of bones, and of trials, in the long search around the best model.
     give_up : float
-        Error, relative to the tolerance, above which there is no long search.
+        Error, relative to the tolerance, above which the number of bones is given up early.
     finish : int
-        Most polish steps at the fewest bones, which lower the error for pruning.
+        Most polish steps of the model with the fewest bones before it is pruned.
     """
 
     polish: int
@@ -61,17 +61,19 @@ REFINEMENT: dict[Effort, Refinement] = {
 
 
 class FewestBones:
-    """Search for the fewest bones, which fills a ladder.
+    """Search for the fewest bones that hold a tolerance.
 
     Parameters
     ----------
     ladder : Ladder
+        Filled with the models found.
     least : int
         Proven lower bound on the number of bones.
     most : int
+        Largest number of bones allowed.
     exact : int
-        Most bones of an exact skinning whose bones share joints; 0 if the rank of the motion does
-        not say that it is one.
+        Most bones that an exact skinning of the motion may have if its bones share joints; 0 if the
+        rank of the motion does not suggest that there is one.
     effort : {"fast", "balanced", "best"}
     """
 
@@ -80,7 +82,7 @@ class FewestBones:
         self.least, self.most, self.exact = least, most, exact
 
     def run(self) -> None:
-        """Fill the ladder until a number of bones holds and the next smaller one is given up."""
+        """Search until a number of bones holds the tolerance and the next smaller is given up."""
         if self.ladder.fewest is None:
             self.climb()
         if self.ladder.fewest is not None:
@@ -103,9 +105,9 @@ class FewestBones:
             bones = min(most, exact if bones < exact < larger else larger)
 
     def descend(self) -> None:
-        """Bisect between a number of bones that fails and one that holds, by merging bones.
+        """Merge bones, bisecting between a number that misses the tolerance and one that holds it.
 
-        The number just below one that holds is refined.
+        A number just below one that holds the tolerance is refined before it is given up.
         """
         ladder, least = self.ladder, self.least
         low = max((b for b in ladder.errors if b < self._held), default=least - 1)
@@ -121,7 +123,7 @@ class FewestBones:
                 self.refine(bones)
                 if not ladder.fits(bones):
                     return
-            if self._held <= low + 1:  # the number that failed was not refined
+            if self._held <= low + 1:  # `low` missed the tolerance, but was not refined
                 low = max(least - 1, self._held - 2)
 
     @property
@@ -133,8 +135,8 @@ class FewestBones:
     def refine(self, bones: int) -> None:
         """Try harder to hold the tolerance with a number of bones.
 
-        Improve the model, then try new starts, then a long search, as many as the effort allows;
-        end early if the tolerance holds or is out of reach.
+        Improve the model, then try new starts, then search for long, as far as the effort allows.
+        End early if the tolerance is held or out of reach.
         """
         ladder, stages, spend = self.ladder, self.ladder.stages, self.spend
         lowest = ladder.models[bones].with_restarted_support()
@@ -152,7 +154,7 @@ class FewestBones:
         ladder.attempt(bones, search, "searched", start=lowest)
 
     def finish(self) -> None:
-        """Lower the error at the fewest bones, which leaves more of the tolerance to pruning."""
+        """Lower the error at the fewest bones, so that pruning may add more error."""
         ladder, steps, held = self.ladder, self.spend.finish, self._held
         if steps:
             polish = Polish(steps=steps, gain=0.005)
@@ -161,6 +163,7 @@ class FewestBones:
             ladder.attempt(held, again, "new start", until=0.0)
 
     def _hopeless(self, bones: int) -> bool:
-        # the error of exact skinning does not fall gradually, so that it says nothing
+        # with exact skinning the error falls abruptly at the right number of bones, so that a large
+        # error just below it says nothing
         near = self.exact > 0 or (self.least > 1 and bones < _NEAR_RANK * self.least + 1)
         return not near and self.ladder.errors[bones] > self.spend.give_up * self.ladder.tolerance

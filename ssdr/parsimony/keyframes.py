@@ -1,4 +1,4 @@
-"""Keyframe reduction: the keys of every bone, and the error of leaving some out."""
+"""Keyframe reduction: which keys of a bone can be left out, and the error that this adds."""
 
 from __future__ import annotations
 
@@ -16,49 +16,51 @@ from .report import key_bytes, time_bytes
 
 __all__ = ["Tracks"]
 
-# Frames between two keys: every number up to six, then about a quarter more each.
+# Numbers of frames from one key to the next: all up to six, then each about a quarter larger.
 _SPANS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32)
-# Spans beyond _MANY frames × bones, where each takes a second or more.
+# Spans for more than _MANY frames × bones, since then each span takes a second or more.
 _FEW_SPANS, _MANY = (1, 2, 4, 8), 2_000_000
 _WHOLE_SHOTS = 8  # number of shots, from the first, whose length is a span as well
 _BLOCK = 1 << 18  # frames × bones computed at a time
 
 
 class Tracks:
-    """Keys of every bone relative to its parent, and the error of leaving some out.
+    """Keys of every bone relative to its parent, and the error of leaving keys out.
 
     A key is the rotation and the position of a bone's joint relative to its parent.  Without a
     hierarchy, the centroid of the vertices that a bone moves serves as its joint.  Between keys
     positions are interpolated linearly and rotations along the shortest arc, as in game engines;
     matrices of affine bones are interpolated linearly.
 
-    If the local transform of bone b is X instead of L, a vertex p in its frame moves by
-    s (X − L) p, with s the scale of the parent.  The sum of the squares over all vertices that move
-    with b is s² tr (X − L) S (X − L)ᵀ, with S their second moment in homogeneous coordinates.  For
-    rigid and similarity bones this is exact if one bone changes and vertices have one influence;
-    with several influences it is an upper bound (Jensen's inequality).  The error of several bones
-    of a chain may be more or less than their sum.
+    Let L be the transform of a bone relative to its parent, s the scale of the parent, and p a
+    vertex in homogeneous coordinates of the bone.  If X replaces L, the vertex moves by
+    s (X − L) p.  The sum of the squares over all vertices that move with the bone is
+    s² tr((X − L) S (X − L)ᵀ), where S is the weighted sum of p pᵀ.  For rigid and similarity bones
+    this is exact if one bone changes and each vertex has one influence; with several influences it
+    is an upper bound (Jensen's inequality).  If several bones of a chain change, the error may be
+    more or less than the sum of theirs.
 
     Parameters
     ----------
     skinning : Skinning
     offsets : (S + 1,) int array
-        First frame of each shot, and F.  The first and last frame of a shot stay keys.
+        First frame of each of the S shots, followed by the number of frames F.  The first and last
+        frame of a shot are keys of every bone that has more than one key.
 
     Attributes
     ----------
     local : (F, B, 3, 4) float64
-        Bones relative to their parents.  A bone that does not translate has one position in all
-        frames.
+        Transforms of bones relative to their parents.  A bone that does not translate has the same
+        position in all frames.
     spans : list of int
-        Frames between two keys.
+        Numbers of frames from one key to the next that are tried, ascending.
     cost : list of (F − span, B) arrays
-        For each span and first frame, the squared error of the frames between the keys; inf across
-        shots.
+        For each span, the squared error of the frames between a key at frame t and the next key at
+        t + span, for every t; inf if the keys are in different shots.
     still : (B,) int array
-        Frame whose transform alone replaces all frames of each bone with least error.
+        Frame whose transform, used in all frames, gives each bone the least error.
     still_cost : (B,) array
-        Squared error of that.
+        Squared error of each bone with that transform in all frames.
     """
 
     def __init__(self, skinning: Skinning, offsets: NDArray[np.int64]) -> None:
@@ -81,7 +83,7 @@ class Tracks:
         hung = np.flatnonzero(self.parents >= 0)
         self._size = np.ones(
             m.shape[:2]
-        )  # squared scale; of affine parents its mean over directions
+        )  # squared scale of the parent; of affine parents its mean over directions
         linear = m[:, self.parents[hung], :, :3]
         self._size[:, hung] = np.einsum("tjab,tjab->tj", linear, linear) / 3
         self._scale, linear = np.ones(m.shape[:2]), self.local[..., :3]
@@ -99,7 +101,7 @@ class Tracks:
         self.still, self.still_cost = self._standing()
 
     def choose(self, price: float) -> tuple[NDArray[np.bool_], float]:
-        """Keys (F, B) of least error + price · bytes, and the squared error they add."""
+        """Mask (F, B) of the keys with least squared error + price · bytes, and the error added."""
         key = price * (self._key_bytes + self._time_bytes)
         n_frames, n_bones = self.local.shape[:2]
         bone = np.arange(n_bones)
@@ -131,7 +133,7 @@ class Tracks:
         return keys, float(np.where(still, self.still_cost, np.where(full, 0.0, error)).sum())
 
     def play(self, keys: NDArray[np.bool_]) -> Skinning:
-        """Skinning with these keyframes (F, B), interpolated between them."""
+        """Skinning with keys where the mask `keys` (F, B) is True, interpolated between them."""
         n_frames = len(keys)
         frame = np.arange(n_frames)[:, None]
         before = np.maximum.accumulate(np.where(keys, frame, -1), axis=0)
@@ -141,7 +143,7 @@ class Tracks:
         share = np.where(last > first, (frame - first) / np.maximum(last - first, 1), 0.0)
         local = np.where(keys[..., None, None], self.local, self._between(first, last, share))
         transforms = from_local(local, self.parents, self.positions)
-        # a bone that has a key, like all its ancestors, keeps its transform to the last bit
+        # if a bone and all its ancestors have a key, its transform is kept to the last bit
         whole = keys.copy()
         for b in parents_first(self.parents):
             if self.parents[b] >= 0:
@@ -151,9 +153,9 @@ class Tracks:
         return dataclasses.replace(self.skinning, transforms=transforms, keyframes=keys)
 
     def _moments(self) -> Array:
-        """Weighted second moments (F, B, 4, 4) of the vertices that each bone moves.
+        """Weighted second moments (F, B, 4, 4) of the vertices that move with each bone.
 
-        Vertices of its descendants count, too; moments are in the bone's own coordinates.
+        They include the vertices of its descendants, and are in the bone's own coordinates.
         """
         s = self.skinning
         w = s.sparse_weights().astype(np.float64).tocoo()
@@ -174,7 +176,10 @@ class Tracks:
         return moment
 
     def _between(self, first: NDArray[np.intp], last: NDArray[np.intp], share: Array) -> Array:
-        """Local transforms (n, B, 3, 4), interpolated at `share` between the keys (n, B)."""
+        """Local transforms (n, B, 3, 4) at the fraction `share` of the way from `first` to `last`.
+
+        All three arrays are (n, B); `first` and `last` are frames with keys.
+        """
         bone, u = np.arange(self.local.shape[1])[None], share[..., None, None]
         local = (1 - u) * self.local[first, bone] + u * self.local[last, bone]
         if not self.affine:
@@ -184,7 +189,7 @@ class Tracks:
         return local
 
     def _loss(self, local: Array, frames: slice) -> Array:
-        """Squared error (n, B) of each bone with other local transforms in these frames."""
+        """Squared error (n, B) of each bone if `local` replaces its transforms in `frames`."""
         off = local - self.local[frames]
         loss = np.einsum("tjab,tjab->tj", off @ self._moment[frames], off) * self._size[frames]
         if self.affine:
@@ -214,9 +219,9 @@ class Tracks:
         return out
 
     def _standing(self) -> tuple[NDArray[np.intp], Array]:
-        """Frame that best replaces all frames of each bone, and the squared error of that."""
+        """Find for each bone the frame whose transform fits all frames best, and its error."""
         weighted = self._moment * self._size[..., None, None]
-        local = self.local - self.local.mean(axis=0)  # keeps digits far from the origin
+        local = self.local - self.local.mean(axis=0)  # avoids rounding errors far from the origin
         cross = np.einsum("tjab,tjbc->jac", local, weighted)
         cost = np.einsum("tjab,tjab->tj", local @ weighted.sum(axis=0), local)
         still = (cost - 2 * np.einsum("tjab,jab->tj", local, cross)).argmin(axis=0)

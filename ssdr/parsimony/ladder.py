@@ -1,6 +1,6 @@
-"""Best models found for different numbers of bones.
+"""Ladder: the best models found for different numbers of bones.
 
-The search for the smallest model and the curve of error against size both fill such a ladder.
+The search for the smallest model fills a ladder, and so does the curve of error against size.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["Ladder", "Report", "Stages", "Stopped"]
 
-# Ratio to which the objective falls before the error is measured again, which costs like a step.
+# Factor by which the objective has to fall before the error is measured again, since a measurement
+# takes as long as a step.
 _RECHECK = 0.97
-# Lawson's reweighting: number of rounds, least importance that a round leaves to a vertex, and the
-# largest error, relative to the tolerance, at which it is tried.
+# Lawson's reweighting: number of rounds, least factor by which a round scales the importance of a
+# vertex, and largest error, relative to the tolerance, at which the reweighting is tried.
 _LEVEL_ROUNDS, _LEVEL_FLOOR, _LEVELLED = 6, 0.05, 2.0
-# The estimate of the work done: an attempt takes an equal part of what is left until pruning, as if
-# at least so many attempts followed.
+# For the estimate of the work that is done: the fraction at which pruning begins, and the least
+# number of attempts that are taken to share equally what is left until then.
 _PRUNING, _FOLLOWING = 0.95, 4
 
 
@@ -54,19 +55,20 @@ class Stages:
     Attributes
     ----------
     rigid_joints : bool
+        Whether bones are attached at joints.
     """
 
     rigid_joints: bool
 
     def start(self, factor: float) -> Schedule:
-        """Schedule that starts with `factor` times the bones asked for and merges them."""
+        """Schedule that starts with `factor` times the bones asked for and merges them down."""
         if not self.rigid_joints:
             return merged_start(10, 6, factor=factor)
         attach = (AttachToJoints(), Polish(steps=20, gain=0.01), ReturnToBest())
         return (*merged_start(12, 6, factor=factor, influences=1), MoveBones(), *attach)
 
     def merge(self) -> Schedule:
-        """Schedule that removes the cheapest bones of a model that has more than asked for."""
+        """Schedule that removes the cheapest bones until as many are left as are asked for."""
         return (RemoveBones(),) if self.rigid_joints else (Merge(), Alternate(steps=6))
 
     def move(self, count: int) -> Schedule:
@@ -93,14 +95,14 @@ class Ladder:
     report : Report
     clock : Clock
     tolerance : float
-        In the mesh's units; an attempt ends when it holds.
+        In the mesh's units; an attempt ends once its error is within the tolerance.
     expected : int
         Estimated number of attempts.
 
     Attributes
     ----------
     models, errors : dict of int to Model, dict of int to float
-        By number of bones; errors by the measure of `frames`.
+        Best model for each number of bones, and its error by the measure of `frames`.
     attempts : list of Attempt
     held : list of Model
         Each model that held the tolerance with fewer bones than all before.
@@ -134,7 +136,7 @@ class Ladder:
 
     @property
     def fewest(self) -> int | None:
-        """The fewest bones of a model that holds the tolerance, or None."""
+        """Fewest bones of a model that holds the tolerance; None if no model does."""
         return min((b for b, e in self.errors.items() if e <= self.tolerance), default=None)
 
     def fits(self, bones: int) -> bool:
@@ -143,7 +145,7 @@ class Ladder:
 
     @property
     def smallest(self) -> Model | None:
-        """Model of the fewest bones that holds the tolerance, else that of least error."""
+        """Model with the fewest bones that holds the tolerance, else the model of least error."""
         if not self.models:
             return None
         return self.models[self.fewest or min(self.errors, key=self.errors.__getitem__)]
@@ -158,9 +160,7 @@ class Ladder:
         given: Given | None = None,
         until: float | None = None,
     ) -> None:
-        """Run a schedule and keep its best model.
-
-        It is dropped if the ladder holds one with the same number of bones and less error.
+        """Run a schedule, and keep its best model if no other with as many bones is as good.
 
         Parameters
         ----------
@@ -169,9 +169,9 @@ class Ladder:
         name : str
             What the attempt starts from.
         start : Model, optional
-            For schedules without a start of their own.
+            Model to begin with, for schedules that do not make one.
         given : Given, optional
-            Replaces that of the frames.
+            Given parts that replace those of the ladder's frames.
         until : float, optional
             Error at which the attempt ends; the tolerance by default.
         """
@@ -181,7 +181,8 @@ class Ladder:
             run.begin_with(start)
         following = max(self.expected - len(self.attempts), _FOLLOWING)
         done, work = self.fraction, (_PRUNING - self.fraction) / following
-        # The RMSE is at most the largest error, so that this bound is necessary for either measure.
+        # The largest error is at least the RMSE, so that neither measure can be within `until`
+        # unless the objective is within this bound.
         worth_checking = (1 + 1e-9) * frames.squared(until)
 
         def after_step(phase: str) -> str | None:
@@ -222,7 +223,7 @@ class Ladder:
         )
 
     def _level(self, model: Model) -> None:
-        """Lower the largest error: in each round vertices count by their errors (Lawson 1961)."""
+        """Lower the largest error: each round scales importance by vertex errors (Lawson 1961)."""
         importance = self.frames.data.importance
         first = () if self.stages.rigid_joints else (Alternate(steps=2),)
         for _ in range(_LEVEL_ROUNDS):

@@ -1,8 +1,8 @@
-"""Pruning: fewer influences and keyframes, for the error that the tolerance leaves.
+"""Pruning: influences and keyframes are dropped as far as the tolerance allows.
 
 One multiplier λ, the price of a byte, decides on both: among all ways to store the weights of a
-vertex or the keys of a bone, the one of least error + λ · bytes is chosen (Everett 1963).  The
-result has the highest price at which the model still holds the tolerance.
+vertex or the keys of a bone, the one of least squared error + λ · bytes is chosen (Everett 1963).
+The search is for the highest price at which the model still holds the tolerance.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ from .solved_frames import SolvedFrames
 
 __all__ = ["Nested", "Pruner"]
 
-# Number of prices to try: enough to come within a fifth of the best price; where a trial is a pass
-# over all frames, just enough to find one that holds.
+# Number of prices to try: enough to come within a fifth of the best price.  For streamed frames,
+# where each trial is a pass over all frames, it is just enough to find a price that holds.
 _PRICES, _FEW_PRICES = 12, 3
-_DEARER, _CHEAPER = 2.0, 0.25  # factors between prices until one holds and another does not
-_CLOSE_PRICES = 1.2  # ratio between a price that fails and one that holds that ends the search
+# Factors to the next price, until one price holds the tolerance and another does not.
+_DEARER, _CHEAPER = 2.0, 0.25
+# The search ends when a price that misses the tolerance is at most so many times one that holds it.
+_CLOSE_PRICES = 1.2
 _HALVINGS = 8  # bisections for the first price, from a range of 40 doublings
 _SETTLE = 6  # polish steps after influences are dropped
 _DAMPING = 1e-3  # initial damping of these steps, as in the solver
@@ -47,10 +49,12 @@ class Nested:
     Attributes
     ----------
     models : list of Model
-        Model m has at most K − m influences per vertex.  From one to the next, the influence is
-        dropped whose loss raises the error of the vertex least.
+        Model m has at most K − m influences per vertex.  From one to the next, each vertex loses
+        the influence whose removal raises its error least.
     errors : (K, V) float64
+        Squared error of each vertex in each model.
     counts : (K, V) int
+        Number of influences of each vertex in each model.
     """
 
     def __init__(self, data: Trajectories, model: Model, locked: Locked) -> None:
@@ -64,7 +68,15 @@ class Nested:
         self.counts = np.stack([(m.weights > 0).sum(axis=1) for m in self.models])
 
     def choose(self, price: float) -> tuple[NDArray[np.intp], float]:
-        """Model of least error + price · influences for each vertex (V,), and the squared error."""
+        """Choose the model with least squared error + price · influences, for each vertex.
+
+        Returns
+        -------
+        (V,) int
+            Position in `models` of the chosen model.
+        float
+            Squared error of all vertices, weighted by importance.
+        """
         cost = self.errors * self.importance + price * self.counts
         # the last of equal minima, which has the fewest influences
         level = len(cost) - 1 - cost[::-1].argmin(axis=0)
@@ -72,7 +84,7 @@ class Nested:
         return level, float(self.importance @ least)
 
     def build(self, level: NDArray[np.intp]) -> Model:
-        """Model whose vertices have the weights of the models `level` (V,)."""
+        """Model whose vertex v has the rest position and weights that model `level[v]` gives it."""
         out = self.models[0].copy()
         for m, model in enumerate(self.models):
             rows = level == m
@@ -84,7 +96,7 @@ class Nested:
 
 
 class Pruned(NamedTuple):
-    """Skinning with fewer influences, that with fewer keys as well, and their errors."""
+    """A skinning with fewer influences, one that has fewer keys as well, and their errors."""
 
     fewer: Skinning
     keyed: Skinning
@@ -117,9 +129,9 @@ class Pruner:
         self.nested = Nested(frames.data, model, self.locked)
 
     def run(self, skinning: Skinning) -> tuple[Skinning, list[Pruning]]:
-        """Smallest model found, and the record of each pruning.
+        """Smallest skinning found, and records of the prunings of influences and of keyframes.
 
-        `skinning` is the model for all frames.
+        `skinning` is the model before pruning, for all frames.
         """
         before = self.frames.error_of_all(skinning)
         best = Pruned(skinning, skinning, before, before)
@@ -148,12 +160,15 @@ class Pruner:
         ]
 
     def _guess(self, skinning: Skinning) -> float:
-        """Price at which the errors that both choices add separately reach the tolerance."""
+        """First price to try: the highest at which the estimated error holds the tolerance.
+
+        The estimate adds up the squared errors of fewer influences and of fewer keys.
+        """
         frames, nested, data = self.frames, self.nested, self.frames.data
         left = self.tolerance**2 - frames.error_of_all(skinning, "rmse") ** 2
         budget = max(left, 1e-300) * skinning.n_frames * skinning.n_vertices
         tracks = Tracks(skinning, self.offsets)
-        # squared error of all frames, from that of the representative ones
+        # factor from squared errors in the solver's space to those of all frames in mesh units
         unit = data.scale**2 * skinning.n_frames / data.n_frames
         influence = influence_bytes(skinning.n_bones) / unit
         least = nested.choose(0.0)[1]

@@ -12,23 +12,27 @@ from ..solver.trajectories import Trajectories, truncated_basis
 __all__ = ["rank_bound", "rank_of", "reduced"]
 
 _SPECTRUM = 2000  # size of the largest Gram matrix whose eigenvalues are computed
-_NOISE = 1e-12  # energy of rounding errors, relative to the whole
-_TAIL = 1e-4  # squared error that the compression may lose, relative to the allowed one
+_NOISE = 1e-12  # sum of squares that counts as rounding errors, relative to that of all entries
+_TAIL = 1e-4  # squared error that the compression may add, relative to the allowed one
 
 
 def rank_bound(data: Trajectories, allowed: float) -> int:
     """Lower bound on the number of bones that can reach the allowed squared error.
 
-    A model of B bones moves V vertices through F frames by a (V, 4B) times a (4B, 3F) matrix.
-    Relative to the centroids of the frames its rank is at most 4B − 1, since weights sum to 1.  By
-    Eckart and Young (1936) the squared error is at least the energy beyond that rank, for rigid,
-    similarity and affine bones.  The bound is 1 if the spectrum is too large to compute.
+    The positions of V vertices in F frames under B bones are a (V, 4B) matrix times a (4B, 3F)
+    matrix.  Relative to the centroid of each frame, the rank of this product is at most 4B − 1,
+    since weights sum to 1.  By Eckart and Young (1936) the squared error is at least the sum of the
+    squared singular values beyond that rank.  This holds for rigid, similarity and affine bones.
+    The bound is 1 if there are too many singular values to compute.
     """
     return max(1, -(-(rank_of(data, allowed) + 1) // 4))
 
 
 def rank_of(data: Trajectories, allowed: float) -> int:
-    """Least rank that leaves at most the allowed squared error; 0 if too large to compute."""
+    """Least rank with which a matrix approximates the trajectories to the allowed squared error.
+
+    It is 0 if there are too many singular values to compute.
+    """
     if min(data.z.shape) > _SPECTRUM:
         return 0
     x = data.z
@@ -40,7 +44,7 @@ def rank_of(data: Trajectories, allowed: float) -> int:
 
 
 def reduced(data: Trajectories, allowed: float) -> Trajectories:
-    """The frames in as few columns as the allowed squared error needs."""
+    """Compress the trajectories to as few columns as the allowed squared error permits."""
     if min(data.z.shape) > _SPECTRUM:
         return data
     with serial_blas():

@@ -1,4 +1,4 @@
-"""Error against size: a model for each of many numbers of bones."""
+"""Curve of error against size: a model for each of many numbers of bones."""
 
 from __future__ import annotations
 
@@ -25,28 +25,29 @@ __all__ = ["Curve", "curve", "knee"]
 
 _MOST_BONES = 64  # by default
 _FLOOR = 1e-5  # least error on the logarithmic axis of the knee, relative to the diagonal
-# Moves of bones and polish steps for each number of bones.
+# Number of moves of bones, and of polish steps, for each number of bones.
 _STEPS: dict[Effort, tuple[int, int]] = {"fast": (4, 6), "balanced": (8, 16), "best": (24, 40)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Curve:
-    """Error against size.
+    """Curve of error against size.
 
     Attributes
     ----------
     bones : (N,) int64
-        Ascending.
+        Numbers of bones, ascending.
     bytes : (N,) int64
-        By :func:`size`, with every frame a key.
+        Size of each model by :func:`size`, if every frame is a key of every bone.
     rmse : (N,) float64
-        In the mesh's units; never rises.  If frames are streamed, it is that of the representative
-        frames alone, among which rare poses have more weight.
+        Error of each model in the mesh's units; it never rises along the curve.  If frames are
+        streamed, it is measured on representative frames, each of which counts as often as there
+        are frames like it.
     diagonal : float
-        Of the bounding box in the frame where it is largest.
+        Diagonal of the bounding box in the frame where it is largest.
     knee : int
-        Index of the point farthest below the straight line between the ends of the curve, both axes
-        logarithmic and scaled to unit length.  Errors under 1e-5 of the diagonal count as that
+        Index of the point farthest below the straight line between the ends of the curve, on
+        logarithmic axes scaled to unit length.  Errors below 1e-5 of the diagonal are raised to it
         (Satopää et al. 2011, "Finding a kneedle in a haystack").
 
     Examples
@@ -79,26 +80,29 @@ def curve(
     rng: int | np.random.Generator = 0,
     callback: Callback | None = None,
 ) -> Curve:
-    """Error against size, from one bone to many.
+    """Compute the curve of error against size, from one bone to many.
 
     A model with the most bones is merged down step by step and polished at each number of bones.
-    If a larger model ends with more error than a smaller one, it is replaced by the smaller one
-    with bones added.
+    If a larger model ends with more error than a smaller one, it is replaced by a copy of the
+    smaller one to which bones are added.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
-        If it does not fit into memory, `rmse` is that of the frames that differ most; `bytes` and
-        `diagonal` are those of all frames.
+        If it does not fit into memory, `rmse` is measured on the frames that differ most; `bytes`
+        and `diagonal` are those of all frames.
     faces : (T, 3) int array, optional
+        Triangles, if `sequence` is a plain array.
     bones : int, optional
-        The most; by default 64, or the number of vertices if that is less.
+        Largest number of bones; by default 64, or the number of vertices if that is less.
     influences : int
-        Most bones a vertex.
+        Most influences per vertex.
     effort : {"fast", "balanced", "best"}
+        Work spent on each number of bones.
     rng : int or numpy.random.Generator
     callback : callable, optional
-        Called with a :class:`~ssdr.search.progress.Progress`; returning True stops.
+        Called with a :class:`~ssdr.search.progress.Progress` after every step; if it returns True,
+        the call ends with Cancelled.
 
     Returns
     -------
@@ -141,7 +145,7 @@ def curve(
     rungs = _rungs(problem.bones)
     ladder = Ladder(frames, report, clock, expected=len(rungs))
     _fill(ladder, rungs, effort)
-    # errors near zero are ordered by rounding
+    # among errors near zero, one may be larger than the one before by a rounding error
     rmse = np.minimum.accumulate([ladder.errors[bones] for bones in rungs])
     stored = np.array([frames.bytes(ladder.models[bones]) for bones in rungs], dtype=np.int64)
     diagonal = max(s.diagonal() for s in problem.sequences)
@@ -155,7 +159,11 @@ def curve(
 
 
 def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
-    """Find a model for every rung: merge down from the most bones, then mend on the way up."""
+    """Find a model for every number of bones in `rungs`.
+
+    Bones are merged from the largest number down.  Then, from the smallest number up, a model with
+    more error than the one before is replaced by a copy of that one with bones added.
+    """
     stages, (moves, polish) = ladder.stages, _STEPS[effort]
     improve = (*stages.move(moves), Polish(steps=polish, gain=0.01))
     ladder.attempt(rungs[-1], (*stages.start(1.3), *improve), "start")
@@ -172,7 +180,10 @@ def _fill(ladder: Ladder, rungs: list[int], effort: Effort) -> None:
 
 
 def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
-    """Index of the point farthest below the chord of the curve on logarithmic axes."""
+    """Index of the point farthest below the straight line between the ends of the curve.
+
+    Both axes are logarithmic and scaled to unit length; errors below `floor` are raised to it.
+    """
     x = np.log(np.asarray(stored, dtype=np.float64))
     y = np.log(np.maximum(np.asarray(error, dtype=np.float64), max(floor, 1e-300)))
     if len(x) < 3 or not x[-1] > x[0] or not y[0] > y[-1]:
@@ -182,7 +193,7 @@ def knee(stored: NDArray[Any], error: NDArray[Any], floor: float) -> int:
 
 
 def _rungs(most: int) -> list[int]:
-    """Numbers of bones 1, 2, 3, ..., then each about a fifth more, up to `most`."""
+    """Numbers of bones from 1 to `most`: first 1, 2, 3, ..., then each about a fifth larger."""
     out = [1]
     while out[-1] < most:
         out.append(min(most, max(out[-1] + 1, round(1.2 * out[-1]))))

@@ -28,7 +28,7 @@ __all__ = [
 
 Measure = Literal["rmse", "max"]
 
-# float32: rotation and translation; a scale as well; a matrix
+# Float32 numbers: rotation and translation; rotation, translation and scale; a 3×4 matrix.
 _KEY_BYTES = {"rigid": 28, "similarity": 32, "affine": 48}
 _TRANSLATION_BYTES = 12
 
@@ -41,7 +41,7 @@ class Attempt:
     ----------
     bones : int
     error : float
-        In the mesh's units, by the measure of the tolerance.
+        Error of the attempt's best model in the mesh's units, by the measure of the tolerance.
     iterations : int
         Number of alternations and polish steps.
     start : str
@@ -67,18 +67,19 @@ class Size:
     Attributes
     ----------
     rest : int
-        12 per vertex: three float32.
+        Bytes of the rest pose: 12 per vertex (three float32).
     weights : int
-        1 per vertex for the number of its influences.  Per influence 2 for a weight of 16 bits and
-        1 for the index (2 beyond 256 bones).
+        Bytes of the weights: 1 per vertex for the number of its influences, and per influence 2 for
+        a weight of 16 bits and 1 for the bone's index (2 if there are more than 256 bones).
     joints : int
-        12 per bone for its position in the rest pose.  In a hierarchy 1 more for the parent (2
-        beyond 256 bones).
+        Bytes of the joints: 12 per bone for its position in the rest pose, and in a hierarchy 1 for
+        its parent (2 if there are more than 256 bones).
     keys : int
-        28 per key: rotation 16, translation 12 (float32); 32 with a scale, 48 for an affine bone.
-        12 less for a joint that does not translate relative to its parent, and for a root that does
-        not translate.  2 more (4 beyond 65,536 frames) for the frame number of a key if not every
-        frame is a key of the bone.
+        Bytes of the keys: 28 per key of a rigid bone (rotation 16, translation 12, in float32), 32
+        of a similarity bone, and 48 of an affine bone.  A key has 12 bytes less if the bone does
+        not translate relative to its parent or, for a root, does not translate at all.  It has 2
+        more (4 if there are more than 65,536 frames) for its frame number, unless the bone has a
+        key at every frame.
 
     Examples
     --------
@@ -106,8 +107,9 @@ class Pruning:
     before, after : int
         Number of bones, of influences of all vertices, or of keys of all bones.
     bytes_before, bytes_after : int
+        Bytes of the model.
     error_before, error_after : float
-        In the mesh's units, by the measure of the tolerance.
+        Error of the model in the mesh's units, by the measure of the tolerance.
 
     Examples
     --------
@@ -137,20 +139,21 @@ class Parsimony:
     Attributes
     ----------
     tolerance : float
-        In the mesh's units.
+        Tolerance asked for, in the mesh's units.
     measure : {"rmse", "max"}
     error : float
         Error of the result, measured on all frames.
     held : bool
         Whether the error is within the tolerance.
     bones, influences : int
-        Of the result; `influences` is the largest number at a vertex.
+        Number of bones of the result, and largest number of influences at a vertex.
     least_bones : int
         Lower bound on the number of bones that can hold the tolerance, proven by the rank of the
         motion.
     size : Size
     prunings : tuple of Pruning
-        Bones, influences, keyframes, in this order; fewer if the search was stopped.
+        Prunings of bones, influences and keyframes, in this order; if the search was stopped, the
+        last ones are missing.
     attempts : tuple of Attempt
         All attempts, in order.
 
@@ -178,15 +181,15 @@ class Parsimony:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Smallest(Decomposition):
-    """Smallest model found that holds a tolerance, or that of least error.
+    """Smallest model found that holds a tolerance; if none does, the model of least error.
 
-    A smaller model may have a larger error, so that in `history` the
-    `rmse` may rise up to the tolerance.
+    The `rmse` in `history` may rise up to the tolerance, since a smaller model may have a larger
+    error.
 
     Attributes
     ----------
     parsimony : Parsimony
-        Its size, and how it was found.
+        Size of the model, and how it was found.
 
     Examples
     --------
@@ -246,7 +249,7 @@ def influence_bytes(bones: int) -> int:
 
 
 def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
-    """Bytes per key of each bone (B,)."""
+    """Bytes (B,) of one key of each bone."""
     each = np.full(skinning.n_bones, _KEY_BYTES[skinning.bone_model])
     if skinning.parents is None:
         return each
@@ -256,5 +259,5 @@ def key_bytes(skinning: Skinning) -> NDArray[np.int64]:
 
 
 def time_bytes(frames: int) -> int:
-    """Bytes of the frame number of a key."""
+    """Bytes of a key's frame number in an animation of `frames` frames."""
     return 2 if frames <= 1 << 16 else 4

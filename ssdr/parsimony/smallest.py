@@ -23,9 +23,9 @@ from .report import Measure, Smallest
 
 __all__ = ["smallest"]
 
-_MOST_BONES = 256  # by default, for indices of 8 bits
-# Least importance of a vertex relative to the largest, since a solver that ignores a vertex cannot
-# bound its error.
+_MOST_BONES = 256  # by default, so that the index of a bone fits into 8 bits
+# Least importance of a vertex, relative to the largest: a solver that ignores a vertex cannot bound
+# its error.
 _LEAST_VERTEX = 1e-4
 
 
@@ -50,25 +50,26 @@ def smallest(
 ) -> Smallest:
     """Find the smallest model of an animated mesh that holds a tolerance.
 
-    It has the fewest bones found that hold the tolerance.  The rest of the tolerance is spent on
-    dropping influences and keyframes, so that it takes fewer bytes.  The model is that of
+    The result has the fewest bones found that hold the tolerance.  Then influences and keyframes
+    are dropped as far as the tolerance allows, which saves bytes.  The kind of model is that of
     :func:`decompose`.
 
     Parameters
     ----------
     sequence : MeshSequence, list of them, or (F, V, 3) array
         As in :func:`decompose`.  If the frames do not fit into memory, those that differ most are
-        solved, and the tolerance is verified on all.
+        solved, and the tolerance is verified on all frames.
     faces : (T, 3) int array, optional
-        With plain arrays.
+        Triangles, if `sequence` is a plain array.
     tolerance : float or str
         Positive: a length in the mesh's units, or a share of the diagonal such as ``"0.5%"``.  The
         diagonal is that of the bounding box in the frame where it is largest.
     measure : {"rmse", "max"}
-        Error that the tolerance bounds: sqrt(Σ|d|² / (F V)), or the largest distance of any vertex
-        in any frame.  The solver minimises squares, so that "max" takes more bones than necessary.
+        Error that the tolerance bounds: the root mean square sqrt(Σ|d|² / (F V)) of the distances d
+        between model and input over F frames and V vertices, or the largest of these distances.
+        The solver minimises squares, so that "max" takes more bones than necessary.
     bones : int, optional
-        Most bones; by default 256, or the number of vertices if that is less.
+        Largest number of bones; by default 256, or the number of vertices if that is less.
     influences : int
         Most influences per vertex (K).
     effort : {"fast", "balanced", "best"}
@@ -81,21 +82,21 @@ def smallest(
         A model to begin from, such as a checkpoint, with at most `bones` bones: if it holds the
         tolerance, the result is no larger.  A :class:`Start` may give a rest pose only.
     vertex_importance : (V,) array, optional
-        Guides the solver as in :func:`decompose`; at least 1e-4 of the largest, since the tolerance
-        bounds the plain error.
+        Guides the solver as in :func:`decompose`.  Each value must be at least 1e-4 of the largest,
+        since the tolerance bounds the error without importance.
     frame_importance : (F,) array, optional
-        Positive; guides the solver likewise.
+        Positive; guides the solver as in :func:`decompose`.
     rng : int or numpy.random.Generator
-        Same seed, same bits, whatever the number of threads.
+        The same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional
-        Seconds of this call, without compilation, after which the smallest model so far that holds
-        the tolerance is returned without pruning, or else that of least error.
+        Most seconds for this call, without compilation.  When they are over, the smallest model so
+        far that holds the tolerance is returned without pruning, or else the model of least error.
     checkpoint : path, optional
         As in :func:`decompose`; holds the smallest model so far that holds the tolerance.
     callback : callable, optional
-        Called with a :class:`Progress` after every step; returning True stops like the time limit.
-        Its `rmse` is the error, by `measure`, of the smallest model so far that holds the
-        tolerance, or inf.
+        Called with a :class:`Progress` after every step; if it returns True, the search ends as at
+        the time limit.  `Progress.rmse` is the error, by `measure`, of the smallest model so far
+        that holds the tolerance; inf if none does.
 
     Returns
     -------
@@ -152,7 +153,7 @@ def smallest(
     _check_beside_tolerance(problem, rig, most)
     length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
     compile_seconds = compile_kernels()
-    # where the motion does not determine a joint, it need not lie near the skin
+    # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
     driver = Driver(dataclasses.replace(problem, bones=most, locked=locked), length, measure)
     result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
@@ -163,7 +164,7 @@ def smallest(
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
-    """Refuse arguments that cannot be combined with a tolerance."""
+    """Raise InputError for arguments that cannot be combined with a tolerance."""
     if isinstance(rig, Skeleton):
         raise InputError("rig", "None, 'loose' or 'rigid' beside a tolerance", "a Skeleton")
     if problem.start is None:

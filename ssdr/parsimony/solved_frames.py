@@ -1,6 +1,7 @@
 """Frames that a search solves, and errors of models on these and on all frames.
 
-If the frames do not fit into memory, representative ones are solved and all are verified.
+If the frames do not fit into memory, representative frames are solved, and the error is measured on
+all frames.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class SolvedFrames:
     ----------
     problem : Problem
     measure : {"rmse", "max"}
-        Error that the search bounds.
+        Error that the tolerance of the search bounds.
     clock : Clock
         For the progress of the first pass over streamed frames.
 
@@ -43,8 +44,9 @@ class SolvedFrames:
     ----------
     sequences : list of MeshSequence
     data : Trajectories
+        Compressed trajectories of these frames.
     given : Given
-        In the solver's space, for these frames.
+        Parts that the caller gave, in the solver's space and for these frames.
     scan : Scan or None
         None if all frames are in memory.
     """
@@ -65,26 +67,26 @@ class SolvedFrames:
         self.given = given.inside(self.data)
 
     def squared(self, rmse: float) -> float:
-        """Squared error of all vertices and frames in the solver's space."""
+        """Convert an RMSE to the squared error in the solver's space, summed over these frames."""
         return (rmse / self.data.scale) ** 2 * self.data.n_frames * self.data.n_vertices
 
     def error(self, model: Model, measure: Measure | None = None) -> float:
-        """Error of a model on these frames, in the mesh's units."""
+        """Error of a model on the frames that the search solves, in the mesh's units."""
         measure = measure or self.measure
         if self.scan is not None and measure == "rmse":
-            # a representative frame counts for all frames like it
+            # each representative frame counts as often as there are frames like it
             return math.sqrt(max(model.weighted_error(self.data), 0.0) / self.squared(1.0))
         rest, transforms = self.data.to_world(model.rest, model.transforms)
         return _error(measure, self.sequences, rest, model.indices, model.weights, transforms)
 
     def error_of_all(self, s: Skinning, measure: Measure | None = None) -> float:
-        """Error of a skinning of all frames."""
+        """Error of a skinning, measured on all frames, in the mesh's units."""
         parts = (s.rest, s.indices, s.weights, s.transforms)
         measure = measure or self.measure
         return _error(measure, self.problem.sequences, *parts, executor=self.executor)
 
     def skinning(self, model: Model) -> Skinning:
-        """Skinning of these frames."""
+        """Convert a model to a skinning of the frames that the search solves."""
         return _trimmed(skinning_of(self.problem, self.data, model, self.sequences))
 
     def skinning_of_all(
@@ -95,14 +97,14 @@ class SolvedFrames:
         entering: int = ENTERING,
         on_progress: Callable[[], bool],
     ) -> Skinning:
-        """Skinning of all frames; if they are streamed, it is solved in passes over them.
+        """Convert a model to a skinning of all frames; streamed frames are solved in passes.
 
         Parameters
         ----------
         model : Model
-            Of the frames that the search solves.
+            Model of the frames that the search solves.
         passes : int
-            Most passes; they end when one improves little.
+            Most passes over all frames; they end when one gains little.
         entering : int
             Number of bones that may enter the support of a vertex in a pass.
         on_progress : callable
@@ -134,7 +136,7 @@ class SolvedFrames:
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
     def bytes(self, model: Model) -> int:
-        """Bytes of a model with a key at every one of all frames."""
+        """Bytes of a model for all frames, in which every bone has a key at every frame."""
         stored, frames = size(self.skinning(model)), self.data.n_frames
         return stored.total + stored.keys // frames * (self.problem.n_frames - frames)
 
@@ -147,5 +149,5 @@ def _error(measure: Measure, sequences: list[MeshSequence], *parts: Any, **execu
 
 
 def _trimmed(skinning: Skinning) -> Skinning:
-    """Skinning whose K is the largest number of influences at a vertex."""
+    """A copy without the influence slots that every vertex leaves empty."""
     return skinning.prune(int(np.count_nonzero(skinning.weights, axis=1).max()))

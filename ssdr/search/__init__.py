@@ -1,1 +1,1 @@
-"""Order and number of the solver's steps, changes of a model, and the best model so far."""
+"""Runs of the solver: stages of a schedule, changes that improve a model, and the best model."""

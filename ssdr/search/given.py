@@ -20,31 +20,34 @@ class Given:
     Attributes
     ----------
     rest : (V, 3) array or None
-        Rest pose; stays unless `free`.
+        Rest pose; it is kept unless `free`.
     rest_frame : int
-        Frame at which the rest pose starts where none is given.
+        Frame from which the rest pose is solved if `rest` is None.
     indices, weights : (V, K) arrays or None
-        Skin weights; stay at `locked_vertices`.
+        Skin weights; those of `locked_vertices` are kept.
     transforms : (F, B0, 3, 4) array or None
-        Bones; `locked_bones` of them stay.
+        Transforms of the first B0 bones; those of `locked_bones` are kept.
     free : bool
-        The parts are those of a whole model to improve; nothing of it is locked.
+        Whether the parts are a whole model to improve, of which nothing is locked.
     locked_vertices : (V,) mask or None
+        Vertices whose weights are kept.
     locked_bones : (B0,) mask or None
+        Bones whose transforms are kept.
     tree : Tree or None
-        Parents and joints of the first bones.
+        Parents and joints of the given bones; bones that are added come after these.
     keeps_tree : bool
-        The tree is that of a skeleton, whose parents stay.
+        Whether the tree is that of a skeleton, so that its parents are kept.
     tree_pose : (V, 3) array or None
-        Rest pose in which these joints lie, where `rest` is None.
+        Rest pose that fits the joints of `tree`; it is used if `rest` is None.
     nearest_bone : (V,) array or None
-        The bone of a skeleton of another mesh that moves each vertex, to start from.
+        For a skeleton of another mesh, the bone nearest each vertex, which moves it at the start.
     skeleton_skin : ((V, K) array, (V, K) array) or None
-        Indices and weights of a skeleton of the same mesh, to start from.
+        For a skeleton of the same mesh, its indices and weights, used as a start.
     extra_parents : tuple of int
-        Parents of the bones that a skeleton gets more; −1: where the error is.
+        Parents of the bones that are added to a skeleton; −1 if a bone goes where the error is
+        largest.
     rotations : (F, B0, 3, 3) array or None
-        Rotations of its joints relative to their parents that stay; NaN where they are free.
+        Rotations relative to the parents that joints of a skeleton keep; NaN for free joints.
     """
 
     rest: Array | None = None
@@ -65,13 +68,13 @@ class Given:
 
     @property
     def leading_locked_bones(self) -> NDArray[np.bool_] | None:
-        """`locked_bones` up to the last that is locked; None where none is."""
+        """Mask `locked_bones`, cut after the last locked bone; None if no bone is locked."""
         if self.locked_bones is None or not self.locked_bones.any():
             return None
         return self.locked_bones[: int(np.flatnonzero(self.locked_bones)[-1]) + 1]
 
     def of_frames(self, chosen: NDArray[np.int64]) -> Given:
-        """The same for the named frames alone, ascending; the rest frame is one of them."""
+        """A copy for the frames `chosen` alone, ascending; `rest_frame` must be one of them."""
         transforms = self.transforms
         return dataclasses.replace(
             self,
@@ -80,7 +83,7 @@ class Given:
         )
 
     def inside(self, alignment: Alignment) -> Given:
-        """The same in the solver's space."""
+        """A copy with rest pose, joints and transforms taken into the solver's space."""
 
         def inward(points: Array | None, name: str) -> Array | None:
             if points is None:

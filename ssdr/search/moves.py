@@ -1,6 +1,7 @@
 """Changes of a model that lead out of a poor minimum: bones and influences added, moved, removed.
 
-Each returns a changed copy; the caller keeps it if its objective is lower.
+A change returns a changed copy of the model; the caller keeps it if its objective is lower.  The
+cheapest bones are those whose removal raises the objective least.
 """
 
 from __future__ import annotations
@@ -34,27 +35,30 @@ __all__ = [
     "polish_then_drop_influence",
 ]
 
-# Vertices, drawn by their error, around which a new bone may be placed: comparing the error of
-# their neighbourhoods costs next to nothing beside one alternation.
+# Number of vertices, drawn by their error, around which a new bone may be placed: to compare the
+# error of so many neighbourhoods costs next to nothing beside one alternation.
 _CANDIDATES = 32
 # Number of cheapest bones among which the one to move is drawn: if it were always the cheapest,
 # a failed change would be repeated.
 _CHEAPEST = 3
-# Upper bounds of what a search draws: alternations, bones to exchange, influences to exchange.
-# With larger ones, the polish steps before a trial is judged are too few to make up for the change.
+# Upper bounds of the numbers that a search draws: alternations, bones to exchange, and influences
+# to exchange.  With larger bounds, too few polish steps would follow to make up for the change
+# before the trial is judged.
 _MOST_ALTERNATIONS, _MOST_EXCHANGED, _MOST_WIDER = 5, 2, 2
-_ADDED = (2, 6)  # bones added at once, a quarter of the model's at most
-# Polish steps at each number of influences, drawn from this to twice as many: one step that lets
-# bones enter, and two that settle them.
+# Least and most bones added at once; more than three only up to a quarter of the model's bones.
+_ADDED = (2, 6)
+# Polish steps at each number of influences: drawn between this and twice as many.  Three are one
+# step that lets bones enter supports and two that settle them.
 _FEWEST_STEPS = 3
-# Vertices of a new bone's patch, relative to the average bone's: of a moved bone, and drawn for an
-# added one, since motions have parts of all sizes.
+# Number of vertices in the patch of a new bone, relative to the average bone's: for a moved bone,
+# and for an added bone, where it is drawn because motions have parts of all sizes.
 _PATCH_SIZE, _PATCH_SIZES = 0.5, (0.25, 0.5, 1.0)
 _FEWEST_VERTICES = 4  # in a patch: a rotation needs three that are not on a line
-# Gauss–Newton rounds on a vertex that tries to do without a bone: nine of ten vertices then are
-# within 0.1 % of their least error (the tests hold this).
+# Gauss–Newton rounds on a vertex from which a bone is removed on trial: after these, nine of ten
+# vertices are within 0.1 % of their least error (a test checks this).
 _ROUNDS = 2
-# Every third polish step tries bones that could enter: every step costs more than it brings.
+# In every third polish step, up to three bones may enter the support of a vertex: to try this in
+# every step costs more than it brings.
 _ENTERING_EVERY, _ENTERING_BONES = 3, 3
 
 
@@ -64,7 +68,10 @@ _ENTERING_EVERY, _ENTERING_BONES = 3, 3
 def merge_bones(
     data: Trajectories, model: Model, bones: int, alternations: int, locked: Locked
 ) -> Model:
-    """Remove the cheapest third of the bones beyond `bones`, then alternate."""
+    """Remove a third of the bones in excess of `bones`, the cheapest ones, then alternate.
+
+    The cheapest bones are those whose removal raises the objective least.
+    """
     excess = model.n_bones - bones
     cost = _removal_costs(data, model, locked)
     drop = np.argsort(cost, kind="stable")[: max(1, -(-excess // 3))]
@@ -81,9 +88,10 @@ def move_cheapest_bone(
     alternations: int,
     locked: Locked,
 ) -> Model | None:
-    """Move one of the cheapest bones to the patch with most error; None if none can move.
+    """Move one of the cheapest bones to the patch with most error; None if no bone can move.
 
-    The moved bone is the Kabsch fit of a neighbourhood of V/2B vertices.
+    The cheapest bones are those whose removal raises the objective least.  The moved bone is fitted
+    by Kabsch to a patch of V/(2B) vertices, for V vertices and B bones.
     """
     if not float(data.importance @ model.error) > 0:
         return None
@@ -103,10 +111,10 @@ def move_cheapest_bone(
 def add_and_merge_bones(
     data: Trajectories, model: Model, rng: np.random.Generator, alternations: int, locked: Locked
 ) -> Model:
-    """Add two to six bones where the error is, then merge down to as many as before.
+    """Add two to six bones where the error is largest, then merge down to the number before.
 
-    It alternates `alternations` times after each change, at a tenth of the time of a change that
-    polishes.  Several bones at once find places that none would keep by itself.
+    It alternates `alternations` times after each step, which takes a tenth of the time of a change
+    that polishes.  Several bones added at once find places that a single bone would not keep.
     """
     least, most = _ADDED
     most = max(least + 1, min(most, model.n_bones // 4))
@@ -121,10 +129,11 @@ def add_and_merge_bones(
 def exchange_bones(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Add one or two bones, polish, then remove the cheapest ones.
+    """Add one or two bones, polish, then remove as many of the cheapest bones.
 
-    The cheapest bones are chosen only after the polish, when the new bones have taken over vertices
-    from the old ones.  One more influence meanwhile lets vertices follow both.
+    The cheapest bones, whose removal raises the objective least, are chosen only after the polish,
+    when the new bones have taken over vertices from the old ones.  Until then each vertex has one
+    more influence, so that it can follow both an old and a new bone.
     """
     k, _, steps = _draw_influences(model, rng)
     count = int(rng.integers(1, _MOST_EXCHANGED + 1))
@@ -140,10 +149,10 @@ def exchange_bones(
 
 
 def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Locked) -> Model:
-    """A copy with one bone more whose error is never larger.
+    """Add a bone to a copy of the model without raising the error.
 
-    The bone is placed where a neighbourhood has most error; if that does not lower the objective,
-    the bone moves nothing.
+    The bone is placed at the patch of vertices with most error.  If that would raise the error, the
+    bone is added without moving any vertex.
     """
     before = model.weighted_error(data)
     error = np.maximum(model.error, 0.0) * data.importance
@@ -164,9 +173,10 @@ def add_bone(data: Trajectories, model: Model, *, alternations: int, locked: Loc
 def exchange_influences(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Polish with one or two more influences, then drop those whose removal costs least.
+    """Polish with one or two more influences per vertex, then drop as many.
 
-    The model changes little, and the change rarely fails.
+    Each vertex drops the influences whose removal raises its error least.  Since the model changes
+    little, its objective is usually lower afterwards.
     """
     k, extra, steps = _draw_influences(model, rng)
     wide = model.with_influences(k + extra)
@@ -176,23 +186,23 @@ def exchange_influences(
 def polish_then_drop_influence(
     data: Trajectories, model: Model, locked: Locked, *, steps: int
 ) -> Model:
-    """Polish `steps` times (in place); return a copy with one influence a vertex less.
+    """Polish `steps` times (in place); return a copy with one influence per vertex less.
 
     With few influences the choice of bones for each vertex leads to many poor minima.  With more
-    influences there are fewer, and their bones are close to those of a good model.
+    influences there are fewer poor minima, and their bones are close to those of a good model.
     """
     polish_steps(data, model, steps, locked)
     smaller = model.with_influences(model.n_influences - 1)
-    # solve on all bones, of which the largest weights stay
+    # the weights are solved on all bones, then the largest are kept
     vertex_step(data, smaller, locked=locked)
     return smaller
 
 
 def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
-    """Remove from every full vertex the influence without which its error rises least (in place).
+    """Remove from each vertex with K influences the one that it needs least (in place).
 
-    Each removal is tried, with the other weights and the rest position solved again: the smallest
-    weight is often not the one whose removal costs least.
+    Each removal is tried, with the other weights and the rest position solved again, and that of
+    least error is made.  It is often not the removal of the smallest weight.
     """
     k, keep = model.n_influences, locked.vertex_mask(data.n_vertices)
     full = (model.weights > 0).all(axis=1) & ~keep
@@ -232,7 +242,7 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
 
 
 def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, int]:
-    """Influences of a model, how many more to give it, and polish steps at each number."""
+    """Return the number of influences; draw how many to add and how many polish steps to make."""
     k, n_bones = model.n_influences, model.n_bones
     extra = min(int(rng.integers(1, _MOST_WIDER + 1)), max(0, n_bones - k))
     return k, extra, int(rng.integers(_FEWEST_STEPS, 2 * _FEWEST_STEPS + 1))
@@ -241,7 +251,7 @@ def _draw_influences(model: Model, rng: np.random.Generator) -> tuple[int, int, 
 def _with_fewer_influences(
     data: Trajectories, model: Model, locked: Locked, *, influences: int, steps: int
 ) -> Model:
-    """Polish and drop an influence until `influences` are left."""
+    """Polish and drop one influence per vertex, repeatedly until each has at most `influences`."""
     while model.n_influences > influences:
         polish_steps(data, model, steps, locked)
         drop_influence(data, model, locked)
@@ -255,7 +265,10 @@ def _with_fewer_influences(
 def alternate_some(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """One to five alternations, which keep the largest weights even where that raises the error."""
+    """Alternate one to five times, keeping the K largest weights of each vertex.
+
+    The other weights are dropped even if that raises the error.
+    """
     moved = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_ALTERNATIONS + 1))):
         bone_step(data, moved, locked=locked)
@@ -265,12 +278,12 @@ def alternate_some(
 
 
 def entering_at(step: int) -> int:
-    """Bones that may enter a vertex's support in this step of a polish, counted from 0."""
+    """Number of bones that may enter a vertex's support in a polish step; the first step is 0."""
     return _ENTERING_BONES if step % _ENTERING_EVERY == 0 else 0
 
 
 def polish_steps(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
-    """Polish `count` times (in place); every third step lets bones enter."""
+    """Make `count` polish steps (in place); every third lets bones enter the supports."""
     polish = GaussNewton(data, model, locked=locked)
     for k in range(count):
         polish.step(entering=entering_at(k))
@@ -288,12 +301,13 @@ def patch_of_most_error(
     *,
     among: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.intp]:
-    """Patch of `fraction`·V/B vertices with most error among the patches around drawn seeds.
+    """Find the patch with most error among patches of `fraction`·V/B vertices around drawn seeds.
 
-    Seeds are drawn by their error; `among` (V,) limits them and the patch, unless it is empty.
+    A vertex is drawn as a seed with a probability proportional to its error.  If the mask `among`
+    (V,) selects any vertices, seeds and patches consist of these alone.
     """
     n = data.n_vertices
-    # drawn by their place in the order of motion, so that numbering plays no part
+    # vertices are sorted by their motion, so that the draw does not depend on their numbering
     order = np.argsort(data.x2, kind="stable")
     error = model.error * data.importance
     there = np.arange(n)
@@ -310,9 +324,9 @@ def patch_of_most_error(
 def _neighbourhood_of_most_error(
     rest: Array, error: Array, seeds: NDArray[np.intp], size: int
 ) -> NDArray[np.intp]:
-    """Patch of `size` vertices with most error among the patches around the seeds.
+    """Find the patch with most error among patches of `size` vertices around the seeds.
 
-    Four vertices at least, where there are as many.
+    A patch has at least four vertices, unless the mesh has fewer.
     """
     size = min(len(error), max(_FEWEST_VERTICES, size))
     _, near = cKDTree(rest).query(rest[seeds], k=size)
@@ -323,7 +337,7 @@ def _neighbourhood_of_most_error(
 def _with_more_bones(
     data: Trajectories, model: Model, count: int, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """A copy with `count` bones more, one after the other where the error is."""
+    """A copy with `count` more bones, each in turn placed where the error is largest."""
     for _ in range(count):
         members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
         model = _with_patch(data, model, members, locked)
@@ -334,7 +348,7 @@ def _with_more_bones(
 def _with_patch(
     data: Trajectories, model: Model, members: NDArray[np.intp], locked: Locked
 ) -> Model:
-    """A copy with one bone more that moves `members` as they move themselves."""
+    """A copy with one more bone, fitted to the vertices `members`, which it moves alone."""
     label = np.full(data.n_vertices, -1, dtype=np.intp)
     label[members] = 0
     grown = model.with_bone(fit_patches(data, model.rest, label, 1, locked.bone_model)[:, 0])
@@ -344,10 +358,10 @@ def _with_patch(
 
 
 def _removal_costs(data: Trajectories, model: Model, locked: Locked) -> Array:
-    """Rise of the objective without each bone (B,); inf for bones that have to stay."""
+    """Rise (B,) of the objective when each bone is removed; inf for bones that have to stay."""
     cost = bone_costs(data, model)
     if locked.bones is not None:
-        # all bones that the caller gave, since locked ones are identified by their index
+        # all bones up to the last locked one stay, since locked bones are known by their index
         cost[: len(locked.bones)] = np.inf
     keep = locked.vertex_mask(data.n_vertices)
     cost[model.indices[keep][model.weights[keep] > 0]] = np.inf

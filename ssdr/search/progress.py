@@ -1,4 +1,4 @@
-"""Progress for a callback, the records of a run, and its clock."""
+"""Progress reports to a callback, records of accepted models, and the clock of a run."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["Callback", "Clock", "Progress", "ProgressReport", "Record"]
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """An accepted model with exactly the bones and influences asked for.
+    """Record of an accepted model, which has the number of bones and influences asked for.
 
     Attributes
     ----------
     iteration : int
-        Alternations and polish steps so far.
+        Number of alternations and polish steps so far.
     elapsed : float
         Seconds since the call, initialisation included, compilation excluded.
     rmse : float
         sqrt(Σ|d|² / (F V)) over all frames, in the mesh's units.
     phase : str
-        The step that found it.
+        Name of the stage that found the model.
 
     Examples
     --------
@@ -47,17 +47,19 @@ class Progress:
     Attributes
     ----------
     phase : str
+        Name of the stage.
     iteration : int
+        Number of alternations and polish steps so far.
     elapsed : float
         Seconds.
     rmse : float
-        Error of the best model so far, in the mesh's units, weighted by the importances where
-        there are any; inf before there is a model.  Penalties of `smoothness` and of joints away
-        from the skin count as error.
+        Error of the best model so far, in the mesh's units, weighted by the importances if any are
+        given; inf before there is a model.  It includes the penalties of `smoothness` and of joints
+        away from the skin.
     fraction : float
         Estimated fraction of the work that is done, 0 to 1.
     time_left : float
-        Estimate in seconds.
+        Estimated seconds until the end.
 
     Examples
     --------
@@ -85,7 +87,7 @@ Callback = Callable[[Progress], bool | None]
 
 
 class Clock:
-    """Seconds since it was made."""
+    """Stopwatch that starts when it is made; `elapsed` is in seconds."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()
@@ -96,7 +98,7 @@ class Clock:
 
 
 class ProgressReport:
-    """Build each :class:`Progress`, with an estimate of the time left, and call the callback.
+    """Reporter of steps: builds a :class:`Progress` with the time left, and calls the callback.
 
     Parameters
     ----------
@@ -110,7 +112,7 @@ class ProgressReport:
         self.callback, self.clock, self.time_limit = callback, clock, time_limit
 
     def __call__(self, phase: str, *, iteration: int, rmse: float, fraction: float) -> bool:
-        """Report a step; True if the callback asks to stop."""
+        """Report a step; return True if the callback asks to stop."""
         if self.callback is None:
             return False
         elapsed = self.clock.elapsed

@@ -1,7 +1,7 @@
-"""A run through the stages of a schedule, which remembers the best model.
+"""Runs: a run goes through the stages of a schedule and remembers the best model.
 
-The best model of exactly the bones asked for is kept apart from the one that the next step starts
-from, which may have more bones, more influences or, after a change, more error.
+The best model with exactly the number of bones asked for is kept apart from the model that the next
+step starts from.  The latter may have more bones, more influences or, after a change, more error.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from .progress import Clock, ProgressReport
 __all__ = ["Lowest", "Run", "Schedule", "Stage"]
 
 _logger = logging.getLogger(__name__)
-# Objective, relative to the squared motion, below which all that is left is rounding.
+# Objective, relative to the squared motion, below which only rounding errors are left.
 _EXACT = 1e-30
-# Rise of the objective, likewise, that solving for a bone leaves to rounding: a bone whose removal
-# costs less is idle.
+# Rise of the objective, relative to the squared motion, that may be a rounding error: a bone whose
+# removal costs less is idle.
 _NO_LOSS = 1e-13
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Stage(ABC):
-    """One entry of a schedule: a step, repeated until it stops improving or `steps` is reached.
+    """One entry of a schedule: a step that is repeated while it improves the model.
 
     Attributes
     ----------
     steps : int
-        At most.
+        Most repetitions.
     cost : float
-        Time of a step in alternations; serves the estimate of the time left alone.
+        Time of a step, in alternations; used only to estimate the time left.
     rigid : bool
-        Use rigid bones, whatever kind was asked for.
+        Whether to use rigid bones even if another bone model was asked for.
     """
 
     phase: ClassVar[str]
@@ -57,12 +57,12 @@ class Stage(ABC):
 
     @property
     def work(self) -> float:
-        """Expected time in alternations."""
+        """Expected time of the stage, in alternations."""
         return self.steps * self.cost
 
     @abstractmethod
     def apply(self, run: Run) -> Iterator[None]:
-        """Make the steps; yield after each."""
+        """Make the steps of the stage on the model of `run`; yield after each."""
 
 
 Schedule = tuple[Stage, ...]
@@ -70,7 +70,7 @@ Schedule = tuple[Stage, ...]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Lowest(Stage):
-    """Run several schedules, each from its own start; continue from the lowest model.
+    """Run several schedules, each from its own start; continue from the model of least objective.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Lowest(Stage):
 
 
 class Run:
-    """A decomposition under way.
+    """Decomposition in progress.
 
     Parameters
     ----------
@@ -105,37 +105,39 @@ class Run:
     bones, influences : int
     rng : numpy.random.Generator
     locked : Locked
-        What stays as it is, and what bones may do.
+        Parts that are kept, and the bone model.
     given : Given
         Parts that the caller gave, in the solver's space.
     smoothness : WeightSmoothness or None
         Penalty on the weights.
     clock : Clock, optional
     rigid_joints : bool
-        Accept only models whose bones are attached to their joints.
+        Whether only models with bones attached at their joints are accepted as best.
 
     Attributes
     ----------
     whole : Trajectories
-        All vertices.
+        Trajectories of all vertices.
     data : Trajectories
-        What the present step works on: all vertices, or a sample of them.
+        Trajectories that the present step works on: of all vertices, or of a sample of them.
     chosen : (n,) int array or None
-        The vertices of that sample.
+        Indices of the vertices of that sample; None if all vertices are used.
     model : Model or None
-        What the next step starts from; may have more bones than asked for.
+        Model that the next step starts from; it may have more bones than asked for.
     best : Model or None
-        Lowest objective so far with exactly the bones asked for.
+        Model of lowest objective so far with exactly the number of bones asked for.
     best_value : float
+        Objective of `best`.
     stage : Stage or None
-        The one whose step comes next.
+        Stage whose steps are being made.
     iteration : int
-        Alternations and polish steps so far.
+        Number of alternations and polish steps so far.
     converged : bool
         True if the last stage ended by its own stopping test.
     finished : bool
         True once no stage is left.
     records : list of (iteration, elapsed, squared error, phase)
+        One for each new best model.
     """
 
     def __init__(
@@ -169,7 +171,7 @@ class Run:
 
     @property
     def locked(self) -> Locked:
-        """Parts that the present step may not move, and the bone model that it uses."""
+        """Parts that the present step keeps, and the bone model that it uses."""
         locked = self.asked if self.chosen is None else self.asked.select_vertices(self.chosen)
         if self.stage is None or not self.stage.rigid:
             return locked
@@ -189,18 +191,18 @@ class Run:
 
     @property
     def present(self) -> Model:
-        """The model that a step starts from; every schedule begins with a start."""
+        """Model that a step starts from; it exists because every schedule begins by making one."""
         assert self.model is not None
         return self.model
 
     @property
     def best_model(self) -> Model:
-        """The best model of the bones asked for; a run has one after its first steps."""
+        """Best model with the number of bones asked for; it exists once a step has made one."""
         assert self.best is not None
         return self.best
 
     def begin_with(self, model: Model) -> None:
-        """Start from a copy of a model in place of a stage that makes one."""
+        """Start from a copy of `model` instead of a stage that makes a model."""
         self.model = model.copy()
         if model.n_bones == self.bones:
             self.best, self.best_value = model.copy(), self.value(model)
@@ -216,7 +218,7 @@ class Run:
         Returns
         -------
         str or None
-            The reason; None at the end of the schedule.
+            Reason that `after_step` gave; None if it gave none.
         """
         with serial_blas():
             for stage in self.schedule:
@@ -237,15 +239,20 @@ class Run:
         save: Callable[[], None],
         part: tuple[float, float] = (0.0, 1.0),
     ) -> str:
-        """Make steps until the schedule, the time limit or the caller ends them; says which.
+        """Make steps until the schedule, the time limit or the callback ends the run.
 
         Parameters
         ----------
         report : ProgressReport
         save : callable
-            Called after every step from the first model on; may write a checkpoint.
+            Called after every step once there is a best model; it may write a checkpoint.
         part : (float, float)
             Fractions of the whole work that are done before and after this run.
+
+        Returns
+        -------
+        str
+            "converged", "effort spent", "time limit" or "cancelled".
 
         Raises
         ------
@@ -270,9 +277,9 @@ class Run:
 
     @property
     def idle_bones(self) -> int:
-        """Number of bones of the best model that could each be removed at no loss.
+        """Number of bones that the best model could lose, one at a time, without more error.
 
-        In a tree only bones without children could.
+        In a tree only bones without children count.
         """
         wide = self.best_model.with_restarted_support()
         idle = bone_costs(self.whole, wide) <= _NO_LOSS * float(
@@ -283,7 +290,7 @@ class Run:
         return int(idle.sum())
 
     def steps_of(self, stage: Stage) -> Iterator[None]:
-        """The steps of a stage, which count as work done."""
+        """Make the steps of a stage, yield after each, and count them as work done."""
         self.stage, end = stage, self._done + stage.work
         for _ in stage.apply(self):
             self._done = min(self._done + stage.cost, end)
@@ -291,24 +298,24 @@ class Run:
         self._done = end
 
     def value(self, model: Model) -> float:
-        """The objective of a model."""
+        """Objective of a model on the vertices that the present step works on."""
         return self.objective.value(self.data, model)
 
     def accept_if_lower(self, trial: Model) -> bool:
-        """Continue from the trial if its objective is lower; True if it is."""
+        """Continue from `trial` if its objective is lower; return whether it is."""
         lower = self.value(trial) < self.value(self.present)
         if lower:
             self.model = trial
         return lower
 
     def compress(self) -> None:
-        """Continue with compressed trajectories: each frame a combination of a small basis."""
+        """Continue with trajectories that are compressed to as few columns as the bones need."""
         self.whole = self.data = self.whole.compressed(self.bones)
 
     def take_sample(self, count: int) -> None:
-        """Work on about `count` vertices from now on, evenly from still to wild ones.
+        """Work on a sample of `count` vertices from now on, spread evenly over the range of motion.
 
-        Where there are few more, on all of them as before.
+        If the mesh has at most twice as many vertices, no sample is taken.
         """
         n = self.whole.n_vertices
         if 2 * count < n:
@@ -322,13 +329,13 @@ class Run:
         self.data, self.chosen = self.whole, None
 
     def release(self) -> None:
-        """Free the trajectories; no further step can be made."""
+        """Free the memory of the trajectories, after which no step can be made."""
         self.take_all()
         self.whole = dataclasses.replace(self.whole, z=self.whole.z[:, :0].copy(), q=None)
         self.data = self.whole
 
     def _record(self) -> str:
-        """Remember the present model if it is the best; returns the phase of its step."""
+        """Remember the present model if it is the best; return the phase of the present stage."""
         stage, model = self.stage, self.model
         assert stage is not None
         if self.chosen is not None or model is None:

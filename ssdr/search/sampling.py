@@ -1,4 +1,4 @@
-"""The stages that work on a sample of the vertices, and those that lead back."""
+"""Stages that switch to a sample of the vertices, to all vertices, or to the best model."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ __all__ = ["AllVertices", "ReturnToBest", "SampleVertices"]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SampleVertices(Stage):
-    """Work on a third of the vertices from now on, within bounds: they tell where bones belong.
+    """Work on a sample of the vertices from now on: a third of them, within bounds.
 
-    On all of them, where that would leave less than half out.
+    A sample is enough to tell where bones belong.  If the bounds ask for half of the vertices or
+    more, all are used.
 
     Attributes
     ----------
     least, most : int
-        Vertices for each bone asked for.
+        Bounds of the number of vertices, for each bone asked for.
     """
 
     phase: ClassVar[str] = "sample"
@@ -41,12 +42,12 @@ class SampleVertices(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AllVertices(Stage):
-    """Work on all vertices again: each begins with the bones of the nearest one of the sample.
+    """Work on all vertices again; each starts with the weights of the nearest sampled vertex.
 
     Attributes
     ----------
     alternations : int
-        On all vertices, from there.
+        Number of alternations on all vertices from that start.
     """
 
     phase: ClassVar[str] = "all vertices"
@@ -74,7 +75,11 @@ class AllVertices(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReturnToBest(Stage):
-    """Reset to the best model so far, restricted to the sample if that has lower error there."""
+    """Continue from the best model so far.
+
+    While a sample of vertices is used, this is done only if the best model has less error on the
+    sample than the present model.
+    """
 
     phase: ClassVar[str] = "return to best"
     cost: float = 0

@@ -1,6 +1,6 @@
 """Stages of a schedule for bones without joints.
 
-The `apply` of a stage is a generator that yields after each step.
+The method `apply` of a stage is a generator that yields after each step.
 """
 
 from __future__ import annotations
@@ -42,15 +42,18 @@ __all__ = [
     "Search",
 ]
 
-# An alternation that gains less than this, relative to the objective, does not count.
+# Relative decrease of the objective below which an alternation counts as a failure.
 _PLATEAU = 1e-5
-_PLATEAU_ALTERNATIONS = 3  # in a row: fewer end on a pause that is followed by progress
-_POLISH_WINDOW = 8  # polish steps over which the stopping test looks
+# Failures in a row that end the stage: with fewer, it would end at a pause in the progress.
+_PLATEAU_ALTERNATIONS = 3
+_POLISH_WINDOW = 8  # polish steps over which the stopping test measures the gain
 STEPS_OF_A_TRIAL = 8  # polish steps before a trial of a search is judged
-_CLOSE = 1.02  # ratio of objectives below which a trial gets as many polish steps again
-_MOST_MISSES = 8  # failures that count against a kind of change: none is given up for good
+# Ratio of a trial's objective to the present one below which the trial is polished once more.
+_CLOSE = 1.02
+# Most failures that count against a kind of change, so that none is given up for good.
+_MOST_MISSES = 8
 
-# makes a changed copy of a model
+# A function that returns a changed copy of a model.
 Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model]
 
 
@@ -59,7 +62,7 @@ Change = Callable[[Trajectories, Model, np.random.Generator, Locked], Model]
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Compress(Stage):
-    """Write the frames as the fewest combinations of frames that hold what matters."""
+    """Compress the trajectories to few columns, so that later steps take less time."""
 
     phase: ClassVar[str] = "compress"
     cost: float = 4
@@ -71,13 +74,13 @@ class Compress(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Alternate(Stage):
-    """Bones, then weights and rest pose: the alternation of Le and Deng.
+    """Alternation of Le and Deng: solve the bones, then the weights and the rest pose.
 
     Attributes
     ----------
     gain : float
-        Relative decrease of the objective that an alternation has to bring; three in a row that
-        bring less end the stage.
+        Relative decrease of the objective that is expected of an alternation; three alternations in
+        a row with less end the stage.
     """
 
     phase: ClassVar[str] = "alternate"
@@ -105,14 +108,15 @@ class Alternate(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Relax(Stage):
-    """More influences than asked for, at most twice as many; each step gives up one.
+    """Polish with up to twice the influences asked for, and give up one per vertex at each step.
 
     Attributes
     ----------
     steps : int
-        Influences more, at most.  A vertex of the polish costs (K + 2)² numbers.
+        Most influences beyond those asked for.  More would take much memory, since a polish holds
+        (K + 2)² numbers per vertex for K influences.
     polish_steps : int
-        At each number of influences.
+        Number of polish steps at each number of influences.
     """
 
     phase: ClassVar[str] = "relax"
@@ -137,7 +141,7 @@ class Relax(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Polish(Stage):
-    """Variable-projection Gauss–Newton steps of all bones together.
+    """Improve all bones together by Gauss–Newton steps with variable projection.
 
     Attributes
     ----------
@@ -169,16 +173,18 @@ class Polish(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Merge(Stage):
-    """Remove the cheapest third of the excess bones, alternate, and again until none is left.
+    """Remove excess bones, in each step the cheapest third of the excess, and alternate.
+
+    The cheapest bones are those whose removal raises the objective least.
 
     Attributes
     ----------
     alternations : int
-        After each removal.
+        Number of alternations after each removal.
     """
 
     phase: ClassVar[str] = "merge"
-    steps: int = 3  # expected: thirds of 0.6 excess bones for each asked for
+    steps: int = 3  # expected number, for 0.6 excess bones per bone asked for
     cost: float = 20
     alternations: int = 4
 
@@ -191,14 +197,16 @@ class Merge(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MoveBones(Stage):
-    """Move one of the cheapest bones to where the error is; keep what is better.
+    """Move one of the cheapest bones to where the error is largest; keep the better model.
+
+    The cheapest bones are those whose removal raises the objective least.
 
     Attributes
     ----------
     alternations : int
-        Before the move is judged.
+        Number of alternations before the move is judged.
     patience : int
-        Failures in a row that end the stage.
+        Moves in a row without a lower objective that end the stage.
     """
 
     phase: ClassVar[str] = "move bones"
@@ -221,19 +229,19 @@ class MoveBones(Stage):
                 return
 
     def trial(self, run: Run) -> Model | None:
-        """A changed copy; None if nothing can change."""
+        """A changed copy of the present model; None if no bone can move."""
         return move_cheapest_bone(run.data, run.present, run.rng, self.alternations, run.locked)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AddAndMerge(MoveBones):
-    """Add several bones where the error is, and merge them down again.
+    """Add several bones where the error is largest, and merge down to the number before.
 
     Attributes
     ----------
     patience : int
-        Failures in a row that end the stage.  0: one step whose result is taken in any case,
-        since what it is worth shows only once it has been relaxed and searched.
+        Changes in a row without a lower objective that end the stage.  With 0, one change is made
+        and kept in any case, since its worth shows only after the model is relaxed and searched.
     """
 
     phase: ClassVar[str] = "add and merge"
@@ -256,7 +264,7 @@ class AddAndMerge(MoveBones):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Search(Stage):
-    """Change the model in one of several ways, polish, and keep what is better.
+    """Change the model in one of several ways, polish, and keep the better model.
 
     Attributes
     ----------
@@ -278,8 +286,9 @@ class Search(Stage):
         failures = 0
         for k in range(self.steps):
             base = run.value(run.present)
-            # The change whose wait, divided by 1 + its recent failures, is the longest: by turns
-            # while all pay.  Which ones do differs between sequences, and between early and late.
+            # Take the change with the longest wait divided by 1 + its recent failures, so that all
+            # take turns while they succeed.  Which changes succeed differs between sequences, and
+            # between early and late in a run.
             waits = [(k - t) / (1 + m) for t, m in zip(last_turn, misses, strict=True)]
             kind = int(np.argmax(waits))
             trial = self.changes[kind](run.data, run.present, run.rng, run.locked)
@@ -297,7 +306,10 @@ class Search(Stage):
                 return
 
     def polished_value(self, run: Run, trial: Model, base: float) -> float:
-        """Polish a trial (in place) before it is judged; its objective."""
+        """Polish a trial (in place) and return its objective.
+
+        If the objective is close above `base`, the trial is polished once more.
+        """
         polish_steps(run.data, trial, STEPS_OF_A_TRIAL, run.locked)
         value = run.value(trial)
         if base <= value < _CLOSE * base:

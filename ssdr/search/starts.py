@@ -1,4 +1,4 @@
-"""The stages that make a first model: from motion, from parts of a model, or from a whole one."""
+"""Stages that make a first model: from motion, from parts of a model, or from a whole model."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from .run import Run, Stage
 
 __all__ = ["QuickStart", "Spread", "StartFromModel", "StartFromMotion"]
 
-# Frames of a quick start where there are twice as many or more, and alternations on them: 64
-# frames tell which bones there are, and 16 alternations place them.
+# Number of frames that a quick start uses if there are at least twice as many, and of alternations
+# on them: 64 frames tell which bones there are, and 16 alternations place them.
 _FEW_FRAMES, _FEW_ALTERNATIONS = 64, 16
-# Where bones of a frame start from those of another frame: Gauss–Seidel sweeps, and leaps of all
-# bones together, since sweeps alone carry a bone far only in many rounds.
+# Gauss–Seidel sweeps, and leaps of all bones together, for bones that start with the transforms of
+# another frame.  Without leaps, it would take many sweeps to move a bone far.
 _FIRST_SWEEPS, _FIRST_LEAPS = 6, 4
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartFromMotion(Stage):
-    """Bones from motion, or from what the caller gave, and their first weights.
+    """Make bones from motion, or take those that the caller gave, and solve their first weights.
 
     Attributes
     ----------
     factor : float
-        Bones to start with, relative to those asked for; a merge removes the excess.  Above 1 all
-        of them are from motion, unless the caller locked some.
+        Number of bones to start with, relative to the number asked for; a merge removes the excess.
+        If it is above 1, all bones are made from motion, unless the caller locked some.
     influences : int or None
-        Influences of the start; None: those asked for.
+        Influences per vertex at the start; None for as many as asked for.
     """
 
     phase: ClassVar[str] = "start"
@@ -55,7 +55,7 @@ class StartFromMotion(Stage):
         rest = data.frame(given.rest_frame) if given.rest is None else given.rest
         bones = given.transforms
         if self.factor > 1 and run.locked.bones is None:
-            bones = None  # those that are not locked were a start already
+            bones = None  # given bones that are not locked have served as a start already
         if given.indices is not None and given.weights is not None:
             if bones is None:
                 bones = _patches_of_weights(run, rest, given.indices)
@@ -74,7 +74,7 @@ class StartFromMotion(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class QuickStart(StartFromMotion):
-    """A fast start: from 64 frames where there are many, then fitted to all."""
+    """Make a first model quickly: on 64 frames if there are many more, then fitted to all."""
 
     phase: ClassVar[str] = "quick"
 
@@ -103,10 +103,11 @@ class QuickStart(StartFromMotion):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartFromModel(Stage):
-    """A whole model that the caller gave, unchanged where its transforms are of these frames.
+    """Start from a whole model that the caller gave.
 
-    If fitting each bone to the vertices that it moves most has a lower error, the transforms are of
-    other frames: then the bones are fitted to the weights, and attached to their joints again.
+    Its transforms are taken to be of other frames if the bones have less error when each is fitted
+    to the vertices that it moves most.  In that case the bones are fitted anew to the weights, and
+    a later stage attaches them to their joints again.
     """
 
     phase: ClassVar[str] = "start"
@@ -142,7 +143,7 @@ class StartFromModel(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Spread(Stage):
-    """Fit the bones of frames that start with those of other frames; measure the error."""
+    """Fit bones whose transforms were copied from other frames, and measure the error."""
 
     phase: ClassVar[str] = "spread"
     cost: float = 12
@@ -155,12 +156,12 @@ class Spread(Stage):
 
 
 def _patches_of_weights(run: Run, rest: Array, indices: NDArray[np.int32]) -> Array:
-    """Each bone's own fit to the vertices that it moves most."""
+    """Transforms (F, B, 3, 4) of bones that are each fitted to the vertices that they move most."""
     label, kind = indices[:, 0].astype(np.intp), run.locked.bone_model
     return fit_patches(run.data, rest, label, run.bones, kind)
 
 
 def _measure_error(run: Run, model: Model) -> None:
-    """Set the error of every vertex; nothing moves."""
+    """Compute the error of every vertex (in place), without moving anything."""
     every = np.ones(run.data.n_vertices, dtype=bool)
     vertex_step(run.data, model, locked=dataclasses.replace(run.locked, rest=True, weights=every))
