@@ -35,7 +35,7 @@ def compare(options: CompareOptions) -> None:
 
     Skinnings are posed first, and a welded mesh is spread back to its original vertices.  Files
     with several clips are compared clip by clip, all of them unless --clip names some.
-    --read A:KEY=VALUE and --read B:KEY=VALUE are for one of the files.
+    --read A:KEY=VALUE is an option for A alone, --read B:KEY=VALUE for B alone.
     """
     output = Output.start(options)
     from ..metrics import compare as measure

@@ -31,11 +31,11 @@ class ConvertOptions(Options):
 
 @takes
 def convert(options: ConvertOptions) -> None:
-    """Turn one format into another.
+    """Write a file again in another format.
 
     A skinning is written as a skinning, with all its clips, if the format can hold it; otherwise
-    the vertices of one clip are written.  From glTF to glTF and from USD to USD, without other
-    options than --clip, the whole file is copied.
+    the vertices of one clip are written. From glTF to glTF and from USD to USD, the whole file is
+    copied, unless an option other than --clip changes what is read or written.
     """
     output = Output.start(options)
     import ssdr

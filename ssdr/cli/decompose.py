@@ -39,8 +39,8 @@ class DecomposeOptions(FitOptions):
 def decompose(options: DecomposeOptions) -> None:
     """Fit a rest pose, sparse skin weights and bones to an animated mesh.
 
-    Several files of one mesh, or several clips of a file (--clip all), share rest pose
-    and weights; each clip becomes an animation of its own.
+    Several files of one mesh, or several clips of a file (--clip all), get one rest pose and one
+    set of weights; each clip becomes an animation of its own.
 
     From glTF to glTF and from USD to USD, the file gets a new skin and keeps the rest of
     what it holds.

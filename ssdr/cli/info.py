@@ -59,7 +59,7 @@ class InfoOptions(Options):
 
 @takes
 def info(options: InfoOptions) -> None:
-    """Say what a file holds and what in it may give trouble.
+    """Show what a file holds and what in it may cause problems.
 
     If a file without a skin has several clips, all of them are listed and the first is examined.
     """

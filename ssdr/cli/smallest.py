@@ -31,9 +31,9 @@ class SmallestOptions(FitOptions):
 
 @takes
 def smallest(options: SmallestOptions) -> None:
-    """Find the model with the fewest bones, then bytes, whose error is within a tolerance.
+    """Find the model with the fewest bones, then the fewest bytes, within an error tolerance.
 
-    The other options are those of ssdr decompose.
+    Options other than --tolerance and --measure are those of ssdr decompose.
     """
     import ssdr
 

@@ -1,4 +1,4 @@
-"""Error of a skinning against all frames, in one pass over them."""
+"""Error of a skinning, computed in one pass over all frames."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclasses.dataclass(frozen=True)
 class Frames:
-    """Frames of a span, from one or several shots.
+    """Frames of one span, read from one or several shots.
 
     Attributes
     ----------

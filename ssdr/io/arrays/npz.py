@@ -213,7 +213,7 @@ def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> Sa
 
 
 def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
-    """Clips of an archive, or None if it states none."""
+    """Clips that the arrays of an archive describe; None if they describe none."""
     text = _text(arrays, "clip_names")
     if not text:
         return None
