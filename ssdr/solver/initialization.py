@@ -1,4 +1,4 @@
-"""First bones: patches of vertices, each with a bone fitted to it, of which the best are chosen."""
+"""A first model, whose bones are chosen among bones fitted to patches of vertices."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ _SKETCH = 32  # dimensions of a random projection in which trajectories are comp
 
 
 def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Farthest-point sampling of the rows of x: seeds and each row's nearest seed.
+    """Choose seeds among the rows of x by farthest-point sampling, from the row `first`.
 
-    There are fewer than `count` seeds where rows coincide.
+    Returns the rows of the seeds and, for each row of x, the number of its nearest seed.  If rows
+    coincide, there may be fewer than `count` seeds.
     """
     if x.shape[1] > 2 * _SKETCH:
         # approximate distances are enough to spread the seeds
@@ -57,9 +58,10 @@ def fit_patches(
     count: int,
     bone_model: BoneModel = "rigid",
 ) -> Array:
-    """Fit a bone to each of `count` disjoint sets of vertices, (F, count, 3, 4).
+    """Transforms (F, count, 3, 4) of bones fitted to `count` disjoint sets of vertices.
 
-    `label` (V,) is the set of each vertex, negative for none.  An empty set gets the identity.
+    `label` (V,) is the set of each vertex, negative for none.  The bone of an empty set is the
+    identity.
     """
     member = np.flatnonzero(label >= 0)
     member = member[np.argsort(label[member], kind="stable")]
@@ -103,8 +105,8 @@ def single_bone_errors(
 ) -> tuple[Array, Array | None]:
     """Squared error (n, B) of the chosen vertices under each bone alone.
 
-    Without a rest pose each vertex has the rest position that is best for the bone; these are
-    returned, too, as (n, 3, B).
+    `rows` are the n chosen vertices.  If `rest` is None, each vertex takes the best rest position
+    for each bone; these positions (n, 3, B) are the second result, which otherwise is None.
     """
     n_bones = transforms.shape[1]
     out = np.empty((len(rows), n_bones))
