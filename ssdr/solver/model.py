@@ -89,7 +89,7 @@ class Model:
     def start(
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
     ) -> Model:
-        """A model whose vertices each follow one bone, `label` (V,), with K = `influences` slots."""
+        """A model with K = `influences` slots, whose vertex i follows bone `label[i]` alone."""
         n, slots = len(rest), max(SLOTS, influences)
         model = Model(
             transforms=transforms,
