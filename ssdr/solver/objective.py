@@ -27,9 +27,8 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["JointPenalty", "Objective", "joint_offsets", "mean_joint_penalty", "meeting_points"]
 
-_SHARED = (
-    1e-2  # relative overlap at which the overlap's centroid and the midpoint have equal weight
-)
+# Relative overlap at which the overlap's centroid and the midpoint have equal weight.
+_SHARED = 1e-2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -290,7 +290,7 @@ def scale_of(size: float, spread: float) -> float:
 
 
 def rotations_onto(here: Array, first: Array, share: Array | None) -> Array:
-    """Rotations R (..., 3, 3) that bring centred frames `here` nearest to `first` as ``here @ R``."""
+    """Rotations R (..., 3, 3) with which ``here @ R`` is nearest to `first`, for centred frames."""
     known = first if share is None else first * share[:, None]
     return nearest_rotation(np.swapaxes(here, -1, -2) @ known)
 
