@@ -3,8 +3,9 @@
 Bone b is attached to its parent a at its joint, the point c_b of the rest pose.  The joint's
 coordinate system moves with the bone; in the rest pose it has its origin at c_b and the axes of the
 world.  Its transform to the world is G_b = M_b (I | c_b), and its transform relative to the
-parent's is L_b = G_a⁻¹ G_b.  If both bones move the joint to the same point in every frame, M_b c_b
-= M_a c_b, then only the rotation of L_b changes, and its translation stays that of the rest pose.
+parent's is L_b = G_a⁻¹ G_b.  If both bones move the joint to the same point in every frame
+(M_b c_b = M_a c_b), then only the rotation of L_b changes, and its translation stays that of the
+rest pose.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def from_local(local: ArrayLike, parents: NDArray[Any], positions: ArrayLike) ->
 
 
 def from_frames(frame: Array, positions: ArrayLike) -> Array:
-    """Transforms M (..., B, 3, 4) from the rest pose, given the joints' G in the world."""
+    """Transforms M (..., B, 3, 4) from the rest pose, given the joints' G (..., B, 3, 4)."""
     shift = np.einsum("...bij,bj->...bi", frame[..., :3], np.asarray(positions, dtype=np.float64))
     return np.concatenate([frame[..., :3], (frame[..., 3] - shift)[..., None]], axis=-1)
 

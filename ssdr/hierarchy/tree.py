@@ -49,7 +49,7 @@ class Tree:
         return parents_first(self.parents)
 
     def neighbours(self, bone: int) -> list[int]:
-        """Children of a bone, then its parent."""
+        """A list of a bone's children, then of its parent if it has one."""
         near = np.flatnonzero(self.parents == bone).tolist()
         return near + ([int(self.parents[bone])] if self.parents[bone] >= 0 else [])
 
@@ -58,7 +58,7 @@ class Tree:
         return np.asarray(self.points[a if self.parents[a] == b else b])
 
     def subtree_sums(self, values: Array) -> Array:
-        """Sums (B,) over the subtree of each bone of `values` (B,)."""
+        """For each bone, the sum of `values` (B,) over its subtree, as an array (B,)."""
         total = values.copy()
         for bone in self.order[::-1]:
             if self.parents[bone] >= 0:
@@ -66,7 +66,7 @@ class Tree:
         return total
 
     def subtree(self, bone: int) -> list[int]:
-        """The bone and its descendants."""
+        """A sorted list of the bone and its descendants."""
         inside = {bone}
         for k in self.order.tolist():
             if self.parents[k] in inside:
@@ -99,8 +99,8 @@ class Tree:
     def contract(self, bone: int, into: int, points: dict[int, Array]) -> Tree:
         """A copy without `bone`, whose neighbour `into` is connected with its other neighbours.
 
-        `points` are the joints between these neighbours and `into`.  Bones after `bone` move up by
-        one number.
+        `points` are the joints between these neighbours and `into`.  The numbers of bones after
+        `bone` decrease by 1.
         """
         parents, joints = self.parents.copy(), self.points.copy()
         above = int(parents[bone])
@@ -129,7 +129,8 @@ class Tree:
 def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
     """Parents (B,) of a forest whose trees are rooted at their centroids.
 
-    A tree's centroid is the bone whose removal leaves the lightest possible heaviest part.
+    A tree's centroid is the bone whose removal splits it into parts of which the heaviest is as
+    light as possible.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """Places of joints, the tree of bones that they connect, and bones moved onto their joints.
 
-The joint of two bones a, b is the point c of the rest pose that minimises its gap Σ_t |M_a c − M_b
-c|².  If the bones do not rotate relative to each other, or only about one axis, this leaves c open,
-and the joint is put where the skin of the bones meets.  Bones that were fitted freely have large
-gaps in any tree.  A penalty on the gaps closes them: it is made stiffer step by step, while bones,
-joints and weights are solved in turns.
+The joint of two bones a, b is the point c of the rest pose that minimises the gap
+Σ_t |M_a c − M_b c|².  If the bones do not rotate relative to each other, or only about one axis, c
+is not determined, and the joint is put where the skin of the bones meets.  Bones that were fitted
+freely have large gaps in any tree.  A penalty on the gaps closes them: it is made stiffer step by
+step, while bones, joints and weights are solved in turns.
 
 References
 ----------

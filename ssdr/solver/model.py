@@ -127,7 +127,7 @@ class Model:
         return np.asarray(sums, dtype=np.float64)
 
     def dense_weights(self) -> Array:
-        """Weights as a matrix (V, B)."""
+        """Weights of all vertices as a dense matrix (V, B)."""
         dense = np.zeros((len(self.rest), self.n_bones))
         np.add.at(dense, (np.arange(len(dense))[:, None], self.indices), self.weights)
         return dense

@@ -93,7 +93,7 @@ class JointPenalty:
 
     @staticmethod
     def none(count: int) -> JointPenalty:
-        """No penalty on `count` joints."""
+        """A penalty of 0 on `count` joints."""
         return JointPenalty(1.0, np.zeros((count, 1)), np.zeros((count, 3)))
 
 
