@@ -46,8 +46,8 @@ def schur_vertices(
     inverse     (V, D, D)     real     inverse of the Gauss–Newton matrix, D = K + 2, in
     gradient    (V, D)        real     half gradient of the error, in
     step        (V, D)        real     inverse times (H_vm δM + share · gradient), out
-    total       (B, B, 4, 4)  float64  Σ_i a δaᵀ as `cross`, times importance, with a = w p̃ of a bone
-                                       and δa its change under the step, added to
+    total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
+                                       a is w p̃ of a bone and δa its change, added to
 
     ``real`` is float32 or float64, the same for all these arrays; each group is summed in it.
     """

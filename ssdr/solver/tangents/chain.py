@@ -74,7 +74,7 @@ class ChainTangent(Tangent):
         return out
 
     def move(self, model: Model, x: Array) -> None:
-        """Move the joints, turn every bone by exp(ω), and translate it onto its joint (in place)."""
+        """Move joints, turn every bone by exp(ω), and translate it onto its joint (in place)."""
         turns, shifts, moved = self._unpacked(x)
         tree = self.model.hierarchy
         m, points = model.transforms, tree.points + moved
