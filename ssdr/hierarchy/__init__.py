@@ -1,1 +1,1 @@
-"""Trees over bones: parents, transforms relative to the parent, bone ends for drawing."""
+"""Trees over bones: parents, transforms relative to the parent, and bone ends for drawing."""

@@ -1,4 +1,4 @@
-"""Where bones begin, end and point to when a program draws them."""
+"""Ends and orientations of bones as programs draw them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from .transforms import parents_first, rest_diagonal
 __all__ = ["limb_axes", "limb_ends"]
 
 Array = NDArray[np.float64]
-_SHORTEST = 0.01  # length relative to the diagonal: programs drop bones without length
-_ASIDE = 2e-3  # shift relative to the length: above Blender's tolerance, too small to see
-_FORKED = 0.3  # of the mean distance: below, children lie around the joint on all sides
+_SHORTEST = 0.01  # least length, in diagonals of the mesh: programs drop bones without length
+_ASIDE = 2e-3  # shift of an end, in bone lengths: above Blender's tolerance, too small to see
+# If the mean of the children's joints is nearer to a joint than this part of their mean distance,
+# they lie around it on all sides.
+_FORKED = 0.3
 
 
 def limb_ends(
@@ -24,11 +26,12 @@ def limb_ends(
     *,
     sliding: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """End of each bone in the rest pose, (B, 3).
+    """Ends (B, 3) of all bones in the rest pose.
 
-    A bone ends at its child's joint, or at the mean of several; if they lie around it on all sides,
-    at the joint of the longest chain.  A bone without children reaches as far as the vertices that
-    it moves most.
+    A bone with one child ends at the child's joint.  A bone with several children ends at the mean
+    of their joints or, if these lie around the bone's own joint on all sides, at the joint of the
+    child with the longest chain.  A bone without children extends as far as the vertices of which
+    it is the strongest influence.
 
     Parameters
     ----------
@@ -38,8 +41,9 @@ def limb_ends(
     rest : (V, 3) array
     indices, weights : (V, K) arrays
     sliding : (B,) bool array, optional
-        Joints that translate.  No bone ends exactly there: Blender takes a bone that begins where
-        another ends for fixed to it and drops its translation.
+        Mask of the bones that translate relative to their parents.  No parent ends exactly at the
+        joint of such a bone, since Blender would treat the bone as fixed there and drop its
+        translation.
     """
     at = np.asarray(positions, dtype=np.float64)
     shortest = _SHORTEST * (rest_diagonal(rest) or 1.0)
@@ -76,7 +80,7 @@ def limb_ends(
 
 
 def _reach(points: Array) -> Array:
-    """Vector from the origin towards the points' mean, as long as nearly all of them reach."""
+    """Vector from the origin along the points' mean, to the 98 % quantile of their extent."""
     if not len(points):
         return np.zeros(3)
     middle = points.mean(axis=0)
@@ -86,7 +90,7 @@ def _reach(points: Array) -> Array:
 
 
 def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], ends: Array) -> Array:
-    """Orientation (B, 3, 3) of each bone: y along it, with least twist against the parent."""
+    """Axes (B, 3, 3) of the bones: y along the bone, x and z with least twist from the parent's."""
     axes = np.tile(np.eye(3), (len(ends), 1, 1))
     for b in parents_first(parents):
         above = axes[parents[b]] if parents[b] >= 0 else np.eye(3)

@@ -1,9 +1,11 @@
 """Parents and joints of bones, and transforms relative to the parent.
 
-Bone b is attached to its parent a at the rest point c_b, its joint.  The joint's frame has its
-origin there and, in the rest pose, the axes of the world; in frame t it is G_b = M_b (I | c_b).
-Relative to the parent's frame it is L_b = G_a⁻¹ G_b.  If the joint is one point under both bones in
-every frame, M_b c_b = M_a c_b, then L_b keeps the translation of the rest pose and only rotates.
+Bone b is attached to its parent a at its joint, the point c_b of the rest pose.  The joint's
+coordinate system moves with the bone; in the rest pose it has its origin at c_b and the axes of the
+world.  Its transform to the world is G_b = M_b (I | c_b), and its transform relative to the
+parent's is L_b = G_a⁻¹ G_b.  If both bones move the joint to the same point in every frame
+(M_b c_b = M_a c_b), then only the rotation of L_b changes, and its translation stays that of the
+rest pose.
 """
 
 from __future__ import annotations
@@ -34,14 +36,14 @@ __all__ = [
     "translating",
 ]
 
-RIGID = 1e-6  # relative to the diagonal: a joint with smaller gaps does not translate
+RIGID = 1e-6  # gap of a joint, in diagonals of the mesh, up to which it does not translate
 
 Array = NDArray[np.float64]
 Freedom = Literal["root", "point", "line", "nothing"]
 
 
 def check_parents(parents: ArrayLike, n_bones: int) -> NDArray[np.int32]:
-    """Parents (B,) as int32, −1 at roots; refuses cycles and indices out of range."""
+    """Parents (B,) as int32, −1 at roots, checked for cycles and indices out of range."""
     array = np.asarray(parents)
     if array.shape != (n_bones,) or array.dtype.kind not in "iu":
         raise InputError(
@@ -57,7 +59,7 @@ def check_parents(parents: ArrayLike, n_bones: int) -> NDArray[np.int32]:
 
 
 def parents_first(parents: NDArray[Any]) -> NDArray[np.int64]:
-    """The bones in an order in which each comes after its parent.
+    """An order of the bones in which each bone comes after its parent.
 
     Raises
     ------
@@ -87,7 +89,10 @@ def depths(parents: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def to_local(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Transforms (..., B, 3, 4) of the joints' frames relative to their parents'."""
+    """Transforms (..., B, 3, 4) of the joints' coordinate systems relative to their parents'.
+
+    These are the L_b of the module's docstring, given the M_b.
+    """
     m = np.asarray(transforms, dtype=np.float64)
     c = np.asarray(positions, dtype=np.float64)
     frame = m.copy()
@@ -103,18 +108,18 @@ def to_local(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike)
 
 
 def from_local(local: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Inverse of :func:`to_local`: transforms (..., B, 3, 4) from the rest pose."""
+    """Transforms M (..., B, 3, 4) from the rest pose: the inverse of :func:`to_local`."""
     return from_frames(to_world(local, parents), positions)
 
 
 def from_frames(frame: Array, positions: ArrayLike) -> Array:
-    """Transforms (..., B, 3, 4) from the rest pose, given the joints' frames in the world."""
+    """Transforms M (..., B, 3, 4) from the rest pose, given the joints' G (..., B, 3, 4)."""
     shift = np.einsum("...bij,bj->...bi", frame[..., :3], np.asarray(positions, dtype=np.float64))
     return np.concatenate([frame[..., :3], (frame[..., 3] - shift)[..., None]], axis=-1)
 
 
 def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
-    """The joints' frames (..., B, 3, 4) in the world, given those relative to their parents."""
+    """The joints' transforms G (..., B, 3, 4) to the world, given those relative to the parent."""
     frame = np.array(local, dtype=np.float64)
     for b in parents_first(parents):
         a = int(parents[b])
@@ -127,7 +132,7 @@ def to_world(local: ArrayLike, parents: NDArray[Any]) -> Array:
 
 
 def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Joints (B, 3) of the rest pose relative to their parents' joints; roots in the world."""
+    """Offsets (B, 3) of joints from their parents' joints in the rest pose; roots: positions."""
     c = np.asarray(positions, dtype=np.float64)
     return np.asarray(c - np.where((np.asarray(parents) >= 0)[:, None], c[parents], 0.0))
 
@@ -135,14 +140,14 @@ def rest_offsets(parents: NDArray[Any], positions: ArrayLike) -> Array:
 def translating(
     transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike, diagonal: float
 ) -> NDArray[np.bool_]:
-    """Joints (B,) that come apart from their parents, and roots that move, in any frame.
+    """Mask (B,) of joints that come apart from the parent, and roots that move, in some frame.
 
     Parameters
     ----------
     transforms : (F, B, 3, 4) array
-    parents, positions
+    parents, positions : (B,), (B, 3) arrays
     diagonal : float
-        Of the mesh: less than a millionth of it counts as no translation.
+        Diagonal of the mesh.  A distance up to a millionth of it counts as no translation.
     """
     m, c = np.asarray(transforms, dtype=np.float64), np.asarray(positions, dtype=np.float64)
     off = joint_gaps(m, parents, c)
@@ -157,7 +162,7 @@ def rest_diagonal(rest: ArrayLike) -> float:
 
 
 def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLike) -> Array:
-    """Distances (..., B) between the joint's images under a bone and its parent; 0 at roots."""
+    """Distances (..., B) between the places to which bone and parent move a joint; 0 at roots."""
     m = np.asarray(transforms, dtype=np.float64)
     above = np.where(np.asarray(parents) >= 0, parents, np.arange(len(parents)))
     apart = m - m[..., above, :, :]
@@ -168,11 +173,13 @@ def joint_gaps(transforms: ArrayLike, parents: NDArray[Any], positions: ArrayLik
 def joint_freedom(
     transforms: ArrayLike, parents: NDArray[Any], least_turn: float
 ) -> tuple[Freedom, ...]:
-    """How far the motion determines the place of each joint.
+    """What the motion determines of each joint's place: a point, a line, or nothing; or "root".
 
-    A joint at c_b in its bone and c_a in its parent satisfies R_b c_b + T_b = R_a c_a + T_a in
-    all frames; with S = R_aᵀ R_b and c_a eliminated, the matrix of c_b is the mean of
-    (S − S̄)ᵀ (S − S̄), whose eigenvalues are squares of turns.
+    A joint at c_b in its bone b and c_a in the parent a satisfies R_b c_b + T_b = R_a c_a + T_a in
+    all frames.  Let S = R_aᵀ R_b and let S̄ be its mean over frames.  If c_a is eliminated, the
+    least-squares matrix of c_b is the mean of (S − S̄)ᵀ (S − S̄); its eigenvalues are squared
+    angles (radians).  A direction counts as determined if its angle is above `least_turn`
+    (degrees).
     """
     turn = np.asarray(transforms, dtype=np.float64)[..., :3]
     hung = np.asarray(parents) >= 0
@@ -188,7 +195,11 @@ def joint_freedom(
 def local_of_pose(
     parents: NDArray[Any], positions: NDArray[Any], rotations: ArrayLike, root: ArrayLike | None
 ) -> Array:
-    """Local transforms (f, B, 3, 4) of a pose given by rotations; offsets are the rest pose's."""
+    """Local transforms (f, B, 3, 4) of f poses, from local rotations and the offsets at rest.
+
+    `rotations` are matrices or quaternions; `root` are the positions of the roots, None: as at
+    rest.
+    """
     n_bones = len(parents)
     wanted = f"shape (f, {n_bones}, 3, 3) or (f, {n_bones}, 4)"
     turn = np.asarray(rotations)

@@ -1,4 +1,4 @@
-"""A tree, or forest, over the bones of a model, and operations on it."""
+"""A tree or forest over the bones of a model, and operations on it."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ class Tree:
     parents : (B,) int64
         −1 at roots.
     points : (B, 3) float64
-        Joint of each bone and its parent, in the rest pose; not used at roots.
+        Joint between each bone and its parent, in the rest pose; not used at roots.
     rigid : bool
-        Whether each joint is one point under both of its bones in every frame, up to rounding.
+        Whether the two bones of each joint move it to the same point in every frame, up to
+        rounding.
     """
 
     parents: NDArray[np.int64]
@@ -44,20 +45,20 @@ class Tree:
 
     @property
     def order(self) -> NDArray[np.int64]:
-        """Bones, parents before children."""
+        """An order of the bones in which parents come before children."""
         return parents_first(self.parents)
 
     def neighbours(self, bone: int) -> list[int]:
-        """Children of a bone, then its parent."""
+        """A list of a bone's children, then of its parent if it has one."""
         near = np.flatnonzero(self.parents == bone).tolist()
         return near + ([int(self.parents[bone])] if self.parents[bone] >= 0 else [])
 
     def joint(self, a: int, b: int) -> Array:
-        """Joint of two neighbours."""
+        """Joint (3,) between two neighbours in the tree."""
         return np.asarray(self.points[a if self.parents[a] == b else b])
 
     def subtree_sums(self, values: Array) -> Array:
-        """Sums (B,) of values over the subtree of each bone."""
+        """For each bone, the sum of `values` (B,) over its subtree, as an array (B,)."""
         total = values.copy()
         for bone in self.order[::-1]:
             if self.parents[bone] >= 0:
@@ -65,7 +66,7 @@ class Tree:
         return total
 
     def subtree(self, bone: int) -> list[int]:
-        """The bone and its descendants."""
+        """A sorted list of the bone and its descendants."""
         inside = {bone}
         for k in self.order.tolist():
             if self.parents[k] in inside:
@@ -73,16 +74,19 @@ class Tree:
         return sorted(inside)
 
     def path(self, a: int, b: int) -> tuple[list[int], list[int]]:
-        """Edges of the path between two bones, each named by its child: a's side, then b's."""
+        """Edges of the path between bones a and b: those above a, then those above b.
+
+        Each edge is named by its child.
+        """
         up, down = self._to_root(a), self._to_root(b)
         both = set(up) & set(down)
         return [k for k in up if k not in both], [k for k in down if k not in both]
 
     def replace_edge(self, edge: int, a: int, b: int, point: Array) -> Tree:
-        """The tree without the edge above bone `edge`, and with one from a to b.
+        """A copy without the edge above the bone `edge`, and with an edge between a and b.
 
-        `a` must be in the subtree of `edge`, which becomes the subtree of `a`, and `b` outside.
-        `point` is the new joint.
+        `a` must be in the subtree of `edge`, and `b` outside.  The subtree is rerooted at `a`,
+        which becomes a child of `b` with the joint `point`.
         """
         parents, points = self.parents.copy(), self.points.copy()
         path = self._to_root(a)
@@ -93,9 +97,10 @@ class Tree:
         return Tree(parents, points, rigid=False)
 
     def contract(self, bone: int, into: int, points: dict[int, Array]) -> Tree:
-        """The tree without a bone, its other neighbours connected to `into`, one of them.
+        """A copy without `bone`, whose neighbour `into` is connected with its other neighbours.
 
-        Bones after it are renumbered.  `points` are the joints of these neighbours with `into`.
+        `points` are the joints between these neighbours and `into`.  The numbers of bones after
+        `bone` decrease by 1.
         """
         parents, joints = self.parents.copy(), self.points.copy()
         above = int(parents[bone])
@@ -114,7 +119,7 @@ class Tree:
         return Tree(number[parents[keep]], joints[keep], rigid=False)
 
     def _to_root(self, bone: int) -> list[int]:
-        """The bone and its ancestors, up to the root."""
+        """A list of the bone and its ancestors, up to the root."""
         path = [bone]
         while self.parents[path[-1]] >= 0:
             path.append(int(self.parents[path[-1]]))
@@ -124,12 +129,13 @@ class Tree:
 def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64]:
     """Parents (B,) of a forest whose trees are rooted at their centroids.
 
-    A tree's centroid is the bone without which the heaviest remaining part is lightest.
+    A tree's centroid is the bone whose removal splits it into parts of which the heaviest is as
+    light as possible.
 
     Parameters
     ----------
     edges : (B, B) bool array
-        Symmetric, without cycles.
+        Which bones are connected; symmetric, without cycles.
     mass : (B,) array
         Weight of each bone.
     """
@@ -141,7 +147,8 @@ def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64
         bones = _orient(edges, parents, first)
         local = np.where(parents[bones] >= 0, np.searchsorted(bones, parents[bones]), -1)
         below = Tree(local, np.zeros((len(bones), 3)), rigid=False).subtree_sums(mass[bones])
-        heaviest = below.max() - below  # part above each bone; then the heaviest below, too
+        # the heaviest part without each bone: the part above it or one of the parts below
+        heaviest = below.max() - below
         np.maximum.at(heaviest, local[local >= 0], below[local >= 0])
         parents[bones] = -2
         _orient(edges, parents, int(bones[heaviest.argmin()]))
@@ -149,7 +156,10 @@ def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64
 
 
 def _orient(edges: NDArray[np.bool_], parents: NDArray[np.int64], root: int) -> NDArray[np.intp]:
-    """Set the parents of a root's tree, −2 before (in place); its bones, ascending."""
+    """Set the parents of all bones connected with `root` (in place); return these bones, ascending.
+
+    Their parents must be −2 before.
+    """
     parents[root] = -1
     bones = [root]
     for bone in bones:

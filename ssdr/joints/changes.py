@@ -1,7 +1,7 @@
-"""Changes of a model whose bones are attached at joints: of its edges and of its bones.
+"""Changes of the edges and bones of a model whose bones are attached at joints.
 
-Each returns a changed copy whose bones are attached to their joints again; the caller polishes it
-and keeps it if its objective is lower.
+Each change returns a copy of the model, with its bones attached to their joints again.  The caller
+polishes the copy and keeps it if its objective is lower.
 """
 
 from __future__ import annotations
@@ -38,20 +38,23 @@ __all__ = [
     "split_bone",
 ]
 
-# Last stiffness of the joints, relative to the lighter bone's mass: next to no gap is left.
+# Last stiffness of the joints, relative to the lighter bone's mass: it leaves next to no gap.
 _HARD = 100.0
-_MOST_EDGES = 3  # that change at once, drawn from 1 to this
+_MOST_EDGES = 3  # most edges that change at once; their number is drawn
 _FIRST_STIFFNESS = -2.5, 0.0  # powers of ten between which the first stiffness is drawn
-_STEPS = 10  # in which the stiffness grows after a change
-_CHEAPEST = 12  # edges of smallest gap among which a change draws
-_WEAKEST = 0.7  # probability that the dropped edge is the one whose bones share least
-_PATCH_SIZES = (0.25, 0.5, 1.0)  # vertices relative to those of an average bone, drawn
+_STEPS = 10  # number of steps in which the stiffness grows after a change
+_CHEAPEST = 12  # number of edges with the smallest gaps, among which a change draws one
+_WEAKEST = 0.7  # probability that the dropped edge is the one whose bones share the least weights
+_PATCH_SIZES = (0.25, 0.5, 1.0)  # numbers of vertices, relative to an average bone's
 
 
 def attach_by_stiffness(
     data: Trajectories, model: Model, locked: Locked, *, start: float, steps: int
 ) -> None:
-    """Bring bones to their joints by growing stiffness, then attach them (in place)."""
+    """Pull bones to their joints with growing stiffness, then attach them (in place).
+
+    The stiffness grows from `start` in `steps` steps.
+    """
     for stiffness in np.geomspace(start, _HARD, steps):
         step_with_joint_penalty(data, model, float(stiffness), locked)
     snap_to_joints(data, model, locked)
@@ -60,7 +63,7 @@ def attach_by_stiffness(
 def _attach_changed(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> None:
-    """Attach the bones in ten steps (in place), from a stiffness that is drawn."""
+    """Attach the bones in ten steps from a random first stiffness (in place)."""
     start = 10 ** rng.uniform(*_FIRST_STIFFNESS)
     attach_by_stiffness(data, model, locked, start=start, steps=_STEPS)
 
@@ -68,7 +71,7 @@ def _attach_changed(
 def add_edge_between_skin_neighbours(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Connect two bones that share weights and drop one edge of the resulting cycle."""
+    """Connect two bones that share weights and drop one edge of the cycle; up to three times."""
     changed = model.with_restarted_support()
     for _ in range(int(rng.integers(1, _MOST_EDGES + 1))):
         tree = changed.hierarchy
@@ -91,7 +94,7 @@ def add_edge_between_skin_neighbours(
 
 
 def reparent(data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked) -> Model:
-    """Move one edge of the tree, drawn by the gap that its joint would have there."""
+    """Replace one edge of the tree by a random one whose joint would have a small gap."""
     changed = model.with_restarted_support()
     tree, n = changed.hierarchy, changed.n_bones
     meet = find_contacts(changed)
@@ -124,8 +127,8 @@ def mirror_edge(
 ) -> Model:
     """Add the mirror image of an edge that has none and drop one edge of the resulting cycle.
 
-    An edge without a mirror image is dropped where there is one.  If the rest pose is not
-    symmetric, or the tree already is, this is :func:`reparent`.
+    If the cycle has edges without a mirror image, one of these is dropped.  If the rest pose is not
+    symmetric, or the tree is already symmetric, :func:`reparent` is called instead.
     """
     mirror = mirror_of(model.rest, model.indices, model.weights, model.n_bones)
     if mirror is None:
@@ -148,7 +151,7 @@ def mirror_edge(
 def move_bone_to_error(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Refit a bone near the patch of most error to that patch, which it then moves alone."""
+    """Refit a bone near the patch of largest error to the patch, which it then moves alone."""
     members = patch_of_most_error(data, model, rng, float(rng.choice(_PATCH_SIZES)))
     tree = model.hierarchy
     away = np.linalg.norm(tree.points - model.rest[members].mean(axis=0), axis=1)
@@ -168,7 +171,7 @@ def move_bone_to_error(
 def replace_bone(
     data: Trajectories, model: Model, rng: np.random.Generator, locked: Locked
 ) -> Model:
-    """Split a bone where the error is, polish, and remove the cheapest bone."""
+    """Split the bone with the patch of largest error, polish, and remove the cheapest bone."""
     grown = split_bone(data, model.with_restarted_support(), rng)
     polish_steps(data, grown, int(rng.integers(3, 7)), locked)
     return remove_cheapest_bone(data, grown, locked)
@@ -182,17 +185,19 @@ def split_bone(
     leaf: bool = False,
     parent: int = -1,
 ) -> Model:
-    """A copy in which the bone that moves the patch of most error is split in two.
+    """A copy in which the bone that moves the patch of largest error is split in two.
 
-    The new bone moves as the old one, so that no vertex moves.  It takes over the patch and, unless
-    it is to be a `leaf`, the joints that are nearer to the patch than to what the old bone keeps.
+    The new bone has the transforms of the old one, so that no vertex moves.  It takes over the
+    patch.  Unless `leaf` is true, it also takes over the old bone's joints that are nearer to the
+    patch than to the vertices that the old bone keeps.
 
     Parameters
     ----------
     leaf : bool
         Make the new bone a child without children.
     parent : int
-        The bone to split, whose vertices the patch is taken from; −1: the patch decides.
+        The bone to split, with the patch among its vertices; −1: the bone that moves the patch
+        most.
     """
     size = float(rng.choice(_PATCH_SIZES))
     main = model.indices[np.arange(data.n_vertices), model.weights.argmax(axis=1)]
@@ -232,7 +237,7 @@ def split_bone(
 
 
 def remove_cheapest_bone(data: Trajectories, model: Model, locked: Locked) -> Model:
-    """A copy without the bone that costs least, whose neighbours are attached to one of them."""
+    """A copy without the bone that costs least; its neighbours are attached to one of them."""
     losses = removal_losses(data, model)
     bone = int(np.argmin([loss.cost for loss in losses]))
     loss = losses[bone]
@@ -251,9 +256,9 @@ class Loss:
     cost : float
         Rise of the objective from the bone's vertices and from closing its neighbours' gaps.
     heir : int
-        The neighbour to which the others would be attached; −1 where there is none.
+        The neighbour to which the other neighbours would be attached; −1 if there are none.
     points : dict
-        Their joints with it.
+        For each other neighbour, its joint with `heir`.
     """
 
     cost: float

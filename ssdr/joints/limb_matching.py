@@ -1,8 +1,8 @@
 """Assignment of vertices to the bones of a given skeleton, by place and by motion.
 
-The nearest limb says little about a vertex that is near two.  Its motion says more: free bones,
-each with the vertices that move as it does, are matched with the skeleton's bones, such that they
-lie near its limbs and that parent and child stay together at their joint.
+The nearest limb says little about a vertex that is near two limbs; the vertex's motion says more.
+Free bones, each with the vertices that move as it does, are matched with the skeleton's bones.  The
+match makes them lie near their limbs, and keeps parent and child together at their joint.
 """
 
 from __future__ import annotations
@@ -18,17 +18,18 @@ from .placement import fit_joints
 
 __all__ = ["limb_distances", "match_by_motion", "matched_bones"]
 
-# Weight of a joint's squared gap beside squared distances from limbs: gaps tell bones apart that
-# are equally near.  On a tree of 18 bones 16 are matched right with 1, all with 10 to 1000.
+# Weight of a joint's squared gap beside squared distances from limbs: gaps distinguish bones that
+# are equally near.  On a tree of 18 bones, 16 are matched correctly with weight 1, all with 10 to
+# 1000.
 _GAP = 10.0
-_AWAY = 1e-2  # weight of a joint's squared distance from its place, which may be a little off
+_AWAY = 1e-2  # weight of a joint's squared distance from its given place, which may be a little off
 
 
 def limb_distances(points: Array, tree: Tree) -> Array:
-    """Squared distances (V, B) of points from the limbs of bones.
+    """Squared distances (V, B) of points (V, 3) from the limbs of bones.
 
-    A bone's limbs lead from its joint to those of its children; the limb of a bone without children
-    prolongs its parent's by as much again.
+    A bone's limbs are the segments from its joint to the joints of its children.  The limb of a
+    bone without children continues the segment from its parent's joint by the same length.
     """
     away = np.full((len(points), len(tree.parents)), np.inf)
     for k in range(len(tree.parents)):
@@ -49,7 +50,7 @@ def limb_distances(points: Array, tree: Tree) -> Array:
 def match_by_motion(
     data: Trajectories, rest: Array, label: NDArray[np.intp], count: int, tree: Tree
 ) -> NDArray[np.intp]:
-    """Index (V,) of the skeleton's bone for each vertex.
+    """Index (V,) of the skeleton's bone that each vertex is assigned to.
 
     `label` (V,) divides the vertices among `count` free bones, which are matched with the
     skeleton's by place and motion; each vertex takes the match of its free bone. A free bone
@@ -78,11 +79,12 @@ def match_by_motion(
 
 
 def matched_bones(place: Array, gap: Array, tree: Tree) -> NDArray[np.intp]:
-    """The free bone (B,) matched with each bone of a skeleton, each at most once; −1: none.
+    """Match each bone of a skeleton with a free bone: (B,) numbers of free bones, −1: none.
 
-    First the assignment of least `place` (n, B); then two bones at a time swap their matches while
-    that lowers the sum of `place` and `gap` (hung, n, n), the latter of each free bone and that of
-    its parent.
+    No free bone is matched twice.  `place` (n, B) is the cost of each match, and `gap` (H, n, n),
+    for the H bones with parents, the cost of the match of the bone together with its parent's.
+    First, the sum of `place` alone is minimised; then two bones at a time swap their matches while
+    that lowers the sum of `place` and `gap`.
     """
     n, n_bones = place.shape
     hung, above = tree.non_roots, tree.parents[tree.non_roots]

@@ -22,9 +22,10 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-_MOST_POINTS = 4000  # vertices by which planes are compared
+_MOST_POINTS = 4000  # most vertices by which planes are compared
 _ROUNDS = 12  # most rounds of pairing vertices with their images and fitting the plane to the pairs
-_KEPT = 0.8  # closest part of the pairs that are fitted: a bent arm must not turn the plane
+# Share of the pairs, the closest, to which a plane is fitted: a bent arm must not turn the plane.
+_KEPT = 0.8
 # Largest distances of an image from the nearest vertex, in diagonals: the median, and the quantile
 # _NEARLY_ALL.
 _MOST_GAP, _MOST_OUTSIDE = 0.005, 0.02
@@ -46,9 +47,10 @@ class Mirror:
     gap : float
         Mean distance between a vertex's image and the vertex nearest to it.
     partners : (B,) int array
-        The bone that mirrors each bone: itself in the middle, -1 where there is none.
+        The bone that mirrors each bone: the bone itself if it lies in the middle, -1 if there is
+        none.
     sides : (B,) int array
-        1 on the side to which `normal` points, -1 on the other, 0 in the middle.
+        1 for bones on the side to which `normal` points, -1 on the other side, 0 in the middle.
 
     Examples
     --------
@@ -70,12 +72,12 @@ class Mirror:
 
 
 def find_mirror(skinning: Skinning) -> Mirror | None:
-    """Find the plane of symmetry of the rest pose; None where there is none.
+    """Find the plane of symmetry of the rest pose; None if there is none.
 
-    For half of the vertices, the mirror image must lie within 0.5 % of the diagonal of some vertex,
-    and for 95 % within 2 %.  Candidates are the planes through the centroid normal to x, y, z and
-    the principal axes.  Each is refined by turns: vertices are paired with those nearest to their
-    images, and the plane is fitted to the pairs.
+    The mirror images of half of the vertices must lie at most 0.5 % of the diagonal away from some
+    vertex, and those of 95 % at most 2 %.  Candidates are the planes through the centroid normal to
+    x, y, z and the principal axes.  Each is refined in turns: vertices are paired with the vertices
+    nearest to their images, and the plane is fitted to the pairs.
 
     Parameters
     ----------
@@ -107,7 +109,7 @@ def find_mirror(skinning: Skinning) -> Mirror | None:
 def mirror_of(
     rest: ArrayLike, indices: NDArray[np.integer], weights: NDArray[np.floating], n_bones: int
 ) -> Mirror | None:
-    """Plane of symmetry from a model's arrays, as :func:`find_mirror`; None for a single vertex."""
+    """As :func:`find_mirror`, given a model's arrays; None also for a single vertex."""
     points = np.asarray(rest, dtype=np.float64)
     size = rest_diagonal(points)
     if not size > 0:
@@ -138,7 +140,7 @@ def mirror_of(
 def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, bool]:
     """Whether the mirror image of each bone's edge to its parent is an edge, too.
 
-    Only edges whose two bones have partners are keys.
+    Keys are the children of the edges whose two bones have partners.
     """
     edges = {b: frozenset((b, int(a))) for b, a in enumerate(parents) if a >= 0}
     there = set(edges.values())
@@ -150,7 +152,10 @@ def edges_with_image(mirror: Mirror, parents: NDArray[np.integer]) -> dict[int, 
 
 
 def mirrored_edges(mirror: Mirror, parents: NDArray[np.integer]) -> tuple[int, int]:
-    """Number of edges whose mirror image is an edge, and number of edges with a mirror image."""
+    """Number of edges whose mirror image is an edge, and number of edges that have a mirror image.
+
+    An edge has a mirror image if both of its bones have partners.
+    """
     there = edges_with_image(mirror, parents)
     return sum(there.values()), len(there)
 
@@ -158,8 +163,8 @@ def mirrored_edges(mirror: Mirror, parents: NDArray[np.integer]) -> tuple[int, i
 def side_names(mirror: Mirror | None, n_bones: int, stem: str = "joint") -> tuple[str, ...]:
     """Names of joints; two that mirror each other share a number and end in ``_L`` and ``_R``.
 
-    ``_L`` is the side to which the mirror's normal points.  Across the plane x = 0 that is positive
-    x, the left of a character that faces +z with y up (glTF) or -y with z up (Blender).
+    ``_L`` is the side to which the mirror's normal points.  For the plane x = 0 that is the side of
+    positive x, the left of a character that faces +z with y up (glTF) or -y with z up (Blender).
     """
     digits = len(str(n_bones - 1))
     names = [f"{stem}_{k:0{digits}d}" for k in range(n_bones)]
@@ -179,7 +184,7 @@ def _reflected(points: Array, normal: Array, offset: float) -> Array:
 def _fitted(
     points: Array, every: cKDTree, normal: Array, offset: float
 ) -> tuple[Array, float, float, float]:
-    """Plane refined from a start: normal, offset, median and 95 % quantile of the gaps."""
+    """Refined plane x · `normal` = `offset`: normal, offset, median and 95 % quantile of gaps."""
     best = (normal, offset, np.inf, np.inf)
     for _ in range(_ROUNDS):
         gap, near = map(np.asarray, every.query(_reflected(points, normal, offset)))
@@ -199,9 +204,9 @@ def _fitted(
 
 
 def _partners(dense: Array, near: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Partner of each bone by its weights and their mirror image, -1 for none.
+    """Partners (B,) of the bones, -1 for none, by comparing weights with their mirror images.
 
-    `near` (V,) is the vertex nearest to each vertex's image.
+    `dense` (V, B) are the weights; `near` (V,) is the vertex nearest to each vertex's image.
     """
     from scipy.optimize import linear_sum_assignment
 

@@ -1,10 +1,10 @@
-"""Where joints of a model lie, which bones they connect, and bones brought onto them by degrees.
+"""Places of joints, the tree of bones that they connect, and bones moved onto their joints.
 
-The joint of two bones a, b is the rest point c that minimises Σ_t |M_a c − M_b c|².  Where their
-relative rotation leaves it open (no rotation, or one about a single axis), it is where their skin
-meets.  Bones that were fitted freely are far from any tree.  A penalty on the gaps of the joints
-leads them there: it is made stiffer step by step while bones, joints and weights are solved in
-turns.
+The joint of two bones a, b is the point c of the rest pose that minimises the gap
+Σ_t |M_a c − M_b c|².  If the bones do not rotate relative to each other, or only about one axis, c
+is not determined, and the joint is put where the skin of the bones meets.  Bones that were fitted
+freely have large gaps in any tree.  A penalty on the gaps closes them: it is made stiffer step by
+step, while bones, joints and weights are solved in turns.
 
 References
 ----------
@@ -42,21 +42,21 @@ __all__ = [
 # Weights, per frame, of what an edge costs beside its gap: the joint's squared distance from the
 # contact of its bones, which decides where motion does not, and the squared distance of their skin.
 _AWAY, _APART = 1e-3, 1e-2
-_TIE = 1e-6  # factor of both where they only decide between equal gaps
+_TIE = 1e-6  # factor of both weights if they are only to decide between equal gaps
 # Largest distance of the skin and gap of the joint of bones that may be connected, in the mesh's
 # size (its root mean square distance from the centroid).  Three pairs, of which one must hold: for
 # touching skin, for skin nearby, and for skin that moves together.  Nearby is as far as from one
 # ring of vertices to the next on a game character (the tail of glTF's fox: 0.37).
 _DISTANCES, _GAPS = (0.1, 0.5, np.inf), (np.inf, 0.1, 0.03)
-_STAY = 1e-4  # weight, per frame, of a joint's present place, which decides where gaps do not
+_STAY = 1e-4  # weight, per frame, of a joint's squared move, which decides what gaps leave open
 _SWEEPS = 3
 _MEMBER = 0.5  # weight from which a vertex belongs to a bone
-_TOUCH = 12  # vertices of two bones nearest to each other whose mean is their contact
-_SHARED = 1e-3  # overlap of weights from which these place the contact instead
+_TOUCH = 12  # number of nearest vertices of two bones whose mean is their contact
+_SHARED = 1e-3  # overlap of weights from which the shared weights place the contact instead
 
 
 def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple[Array, Array]:
-    """Fit a joint to every pair of bones.
+    """Fit a joint to every pair of bones, so that its gap is smallest.
 
     Parameters
     ----------
@@ -64,14 +64,14 @@ def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple
     prior : (B, B, 3) array
         Places that decide what the motion leaves open.
     away : float
-        Weight, per frame, of the squared distance from them.
+        Weight, per frame, of the squared distance from `prior`.
 
     Returns
     -------
     points : (B, B, 3) array
-        The joints.
+        The joints c.
     gaps : (B, B) array
-        Σ_t |M_a c − M_b c|² there.
+        Σ_t |M_a c − M_b c|² of each joint.
     """
     n_frames, n_bones = transforms.shape[:2]
     turn, shift = transforms[..., :3], transforms[..., 3]
@@ -93,23 +93,23 @@ def fit_joints(transforms: Array, prior: Array, *, away: float = _AWAY) -> tuple
 
 
 def fit_joint(model: Model, a: int, b: int, prior: Array) -> tuple[Array, float]:
-    """Fit the joint (3,) of two bones; its gap."""
+    """The joint (3,) of two bones that :func:`fit_joints` fits, and its gap."""
     points, gaps = fit_joints(model.transforms[:, [a, b]], np.broadcast_to(prior, (2, 2, 3)))
     return points[0, 1], float(gaps[0, 1])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contacts:
-    """Where the skin of every two bones meets.
+    """Contacts: for every two bones, where and how closely their skin meets.
 
     Attributes
     ----------
     points : (B, B, 3) array
-        A point between what the bones move.
+        A point between the vertices that the two bones move.
     distances : (B, B) array
-        Distance of their skin, 0 beside bones that move nothing.
+        Distance between the skin of the two bones; 0 if one of them moves nothing.
     overlap : (B, B) array
-        Σ_i w_ia w_ib / sqrt(Σ_i w_ia² · Σ_i w_ib²).
+        Overlap of their weights, Σ_i w_ia w_ib / sqrt(Σ_i w_ia² · Σ_i w_ib²).
     """
 
     points: Array
@@ -118,7 +118,7 @@ class Contacts:
 
 
 def find_contacts(model: Model) -> Contacts:
-    """Find the contacts of bones by the weights that they share, else by their nearest vertices."""
+    """Find the contacts of bones by shared weights or, without these, by their nearest vertices."""
     n_bones, weights = model.n_bones, model.dense_weights()
     overlap = weights.T @ weights
     places = np.einsum("ia,ib,id->abd", weights, weights, model.rest, optimize=True)
@@ -145,16 +145,16 @@ def find_contacts(model: Model) -> Contacts:
 
 
 def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
-    """Find the minimum spanning tree over the bones, each edge costing the gap of its joint.
+    """Find the minimum spanning tree over the bones, where an edge costs the gap of its joint.
 
-    Gaps are weighted by the mass of their bones.  The result is a forest where parts of the mesh
-    are far apart and move independently.
+    Gaps are weighted by the masses of their bones.  If parts of the mesh are far apart and move
+    independently, the result is a forest.
 
     Parameters
     ----------
     model : Model
     by_gap : bool
-        Whether gaps alone count, without masses, and contacts decide between equal gaps.
+        Whether costs are gaps alone, without masses; contacts then decide between equal gaps.
     """
     meet = find_contacts(model)
     n_frames = len(model.transforms)
@@ -167,7 +167,7 @@ def spanning_tree(model: Model, *, by_gap: bool = False) -> Tree:
     else:
         pair = mass[:, None] * mass / np.maximum(mass[:, None] + mass, 1e-12)
         cost = pair * (gap + extra)
-    # SciPy takes costs below 1e-8 for no edge at all, and only their order matters
+    # SciPy treats costs below 1e-8 as no edge, so ranks replace costs: only their order matters
     above = np.triu_indices(model.n_bones, 1)
     order = np.zeros_like(cost)
     order[above] = 1 + cost[above].argsort(kind="stable").argsort()
@@ -209,7 +209,10 @@ def step_with_joint_penalty(
 
 
 def refit_joints(transforms: Array, tree: Tree) -> Tree:
-    """A tree with the joints of least gaps; they stay where the motion leaves them open."""
+    """A copy of the tree with the joints of smallest gaps.
+
+    Where the motion leaves a joint open, it stays as near to its present place as it can.
+    """
     points = tree.points.copy()
     for j in tree.non_roots:
         relative = transforms[:, j] - transforms[:, tree.parents[j]]
@@ -222,15 +225,15 @@ def refit_joints(transforms: Array, tree: Tree) -> Tree:
 
 
 def move_onto_joints(transforms: Array, tree: Tree) -> None:
-    """Translate every bone onto its joint (in place)."""
+    """Translate every bone so that the gap of its joint closes (in place)."""
     still = np.zeros((*transforms.shape[:2], 3))
     chain_move(transforms, tree.order, tree.parents, tree.points, still, still)
 
 
 def snap_to_joints(data: Trajectories, model: Model, locked: Locked) -> None:
-    """Translate every bone onto its joint, then solve the vertices (in place).
+    """Translate every bone so that the gap of its joint closes, then solve the vertices (in place).
 
-    Rotations stay, but for those relative to the parent that `locked` prescribes.
+    Rotations are kept, except those relative to the parent that `locked` prescribes.
     """
     tree = model.hierarchy
     for j, k, turn in locked.joint_rotations(tree):

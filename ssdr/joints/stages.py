@@ -1,4 +1,4 @@
-"""The stages that attach bones to joints and look for a better tree."""
+"""Stages of a run that attach bones to joints and look for a better tree."""
 
 from __future__ import annotations
 
@@ -40,21 +40,23 @@ __all__ = [
 
 # Stiffness of the joints, relative to the lighter bone's mass, from the first step to the last.
 _STIFFNESS = (1e-2, 100.0)
-_MOST_POLISH = 48  # steps of a trial that is still on its way below the model it has to beat
-_PROMISING = 4.0  # ratio of objectives up to which a tree may lead below the best free bones
-_AHEAD = 4  # so many more blocks of steps as good as the last have to lead below that model
+_MOST_POLISH = 48  # most steps of a trial that still approaches the objective it has to beat
+_PROMISING = 4.0  # ratio of a tree's objective to the best one up to which the tree is improved
+# A trial goes on if this many more blocks of steps, as good as the last one, would beat that
+# objective.
+_AHEAD = 4
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AttachToJoints(Stage):
-    """Bring free bones to the joints of a tree by growing stiffness; at last they are attached.
+    """Pull free bones to the joints of a tree with growing stiffness, and finally attach them.
 
-    The tree is the model's where it has one, else the spanning tree of least gaps.
+    The tree is the model's own or, if it has none, the spanning tree of smallest gaps.
 
     Attributes
     ----------
     steps : int
-        In which the stiffness grows.
+        Number of steps in which the stiffness grows.
     """
 
     phase: ClassVar[str] = "attach"
@@ -75,16 +77,16 @@ class AttachToJoints(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class FreeBones(Stage):
-    """Improve a tree that promises a better model, drop it, and improve the freed bones.
+    """Improve a model with a tree, then drop the tree and improve the freed bones.
 
-    If its objective is more than four times the best one, the run returns to the best model at
-    once.  If it becomes lower than that of all free bones, the animation probably comes from a
-    skeleton, and better trees are searched.
+    If the objective with the tree is more than four times the best one so far, the run returns to
+    the best model at once.  If the tree becomes the best model, the animation probably comes from a
+    skeleton, and better trees are searched before the tree is dropped.
 
     Attributes
     ----------
     attached, searched, freed : Schedule
-        Stages on the tree, on a tree that is the best model, and on the freed bones.
+        Stages that improve the tree, that search better trees, and that improve the freed bones.
     """
 
     phase: ClassVar[str] = "free bones"
@@ -114,7 +116,7 @@ class FreeBones(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AttachUnattached(AttachToJoints):
-    """Attach the bones of a model to joints unless they already are."""
+    """Attach the bones of a model to joints, unless they are attached already."""
 
     def apply(self, run: Run) -> Iterator[None]:
         tree = run.present.tree
@@ -124,13 +126,14 @@ class AttachUnattached(AttachToJoints):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class StartOnSkeleton(Stage):
-    """Start with the bones of a given skeleton, fitted to the vertices that each moves.
+    """Start with the bones of a given skeleton, each fitted to the vertices assigned to it.
 
     Attributes
     ----------
     by_motion : bool
-        Match the free bones of the present model with the skeleton's; else each vertex starts
-        with the nearest limb, or with the skeleton's weights where it has some.
+        Whether to assign vertices by matching the present model's free bones with the skeleton's
+        bones.  If not, each vertex starts with the skeleton's weights or, if it has none, with the
+        nearest limb.
     """
 
     phase: ClassVar[str] = "start"
@@ -175,12 +178,12 @@ class StartOnSkeleton(Stage):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ChangeCount(Stage):
-    """Add or remove a bone of a tree and polish, until there are as many as asked for.
+    """Add or remove bones of a tree one by one, with polish, until the wanted number is reached.
 
     Attributes
     ----------
     polish_steps : int
-        After each bone.
+        Number of polish steps after each bone.
     """
 
     polish_steps: int = 6
@@ -195,14 +198,14 @@ class ChangeCount(Stage):
 
     @abstractmethod
     def changed(self, run: Run, model: Model) -> Model:
-        """A copy with one bone more or less."""
+        """A copy of the model with one bone more or one bone less."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AddBones(ChangeCount):
-    """Add bones to a skeleton where the error is largest, each a child of the bone that it splits.
+    """Add bones to a skeleton where the error is largest, as children of the bones they split.
 
-    Where the caller named parents, bones are added below these.
+    If the caller named parents, these are the bones that are split.
     """
 
     phase: ClassVar[str] = "add bones"
@@ -217,7 +220,7 @@ class AddBones(ChangeCount):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RemoveBones(ChangeCount):
-    """Remove the cheapest bone of a tree, one by one, until there are as many as asked for."""
+    """Remove the cheapest bone of a tree again and again until the wanted number is left."""
 
     phase: ClassVar[str] = "remove bones"
     steps: int = 3  # expected
@@ -231,8 +234,8 @@ class RemoveBones(ChangeCount):
 class SearchTrees(Search):
     """A search that changes the tree.
 
-    A better tree shows only after many steps: a trial is polished for as long as its last steps
-    promise to lead below the model that it has to beat.
+    A better tree shows only after many steps.  Therefore a trial is polished as long as the gain of
+    its last steps suggests that it will beat the objective it is compared with.
     """
 
     changes: ClassVar[tuple[Change, ...]] = (
@@ -257,6 +260,6 @@ class SearchTrees(Search):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class SearchWeights(SearchTrees):
-    """A search that leaves the tree as it is."""
+    """A search that keeps the edges of the tree."""
 
     changes: ClassVar[tuple[Change, ...]] = (move_bone_to_error, exchange_influences)

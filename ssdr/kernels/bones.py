@@ -1,4 +1,4 @@
-"""The bone step: sums over vertices, then rigid transforms frame by frame."""
+"""Kernels of the bone step: sums over vertices, then the bones' transforms in each frame."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import numpy as np
 from .policy import inline, kernel
 from .vertices import monomials
 
-# squared radii of a bone's vertices, in a mesh of unit size
-SPECK = 1e-6  # below, the scale of the bone is hardly determined
-POINT = 1e-12  # below, its rotation would follow rounding errors
+# Squared radii of a bone's vertices, in a mesh of unit size.
+SPECK = 1e-6  # below this, the scale of the bone is hardly determined
+POINT = 1e-12  # below this, the rotation of the bone would follow rounding errors
 SMALLEST, LARGEST = 0.05, 20.0  # bounds of a bone's scale, unless it starts outside
-COLUMNS = 512  # of the trajectories, summed at a time
+COLUMNS = 512  # number of columns of the trajectories that are summed at a time
 
 
 @kernel
 def bone_moments(indices, weights, rest, importance, z, u, az):
-    """Add the sums over vertices from which the bones of every frame are solved.
+    """Add up the sums over vertices from which the bones of every frame are solved.
 
     indices     (V, K)      int32    bone of each influence, in
     weights     (V, K)      float64  its weight, 0 in unused influences, in
     rest        (V, 3)      float64  rest positions, in
     importance  (V,)        float64  factor of each vertex's error, in
     z           (V, r)      float64  trajectories, compressed to r numbers, in
-    u           (B, B, 10)  float64  Σ w_j w_k p̃p̃ᵀ in the ten monomials, for j <= k, added to
-    az          (4, B, r)   float64  Σ w_j p̃ z_i, added to
+    u           (B, B, 10)  float64  Σ_i w_j w_k m, m the ten monomials of p̃p̃ᵀ, for j <= k, added to
+    az          (4, B, r)   float64  Σ_i w_j p̃ z_i, added to
     """
     n_bones = az.shape[1]
     r = z.shape[1]
@@ -79,10 +79,11 @@ def bone_moments(indices, weights, rest, importance, z, u, az):
 
 @inline
 def horn(s, r):
-    """Rotation that maximises tr(Rᵀs), from the largest eigenvector of Horn's 4×4 matrix K.
+    """Set r to the rotation R that maximises tr(Rᵀs), by Horn's 4×4 matrix K.
 
-    K + cI, with c such that no eigenvalue is negative, is squared again and again: scaled to a
-    trace of 1, it tends to the projection onto that eigenvector.
+    The rotation's quaternion is the eigenvector of the largest eigenvalue of K.  To find it, K +
+    cI, with c such that no eigenvalue is negative, is squared repeatedly and scaled to a trace of
+    1; it converges to the projection onto the eigenvector.
     """
     k = np.empty((4, 4))
     square = np.empty((4, 4))
@@ -132,7 +133,7 @@ def horn(s, r):
 
 @inline
 def quaternion_matrix(w, x, y, z, r):
-    """Rotation matrix r of a quaternion of any length but 0."""
+    """Set r to the rotation matrix of a quaternion of any length except 0."""
     n = 1.0 / np.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * n, x * n, y * n, z * n
     r[0, 0] = 1.0 - 2.0 * (y * y + z * z)
@@ -148,7 +149,7 @@ def quaternion_matrix(w, x, y, z, r):
 
 @inline
 def turn_bone(m, wx, wy, wz, turn, old):
-    """Replace the 3×3 block of m by its product with exp(ω), which turns about the bone's axes.
+    """Multiply the 3×3 block of m from the right by exp(ω), a rotation about the bone's axes.
 
     The exponential is approximated by the quaternion (1, ω/2), to second order in ω.
     """
@@ -164,10 +165,10 @@ def turn_bone(m, wx, wy, wz, turn, old):
 
 @inline
 def rotate_toward(s, r, a, turn, new):
-    """Maximise tr(Rᵀs) over rotations by Newton's method on SO(3), from the current r.
+    """Set r to the rotation R that maximises tr(Rᵀs), by Newton's method on SO(3) from r.
 
-    Every local maximum is the global one.  Where the Hessian tr(A)I − sym(A), A = Rᵀs, is not
-    positive definite, Horn's closed form is used.
+    Every local maximum is a global one.  If the negated Hessian tr(A)I − sym(A), with A = Rᵀs, is
+    not positive definite or a step is long, :func:`horn` takes over.
     """
     size = 0.0
     for c in range(3):
@@ -229,17 +230,17 @@ def rotate_toward(s, r, a, turn, new):
 
 @kernel
 def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
-    """Gauss–Seidel sweeps over the bones.
+    """Fit each bone given the others, one after the other, in `sweeps` passes (Gauss–Seidel).
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     c           (F, 3, 4, B)  float64  Σ_i w_j v_i p̃ᵀ, in
     u           (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     start       (B + 1,)      int32    where each bone's entries of `neighbour` start, in
-    neighbour   (N,)          int32    other bones that share vertices with bone j, at
-                                       start[j]..start[j + 1], in
+    neighbour   (N,)          int32    start[j]..start[j + 1]: other bones that share vertices with
+                                       bone j, in
     locked      (B,)          bool     bones that are not changed, in
 
-    The 3×3 blocks are scaled rotations (Umeyama 1991) if `scaled`, else rotations.
+    If `scaled`, the 3×3 blocks are scaled rotations (Umeyama 1991), otherwise rotations.
     """
     n_bones = transforms.shape[1]
     d = np.empty((3, 4))
@@ -280,7 +281,7 @@ def sweep_bones(transforms, c, u, start, neighbour, locked, scaled, sweeps):
                 if extent > POINT * mass:
                     rotate_toward(s, r, a, turn, new)
                 if scaled:
-                    # regularised towards the present scale, which a bone without extent keeps
+                    # regularised towards the present scale, so that a bone without extent keeps it
                     spread = SPECK * mass
                     pull = spread * size
                     spread += extent

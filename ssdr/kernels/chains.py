@@ -1,9 +1,9 @@
 """Kernels of bones that are connected by joints: tangents, Gauss–Newton matrices, moves.
 
 A bone j with parent k and joint c_j, a point of the rest pose, satisfies M_j c_j = M_k c_j in
-every frame; a root is free.  The unknowns of a frame are a rotation ω_j of every bone, in the
-bone's axes, and a translation τ_j of every root.  The changes δc_j of the joints are shared by all
-frames.
+every frame; a root is free.  The unknowns of a frame are a rotation ω_j of every bone and a
+translation τ_j of every root, in the bone's axes.  The changes δc_j of the joints are unknowns
+shared by all frames.  The tangents (ω, τ) of a bone change M by δM = M [[ω]× τ; 0 0].
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .policy import inline, kernel
 
 @kernel
 def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
-    """Tangents (ω, τ) of all bones under a change of the unknowns.
+    """Compute the tangents (ω, τ) of all bones, given the unknowns.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     order       (B,)          int64    bones, parents before children, in
@@ -59,7 +59,7 @@ def chain_image(transforms, order, parents, points, turns, shifts, moved, out):
 
 @kernel
 def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
-    """Transpose of :func:`chain_image`; g is overwritten.
+    """Apply the transpose of :func:`chain_image`; g is overwritten.
 
     g       (F, B, 6)  float64  gradient in the tangents, in
     turns   (F, B, 3)  float64  gradient in ω, out
@@ -103,9 +103,10 @@ def chain_pullback(transforms, order, parents, points, g, turns, shifts, moved):
 
 @inline
 def substitute(a, j, p, c, turn, old):
-    """Substitute τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc in the columns of a (B, 6, B, 6).
+    """Replace the unknown τ_j by δc in the columns of the matrix a (B, 6, B, 6).
 
-    Bone p is the parent of j, c the joint and `turn` P = R_jᵀR_p.
+    It substitutes τ_j = P (ω_p × c + τ_p + δc) − ω_j × c − δc, where p is the parent of j, c their
+    joint, and P = R_jᵀR_p, which is `turn`.
     """
     for k in range(a.shape[0]):
         for g in range(6):
@@ -131,12 +132,12 @@ def substitute(a, j, p, c, turn, old):
 
 @kernel
 def chain_matrix(transforms, order, parents, points, u, scale, out):
-    """Add the Gauss–Newton matrices in the unknowns of the tree.
+    """Add up the Gauss–Newton matrices of all frames in the unknowns of the tree.
 
     u      (B, B, 4, 4)  float64  Σ_i w_j w_k p̃p̃ᵀ, in
     scale  (F,)          float64  importance of each frame, in
-    out    (B, 6, B, 6)  float64  added to; the last three entries of bone j are τ_j of a root and
-                                  δc_j of another bone
+    out    (B, 6, B, 6)  float64  sum of the matrices, added to; the six unknowns of bone j are ω_j,
+                                  then τ_j for a root and δc_j for another bone
     """
     n_bones = len(parents)
     a = np.empty((n_bones, 6, n_bones, 6))
@@ -194,7 +195,7 @@ def chain_matrix(transforms, order, parents, points, u, scale, out):
                     for f in range(3):
                         s += transforms[t, j, f, d] * transforms[t, p, f, e]
                     turn[d, e] = s
-            # in the columns, then in the rows
+            # substitute in the columns, then in the rows
             substitute(a, j, p, points[j], turn, old)
             substitute(a.transpose(2, 3, 0, 1), j, p, points[j], turn, old)
         for j in range(n_bones):
@@ -206,10 +207,12 @@ def chain_matrix(transforms, order, parents, points, u, scale, out):
 
 @kernel
 def chain_move(transforms, order, parents, points, turns, shifts):
-    """Rotate every bone by exp(ω), translate the roots and restore the joints of the others.
+    """Rotate every bone by exp(ω), translate roots by τ, and others so that joints connect again.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     points      (B, 3)        float64  joints in the rest pose after their change, in
+
+    The other arguments are those of :func:`chain_image`.
     """
     n_bones = len(parents)
     turn = np.empty((3, 3))

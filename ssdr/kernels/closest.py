@@ -1,8 +1,8 @@
 """Distance from points to the triangles of a bounding-volume hierarchy.
 
-The tree is a complete binary tree: node j of a level covers the triangles ``T j >> level`` to
-``T (j + 1) >> level`` and has the index ``2**level - 1 + j``, so that neither ranges nor links are
-stored.
+The tree is a complete binary tree over T triangles.  Node j of a level has the index
+``2**level - 1 + j`` and covers the triangles from ``T * j >> level`` up to, but not including,
+``T * (j + 1) >> level``, so that neither ranges nor links need to be stored.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _segment(px, py, pz, ax, ay, az, bx, by, bz):
 def _triangle(p, vertices, triangle):
     """Squared distance of a point to a triangle.
 
-    Of a triangle thinner than 1e-7 of its length only the edges count.
+    If a triangle is thinner than 1e-7 of its length, this is the distance to its edges.
     """
     a, b, c = vertices[triangle[0]], vertices[triangle[1]], vertices[triangle[2]]
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -73,7 +73,10 @@ def _box(p, box):
 def tree_order(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], depth: int
 ) -> NDArray[np.intp]:
-    """Order of triangles in which each node of the tree covers a compact set of them."""
+    """Order (T,) of the triangles in which each node of the tree covers nearby ones.
+
+    Leaves are at level `depth`, the root at level 0.
+    """
     centres = vertices[faces].mean(axis=1)
     order, count = np.arange(len(faces)), len(faces)
     for level in range(depth):
@@ -91,11 +94,11 @@ def tree_order(
 
 @kernel
 def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
-    """Bounding boxes of all nodes of the tree, leaves first.
+    """Compute the bounding boxes of all nodes of the tree, from the leaves to the root.
 
     vertices   (V, 3)                  float64  positions, in
     triangles  (T, 3)                  int32    vertices of triangles in the tree's order, in
-    depth                              int      levels below the root
+    depth                              int      number of levels below the root
     boxes      (2**(depth + 1) - 1, 6)  float64  lower, then upper corner of each node, out
     """
     count = len(triangles)
@@ -120,18 +123,18 @@ def fit_boxes(vertices: Any, triangles: Any, depth: int, boxes: Any) -> None:
 def farthest(
     points: Any, vertices: Any, triangles: Any, depth: int, boxes: Any, hints: Any, lead: int
 ) -> tuple[float, int]:
-    """Largest squared distance of the points to the triangles, and the point that has it.
+    """Largest squared distance of a point to the triangles, and the number of that point.
 
-    points     (n, 3)                  float64  in
+    points     (n, 3)                  float64  positions of the points, in
     vertices   (V, 3)                  float64  positions of the triangles' corners, in
     triangles  (T, 3)                  int32    vertices of triangles in the tree's order, in
-    depth                              int      levels below the root
+    depth                              int      number of levels below the root
     boxes      (2**(depth + 1) - 1, 6)  float64  from :func:`fit_boxes`, in
     hints      (n,)                    int64    a triangle likely to be near each point, updated
     lead                               int      the point that is searched first
 
-    The search for a point ends as soon as a triangle is nearer to it than the largest distance so
-    far.  So a far first point makes most searches short.
+    The search for a point ends as soon as a triangle is found nearer to it than the largest
+    distance so far, so that most searches are short if the first point is far from the triangles.
     """
     count = len(triangles)
     stack_node = np.empty(2 * depth + 2, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Forward linear blend skinning."""
+"""Kernels of linear blend skinning: positions of the vertices, and their squared errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .policy import kernel
 def skin_range(
     rest: Any, indices: Any, weights: Any, transforms: Any, out: Any, first: int, last: int
 ) -> None:
-    """Linear blend skinning of vertices first..last in every frame.
+    """Compute the positions of vertices first..last in every frame by linear blend skinning.
 
     rest        (V, 3)        float     rest positions, in
     indices     (V, K)        int32     bone of each influence, in
@@ -21,7 +21,7 @@ def skin_range(
     transforms  (F, B, 3, 4)  float     transforms of the bones, in
     out         (F, V, 3)     float     positions, written for first..last
 
-    float is float32 or float64, the same for all four.
+    ``float`` is float32 or float64, the same type for all four arrays.
     """
     n_slots = indices.shape[1]
     for t in range(transforms.shape[0]):
@@ -65,14 +65,14 @@ def squared_error_range(
     last: int,
     per_vertex: Any,
 ) -> None:
-    """Add each vertex's squared distance to the target frames.
+    """Add up each vertex's squared distance from its target positions over all frames.
 
     rest        (V, 3)        float64   rest positions, in
     indices     (V, K)        int32     bone of each influence, in
     weights     (V, K)        float64   its weight, 0 in unused influences, in
     transforms  (F, B, 3, 4)  float64   bones, in
     target      (F, V, 3)     float     positions to reproduce, float32 or float64, in
-    per_vertex  (V,)          float64   added to for vertices first..last
+    per_vertex  (V,)          float64   sums of squared distances, added to for vertices first..last
     """
     n_slots = indices.shape[1]
     for t in range(transforms.shape[0]):

@@ -1,7 +1,7 @@
-"""How kernels are compiled.
+"""Decorators that compile kernels and their helpers.
 
-Numba's cache on disk depends on the date of a kernel's own file.  After a change of a helper in
-another file, delete ``ssdr/kernels/__pycache__``.
+Numba compiles a cached kernel again only if the kernel's own file changes.  After a change of a
+helper in another file, delete ``ssdr/kernels/__pycache__``.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile a kernel: without the GIL, cached on disk, with IEEE arithmetic (NaN propagates)."""
+    """Compile a kernel that releases the GIL, is cached on disk and divides by 0 as NumPy does."""
     compiled: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(function)
     return compiled  # type: ignore[no-any-return]
 
 
 def inline(function: Function) -> Function:
-    """Compile a helper of kernels, which are cached with it; its integers have 64 bits."""
+    """Compile a helper of kernels, cached as part of each kernel; its integers have 64 bits."""
     njit: Any = numba.njit  # its stubs do not know the last two options
     compiled: Any = njit(
         nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True

@@ -1,7 +1,7 @@
-"""The vertex step of the variable-projection polish.
+"""The vertex step of the polish, the Gauss–Newton iteration that eliminates the vertices.
 
-The variables of a vertex are its rest position and its weights but the largest, which follows from
-their sum: at most D = K + 2.
+The unknowns of a vertex are all its weights except the largest, since weights sum to 1, and then
+its rest position.  These are at most D = K + 2.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from .vertices import (
 
 @inline
 def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turned, a, g):
-    """Gauss–Newton matrix and half gradient of one vertex's error; returns their size.
+    """Write the Gauss–Newton matrix a and half gradient g of one vertex's error; return their size.
 
-    h (n, n) receives p̃ᵀ G_qs p̃, moved (n, 4) Σ_s w_s G_qs p̃ and turned (n, 4) Σ_s w_s G_sq p̃.
+    Also written are h (n, n) = p̃ᵀ G_qs p̃, moved (n, 4) = Σ_s w_s G_qs p̃ and
+    turned (n, 4) = Σ_s w_s G_sq p̃, for influences q and s.
     """
     p0, p1, p2 = p[0], p[1], p[2]
     k = n - 1 if with_weights else 0
@@ -84,7 +85,7 @@ def joint_system(gram4, y, ids, w, n, p, with_weights, with_rest, h, moved, turn
 
 @inline
 def error_of(x2, y, ids, w, n, p, moved):
-    """Squared error at the point where :func:`joint_system` was evaluated."""
+    """Squared error of a vertex, given `moved` from :func:`joint_system` for the same w and p."""
     e = x2
     for q in range(n):
         e += w[q] * (against(moved, q, p) - 2.0 * pulled(y, ids[q], p))
@@ -108,9 +109,9 @@ def polish_vertices(
     inverse,
     gradient,
 ):
-    """The vertex step of the polish; no vertex's error rises.
+    """Improve the weights and rest position of each vertex; no vertex's error rises.
 
-    y             (V, 4, B)     float64  Σ_t v_i^t M_j^tᵀ, in
+    y             (V, 4, B)     float64  Σ_t M_j^tᵀ v_i^t, in
     x2            (V,)          float64  Σ_t |v_i^t|², in
     gram          (B, 10, B)    float64  coefficients of p̃ᵀ G_jk p̃, in
     gram4         (B, B, 4, 4)  float64  G_jk, in
@@ -122,11 +123,11 @@ def polish_vertices(
     inverse       (V, D, D)     float64  inverse of the Gauss–Newton matrix, D = K + 2, out
     gradient      (V, D)        float64  half gradient of the error, out
 
-    First the weights are solved, unless `entering` is negative.  Then up to `entering` bones, of
-    least reduced gradient, are tried: each joins the support, or replaces a member of a full one,
-    if that lowers the error.  Then follow `rounds` Gauss–Newton steps on weights and rest position
-    together, each only if it lowers the error.  `inverse` and `gradient` serve the Schur
-    complement.
+    First the weights are solved, unless `entering` is negative.  Then up to `entering` bones, those
+    of smallest gradient, are tried.  Such a bone joins the vertex's influences, or replaces one if
+    there are K already, provided that this lowers the error.  At last, up to `rounds` Gauss–Newton
+    steps move weights and rest position together; a step that does not lower the error is not
+    taken.  The Schur complement needs `inverse` and `gradient`.
     """
     n_bones = gram.shape[0]
     n_keep = indices.shape[1]
@@ -210,7 +211,8 @@ def polish_vertices(
                         out = second_out
                     if attempt > 0 and out < 0:
                         break
-                    # first with all of them: if at most K stay positive, none has to be dropped
+                    # first try all bones: if at most K weights stay positive, none has to be
+                    # dropped
                     left = 0
                     total = 0.0
                     for q in range(n + 1):

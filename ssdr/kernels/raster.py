@@ -9,14 +9,15 @@ from .policy import kernel
 
 @kernel
 def raster_triangles(points, faces, depth, index, first, last) -> None:
-    """Nearest triangle at the centre of each pixel of rows first..last.
+    """Find the nearest triangle at the centre of each pixel in the rows first..last.
 
-    points  (V, 3)  float64  x and y in pixels, then nearness, in: it is linear over the screen,
-                             larger when nearer, and NaN behind the camera, where triangles are
-                             left out
+    points  (V, 3)  float64  x and y in pixels, then nearness, in
     faces   (T, 3)  int32    vertices of triangles, in
     depth   (H, W)  float64  nearness of the nearest triangle so far, updated
-    index   (H, W)  int32    its number, updated
+    index   (H, W)  int32    number of that triangle, updated
+
+    Nearness is larger for nearer points and linear over the screen.  It is NaN behind the camera;
+    triangles with such a vertex are left out.
     """
     width = depth.shape[1]
     for t in range(faces.shape[0]):
@@ -53,12 +54,12 @@ def raster_triangles(points, faces, depth, index, first, last) -> None:
 
 @kernel
 def raster_balls(balls, depth, index, first, last) -> None:
-    """Nearest ball at the centre of each pixel of rows first..last.
+    """Find the nearest ball at the centre of each pixel in the rows first..last.
 
-    balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much nearer
-                            the point closest to the viewer is, in
+    balls  (N, 5)  float64  x, y and radius in pixels, nearness of the centre, and how much larger
+                            the nearness of the ball's nearest point is, in
     depth  (H, W)  float64  nearness of the nearest ball so far, updated
-    index  (H, W)  int32    its number, updated
+    index  (H, W)  int32    number of that ball, updated
     """
     width = depth.shape[1]
     for k in range(balls.shape[0]):
@@ -80,17 +81,19 @@ def raster_balls(balls, depth, index, first, last) -> None:
 
 @kernel
 def light_shares(points, normals, axes, corners, scales, nearness, bias, shares, first, last):
-    """Share of each distant light that reaches points first..last, read from depth maps.
+    """Compute the share of each distant light that reaches points first..last, by depth maps.
 
-    points    (N, 3)     float64  in
-    normals   (N, 3)     float64  along which points are lifted by the bias, to the light's side, in
-    axes      (D, 3, 3)  float64  rows: right and up in a light's map, towards the light, in
-    corners   (D, 2)     float64  lower left corner of each map, along its axes, in
-    scales    (D,)       float64  pixels per unit of length, in
-    nearness  (D, n, n)  float64  largest coordinate along the third axis, −inf where nothing is, in
-    bias      float64             a surface nearer to the light by less than this casts no shadow,
-                                  one nearer by twice as much a full shadow, in
-    shares    (N, D)     float64  interpolated between pixels, out
+    points    (N, 3)     float64  positions, in
+    normals   (N, 3)     float64  normals; points are shifted along them by the bias, towards the
+                                  side of the light, in
+    axes      (D, 3, 3)  float64  axes of each light's map as rows: right, up, towards the light, in
+    corners   (D, 2)     float64  right and up coordinate of each map's lower left corner, in
+    scales    (D,)       float64  pixels per unit of length of each map, in
+    nearness  (D, n, n)  float64  largest coordinate towards the light at each pixel, −inf where the
+                                  pixel is empty, in
+    bias      float64             a surface casts no shadow on points less than this behind it, and
+                                  a full shadow on points at least twice as far behind it, in
+    shares    (N, D)     float64  shares from 0 to 1, interpolated between pixels, out
     """
     end = nearness.shape[1] - 2
     for k in range(first, last):

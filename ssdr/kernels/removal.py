@@ -1,4 +1,4 @@
-"""The rise of the error if a bone were removed."""
+"""Kernel of the rise of the error if a bone is removed."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from .vertices import hessian_row, monomials, pulled
 
 @kernel
 def removal_cost(y, gram, rest, support, share, count, importance, cost):
-    """Add, for each bone, the rise of the error if it were removed.
+    """Add up, for each bone, the rise of the vertices' errors if the bone is removed.
 
-    y           (V, 4, B)   float64  Σ_t v_i^t M_j^tᵀ, in
+    y           (V, 4, B)   float64  Σ_t M_j^tᵀ v_i^t, in
     gram        (B, 10, B)  float64  coefficients of p̃ᵀ G_jk p̃, in
     rest        (V, 3)      float64  rest positions, in
-    support     (V, S)      int32    bones of each vertex before pruning, in
-    share       (V, S)      float64  their weights, in
-    count       (V,)        int32    how many of them are used, in
+    support     (V, S)      int32    bones of each vertex before the reduction to K, in
+    share       (V, S)      float64  weights of the bones in `support`, in
+    count       (V,)        int32    number of used slots of `support`, in
     importance  (V,)        float64  factor of each vertex's error, in
-    cost        (B,)        float64  added to
+    cost        (B,)        float64  rise of the error, added to
     """
     n_slots = support.shape[1]
     n_bones = gram.shape[0]

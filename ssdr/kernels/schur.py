@@ -1,6 +1,6 @@
-"""Kernels of the polish besides the vertex step: Schur complement, tangents, moves.
+"""Kernels of the polish apart from the vertex step: Schur complement, tangents, moves.
 
-The tangent (ω, τ) of a bone acts from the right: δM = M [[ω]× τ; 0 0].
+The tangent (ω, τ) of a bone changes its transform by δM = M [[ω]× τ; 0 0].
 """
 
 from __future__ import annotations
@@ -32,23 +32,24 @@ def schur_vertices(
     first,
     last,
 ):
-    """Eliminate the vertices of groups first..last from the normal equations.
+    """Compute the steps of vertices in groups first..last, and add up their effect on the bones.
 
-    cross       (B, B, 4, 4)  real     of bones k, j: (Mⱼᵀ δMₖ)ᵀ summed over frames, in
-    start       (G + 1,)      integer  group g is vertices start[g]..start[g + 1], in
+    cross       (B, B, 4, 4)  real     for bones k, j: (Mⱼᵀ δMₖ)ᵀ summed over frames, in
+    start       (G + 1,)      integer  start[g]..start[g + 1]: vertices of group g, in
     bones       (G, K)        integer  bones that all vertices of a group use, in
-    count       (G,)          integer  how many, in
-    slot        (V, K)        integer  position of each weight in the order of `inverse`, in
+    count       (G,)          integer  number of bones of each group, in
+    slot        (V, K)        integer  column in the model's weights of each of `weights`, in
     rest        (V, 3)        real     rest positions, in
     weights     (V, K)        real     weights in the order of the group's bones, in
     importance  (V,)          real     factor of each vertex's error, in
     free        (V,)          bool     vertices whose weights may change, in
-    inverse     (V, D, D)     real     of the Gauss–Newton matrix, D = K + 2, in
+    inverse     (V, D, D)     real     inverse of the Gauss–Newton matrix, D = K + 2, in
     gradient    (V, D)        real     half gradient of the error, in
-    step        (V, D)        real     inverse times (H_vm δM + share·gradient), out
-    total       (B, B, 4, 4)  float64  added to: the image Σ a δaᵀ of the step, as `cross`
+    step        (V, D)        real     inverse times (H_vm δM + share · gradient), out
+    total       (B, B, 4, 4)  float64  Σ_i a δaᵀ, in the layout of `cross`, times importance, where
+                                       a is w p̃ of a bone and δa its change, added to
 
-    All real arrays have one type, float32 or float64, in which a group is summed.
+    ``real`` is float32 or float64, the same for all these arrays; each group is summed in it.
     """
     real = inverse.dtype
     n_keep = bones.shape[1]
@@ -153,9 +154,10 @@ def schur_vertices(
 
 @kernel
 def apply_vertex_step(step, rest, indices, weights, locked, move_rest):
-    """Move weights and rest position by −step and return the weights to the simplex.
+    """Move weights and rest position by −step; keep weights non-negative with sum 1.
 
-    step          (V, K + 2)  float64  of all weights but the first, then of the rest position, in
+    step          (V, K + 2)  float64  step of all weights except the first, then of the rest
+                                       position, in
     rest          (V, 3)      float64  rest positions, updated where `move_rest`
     indices       (V, K)      int32    bone of each influence, updated
     weights       (V, K)      float64  its weight, descending, updated
@@ -181,7 +183,7 @@ def apply_vertex_step(step, rest, indices, weights, locked, move_rest):
 
 @kernel
 def tangent_image(transforms, x, scale, out):
-    """Change of the transforms under tangents of the bones.
+    """Compute the first-order change of the transforms under tangents of the bones.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     x           (F, B, 6)     float64  tangents (ω, τ), in
@@ -204,7 +206,7 @@ def tangent_image(transforms, x, scale, out):
 
 @kernel
 def tangent_pullback(transforms, g, scale, out):
-    """Transpose of :func:`tangent_image`.
+    """Apply the transpose of :func:`tangent_image`.
 
     transforms  (F, B, 3, 4)  float64  bones, in
     g           (3F, 4, B)    real     gradient in the entries of the transforms, in
@@ -228,7 +230,7 @@ def tangent_pullback(transforms, g, scale, out):
 
 @kernel
 def move_bones(transforms, x, locked):
-    """M ← M exp(x), rotations kept orthonormal.
+    """Replace M by M exp(x), to second order and with exactly orthonormal rotations.
 
     transforms  (F, B, 3, 4)  float64  bones, updated
     x           (F, B, 6)     float64  tangents (ω, τ), in

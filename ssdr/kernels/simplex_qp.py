@@ -1,4 +1,4 @@
-"""Small dense problems inside the vertex kernels: LDLᵀ, inverses, a QP over a simplex."""
+"""Small dense problems of the vertex kernels: linear systems, inverses, a QP over a simplex."""
 
 from __future__ import annotations
 
@@ -15,12 +15,17 @@ __all__ = [
     "simplex_qp",
 ]
 
-RIDGE = 1e-13  # of the mean diagonal, added to it: bones that move alike make a matrix singular
+# This part of the mean diagonal is added to the diagonal, since bones that move alike make a matrix
+# singular.
+RIDGE = 1e-13
 
 
 @inline
 def cholesky_solve(a, b, n):
-    """Solve a x = b: b becomes x, a its LDLᵀ; False if a is not positive definite."""
+    """Solve a x = b, overwriting b by x; return False if a is not positive definite.
+
+    Only the lower triangle of a (n, n) is read; it is overwritten by its LDLᵀ factors.
+    """
     trace = 0.0
     for i in range(n):
         trace += a[i, i]
@@ -48,10 +53,11 @@ def cholesky_solve(a, b, n):
 
 @inline
 def simplex_qp(h, f, w, alive, n, a, b):
-    """Minimise wᵀhw − 2fᵀw over the simplex spanned by ``alive[:n]``, from a feasible w.
+    """Minimise wᵀhw − 2fᵀw over weights w ≥ 0 with sum 1 (in place), and return how many stay free.
 
-    Primal active set: a step to the minimum over the free weights is cut at the first that reaches
-    zero, which is then left out.  Returns the number of weights left.
+    Only the weights ``alive[:n]`` are free, and w must be feasible.  By the primal active-set
+    method, each step leads towards the minimum over the free weights, but stops where the first
+    weight becomes 0; that weight is then removed from `alive`.
     """
     while n > 1:
         top = 0
@@ -111,7 +117,10 @@ def simplex_qp(h, f, w, alive, n, a, b):
 
 @inline
 def equilibrate(a, n, scale):
-    """Scale the lower triangle to a unit diagonal, since weights and lengths differ in size."""
+    """Scale the lower triangle of a to a unit diagonal (in place); `scale` receives the factors.
+
+    Entries of weights and of rest positions differ in magnitude.
+    """
     for q in range(n):
         scale[q] = 1.0 / np.sqrt(a[q, q]) if a[q, q] > 0.0 else 0.0
     for q in range(n):
@@ -122,10 +131,10 @@ def equilibrate(a, n, scale):
 
 @inline
 def invert(a, n, full, row):
-    """Inverse of an equilibrated positive definite matrix.
+    """Invert a positive definite matrix with unit diagonal.
 
-    a     (n, n)     float64  its lower triangle, in
-    full  (n, 16m)   float64  the inverse, out; 16m at least n
+    a     (n, n)     float64  lower triangle of the matrix, in
+    full  (n, 16m)   float64  inverse in the first n columns, out; 16m is at least n
     row   (16m,)     float64  scratch
     """
     width = 16 * ((n + 15) // 16)
@@ -138,7 +147,7 @@ def invert(a, n, full, row):
         full[i, i] = a[i, i] + 1e-9
     for k in range(n):
         pivot = full[k, k]
-        # a pivot of rounding errors: the variable depends on others and is not moved
+        # a pivot that is only rounding: the variable depends on others and is not moved
         d = 1.0 / pivot if pivot > 1e-12 else 0.0
         for j in range(width):
             row[j] = full[k, j] * d
@@ -154,10 +163,10 @@ def invert(a, n, full, row):
 
 @inline
 def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """The two of n positive weights, the last not among them, whose removal costs least.
+    """The two of n weights, except the last, whose removal raises the error least; cheapest first.
 
-    The error rises by w_q² / P_qq, with P the inverse of h restricted to changes that keep the
-    sum.  This is exact if the other weights stay positive.
+    Removing weight q raises the error by w_q² / P_qq, where P is the inverse of h restricted to
+    changes of the weights that keep their sum.  This is exact if the other weights stay positive.
     """
     last = n - 1
     for q in range(last):

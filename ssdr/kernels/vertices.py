@@ -1,9 +1,10 @@
 """The vertex step: sparse convex weights and rest position of one vertex at a time.
 
-Notation: p̃ = (p, 1); ``gram[j, a, k]`` are the ten coefficients of the quadratic
-form p̃ᵀ G_jk p̃ in the monomials x², y², z², xy, xz, yz, x, y, z, 1, so that the
-Hessian row of a bone is ten vector additions; ``y[i, d, j]`` is Σ_t v_i^t M_j^tᵀ.
-A vertex's squared error is x2_i − 2 fᵀw + wᵀHw with H_jk = p̃ᵀG_jk p̃, f_j = p̃ᵀy_ij.
+A vertex i has the rest position p, with p̃ = (p, 1), and the weights w.  Its squared error is x2_i
+− 2 fᵀw + wᵀHw, with H_jk = p̃ᵀ G_jk p̃ and f_j = p̃ᵀ y_ij for bones j and k.  Here G_jk = Σ_t
+M_j^tᵀ M_k^t is a 4×4 matrix, and the vector y_ij = Σ_t M_j^tᵀ v_i^t is ``y[i, :, j]``.  ``gram[j,
+:, k]`` are the ten coefficients of p̃ᵀ G_jk p̃ as a polynomial in the monomials x², y², z², xy, xz,
+yz, x, y, z, 1, so that a row of H is a sum of ten vectors.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from .simplex_qp import cholesky_solve, simplex_qp
 
 @inline
 def hessian_row(gram, j, m, row):
-    """Row j of H for the monomials m of one vertex."""
+    """Set `row` to row j of H for one vertex, given the monomials m of its rest position."""
     for k in range(gram.shape[2]):
         row[k] = (
             gram[j, 9, k]
@@ -37,7 +38,7 @@ def hessian_row(gram, j, m, row):
 
 @inline
 def pulled(y, j, p):
-    """f_j = p̃ᵀ y_j."""
+    """The linear coefficient f_j = p̃ᵀ y_j of the weight of bone j."""
     value = y[3, j]
     for d in range(3):
         value += y[d, j] * p[d]
@@ -46,7 +47,7 @@ def pulled(y, j, p):
 
 @inline
 def against(block, d, p):
-    """Row d of a 4×4 block times p̃."""
+    """Product of row d of a 4×4 block and p̃."""
     value = block[d, 3]
     for e in range(3):
         value += block[d, e] * p[e]
@@ -55,7 +56,7 @@ def against(block, d, p):
 
 @inline
 def gradient_of_all(f_all, rows, w, n, grad):
-    """Half gradient Hw − f of the error in the weights of all bones."""
+    """Set `grad` to Hw − f, half the gradient of the error in the weights of all bones."""
     for j in range(len(grad)):
         grad[j] = -f_all[j]
     for q in range(n):
@@ -66,7 +67,7 @@ def gradient_of_all(f_all, rows, w, n, grad):
 
 @inline
 def close_gaps(ids, w, f, rows, n):
-    """Drop bones of weight zero and return the number left."""
+    """Remove bones of weight 0 from the first n slots (in place); return the number left."""
     left = 0
     for q in range(n):
         if w[q] > 0.0:
@@ -82,7 +83,7 @@ def close_gaps(ids, w, f, rows, n):
 
 @inline
 def monomials(p, m):
-    """The ten monomials of p, in the order of ``gram``."""
+    """Set m to the ten monomials of p, in the order of ``gram``."""
     x, y, z = p[0], p[1], p[2]
     m[0] = x * x
     m[1] = y * y
@@ -98,7 +99,10 @@ def monomials(p, m):
 
 @inline
 def form_of(pairs, indices, w, n, form):
-    """The ten coefficients of Σ w_j w_k p̃ᵀ G_jk p̃ from `pairs` ``(B, B, 10)``."""
+    """Set `form` to the ten coefficients of Σ_jk w_j w_k p̃ᵀ G_jk p̃.
+
+    ``pairs[j, k]`` are the ten coefficients of p̃ᵀ G_jk p̃.
+    """
     for d in range(10):
         form[d] = 0.0
     for q in range(n):
@@ -112,7 +116,7 @@ def form_of(pairs, indices, w, n, form):
 
 @inline
 def rest_step(form, g, p, a, b):
-    """Move p to the minimum of the error p̃ᵀ form p̃ − 2 p̃ᵀg, with g = Σ w_j y_j."""
+    """Move p to the minimum of the polynomial `form` in p minus 2 p̃ᵀg, with g = Σ_j w_j y_j."""
     x, y, z = p[0], p[1], p[2]
     a[0, 0], a[1, 1], a[2, 2] = form[0], form[1], form[2]
     a[1, 0], a[2, 0], a[2, 1] = 0.5 * form[3], 0.5 * form[4], 0.5 * form[5]
@@ -126,7 +130,7 @@ def rest_step(form, g, p, a, b):
 
 @inline
 def vertex_error(x2, gram4, y, indices, w, n, p):
-    """Squared error x2 − 2 fᵀw + wᵀHw of a vertex at p."""
+    """Squared error x2 − 2 fᵀw + wᵀHw of a vertex with rest position p."""
     e = x2
     for q in range(n):
         j = indices[q]
@@ -160,25 +164,26 @@ def solve_vertices(
     locked,
     move_rest,
 ):
-    """The vertex step of one alternation: weights, then rest position.
+    """Take the vertex step of one alternation: solve weights, then rest position, of each vertex.
 
-    y             (V, 4, B)    float64  Σ_t v_i^t M_j^tᵀ, in
+    y             (V, 4, B)    float64  Σ_t M_j^tᵀ v_i^t, in
     x2            (V,)         float64  Σ_t |v_i^t|², in
     gram          (B, 10, B)   float64  coefficients of p̃ᵀ G_jk p̃, bones outermost, in
-    pairs         (B, B, 10)   float64  the same, coefficients innermost, in
+    pairs         (B, B, 10)   float64  the coefficients in `gram`, innermost here, in
     pull          (V, B)       float64  linear term of weight smoothness, empty without it, in
-    stiff         (V,)         float64  its quadratic term, empty without it, in
+    stiff         (V,)         float64  quadratic term of it, empty without it, in
     rest          (V, 3)       float64  rest positions, updated where `move_rest`
-    support       (V, S)       int32    bones of the solution before pruning, updated
-    share         (V, S)       float64  their weights, updated
-    count         (V,)         int32    how many of them are used, updated
+    support       (V, S)       int32    bones of the solution before the reduction to K, updated
+    share         (V, S)       float64  weights of the bones in `support`, updated
+    count         (V,)         int32    number of used slots of `support`, updated
     indices       (V, K)       int32    bones of the K largest weights, updated
-    weights       (V, K)       float64  those weights, solved again; descending, updated
+    weights       (V, K)       float64  weights of these bones, solved again, descending, updated
     error         (V,)         float64  squared error, out
     locked        (V,)         bool     vertices whose weights are not changed, in
 
-    The QP over all bones starts from the solution of the previous call; the bone of steepest
-    descent enters first.  Smoothness adds stiff·|w|² − 2·pullᵀw to the squared error.
+    The weights over all bones start from the support of the previous call.  Bones enter the support
+    one by one, each time the bone of smallest gradient.  Smoothness adds stiff·|w|² − 2·pullᵀw to
+    the squared error.
     """
     n_bones = gram.shape[0]
     n_slots = support.shape[1]
@@ -259,7 +264,7 @@ def solve_vertices(
                     for s in range(n):
                         curve += w[q] * w[s] * h[q, s]
                 e += level
-                # stop where entering would gain less than a millionth of this vertex's error
+                # stop if the bone would gain less than a millionth of this vertex's error
                 if slope * slope < (1e-6 * max(e, 0.0) + 1e-15 * x2[i]) * max(curve, 1e-300):
                     break
                 ids[n] = enter
@@ -317,7 +322,7 @@ def solve_vertices(
 
 @inline
 def read_influences(indices, weights, ids, w):
-    """Copy the influences of positive weight to `ids` and `w`; returns their number."""
+    """Copy the influences of positive weight to `ids` and `w`, and return their number."""
     n = 0
     for q in range(weights.shape[0]):
         if weights[q] > 0.0:
@@ -329,7 +334,10 @@ def read_influences(indices, weights, ids, w):
 
 @inline
 def store(ids, w, n, indices, weights):
-    """Write weights that sum to 1 in descending order; unused influences name bone 0."""
+    """Write n influences to `indices` and `weights`, normalised and in descending order.
+
+    Unused influences get bone 0 and weight 0.
+    """
     for q in range(1, n):
         s = q
         while s > 0 and w[s] > w[s - 1]:

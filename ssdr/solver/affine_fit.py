@@ -1,7 +1,7 @@
 """Affine transforms of all bones by one linear solve, and bounds that keep them invertible.
 
-With weights and rest pose given, the error of a frame is a quadratic in the stacked transforms
-whose matrix U is the same for every frame and axis: one Cholesky factor serves them all.
+With weights and rest pose given, the error of a frame is a quadratic in the stacked transforms.
+Its matrix U is the same for every frame and axis, so that one Cholesky factor serves them all.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ __all__ = [
     "stack_diagonal",
 ]
 
-# Strengths of the ridge: for patches of few vertices, which may lie in a plane, for a step of the
-# alternation, and for a leap.
+# Strengths of the ridge penalty: for patches (of few vertices, which may lie in a plane), for a
+# step of the alternation, and for a leap.
 PATCH_RIDGE, _RIDGE, _LEAP_RIDGE = 0.1, 1e-4, 1e-3
 _LEAPS = 2  # rounds of a leap
 _SWEEPS = 2  # Gauss–Seidel passes over the bones: more take longer and converge further
-_HALVINGS = 10  # most halvings of an inadmissible move; if it still is inadmissible, the bone stays
+_HALVINGS = 10  # most halvings of an inadmissible move; if that is not enough, the bone stays
 
 
 def admissible(old: Array, new: Array) -> NDArray[np.bool_]:
-    """Whether bones (..., 3, 4) may go from old to new: not reflected, flat or too large.
+    """Mask (...) of the bones (..., 3, 4) whose new transform is not reflected, flat or too large.
 
-    A bone that is flatter or larger than the bounds may not go further beyond them.
+    A bone whose old transform is already flatter or larger than the bounds must not get worse.
     """
     a, b = old[..., :3], new[..., :3]
     upright = np.linalg.det(b) >= np.minimum(np.linalg.det(a), SMALLEST**3)
@@ -45,11 +45,12 @@ def admissible(old: Array, new: Array) -> NDArray[np.bool_]:
 
 
 def ridge_blocks(u: Array, ridge: float) -> Array:
-    """Metrics (B, 4, 4) of a change δM = [δL, δT] of each bone, for a ridge penalty.
+    """Matrices (B, 4, 4) of a quadratic ridge penalty on the change δM = [δL, δT] of each bone.
 
-    The penalty is Σ_i w_i² · ridge · (spread |δL|² + |δM c̃|²): c is the centroid of the vertices
-    that the bone moves, spread their mean squared extent in a direction.  It is small against the
-    error in every direction that the vertices determine, and decides only the others.
+    The penalty is Σ_i w_i² · ridge · (spread |δL|² + |δM c̃|²), where c is the centroid of the
+    vertices that the bone moves and spread is their variance along an axis, averaged over the axes.
+    It is small beside the error in every direction of δM that the vertices determine, and so
+    decides only the other directions.
     """
     n = len(u)
     own = u[np.arange(n), np.arange(n)]
@@ -63,7 +64,7 @@ def ridge_blocks(u: Array, ridge: float) -> Array:
 
 
 def stack_diagonal(blocks: Array) -> Array:
-    """Blocks (B, 4, 4) on the diagonal of a matrix (4B, 4B), as :func:`stack_blocks`."""
+    """Block-diagonal matrix (4B, 4B) of blocks (B, 4, 4), in the order of :func:`stack_blocks`."""
     n = len(blocks)
     full = np.zeros((n, n, 4, 4))
     full[np.arange(n), np.arange(n)] = blocks
@@ -75,9 +76,10 @@ def solve_affine(
 ) -> None:
     """Fit affine transforms (F, B, 3, 4) to all frames by least squares (in place).
 
-    No frame's error rises.  A ridge towards the present transforms decides what vertices leave
-    open that lie in a plane or on a line or are too few.  Where a bone would become inadmissible,
-    the bones of its frame are solved one by one, each going as far towards its optimum as it may.
+    No frame's error rises.  If a bone's vertices are too few, or lie in a plane or on a line, they
+    do not determine its transform; a ridge penalty on the change of the transform then decides.  In
+    frames in which a bone would become inadmissible (see :func:`admissible`), the bones are solved
+    one by one, and each goes as far towards its optimum as is admissible.
 
     Parameters
     ----------
@@ -85,8 +87,9 @@ def solve_affine(
     c : (F, 3, 4, B) array
         Both as :func:`~ssdr.solver.moments.bone_sums` returns them.
     locked : (B,) bool array
+        Bones that stay as they are.
     ridge : float
-        Strength of the ridge, as in :func:`ridge_blocks`.
+        Strength of the ridge penalty, as in :func:`ridge_blocks`.
     """
     free = np.tile(~locked, 4)
     if not free.any():
@@ -106,11 +109,11 @@ def solve_affine(
 
 
 def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_]) -> None:
-    """Move rigid bones to the rotations nearest to the affine optimum, where that pays (in place).
+    """Replace rigid bones by the rigid transforms nearest to the affine optimum (in place).
 
     Gauss–Seidel sweeps take many rounds to carry a bone far together with its neighbours; a leap
-    moves all bones of a frame at once.  A frame whose error would rise stays.  Parameters are
-    those of :func:`solve_affine`.
+    moves all bones of a frame at once.  Frames whose error would rise stay as they are.  The
+    parameters are those of :func:`solve_affine`.
     """
     n_frames, n_bones = transforms.shape[:2]
     free = np.tile(~locked, 4)
@@ -143,7 +146,7 @@ def leap_rigid(transforms: Array, u: Array, c: Array, locked: NDArray[np.bool_])
 
 
 def _optimum(metric: Array, old: Array, slope: Array, free: NDArray[np.bool_]) -> Array:
-    """Least-squares transforms (F, B, 3, 4) from stacked ones, in the free columns."""
+    """Least-squares transforms (F, B, 3, 4), from stacked ones `old`; only free columns change."""
     new = old.copy()
     new[:, free] += _solved(metric, slope[:, free].T).T
     return unstack_transforms(new, old.shape[1] // 4)
@@ -160,7 +163,7 @@ def _solved(metric: Array, slope: Array) -> Array:
 def _sweep_admissible(
     transforms: Array, flat: Array, metric: Array, c: Array, locked: NDArray[np.bool_]
 ) -> None:
-    """Solve bone by bone (in place), each as far towards its optimum as is admissible."""
+    """Move one bone after the other towards its optimum as far as is admissible (in place)."""
     n_frames, n_bones = transforms.shape[:2]
     stacked = stack_transforms(transforms).reshape(n_frames, 3, 4 * n_bones)
     target = c.reshape(stacked.shape)

@@ -1,4 +1,4 @@
-"""The alternation of Le and Deng 2012: bones, then weights and rest pose, each given the other."""
+"""The alternation of Le and Deng 2012: solve the bones, then weights and rest pose, in turns."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ __all__ = ["alternate", "bone_costs", "bone_step", "sweep", "vertex_step"]
 def alternate(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
     """Take `count` alternations of bones, weights and rest pose (in place).
 
-    No step raises the error but the choice of a vertex's influences, which keeps the largest
-    weights even where others would fit better (Le and Deng 2012, section 3).
+    The error never increases, except when a vertex's influences are reduced to K: that keeps the
+    largest weights, even if other bones would fit better (Le and Deng 2012, section 3).
     """
     for _ in range(count):
         bone_step(data, model, locked=locked)
@@ -36,7 +36,7 @@ def vertex_step(
     pull: Array | None = None,
     stiff: Array | None = None,
 ) -> None:
-    """Solve weights, then rest pose, of every vertex and set its error (in place).
+    """Solve the weights, then the rest position of every vertex, and set its error (in place).
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def vertex_step(
     model : Model
     locked : Locked
     pull, stiff : (V, B), (V,) arrays, optional
-        A penalty of stiff_i |w_i|² − 2 pull_i · w_i on the weights of each vertex.
+        Coefficients of a penalty stiff_i |w_i|² − 2 pull_i · w_i on the weights w_i of vertex i.
     """
     n_bones = model.n_bones
     keep = locked.vertex_mask(data.n_vertices)
@@ -87,8 +87,8 @@ def bone_step(
         Passes over the bones of each frame.
     locked : Locked
     leaps : int
-        Rounds of sweeps of rigid bones that may be far from their optimum, each after a
-        :func:`~ssdr.solver.affine_fit.leap_rigid`; 0: one round without a leap.
+        Number of rounds in which rigid bones, which may be far from their optimum, first take a
+        :func:`~ssdr.solver.affine_fit.leap_rigid` and then the sweeps; 0: sweeps without a leap.
 
     Returns
     -------
@@ -123,12 +123,14 @@ def sweep(
     ----------
     transforms : (F, B, 3, 4) array
     u, c : arrays
-        As :func:`~ssdr.solver.moments.bone_sums` returns them, with quadratic penalties on pairs
-        of bones added to `u` where there are any.
+        As :func:`~ssdr.solver.moments.bone_sums` returns them.  Quadratic penalties on pairs of
+        bones may have been added to `u`.
     locked : (B,) bool array
+        Bones that stay as they are.
     sweeps : int
+        Passes over the bones of each frame.
     scaled : bool
-        Whether bones may also grow (similarity).
+        Whether bones may also change their size (similarity).
     """
     start, neighbour = coupled_bones(u)
 
@@ -139,7 +141,7 @@ def sweep(
 
 
 def bone_costs(data: Trajectories, model: Model) -> Array:
-    """Rise (B,) of the squared error without each bone, its vertices' weights solved again."""
+    """Rise (B,) of the squared error if a bone is removed and weights are solved again."""
     n_bones = model.n_bones
     with serial_blas():
         _, gram, _, reduced = transform_sums(data, model.transforms)

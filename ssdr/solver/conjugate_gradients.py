@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients that hand their directions on to the next, similar system.
+"""Preconditioned conjugate gradients whose directions speed up the solve of the next system.
 
 References
 ----------
@@ -20,8 +20,8 @@ __all__ = ["Operator", "Recycled", "conjugate_gradients"]
 Operator = Callable[[Array], Array]  # a linear map of arrays of one shape
 
 _CONVERGED = 1e-10  # squared residual rᵀ P r, relative to the first, that ends the iteration
-_NUMBERS = 1 << 21  # most numbers of all kept directions, and as many of their images
-_COLUMNS = 1 << 14  # columns of both on which a thread works at once
+_NUMBERS = 1 << 21  # most numbers in all kept directions together, and as many in their images
+_COLUMNS = 1 << 14  # columns of directions and images on which a thread works at once
 
 
 def conjugate_gradients(
@@ -37,20 +37,20 @@ def conjugate_gradients(
     Parameters
     ----------
     apply : callable
-        A times an array.
+        Multiplies an array by A.
     rhs : array
         b.
     precondition : callable
-        An approximate inverse of A, symmetric positive definite, times an array.
+        Multiplies an array by a symmetric positive definite approximation of A⁻¹.
     steps : int
-        Most products with A.
+        Largest number of products with A.
     recycled : Recycled, optional
         Directions of an earlier, similar system.
 
     Returns
     -------
     x, residual : arrays
-        The residual b − A x as the iteration carries it.
+        The solution, and the residual b − A x as the iteration updates it.
     recycled : Recycled or None
         Directions for the next system.
     """
@@ -82,13 +82,14 @@ def conjugate_gradients(
 class Recycled:
     """Conjugate directions s with their images y = A s, scaled to sᵀ y = 1.
 
-    Consecutive Gauss–Newton steps solve nearly the same system.  With V = I − Σ y sᵀ the next
-    solve is preconditioned by Vᵀ P V + Σ s sᵀ in place of P, which is A⁻¹ on the span of the
-    directions and positive definite wherever P is.
+    Consecutive Gauss–Newton steps solve nearly the same system.  If P is the preconditioner of the
+    next system, its solve takes Vᵀ P V + Σ s sᵀ instead, with V = I − Σ y sᵀ.  This matrix inverts
+    A exactly on the span of the images and is positive definite if P is.
 
     Attributes
     ----------
     directions, images : (m, n) float64
+        A row for each of m pairs s, y.
     """
 
     directions: Array
@@ -96,7 +97,7 @@ class Recycled:
 
     @staticmethod
     def of(pairs: list[tuple[Array, Array]]) -> Recycled | None:
-        """The first pairs (direction, image) of a solve that fit the memory; None if none do."""
+        """Keep the first pairs (direction, image) that fit into the memory; None if none do."""
         few = pairs[: _NUMBERS // max(1, pairs[0][0].size)] if pairs else []
         if not few:
             return None
@@ -107,7 +108,7 @@ class Recycled:
         return Recycled(directions, images)
 
     def update(self, precondition: Operator) -> Operator:
-        """Vᵀ P V + Σ s sᵀ, from P."""
+        """The preconditioner Vᵀ P V + Σ s sᵀ, given P = `precondition`."""
         s, y = self.directions, self.images
         pieces = chunk_bounds(s.shape[1], _COLUMNS)
 

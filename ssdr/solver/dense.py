@@ -1,4 +1,4 @@
-"""Dense products and inverses over threads, in fixed pieces: the bits do not depend on threads."""
+"""Dense products and inverses in threads; results do not depend on the number of threads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PIECE, _MULTIPLICATIONS = 96, 2_000_000
 
 
 def product(left: Array, right: Array) -> Array:
-    """left @ right, pieces of rows in parallel."""
+    """Product left @ right, computed in parallel for pieces of its rows."""
     out = np.empty((len(left), right.shape[1]), dtype=left.dtype)
     bounds = chunk_bounds(len(left), max(_PIECE, -(-_MULTIPLICATIONS // max(1, right.size))))
     run_chunks(lambda _, i, k: np.matmul(left[i:k], right, out=out[i:k]), bounds)
@@ -24,15 +24,15 @@ def product(left: Array, right: Array) -> Array:
 
 
 def cross_product(left: Array, right: Array) -> Array:
-    """leftᵀ @ right, pieces of columns in parallel: no sum is split."""
+    """Product leftᵀ @ right, computed in parallel for pieces of its columns, so no sum is split."""
     return product(right.T, left).T
 
 
 def inverse_of(matrix: Array) -> Array:
-    """Inverse of a positive definite matrix by Cholesky, exactly symmetric.
+    """Exactly symmetric inverse of a positive definite matrix, by Cholesky factorisation.
 
-    It takes half the operations of a general inverse, which is the fallback where rounding has made
-    the matrix indefinite.
+    This takes half the operations of a general inverse.  If rounding has made the matrix
+    indefinite, the general inverse is used.
     """
     factor, failed = lapack.dpotrf(matrix, lower=1)
     if not failed:

@@ -1,4 +1,4 @@
-"""The gauge of bones that stretch: which of all equal rest poses a model has."""
+"""The choice among rest poses that give the same animation, for bones that stretch."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ __all__ = ["normalise_gauge"]
 def normalise_gauge(model: Model, importance: Array, locked: Locked) -> None:
     """Give bones a mean stretch of 1 (in place); no vertex moves in any frame.
 
-    p → A p, L → L A⁻¹ changes nothing for the bones and vertices of a part that
-    shares none with the rest of the mesh.  A, about the part's centroid, is the
-    root of the mean LᵀL over its bones and frames (its mean size only, for scaled
-    rotations), so that the rest pose has the mean size and proportions of the motion.
+    A part of the mesh is a set of bones and their vertices that no other bone moves.  Replacing the
+    rest positions p of a part by A p and the 3×3 blocks L of its bones by L A⁻¹ leaves the
+    animation as it is.  Here A is the square root of the mean of LᵀL over the bones and frames of
+    the part, so that its rest pose has the mean size and proportions of the motion; for similarity
+    bones A is only a factor.  A acts about the centroid of the part.
     """
     if locked.bone_model == "rigid" or locked.rest or locked.bones is not None:
         return

@@ -1,14 +1,14 @@
 """Gauss–Newton on the bones, with weights and rest pose projected out.
 
-With E the objective and v the unknowns of the vertices (weights and rest pose), the bones M
-minimise φ(M) = min E(M, v) over v.  In unknowns x that move the bones (see
+With E the objective and v the unknowns of the vertices (weights and rest pose), the bones M are
+to minimise φ(M), the minimum of E(M, v) over v.  In unknowns x that move the bones (see
 :mod:`~ssdr.solver.tangents`), a step solves
 
     [Jᵀ (H_mm − H_mv H_vv⁻¹ H_vm) J + λD] x = −Jᵀ ∇φ
 
 by conjugate gradients.  H is the Gauss–Newton Hessian of E in the stacked transforms m and in v,
-J = ∂m/∂x the derivative that `Tangent.image` applies, λ the damping and D its scaling, which the
-tangent defines.
+and J = ∂m/∂x is the derivative that `Tangent.image` applies.  λ is the damping, and D is its scale
+for each unknown, which the tangent defines.
 
 References
 ----------
@@ -37,29 +37,30 @@ __all__ = ["GaussNewton", "fit_motion", "tangent_of"]
 
 _DAMPING = 1e-3  # λ of the first step
 _STEPPED = ("transforms", "rest", "indices", "weights", "error")  # arrays that a step changes
-# Steps on bones with joints that stand for a leap of free bones, and the relative gain of a step
-# below which no further one is taken.
+# Number of steps that bones with joints take in place of one leap of free bones, and the relative
+# gain of a step below which no further step is taken.
 _STEPS_OF_A_LEAP, _LEAST_GAIN = 3, 1e-3
 
 
 class GaussNewton:
-    """Gauss–Newton steps on one model, each of all bones, weights and the rest pose.
+    """Gauss–Newton steps that each move all bones, weights and the rest pose of a model.
 
     Parameters
     ----------
     data : Trajectories
     model : Model
-        Accepted steps change it in place; what else changes it makes this object invalid.
+        Accepted steps change it in place.  If other code changes it, this object is invalid.
     locked : Locked
     damping : float, optional
-        λ of an earlier object for the same model, to continue exactly where it stopped.  By
-        default the vertices are optimised first.
+        λ of an earlier object for the same model, which this one continues exactly where it
+        stopped.  Without it, the vertices are optimised first.
 
     Attributes
     ----------
     value : float
         Objective of the model.
     damping : float
+        λ of the next step.
     recycled : Recycled or None
         Conjugate directions of the last step.
     """
@@ -84,7 +85,7 @@ class GaussNewton:
 
     @serial_blas()
     def step(self, *, entering: int = 0) -> bool:
-        """Take one step; True if it was accepted.  The objective never rises.
+        """Try one step and return whether it was accepted; the objective never rises.
 
         Parameters
         ----------
@@ -112,7 +113,7 @@ class GaussNewton:
         return True
 
     def _reduced(self) -> ReducedSystem:
-        """The normal equations at the model, which rejected steps leave as they are."""
+        """The normal equations at the model, kept until a step is accepted."""
         if self._system is None:
             self._system = ReducedSystem(
                 self.data, self.model, self.locked, self._vertices, self.tangent.precision
@@ -120,7 +121,7 @@ class GaussNewton:
         return self._system
 
     def _solve(self, system: ReducedSystem) -> tuple[Array, float]:
-        """The damped step, and the decrease of the objective that the quadratic model predicts."""
+        """The damped step x, and the decrease of the objective that is predicted for it."""
         tangent = self.tangent
         penalty = self.objective.joint_penalty(self.data, self.model, tangent.joints)
         tangent.penalty = penalty
@@ -143,7 +144,7 @@ class GaussNewton:
 
 
 def tangent_of(data: Trajectories, model: Model, locked: Locked) -> Tangent:
-    """The tangent of the bone model, or of the chain where the model has a tree."""
+    """The tangent of the bone model, or a :class:`ChainTangent` if the model has a tree."""
     if model.tree is not None:
         return ChainTangent(data, model, locked)
     kinds: dict[str, type[Tangent]] = {
@@ -164,8 +165,8 @@ def fit_motion(
     Parameters
     ----------
     sweeps, leaps : int
-        Of free bones, as in :func:`~ssdr.solver.alternation.bone_step`; a leap stands for some
-        Gauss–Newton steps of bones with joints.
+        As in :func:`~ssdr.solver.alternation.bone_step`, for bones without a tree.  Bones of a
+        tree take up to three Gauss–Newton steps for each leap.
     """
     if model.tree is None:
         bone_step(data, model, sweeps=sweeps, locked=locked, leaps=leaps)

@@ -1,4 +1,4 @@
-"""First bones: patches of vertices, each with a bone fitted to it, of which the best are chosen."""
+"""A first model, whose bones are chosen among bones fitted to patches of vertices."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ _SKETCH = 32  # dimensions of a random projection in which trajectories are comp
 
 
 def farthest_points(x: Array, count: int, first: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Farthest-point sampling of the rows of x: seeds and each row's nearest seed.
+    """Choose seeds among the rows of x by farthest-point sampling, from the row `first`.
 
-    There are fewer than `count` seeds where rows coincide.
+    Returns the rows of the seeds and, for each row of x, the number of its nearest seed.  If rows
+    coincide, there may be fewer than `count` seeds.
     """
     if x.shape[1] > 2 * _SKETCH:
         # approximate distances are enough to spread the seeds
@@ -57,9 +58,10 @@ def fit_patches(
     count: int,
     bone_model: BoneModel = "rigid",
 ) -> Array:
-    """Fit a bone to each of `count` disjoint sets of vertices, (F, count, 3, 4).
+    """Transforms (F, count, 3, 4) of bones fitted to `count` disjoint sets of vertices.
 
-    `label` (V,) is the set of each vertex, negative for none.  An empty set gets the identity.
+    `label` (V,) is the set of each vertex, negative for none.  The bone of an empty set is the
+    identity.
     """
     member = np.flatnonzero(label >= 0)
     member = member[np.argsort(label[member], kind="stable")]
@@ -103,8 +105,8 @@ def single_bone_errors(
 ) -> tuple[Array, Array | None]:
     """Squared error (n, B) of the chosen vertices under each bone alone.
 
-    Without a rest pose each vertex has the rest position that is best for the bone; these are
-    returned, too, as (n, 3, B).
+    `rows` are the n chosen vertices.  If `rest` is None, each vertex takes the best rest position
+    for each bone; these positions (n, 3, B) are the second result, which otherwise is None.
     """
     n_bones = transforms.shape[1]
     out = np.empty((len(rows), n_bones))
@@ -144,9 +146,10 @@ def single_bone_errors(
 def facility_location(
     cost: Array, importance: Array, count: int, held: Array | None = None
 ) -> list[int]:
-    """Greedy facility location: columns that lower Σ_i u_i min_j cost_ij most, one by one.
+    """Choose up to `count` columns j, one by one, that each lower Σ_i u_i min_j cost_ij most.
 
-    `held` (n,) is the least cost of bones that are given.
+    This is greedy facility location; u is `importance` (n,), and min_j is over the chosen columns.
+    `held` (n,) is the least cost of each row i under bones that are given, which count as chosen.
 
     References
     ----------
@@ -163,7 +166,7 @@ def facility_location(
     def gain(j: int) -> float:
         return float(importance @ np.maximum(best - column[j], 0.0))
 
-    # gains only shrink as columns are chosen (submodularity): an old one is an upper bound
+    # gains only shrink as columns are chosen (submodularity), so that an old gain is an upper bound
     heap = [(-gain(j), j) for j in range(len(column)) if j not in chosen]
     heapq.heapify(heap)
     while heap and len(chosen) < count:
@@ -188,10 +191,11 @@ def start_model(
     bone_model: BoneModel = "rigid",
     quick: bool = False,
 ) -> Model:
-    """A first model of one bone a vertex.
+    """A first model, in which each vertex follows one bone.
 
-    Farthest points seed patches, each patch is fitted, the best patches are chosen, and vertices
-    are assigned and bones fitted alternately.
+    Vertices are divided into patches around farthest points, a bone is fitted to each patch, and
+    the best of these bones are chosen.  Then vertices are assigned to bones, and bones fitted to
+    their vertices, in turns.
 
     Parameters
     ----------
@@ -200,10 +204,10 @@ def start_model(
     bones, influences : int
     rng : Generator
     given : (F, B0, 3, 4) array, optional
-        Bones that come first and stay.
+        Bones that come first in the model and are not changed.
     bone_model : {"rigid", "similarity", "affine"}
     quick : bool
-        Whether to try half as many patches on a fifth of the vertices, drawing nothing.
+        Whether to try half as many patches, on a fifth of the vertices, without random numbers.
     """
     n = data.n_vertices
     n_given = 0 if given is None else given.shape[1]
@@ -218,7 +222,7 @@ def start_model(
         rows = rows[np.sort(rng.choice(n, sample, replace=False))]
     kept = np.zeros((data.n_frames, 0, 3, 4)) if given is None else given
     if bones > n_given:
-        # scaled, so that vertices of little importance are far from none
+        # scaled, so that vertices of little importance do not become seeds
         seeds, label_rows = farthest_points(
             data.z[rows] * np.sqrt(data.importance[rows])[:, None],
             patches_per_bone * bones,

@@ -14,10 +14,10 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["ARRAYS", "CHUNK", "FREE", "SLOTS", "Locked", "Model"]
 
-# Size of a vertex's support, the bones that its weights are solved on: more than K, so that a bone
-# can come back, and few enough for a small dense solve.
+# Most bones in a vertex's support, on which its weights are solved: more than K, so that a bone can
+# come back, and few enough for a small dense solve.
 SLOTS = 12
-CHUNK = 512  # vertices of a task: it takes milliseconds, and its arrays stay in the cache
+CHUNK = 512  # vertices of a task: the task takes milliseconds, and its arrays stay in the cache
 
 Indices = NDArray[np.int32]
 VertexRows = tuple[Array, Indices, Array, Indices, Indices, Array, Array]
@@ -32,15 +32,15 @@ class Model:
     transforms : (F, B, 3, 4) float64
     rest : (V, 3) float64
     support : (V, SLOTS) int32
-        Bones that the weights of a vertex are solved on.
+        Bones on which the weights of a vertex are solved.
     support_weights : (V, SLOTS) float64
-        Their weights.
+        Weights of the bones in `support`.
     count : (V,) int32
-        How many they are.
+        Number of used slots of `support`.
     indices : (V, K) int32
-        Those of them with the largest weights, which skin the vertex.
+        The bones of `support` with the K largest weights, which skin the vertex.
     weights : (V, K) float64
-        Their weights, solved again.
+        Weights of the bones in `indices`, solved again on these bones alone.
     error : (V,) float64
         Squared error of each vertex.
     tree : Tree or None
@@ -67,7 +67,7 @@ class Model:
 
     @property
     def hierarchy(self) -> Tree:
-        """The tree of a model that has one."""
+        """The tree, for models that are known to have one."""
         assert self.tree is not None
         return self.tree
 
@@ -76,7 +76,7 @@ class Model:
         return Model(**arrays, tree=self.tree)
 
     def vertex_rows(self, i: int, k: int) -> VertexRows:
-        """Views of the vertices i to k of every array but the transforms, in the order above."""
+        """Rows i to k (views) of every array of the vertices, in the order of the attributes."""
         rows: Any = tuple(getattr(self, name)[i:k] for name in ARRAYS[1:])
         return rows  # type: ignore[no-any-return]
 
@@ -89,7 +89,7 @@ class Model:
     def start(
         transforms: Array, rest: Array, label: NDArray[np.signedinteger[Any]], influences: int
     ) -> Model:
-        """A model whose vertices each follow the bone that `label` (V,) names, with K slots."""
+        """A model with K = `influences` slots, whose vertex i follows bone `label[i]` alone."""
         n, slots = len(rest), max(SLOTS, influences)
         model = Model(
             transforms=transforms,
@@ -109,7 +109,7 @@ class Model:
     def with_weights(
         transforms: Array, rest: Array, indices: NDArray[np.int32], weights: Array, influences: int
     ) -> Model:
-        """A model with the given weights, the largest first, in `influences` slots."""
+        """A model with the given weights, which come largest first, in K = `influences` slots."""
         model = Model.start(transforms, rest, indices[:, 0], influences)
         k = min(influences, indices.shape[1])
         model.indices[:, :k], model.weights[:, :k] = indices[:, :k], weights[:, :k]
@@ -121,19 +121,19 @@ class Model:
         return float(data.importance @ self.error)
 
     def bone_masses(self) -> Array:
-        """(B,) Σ_i w_ij² of each bone: how much its motion counts."""
+        """Masses (B,) Σ_i w_ij² of the bones: how much the motion of each bone counts."""
         squares = (self.weights**2).ravel()
         sums = np.bincount(self.indices.ravel(), weights=squares, minlength=self.n_bones)
         return np.asarray(sums, dtype=np.float64)
 
     def dense_weights(self) -> Array:
-        """Weights as a matrix (V, B)."""
+        """Weights of all vertices as a dense matrix (V, B)."""
         dense = np.zeros((len(self.rest), self.n_bones))
         np.add.at(dense, (np.arange(len(dense))[:, None], self.indices), self.weights)
         return dense
 
     def restart_support(self) -> None:
-        """Reset the support to the influences (in place)."""
+        """Reset the support to the bones of `indices` and their weights (in place)."""
         k = self.n_influences
         self.support[:] = 0
         self.support_weights[:] = 0.0
@@ -142,21 +142,21 @@ class Model:
         self.count[:] = np.maximum((self.weights > 0).sum(axis=1), 1)
 
     def assign_to_bone(self, vertices: NDArray[np.intp], bone: int) -> None:
-        """Make one bone the whole support of some vertices (in place)."""
+        """Make `bone` the whole support of the given vertices (in place)."""
         self.support[vertices], self.support_weights[vertices] = 0, 0.0
         self.support[vertices, 0], self.support_weights[vertices, 0] = bone, 1.0
         self.count[vertices] = 1
 
     def with_restarted_support(self) -> Model:
-        """A copy whose support is reset to the influences."""
+        """A copy after :meth:`restart_support`."""
         model = self.copy()
         model.restart_support()
         return model
 
     def with_influences(self, count: int) -> Model:
-        """A copy with `count` slots for influences, of which the largest stay.
+        """A copy with K = `count` slots, which keeps the largest weights of each vertex.
 
-        The support is reset to them; errors are not computed again.
+        The support is reset to these influences; errors are not computed again.
         """
         k = self.n_influences
         indices, weights = self.indices, self.weights
@@ -181,7 +181,7 @@ class Model:
         return model
 
     def without(self, bones: NDArray[np.intp]) -> Model:
-        """A copy without some bones and without a tree; vertices keep the rest of their support."""
+        """A copy without the given bones and without a tree; the rest of each support stays."""
         keep = np.setdiff1d(np.arange(self.n_bones), bones)
         rank = np.full(self.n_bones, -1, dtype=np.int32)
         rank[keep] = np.arange(len(keep))
@@ -212,7 +212,7 @@ class Model:
         )
 
     def with_bone(self, transform: Array) -> Model:
-        """A copy with one more bone (F, 3, 4), which no vertex uses yet, and without a tree."""
+        """A copy without a tree and with one more bone (F, 3, 4), which no vertex uses yet."""
         transforms = np.concatenate([self.transforms, transform[:, None]], axis=1)
         return dataclasses.replace(
             self.copy(), transforms=np.ascontiguousarray(transforms), tree=None
@@ -224,23 +224,25 @@ ARRAYS = tuple(f.name for f in dataclasses.fields(Model) if f.name != "tree")  #
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Locked:
-    """Parts of a model that steps may not change, and the transforms that bones may have.
+    """Parts of a model that steps leave as they are, and the kind of transforms of its bones.
 
     Attributes
     ----------
     rest : bool
-        Whether the rest pose stays.
+        Whether the rest pose is locked.
     weights : (V,) bool array or None
-        Vertices whose weights stay.
+        Mask of the vertices whose weights are locked.
     bones : (B0,) bool array or None
-        Bones whose transforms stay; bones beyond the B0 are free.
+        Mask of the bones, among the first B0, whose transforms are locked; later bones are free.
     bone_model : {"rigid", "similarity", "affine"}
+        Kind of transforms that bones have.
     joints : bool
-        Whether joints of a tree stay.
+        Whether the joints of a tree are locked.
     near_skin : bool
-        Whether the objective penalises joints away from where the skin of their bones meets.
+        Whether the objective penalises the distance of a joint from where the skin of its two bones
+        meets.
     rotations : (F, B0, 3, 3) array or None
-        Rotations relative to the parent that bones of a tree keep; NaN for bones that are free.
+        Rotations relative to the parent to which bones of a tree are locked; NaN for free bones.
     """
 
     rest: bool = False
@@ -252,23 +254,23 @@ class Locked:
     rotations: NDArray[np.float64] | None = None
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Locked:
-        """The same for the chosen vertices."""
+        """A copy whose mask of locked weights has only the chosen vertices."""
         weights = None if self.weights is None else self.weights[chosen]
         return dataclasses.replace(self, weights=weights)
 
     def vertex_mask(self, n: int) -> NDArray[np.bool_]:
-        """Mask of the vertices, of which there are n, whose weights stay."""
+        """Mask (n,) of the vertices whose weights are locked, for n vertices."""
         return np.zeros(n, dtype=bool) if self.weights is None else self.weights
 
     def bone_mask(self, n: int) -> NDArray[np.bool_]:
-        """Mask of the bones, of which there are n, whose transforms stay."""
+        """Mask (n,) of the bones whose transforms are locked, for n bones."""
         given = np.zeros(0, dtype=bool) if self.bones is None else self.bones
         return np.concatenate([given, np.zeros(n - len(given), dtype=bool)])
 
     def joint_rotations(self, tree: Tree) -> list[tuple[int, int, NDArray[np.float64]]]:
-        """Bones that keep their rotation relative to the parent: bone, parent, rotation (F, 3, 3).
+        """Bones whose rotation relative to the parent is locked: tuples (bone, parent, rotation).
 
-        Parents come before children.
+        Rotations are (F, 3, 3) arrays.  Parents come before children.
         """
         if self.rotations is None:
             return []

@@ -1,7 +1,9 @@
 """Sums over frames and over vertices that all steps share.
 
-G = Σ_t M^t M^tᵀ and Y = Σ_t v^t M^tᵀ are all that a vertex needs of the frames; Σ_i w_j w_k p̃p̃ᵀ and
-Σ_i w_j v^t p̃ᵀ are all that a bone needs of the vertices.
+v^t is the position of a vertex in frame t, M^t are the stacked transforms, and p̃ = (p, 1) with p
+the rest position.  The solve of a vertex reads the frames only through the sums G = Σ_t M^tᵀ M^t
+and Y = Σ_t v^tᵀ M^t.  The solve of the bones reads the vertices only through Σ_i w_j w_k p̃p̃ᵀ and
+Σ_i w_j v^t p̃ᵀ.
 """
 
 from __future__ import annotations
@@ -16,23 +18,23 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["bone_sums", "coupled_bones", "gram_tables", "stack_blocks", "transform_sums"]
 
-# most tasks: each has its own table of sums, which takes memory, while fewer use fewer cores
+# most tasks: each needs memory for its own table of sums, but fewer tasks would use fewer cores
 _MOMENT_TASKS = 16
 # index of monomial p̃_d p̃_e among x², y², z², xy, xz, yz, x, y, z, 1
 _PAIR = np.array([[0, 3, 4, 6], [3, 1, 5, 7], [4, 5, 2, 8], [6, 7, 8, 9]])
 
 
 def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
-    """Rearrange the Gram matrix G (4B, 4B) of the stacked transforms for the kernels.
+    """Rearrange the Gram matrix G (4B, 4B) of the stacked transforms into the kernels' two layouts.
 
-    They read it in two layouts.
+    G_jk is the 4×4 block of bones j and k.
 
     Returns
     -------
     table : (B, 10, B) array
-        Coefficients of the monomials of p̃ in p̃ᵀ G_jk p̃.
+        Coefficients of p̃ᵀ G_jk p̃ as a polynomial in the rest position p, for bones j and k.
     blocks : (B, B, 4, 4) array
-        G_jk.
+        The blocks G_jk.
     """
     g = gram.reshape(4, n_bones, 4, n_bones)
     blocks = np.ascontiguousarray(g.transpose(1, 3, 0, 2))
@@ -45,7 +47,7 @@ def gram_tables(gram: Array, n_bones: int) -> tuple[Array, Array]:
 
 
 def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array, Array, Array]:
-    """Sums over frames that a vertex needs of the transforms.
+    """Sums over frames that depend on the transforms alone, for solving the vertices.
 
     Returns
     -------
@@ -54,7 +56,7 @@ def transform_sums(data: Trajectories, transforms: Array) -> tuple[Array, Array,
     table, blocks : arrays
         As :func:`gram_tables` returns them.
     reduced : (r, 4B) array
-        Qᵀ times the stacked transforms: z times this is Y.
+        Qᵀ times the stacked transforms.  The product of ``data.z`` and this is Y of all vertices.
     """
     stacked = data.stack(transforms)
     table, blocks = gram_tables(stacked.T @ stacked, transforms.shape[1])
@@ -68,7 +70,7 @@ def bone_sums(
     rest: Array,
     n_bones: int,
 ) -> tuple[Array, Array]:
-    """Sums over vertices that a bone needs, weighted by importance.
+    """Sums over vertices for solving the bones, weighted by importance.
 
     Returns
     -------
@@ -102,7 +104,7 @@ def bone_sums(
 
 
 def stack_blocks(u: Array) -> Array:
-    """Blocks (B, B, 4, 4) as a matrix (4B, 4B) in the order of stacked transforms."""
+    """Matrix (4B, 4B) of blocks (B, B, 4, 4), in the column order of :func:`stack_transforms`."""
     n = len(u)
     return np.ascontiguousarray(u.transpose(2, 0, 3, 1)).reshape(4 * n, 4 * n)
 
@@ -114,7 +116,7 @@ def coupled_bones(u: Array) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     -------
     start : (B + 1,) int32 array
     neighbour : int32 array
-        Those of bone j are ``neighbour[start[j] : start[j + 1]]``.
+        ``neighbour[start[j] : start[j + 1]]`` are the bones coupled with bone j.
     """
     shared = u[:, :, 3, 3] != 0
     np.fill_diagonal(shared, False)

@@ -1,17 +1,17 @@
-"""The objective that the solver minimises, and its penalty on joints away from the skin.
+"""The objective that the solver minimises, with a penalty on joints away from the skin.
 
     [1 + mean_j (d_j² + d_j⁴)] · Σ_i u_i Σ_t s_t² |v_i^t − Σ_j w_ij M_j^t p̃_i|²  +  smoothness
 
-u_i is the importance of a vertex and s_t² that of a frame.  The bracket is 1 unless a tree with
-rigid joints was asked for; d_j is the distance of joint j from where the skin of its two bones
-meets.  The last term is that of :mod:`~ssdr.solver.smoothness`, 0 unless asked for.
+u_i is the importance of vertex i and s_t² the importance of frame t.  The bracket is 1 unless a
+tree with rigid joints was asked for; d_j is the distance of joint j from where the skin of its two
+bones meets.  The smoothness (:mod:`~ssdr.solver.smoothness`) is 0 unless asked for.
 
-Motion often hardly says where a joint is: of a leg that swings in a plane, the hip may lie
-anywhere on a line, and a wrong place costs next to nothing.  The skin decides what motion leaves
-open.  The penalty is a factor, so that joints of exact data stay exact; d⁴ keeps joints out of
-places far outside, where a rotation does what a translation should.  On horse_gallop with 20 bones
-E is 1.71, 1.94 and 2.21 with 0, 1 and 10 times d² alone, and 5, 2 and no joints lie outside the
-body.
+Motion often hardly determines a joint: if a leg swings in a plane, the hip could lie anywhere on a
+line, and a wrong place adds almost no error.  There the skin decides.  The penalty is a factor of
+the error, so that data without error keep their exact joints.  The term d⁴ keeps joints from going
+far outside the body, where a rotation of the bone imitates a translation.  With 0, 1 and 10 times
+d² alone, on horse_gallop with 20 bones, E is 1.71, 1.94 and 2.21, and the numbers of joints outside
+the body are 5, 2 and 0.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from .trajectories import Array, Trajectories
 
 __all__ = ["JointPenalty", "Objective", "joint_offsets", "mean_joint_penalty", "meeting_points"]
 
-_SHARED = 1e-2  # relative overlap at which the overlap's centroid and the middle have equal weight
+# Relative overlap at which the overlap's centroid and the midpoint have equal weight.
+_SHARED = 1e-2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class Objective:
     Attributes
     ----------
     locked : Locked
-        Joints are penalised where it says `near_skin`.
+        If its `near_skin` is true, joints are penalised.
     smoothness : WeightSmoothness or None
         Penalty on weights that differ along edges of the mesh.
     """
@@ -58,7 +59,7 @@ class Objective:
     def joint_penalty(
         self, data: Trajectories, model: Model, joints: NDArray[np.intp]
     ) -> JointPenalty:
-        """Quadratic model of the penalty on the joints of some bones."""
+        """Quadratic approximation of the penalty on the joints of the bones `joints` (J,)."""
         if not self.locked.near_skin or not len(joints):
             return JointPenalty.none(len(joints))
         hung = model.hierarchy.non_roots
@@ -72,16 +73,18 @@ class Objective:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class JointPenalty:
-    """Quadratic model of the joint penalty at a model.
+    """Quadratic approximation of the joint penalty around a model.
 
-    With joints moved by δ the objective is, beside constants and to second order, `factor` times
-    (squared error + Σ_j stiffness_j |offset_j + δ_j|²).  Meeting points are taken to stay.
+    If joints move by δ_j, the objective is to second order, up to a constant, `factor` times
+    (squared error + Σ_j stiffness_j |offset_j + δ_j|²).  The points where skin meets are treated as
+    constant.
 
     Attributes
     ----------
     factor : float
     stiffness : (J, 1) array
     offsets : (J, 3) array
+        Vectors to the joints from where the skin of their bones meets.
     """
 
     factor: float
@@ -90,20 +93,20 @@ class JointPenalty:
 
     @staticmethod
     def none(count: int) -> JointPenalty:
-        """No penalty on `count` joints."""
+        """A penalty of 0 on `count` joints."""
         return JointPenalty(1.0, np.zeros((count, 1)), np.zeros((count, 3)))
 
 
 def mean_joint_penalty(squared: Array) -> float:
-    """Mean of d² + d⁴ over joints, from their d²; 0 without joints."""
+    """Mean of d² + d⁴ over joints, given d² of each joint; 0 if there are no joints."""
     return float((squared * (1.0 + squared)).mean()) if len(squared) else 0.0
 
 
 def joint_offsets(model: Model) -> tuple[Array, Array]:
     """Vectors (B, 3) to joints from where the skin of their bones meets, and d² (B,).
 
-    d² is the squared length, plus the squared distance of the skin of both bones from the meeting
-    point where it does not touch.  It is 0 at roots.
+    d² is the squared length of the vector plus the squared gap of :func:`meeting_points`, which is
+    positive if the skin of the two bones does not touch.  At roots d² is 0.
     """
     tree = model.hierarchy
     points, gaps = meeting_points(model)
@@ -113,11 +116,13 @@ def joint_offsets(model: Model) -> tuple[Array, Array]:
 
 
 def meeting_points(model: Model) -> tuple[Array, Array]:
-    """Points (B, 3) where the skin of each bone and of its parent meets, and its gaps (B,).
+    """Points (B, 3) where the skin of each bone meets its parent's, and gaps (B,) of the skin.
 
-    The point is the mean of the vertices weighted by w_child · w_parent.  The less the weights
-    overlap, the more it is the middle between the centroids of both bones, and the gap is half
-    their distance.  At roots and beside bones that move nothing it is the joint, with gap 0.
+    If the weights of the two bones overlap much, the point is the mean of the vertices, weighted by
+    w_child · w_parent, and the gap is 0.  If they do not overlap, the point is the midpoint between
+    the centroids of the two bones, and the gap is half the distance of the centroids.  In between,
+    both are blended.  For roots, and if one of the two bones moves no vertices, the point is the
+    joint and the gap 0.
     """
     tree = model.hierarchy
     n_bones, weights, indices = model.n_bones, model.weights, model.indices

@@ -17,11 +17,12 @@ __all__ = ["WeightSmoothness"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class WeightSmoothness:
-    """The penalty λ Σ_edges |w_i − w_k|² and its separable upper bound.
+    """The penalty λ Σ_edges |w_i − w_k|², and an upper bound of it that is a sum over vertices.
 
-    The graph Laplacian L has L ⪯ 2D, with D the degrees d.  At weights w⁰ the penalty is thus at
-    most a constant plus Σ_i 2λ d_i |w_i|² − 2λ w_iᵀ (2d_i w_i⁰ − (L w⁰)_i), with equality at w⁰.
-    Vertices that are solved one by one under this bound cannot raise the objective.
+    The graph Laplacian L satisfies L ⪯ 2D, where D is the diagonal matrix of the vertex degrees
+    d_i.  For present weights w⁰, the penalty is therefore at most a constant plus Σ_i [2λ d_i
+    |w_i|² − 2λ w_iᵀ (2d_i w_i⁰ − (L w⁰)_i)], with equality at w⁰.  So solving the vertices one by
+    one under this bound cannot raise the objective.
 
     Attributes
     ----------
@@ -43,7 +44,7 @@ class WeightSmoothness:
     def build(
         data: Trajectories, faces: NDArray[np.int32], smoothness: float
     ) -> WeightSmoothness | None:
-        """The penalty of a mesh, from a checked `smoothness`; None where it is 0."""
+        """The penalty for a mesh and a checked `smoothness`; None if `smoothness` is 0."""
         if smoothness == 0:
             return None
         from ..laplacian.operators import uniform_laplacian  # which most solves need not load
@@ -51,12 +52,12 @@ class WeightSmoothness:
         laplacian = uniform_laplacian(faces, data.n_vertices)
         degree = laplacian.diagonal()
         adjacency = csr_array(diags_array(degree) - laplacian)
-        # bounded lest the square overflow; that far, the error counts for nothing
+        # bounded, since the square must not overflow; near the bound the error hardly counts anyway
         strength = data.n_frames * min(smoothness / data.scale, LARGEST) ** 2
         return WeightSmoothness(adjacency, degree, strength, np.maximum(data.importance, 1e-6))
 
     def terms(self, model: Model) -> tuple[Array, Array]:
-        """`pull` (V, B) and `stiff` (V,) of the vertex step, for the bound at these weights."""
+        """`pull` (V, B) and `stiff` (V,) of the vertex step: the bound at the model's weights."""
         w = model.dense_weights()
         around = np.asarray(self.adjacency @ w)
         scale = self.strength / self.importance
@@ -64,7 +65,7 @@ class WeightSmoothness:
         return np.ascontiguousarray(pull), 2.0 * scale * self.degree
 
     def penalty(self, model: Model) -> float:
-        """λ Σ_edges |w_i − w_k|²."""
+        """The penalty λ Σ_edges |w_i − w_k|² of a model."""
         w = model.dense_weights()
         around = np.asarray(self.adjacency @ w)
         jumps = float(np.vdot(w, self.degree[:, None] * w - around))

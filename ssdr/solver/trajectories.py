@@ -1,8 +1,8 @@
-"""The animation as the solver sees it: aligned, scaled, and compressed.
+"""The animation in the solver's space: aligned, scaled, and compressed.
 
 Each frame is centred and rotated onto the first, which removes the common motion and changes no
-error, and all frames are scaled to unit size.  Where a few combinations of frames hold all that
-matters, the trajectories X (V, 3F) are written as X ≈ Z Qᵀ with orthonormal Q.
+error, and all frames are scaled to unit size.  If the trajectories X (V, 3F) have nearly the rank
+r, they are written as X ≈ Z Qᵀ, where Q has r orthonormal columns.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_TAIL = 1e-4  # squares that compression may lose, relative to those that no B bones can fit
-_MOST_COLUMNS = 0.8  # share of all columns from which a basis costs more time than it saves
+_TAIL = 1e-4  # squared error that compression may add, relative to a lower bound of B bones' error
+_MOST_COLUMNS = 0.8  # share of all columns above which a basis costs more time than it saves
 _NOISE = 1e-15  # rounding, relative to the sum of squares
 _AT_ONCE = 64  # frames that are aligned together
 _APART = f"distances of less than {LARGEST:g} times the mesh's size"
@@ -44,12 +44,13 @@ _GRAM_LIMIT = 2000  # largest Gram matrix whose eigenvectors are all computed
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Alignment:
-    """The map between the input's space and the solver's.
+    """The map between the input's space and the solver's space.
 
     Attributes
     ----------
     centre : (F, 3), rotation : (F, 3, 3), scale : float
-        Points x' of a frame in the solver's space are at ``rotation @ (scale * x') + centre``.
+        A point x' of a frame in the solver's space is ``rotation @ (scale * x') + centre`` in the
+        input's space.
     """
 
     centre: Array
@@ -80,7 +81,7 @@ class Alignment:
     ) -> tuple[Array, Array | None]:
         """Map a rest pose and transforms to the solver's space.
 
-        `names` of both arguments stand in messages.
+        Error messages call the two arguments by `names`.
 
         Raises
         ------
@@ -100,7 +101,7 @@ class Alignment:
         return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:
-        """Map consecutive frames (c, V, 3), of which the first has this index, to (V, c, 3)."""
+        """Map frames `first`, `first` + 1, ... (c, V, 3) to the solver's space, as (V, c, 3)."""
         last = first + len(block)
         moved = block.astype(np.float64, order="C") - self.centre[first:last, None]
         turned = np.matmul(moved, self.rotation[first:last])
@@ -109,20 +110,20 @@ class Alignment:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Trajectories(Alignment):
-    """Trajectories of all vertices, frames scaled by the root of their importance.
+    """Trajectories of all vertices, each frame multiplied by the root of its importance.
 
     Attributes
     ----------
     z : (V, r) float64
         Coefficients of the trajectories in the basis.
     q : (3F, r) float64 or None
-        Orthonormal basis; None without compression, where r = 3F.
+        Orthonormal basis; None without compression, with r = 3F.
     x2 : (V,) float64
         Squared length of each vertex's uncompressed trajectory.
     importance : (V,) float64
-        Importance of the vertices, of mean 1.
+        Importance of the vertices, whose mean is 1.
     frame_scale : (F,) float64
-        Root of the importance of the frames, whose mean is 1.
+        Root of the importance of the frames.  The mean importance is 1.
     """
 
     z: Array
@@ -136,15 +137,15 @@ class Trajectories(Alignment):
         return len(self.z)
 
     def stack(self, transforms: Array) -> Array:
-        """Transforms (F, B, 3, 4), frames scaled, as a matrix (3F, 4B)."""
+        """Matrix (3F, 4B) of transforms (F, B, 3, 4), multiplied by `frame_scale`."""
         return stack_transforms(transforms * self.frame_scale[:, None, None, None])
 
     def reduce(self, stacked: Array) -> Array:
-        """Qᵀ times a (3F, n) matrix."""
+        """Product of Qᵀ and a matrix (3F, n)."""
         return stacked if self.q is None else self.q.T @ stacked
 
     def expand(self, az: Array) -> Array:
-        """Sums over vertices for each frame, (F, 3, 4, B), from those of z, (4, B, r)."""
+        """Sums (F, 3, 4, B) over vertices for each frame, given the sums (4, B, r) of rows of z."""
         four, b, r = az.shape
         flat = az.reshape(four * b, r)
         full = flat.T if self.q is None else self.q @ flat.T
@@ -152,7 +153,7 @@ class Trajectories(Alignment):
         return np.ascontiguousarray(out / self.frame_scale[:, None, None, None])
 
     def select_frames(self, frames: NDArray[np.intp]) -> Trajectories:
-        """The chosen frames of uncompressed trajectories."""
+        """A copy with the chosen frames, for uncompressed trajectories only."""
         assert self.q is None
         z = np.ascontiguousarray(self.z.reshape(self.n_vertices, -1, 3)[:, frames])
         flat = z.reshape(self.n_vertices, -1)
@@ -166,7 +167,7 @@ class Trajectories(Alignment):
         )
 
     def select_vertices(self, chosen: NDArray[np.intp]) -> Trajectories:
-        """The chosen vertices, in the same frames and basis."""
+        """A copy with the chosen vertices, in the same frames and basis."""
         return dataclasses.replace(
             self,
             z=np.ascontiguousarray(self.z[chosen]),
@@ -176,10 +177,11 @@ class Trajectories(Alignment):
 
     @serial_blas()
     def compressed(self, bones: int) -> Trajectories:
-        """Compress to the fewest columns that a model of `bones` needs, unless nearly all are.
+        """A copy compressed to the fewest columns that lose next to nothing for a model of `bones`.
 
-        The squares lost are at most a ten-thousandth of those that no matrix of rank 4B can fit
-        (Eckart–Young), a lower bound of any model's error.
+        The squared error that compression adds is at most a ten-thousandth of the error of the best
+        matrix of rank 4B (Eckart–Young), which is a lower bound of the error of any model with B
+        bones.  If that takes nearly all columns, the trajectories stay uncompressed.
         """
         x = self.z
         if self.q is not None:
@@ -211,7 +213,7 @@ def gather(
     frame_importance: Array | None = None,
     compress: bool = True,
 ) -> Trajectories:
-    """Read, align and scale all frames of all shots; compress them for `bones` where asked to."""
+    """Read, align and scale all frames of all shots; if `compress`, compress them for `bones`."""
     n_vertices = sequences[0].n_vertices
     n_frames = sum(len(s) for s in sequences)
     importance = np.ones(n_vertices)
@@ -257,7 +259,11 @@ def gather(
 
 
 def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, Array]:
-    """Positions (..., V, 3) relative to their centroids, weighted by `share`, and the centroids."""
+    """Positions (..., V, 3) relative to their centroid, and the centroid (..., 3), per frame.
+
+    `share` (V,), which sums to 1, are the weights of the vertices in the centroid; None: equal
+    ones.
+    """
     # in C order, since the order in memory decides the last bits of sums
     here = frames.astype(np.float64, order="C")
     # far from the origin, sums of positions lose digits that the positions still have
@@ -270,12 +276,13 @@ def centred(frames: NDArray[np.floating], share: Array | None) -> tuple[Array, A
 
 
 def scale_of(size: float, spread: float) -> float:
-    """The solver's unit of length: the RMS distance `size` from the centroids, 1 if that is 0.
+    """The solver's unit of length: `size`, the RMS distance from the centroids, or 1 if that is 0.
 
     Raises
     ------
     InputError
-        If the square of `spread`, the largest coordinate, vanishes, since all errors would, too.
+        If the square of `spread`, the largest coordinate, underflows to 0, as all errors then
+        would.
     """
     if 0 < spread < 1 / LARGEST:
         raise InputError("vertices", f"an extent of 0, or above {1 / LARGEST:g}", "a smaller one")
@@ -283,7 +290,7 @@ def scale_of(size: float, spread: float) -> float:
 
 
 def rotations_onto(here: Array, first: Array, share: Array | None) -> Array:
-    """Rotations that map centred frames onto the first when they act from the right."""
+    """Rotations R (..., 3, 3) with which ``here @ R`` is nearest to `first`, for centred frames."""
     known = first if share is None else first * share[:, None]
     return nearest_rotation(np.swapaxes(here, -1, -2) @ known)
 
@@ -299,24 +306,24 @@ def _reduce(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
 
 
 def frame_scale_of(importance: Array | None, n_frames: int) -> Array:
-    """Root (F,) of the importance of the frames relative to its mean."""
+    """Root (F,) of each frame's importance over the mean importance; 1 if `importance` is None."""
     return np.ones(n_frames) if importance is None else np.sqrt(importance / importance.mean())
 
 
 def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None:
-    """Orthonormal columns that span the rows of x but for a small part of their squares.
+    """The fewest orthonormal columns that span the rows of x up to an allowed squared error.
 
     Parameters
     ----------
     x : (n, m) array
     allowed : callable
-        Gives the squares that may be lost from the array ``tail``, where ``tail[k]`` are those
-        lost with k columns.
+        Returns the allowed squared error for the array ``tail``, where ``tail[k]`` is the squared
+        error with k columns.
 
     Returns
     -------
     (m, k) array or None
-        None where nearly all columns are needed.
+        None if nearly all columns would be needed.
     """
     wide = x.shape[1] > x.shape[0]
     values, vectors = np.linalg.eigh(x @ x.T if wide else x.T @ x)
@@ -333,7 +340,7 @@ def truncated_basis(x: Array, allowed: Callable[[Array], float]) -> Array | None
 
 
 def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
-    """Basis by a randomised range finder (Halko et al. 2011), enlarged until it loses little."""
+    """As :func:`_reduce`, by a randomised range finder of growing size (Halko et al. 2011)."""
     rng = np.random.default_rng(0)
     keep = rank + 64
     while keep < _MOST_COLUMNS * min(x.shape):
@@ -350,11 +357,11 @@ def _sketch(x: Array, energy: float, rank: int) -> tuple[Array, Array | None]:
 
 
 def stack_transforms(transforms: Array) -> Array:
-    """Transforms (F, B, 3, 4) as a matrix (3F, 4B): a row per frame and axis."""
+    """Matrix (3F, 4B) of transforms (F, B, 3, 4), with a row per frame and axis."""
     f, b = transforms.shape[:2]
     return np.ascontiguousarray(transforms.transpose(0, 2, 3, 1)).reshape(3 * f, 4 * b)
 
 
 def unstack_transforms(stacked: Array, n_bones: int) -> Array:
-    """View (F, B, 3, 4) of stacked transforms (3F, 4B)."""
+    """Transforms (F, B, 3, 4), a view of stacked transforms (3F, 4B)."""
     return stacked.reshape(-1, 3, 4, n_bones).transpose(0, 3, 1, 2)

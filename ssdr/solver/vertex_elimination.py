@@ -1,9 +1,9 @@
 """Normal equations of the bones with weights and rest pose eliminated, as a Schur complement.
 
-A vertex's unknowns meet those of no other vertex: H_vv is one small block each, whose inverse the
-vertex step leaves behind.  What remains is (H_mm − H_mv H_vv⁻¹ H_vm) in the stacked transforms.
-Products with it take sums over frames, (4B, 4B), and over vertices, and never an array of
-vertices × frames.
+No term couples the unknowns v of two vertices, so H_vv consists of one small block for each vertex,
+whose inverse the vertex step returns.  The system that remains for the stacked transforms m has the
+matrix H_mm − H_mv H_vv⁻¹ H_vm.  A product with it takes sums over frames (4B, 4B), then sums over
+vertices, but never an array of vertices × frames.
 
 References
 ----------
@@ -28,19 +28,19 @@ from .vertex_newton import VertexSystem
 
 __all__ = ["ReducedSystem"]
 
-# most tasks: each has its own (B, B, 4, 4) sums, which take memory, while fewer use fewer cores
+# most tasks: each needs memory for its own (B, B, 4, 4) sums, but fewer tasks would use fewer cores
 _TASKS = 8
 
 
 class _Groups(NamedTuple):
-    """Vertices in the order of their groups, as the kernel takes them."""
+    """Arguments of the kernel: groups of vertices that the same bones move, group after group."""
 
     start: NDArray[np.intp]  # (G + 1,) first vertex of each group
-    bones: NDArray[np.intp]  # (G, K) of each group, ascending, padded with B
-    sizes: NDArray[np.intp]  # (G,) how many they are
-    slot: NDArray[np.intp]  # (V, K) column of the model's weights of each bone of the group
+    bones: NDArray[np.intp]  # (G, K) bones of each group, ascending, padded with B
+    sizes: NDArray[np.intp]  # (G,) number of bones of each group
+    slot: NDArray[np.intp]  # (V, K) column of each of the group's bones in the model's weights
     rest: Array
-    weights: Array  # (V, K) of the bones of the group
+    weights: Array  # (V, K) in the order of the group's bones
     importance: Array
     free: NDArray[np.bool_]
     inverse: Array
@@ -48,10 +48,10 @@ class _Groups(NamedTuple):
 
 
 class ReducedSystem:
-    """Normal equations of a model's transforms, its vertices eliminated.
+    """Normal equations of a model's transforms, with the unknowns of the vertices eliminated.
 
-    Vertices are ordered by the set of bones that move them.  One block of the sums over frames
-    serves all vertices of a set, and products read memory from front to back.
+    Vertices are grouped by the set of bones that move them, so that one block of the sums over
+    frames serves a whole group, and products read memory from front to back.
 
     Parameters
     ----------
@@ -60,16 +60,17 @@ class ReducedSystem:
         As :func:`~ssdr.solver.vertex_newton.optimise_vertices` left it.
     locked : Locked
     vertices : VertexSystem
-        What it returned.
+        The result of the same call.
     precision : type
-        Of products; the gradient is float64.
+        Data type of products; the gradient is float64.
 
     Attributes
     ----------
     u : (B, B, 4, 4) float64
-        Σ_i w_j w_k p̃ p̃ᵀ: H_mm of every row of every frame, but for the frame's importance.
+        Σ_i w_j w_k p̃ p̃ᵀ: times the frame's importance, H_mm of every row of every frame.
     gradient : (3F, 4B) float64
-        Half gradient of the objective in the stacked transforms, of the best vertices.
+        Half gradient of the objective in the stacked transforms, with the vertices at their
+        optimum.
     """
 
     def __init__(
@@ -93,20 +94,20 @@ class ReducedSystem:
         self.stacked, self.u_flat = (x.astype(precision, copy=False) for x in (stacked, u))
 
     def times(self, change: Array) -> Array:
-        """The Schur complement times a change of the stacked transforms (3F, 4B)."""
+        """Product of the Schur complement and a change (3F, 4B) of the stacked transforms."""
         _, answer = self._eliminate(cross_product(self.stacked, change), 0.0)
         answer = answer.astype(change.dtype, copy=False)
         return product(change, self.u_flat) - product(self.stacked, answer)
 
     def best_step(self, change: Array) -> Array:
-        """The best step (V, D) of the vertices under a change of the transforms, negated."""
+        """Minus the best step (V, D) of the vertices' unknowns under a change of the transforms."""
         grouped, _ = self._eliminate(cross_product(self.stacked, change), 1.0)
         step = np.empty(grouped.shape)
         step[self._order] = grouped
         return step
 
     def move_vertices(self, model: Model, change: Array) -> None:
-        """Take that step in weights and rest pose of a copy of the model (in place)."""
+        """Take the best step in weights and rest pose of a copy of the model (in place)."""
         step = self.best_step(change)
 
         def work(_: int, i: int, k: int) -> None:
@@ -116,21 +117,21 @@ class ReducedSystem:
         run_chunks(work, self._tasks)
 
     def _eliminate(self, cross: Array, share: float) -> tuple[Array, Array]:
-        """The vertices' step under a change of the transforms, and what it adds to the sums.
+        """The vertices' response to a change δM of the transforms, and its effect on them.
 
         Parameters
         ----------
         cross : (4B, 4B) array
-            Stacked transforms, transposed, times their change.
+            Transpose of the stacked transforms times their change.
         share : float
-            Of the vertices' own gradient that the step answers, too: 0 or 1.
+            Factor 0 or 1 of the vertices' own gradient in the step.
 
         Returns
         -------
         step : (V, D) array
             H_vv⁻¹ (H_vm δM + share · gradient), in the order of the groups.
         answer : (4B, 4B) array
-            Stacked transforms times this is H_mv times the step.
+            The stacked transforms times `answer` are H_mv times the step.
         """
         n_bones, groups = self.n_bones, self._groups
         step = np.empty_like(groups.gradient)
@@ -158,12 +159,12 @@ def _group(
     vertices: VertexSystem,
     precision: type[np.floating[Any]],
 ) -> tuple[NDArray[np.intp], _Groups]:
-    """Order (V,) of the vertices by their sets of bones, and the groups."""
+    """Order (V,) that sorts the vertices by the set of bones that moves them, and the groups."""
     n_bones = model.n_bones
     bones = np.where(model.weights > 0, model.indices, n_bones)
     slot = bones.argsort(axis=1, kind="stable")
     bones = np.take_along_axis(bones, slot, axis=1)
-    # sets may share a code: they then alternate, which makes more groups but no error
+    # two sets with the same code may alternate in the order, which makes more groups but no error
     code = np.zeros(len(bones), dtype=np.uint64)
     for column in bones.T:
         code = code * np.uint64(n_bones + 1) + column.astype(np.uint64)

@@ -1,8 +1,8 @@
 """Gauss–Newton on the weights and the rest position of each vertex, under given transforms.
 
-The alternation solves weights and rest position one after the other; here they move together.  A
-vertex has its weights but the largest, which takes up the sum, and three coordinates as unknowns:
-at most D = K + 2.
+The alternation solves weights and rest position one after the other; here they move together.  The
+unknowns of a vertex are three coordinates and all its weights except the largest, since weights sum
+to 1.  These are at most D = K + 2.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ __all__ = ["VertexSystem", "newton_rows", "newton_vertices", "optimise_vertices"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class VertexSystem:
-    """Gauss–Newton matrices of all vertices at a model, of which bones eliminate the vertices.
+    """Gauss–Newton matrices and gradients of all vertices, by which a step eliminates the vertices.
 
     Attributes
     ----------
     stacked : (3F, 4B) float64
-        Transforms of the model, as :meth:`Trajectories.stack` stacks them.
+        Transforms of the model, as :meth:`Trajectories.stack` returns them.
     inverse : (V, D, D) float64
         Inverse of each vertex's Gauss–Newton matrix.
     gradient : (V, D) float64
-        Half gradient of its squared error.
+        Half gradient of each vertex's squared error.
     """
 
     stacked: Array
@@ -60,7 +60,7 @@ def optimise_vertices(
     Returns
     -------
     VertexSystem
-        At the optimised model.
+        Matrices and gradients at the optimised model.
     """
     stacked, gram, gram4, reduced = transform_sums(data, model.transforms)
     n, size = data.n_vertices, model.n_influences + 2
@@ -91,12 +91,13 @@ def newton_vertices(
     inverse: Array | None = None,
     gradient: Array | None = None,
 ) -> None:
-    """Optimise weights and rest pose from sums over the frames (in place).
+    """Optimise weights and rest pose, given sums over the frames (in place).
 
     Parameters
     ----------
     products : callable
-        Gives Y = Σ_t v_i^t M^tᵀ of the vertices i..k, (k − i, 4B).
+        Called with a range i, k of vertices; returns their rows (k − i, 4B) of the sums Y of
+        :mod:`~ssdr.solver.moments`.
     x2 : (V,) array
         Squared length of each vertex's trajectory.
     tables : ((B, 10, B), (B, B, 4, 4)) arrays
@@ -105,12 +106,13 @@ def newton_vertices(
         Its rest pose, weights and error are changed, its transforms not read.
     locked : Locked
     entering : int
-        Number of bones that may enter a vertex's influences, each if that lowers the error.  0:
-        weights are solved on the influences as they are; −1: this solve is left out, too.
+        Largest number of bones that enter a vertex's influences; each enters only if that lowers
+        the error.  0: weights are solved on the present influences; −1: weights are not solved
+        before the Gauss–Newton steps.
     rounds : int
-        Most Gauss–Newton steps of a vertex.
+        Largest number of Gauss–Newton steps of a vertex.
     inverse, gradient : (V, D, D), (V, D) arrays, optional
-        Receive the fields of :class:`VertexSystem`.
+        Outputs: the fields of :class:`VertexSystem`.
     """
     n = len(model.rest)
     keep = locked.vertex_mask(n)
@@ -145,16 +147,16 @@ def newton_rows(
     inverse: Array | None = None,
     gradient: Array | None = None,
 ) -> None:
-    """Do what :func:`newton_vertices` does for some vertices in the calling thread.
+    """Optimise n vertices as :func:`newton_vertices` does, in the calling thread.
 
     Parameters
     ----------
     y : (n, 4B) array
-        Their rows of Y.
+        The vertices' rows of Y.
     rows : tuple of arrays
-        Their rest positions, indices, weights and errors, all changed in place.
+        The vertices' rest positions, indices, weights and errors, all changed in place.
     keep : (n,) bool array
-        Vertices whose weights stay.
+        Mask of the vertices whose weights are locked.
     """
     n, size = len(x2), rows[1].shape[1] + 2
     matrices = np.empty((n, size, size)) if inverse is None else inverse

@@ -1,4 +1,4 @@
-"""Loading or compiling of all kernels before a solve's time is measured."""
+"""Loading or compilation of all kernels, so that the measured time of a solve excludes it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ready = False
 
 
 def compile_kernels() -> float:
-    """Load from disk or compile every kernel, once a process; seconds that it took."""
+    """Load or compile every kernel, once per process, and return the seconds that it took."""
     global _ready
     if _ready:
         return 0.0

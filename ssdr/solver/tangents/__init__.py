@@ -1,4 +1,4 @@
-"""Tangents: the unknowns by which a Gauss–Newton step moves the bones, one class a bone model."""
+"""Tangents: the unknowns by which a Gauss–Newton step moves bones, a class per bone model."""
 
 from .affine import AffineTangent
 from .chain import ChainTangent

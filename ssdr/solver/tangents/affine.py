@@ -1,4 +1,4 @@
-"""Affine bones: the twelve numbers of each transform."""
+"""Unknowns of affine bones: the twelve numbers of each transform."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["AffineTangent"]
 
 
 class AffineTangent(Tangent):
-    """x (F, B, 12), the change of a transform: H is the same for every row of every frame."""
+    """Unknowns x (F, B, 12): the change of each transform, so that all rows have the same H."""
 
     def image(self, x: Array) -> Array:
         return self.data.stack(x.reshape(*x.shape[:2], 3, 4))
@@ -27,14 +27,14 @@ class AffineTangent(Tangent):
         return np.ascontiguousarray(out).reshape(*out.shape[:2], 12)
 
     def move(self, model: Model, x: Array) -> None:
-        """M ← M + x, where that is admissible."""
+        """Replace M by M + x for bones for which that is admissible (in place)."""
         m = model.transforms
         moved = m + x.reshape(m.shape)
         good = admissible(m, moved) & ~self.locked_bones
         m[good] = moved[good]
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
-        """The exact inverse of H + λD, and λD, with D the spread of each bone."""
+        """The exact inverse of H + λD, and λD; D is the quadratic form of :func:`ridge_blocks`."""
         metric = stack_diagonal(ridge_blocks(u, 1.0))
         damped = damping * metric
         matrix = stack_blocks(u) + damped + 1e-9 * metric

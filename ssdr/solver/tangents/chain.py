@@ -1,4 +1,4 @@
-"""Bones of a tree with rigid joints: local rotations, translations of the roots, and the joints."""
+"""Unknowns of bones of a tree with rigid joints: rotations, root translations and joints."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from .tangent import Tangent
 __all__ = ["ChainTangent"]
 
 _GROUP = 12  # fewest frames that share a factor of the preconditioner
-_MEMORY = 64 << 20  # most bytes of these factors, unless there are few
-_FEW = 8
+_MEMORY = 64 << 20  # most bytes of all factors
+_FEW = 8  # number of factors that is allowed whatever memory it takes
 _DAMPED = 1e-9  # damping, relative to the diagonal, of unknowns that nothing else determines
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # relative addition to the joints' diagonal that covers rounding
 # Smallest entries of the damping's diagonal, relative to the largest: of frames, and of joints.
 _LEAST = 1e-12, 1e-9
 
 
 class ChainTangent(Tangent):
-    """x of ω of every bone and τ of every root, frame by frame, then δc of every joint.
+    """Unknowns x: for each frame ω of all bones and τ of all roots, then δc of all joints.
 
-    ω and τ are in the bone's own axes; all frames share the δc.  Every bone but the roots follows
-    its joint.  The model's tree must be rigid.
+    ω is a rotation and τ a translation, both in the bone's own axes; δc is a change of the joint in
+    the rest pose, the same for all frames.  All bones except roots are translated so that their
+    joints stay connected.  The model's tree must be rigid.
     """
 
     conjugate_steps = 30  # more than for free bones, since a joint moves its whole subtree
@@ -47,7 +48,7 @@ class ChainTangent(Tangent):
         self._parents, self._order, self._roots = tree.parents, tree.order, tree.roots
         self.joints = tree.non_roots[:0] if locked.joints else tree.non_roots
         self.penalty = JointPenalty.none(len(self.joints))
-        # bones that keep their rotation relative to the parent, so that ω follows the parent's
+        # bones whose rotation relative to the parent is locked: their ω follows from the parent's
         self._tied = locked.joint_rotations(tree)
 
     def image(self, x: Array) -> Array:
@@ -73,7 +74,7 @@ class ChainTangent(Tangent):
         return out
 
     def move(self, model: Model, x: Array) -> None:
-        """Move the joints, then turn every bone by exp(ω) and put it on its joint."""
+        """Move joints, turn every bone by exp(ω), and translate it onto its joint (in place)."""
         turns, shifts, moved = self._unpacked(x)
         tree = self.model.hierarchy
         m, points = model.transforms, tree.points + moved
@@ -85,9 +86,10 @@ class ChainTangent(Tangent):
         run_chunks(work, self.chunks)
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
-        """The inverse of H + λD averaged over groups of frames, and λD.
+        """The inverse of H + λD, with H averaged over groups of frames, and λD.
 
-        The unknowns of the frames are eliminated exactly; joints see all frames.
+        The unknowns of the frames are eliminated exactly; the Schur complement of the joints is
+        summed over all frames.
         """
         m = self.model.transforms
         n_frames, n_bones = m.shape[:2]
@@ -162,12 +164,12 @@ class ChainTangent(Tangent):
         return x[: n_frames * size].reshape(n_frames, size), x[n_frames * size :].reshape(-1, 3)
 
     def zeros(self) -> Array:
-        """Unknowns that move nothing."""
+        """Unknowns x = 0, which move nothing."""
         n_frames, n_bones = self.model.transforms.shape[:2]
         return np.zeros(3 * (n_frames * (n_bones + len(self._roots)) + len(self.joints)))
 
     def _unpacked(self, x: Array) -> tuple[Array, Array, Array]:
-        """ω (F, B, 3), τ (F, B, 3) and δc (B, 3)."""
+        """Split x into ω (F, B, 3), τ (F, B, 3) and δc (B, 3), with 0 for what is no unknown."""
         n_frames, n_bones = self.model.transforms.shape[:2]
         frames, joints = self.parts(x)
         turns = np.ascontiguousarray(frames[:, : 3 * n_bones]).reshape(n_frames, n_bones, 3)
@@ -179,8 +181,8 @@ class ChainTangent(Tangent):
         return turns, shifts, moved
 
     def _chain(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Arguments of the kernels: order of the bones, their parents, and joint positions.
+        """First arguments of the kernels: an order of the bones, their parents, and their joints.
 
-        Parents precede children in the order.
+        Parents precede children in the order.  Joints (B, 3) are in the rest pose.
         """
         return self._order, self._parents, self.model.hierarchy.points

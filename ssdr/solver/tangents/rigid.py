@@ -1,4 +1,4 @@
-"""Rigid bones: a rotation and a translation of each, in its own axes."""
+"""Unknowns of rigid bones: a rotation and a translation of each bone, in its own axes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .tangent import Tangent
 
 __all__ = ["GENERATORS", "RigidTangent"]
 
-# E(p̃) = Σ_d p̃_d E_d with M E(p̃) the change of M p̃ under (ω, τ): rows of p̃, 3 × 6
+# Matrices E_d (3, 6), d = 1 to 4.  With E(p̃) = Σ_d p̃_d E_d, unknowns (ω, τ) change M p̃ by
+# M E(p̃) (ω, τ).
 GENERATORS = np.array(
     [
         [[0, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0], [0, -1, 0, 0, 0, 0]],
@@ -31,10 +32,10 @@ _GROUPS = 32  # most factors
 
 
 class RigidTangent(Tangent):
-    """x (F, B, 6) of (ω, τ): δM = M [[ω]× τ; 0 0]."""
+    """Unknowns x (F, B, 6): (ω, τ) of each bone, which change M by δM = M [[ω]× τ; 0 0]."""
 
     precision: type[np.floating[Any]] = np.float32
-    generators = GENERATORS  # (4, 3, n) of the n unknowns of a bone
+    generators = GENERATORS  # (4, 3, n) for the n unknowns of a bone
 
     def image(self, x: Array) -> Array:
         n_frames, n_bones = x.shape[:2]
@@ -59,15 +60,16 @@ class RigidTangent(Tangent):
         return out
 
     def move(self, model: Model, x: Array) -> None:
-        """M ← M exp(x)."""
+        """Replace M by M exp(x) (in place)."""
         m = model.transforms
         run_chunks(lambda _, i, k: move_bones(m[i:k], x[i:k], self.locked_bones), self.chunks)
 
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
-        """Inverses of the Gauss–Newton matrix averaged over groups of frames, and λD.
+        """The inverse of H + λD, with H averaged over groups of frames, and λD.
 
-        Unknowns act from the right.  The block of two bones then depends on the frame by R_jᵀ R_k
-        alone: consecutive frames share one factor, and to apply it is a matrix product.
+        Unknowns act on M from the right, so that the block of bones j and k depends on the frame
+        only through R_jᵀ R_k.  This varies slowly; consecutive frames share one inverse, which is
+        applied to all of them by a matrix product.
         """
         n_frames, n_bones = self.model.transforms.shape[:2]
         generators, frame_weight = self.generators, self.data.frame_scale**2

@@ -1,4 +1,4 @@
-"""Bones that also grow: a rotation, a translation and a relative change of size of each."""
+"""Unknowns of similarity bones: a rotation, a translation and a relative change of size."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _GROWTH = np.concatenate([np.eye(3), np.zeros((1, 3))])[:, :, None]
 
 
 class SimilarityTangent(RigidTangent):
-    """x (F, B, 7) of (ω, τ, σ): δM = M [[ω]× + σI, τ; 0 0]."""
+    """Unknowns x (F, B, 7): (ω, τ, σ) of each bone, with δM = M [[ω]× + σI, τ; 0 0]."""
 
     precision = np.float64
     generators = np.concatenate([GENERATORS, _GROWTH], axis=2)
@@ -49,7 +49,7 @@ class SimilarityTangent(RigidTangent):
         return back
 
     def move(self, model: Model, x: Array) -> None:
-        """M ← M exp(x), within the sizes that bones may have."""
+        """Replace M by M exp(x), with its size kept within the allowed range (in place)."""
         super().move(model, np.ascontiguousarray(x[..., :6]))
         m = model.transforms
         size = np.linalg.norm(m[..., 0], axis=-1)

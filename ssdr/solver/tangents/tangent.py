@@ -20,7 +20,9 @@ _TRANSFORMS = 4096  # fewest transforms of a task: fewer are not worth a thread
 
 
 class Tangent(ABC):
-    """Unknowns x that move the bones of a model, as a first-order change and as a step.
+    """Unknowns x of a step that moves the bones of a model.
+
+    :meth:`image` is the first-order change of the transforms under x, :meth:`move` the step itself.
 
     Parameters
     ----------
@@ -33,13 +35,13 @@ class Tangent(ABC):
     Attributes
     ----------
     precision : type
-        Of images, and so of products with the Schur complement.
+        Data type of images and of products with the Schur complement.
     conjugate_steps : int
-        Most products with the Schur complement a step.
+        Largest number of products with the Schur complement in a step.
     joints : (J,) int array
         Bones whose joints are unknowns, too.
     penalty : JointPenalty
-        On these joints at the present model.
+        Penalty on these joints at the present model.
     """
 
     precision: type[np.floating[Any]] = np.float64
@@ -55,24 +57,24 @@ class Tangent(ABC):
 
     @abstractmethod
     def image(self, x: Array) -> Array:
-        """Change (3F, 4B) of the stacked transforms, to first order."""
+        """First-order change (3F, 4B) of the stacked transforms under x."""
 
     @abstractmethod
     def pullback(self, gradient: Array) -> Array:
-        """Gradient in the unknowns from one (3F, 4B) in the stacked transforms: imageᵀ."""
+        """Gradient in x, given that (3F, 4B) in the stacked transforms: the transpose of image."""
 
     @abstractmethod
     def move(self, model: Model, x: Array) -> None:
-        """Move the bones of a copy of the model (in place) by a step."""
+        """Move the bones of `model`, a copy of this model, by the step x (in place)."""
 
     @abstractmethod
     def precondition(self, u: Array, damping: float) -> tuple[Operator, Operator]:
-        """An approximate inverse of H + λD, and λD, for blocks u (B, B, 4, 4) and λ = `damping`.
+        """An approximate inverse of H + λD, and λD, both as operators, with λ = `damping`.
 
-        H is the Gauss–Newton matrix of the unknowns with weights and rest pose held, D the scale
-        of its diagonal.
+        H is the Gauss–Newton matrix of the unknowns x for fixed weights and rest pose, and D the
+        scale of its diagonal.  `u` (B, B, 4, 4) is Σ_i w_j w_k p̃ p̃ᵀ for bones j and k.
         """
 
     def joint_part(self, x: Array) -> Array:
-        """View (J, 3) of the unknowns that move joints."""
+        """View (J, 3) of the unknowns in x that move joints."""
         return x.reshape(-1)[:0].reshape(0, 3)
