@@ -100,7 +100,7 @@ def heat(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _linear_from_oklab(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear RGB, which may lie outside the gamut of the display."""
+    """Linear RGB of OKLab colours; it may lie outside the gamut of the display."""
     return np.asarray((lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3 @ np.linalg.inv(_LMS_FROM_RGB).T)
 
 

@@ -39,11 +39,11 @@ class Scene:
     subject : MeshSequence or Skinning
     reference : MeshSequence or None
     vertex_map : (V,) int32 or None
-        Vertex of a welded subject for each vertex shown.
+        For each vertex shown, the vertex of the welded subject.
     parts : tuple of Part
         At least one; errors are those of the measured parts.
     has_parts : bool
-        Whether the parts were given.
+        Whether the caller gave parts.
     regions : dict of str to (V,) bool
         Sets of vertices whose RMSE is stated.
     """
