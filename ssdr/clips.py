@@ -133,8 +133,8 @@ def one_rate(clips: Sequence[Clip]) -> bool:
 def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
     """Name, frame rate and clips, as keyword arguments, of a model of several sequences.
 
-    Each sequence gives a clip, named by the sequence's `clip` or, if that is empty, its `name`.  The
-    model has the name of the sequences if all have the same, and no name otherwise.
+    Each sequence becomes a clip, named by the sequence's `clip` or, if that is empty, its `name`.
+    The model has the name of the sequences if all have the same, and no name otherwise.
     """
     several = len(sequences) > 1
     names = [s.clip or s.name or (f"clip_{k}" if several else "") for k, s in enumerate(sequences)]

@@ -24,9 +24,8 @@ __all__ = [
 
 # largest ratio of the second to the first singular value at which points count as collinear
 _COLLINEAR = 1e-13
-_LARGEST_ENTRY = (
-    1e100  # largest entry of a rotation or quaternion; products of larger numbers overflow
-)
+# largest entry of a rotation or quaternion; products of larger numbers overflow
+_LARGEST_ENTRY = 1e100
 # Sine of an angle below which sin(u·angle)/sin(angle) is u to rounding: equal quaternions would
 # divide zero by zero.
 _SMALL_SINE = 1e-8

@@ -121,7 +121,7 @@ class MeshSequence:
 
     @property
     def is_lazy(self) -> bool:
-        """True where the vertices are not an array in memory."""
+        """Whether the vertices are read on demand instead of being an array in memory."""
         return type(self.vertices) is not np.ndarray
 
     def __len__(self) -> int:

@@ -48,7 +48,8 @@ class Material:
 class Surface:
     """Texture coordinates, normals and materials of a mesh, stored per triangle corner.
 
-    Welding keeps them, since they belong to corners; at a seam, corners at one vertex differ.
+    Welding keeps these values, since they belong to corners; at a seam, corners at one vertex
+    differ.
 
     Attributes
     ----------

@@ -100,8 +100,8 @@ def compare(
         Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
         distance is that of the vertices alone and STED has no spatial part.
     hausdorff, sted : bool
-        Whether to compute these metrics, which take most of the time.  For other parameters than the
-        defaults call :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
+        Whether to compute these metrics, which take most of the time.  For parameters other than
+        the defaults call :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
 
     Returns
     -------

@@ -67,9 +67,9 @@ def hausdorff(
 ) -> Hausdorff:
     """Symmetric Hausdorff distance of each frame.
 
-    The distance is max( max_a min_b ‖a − b‖, max_b min_a ‖a − b‖ ), with a and b the vertices of the two meshes;
-    for surfaces, the inner minimum is over the whole other surface.  The correspondence of vertices
-    is not used, so that sliding along the surface costs nothing.
+    The distance is max( max_a min_b ‖a − b‖, max_b min_a ‖a − b‖ ), where a and b are vertices of
+    the two meshes; for surfaces, the inner minimum is over the whole other surface.  The
+    correspondence of vertices is not used, so that sliding along the surface costs nothing.
 
     Parameters
     ----------

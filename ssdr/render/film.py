@@ -195,7 +195,7 @@ class Film:
     def write(
         self, path: str | os.PathLike[str], callback: Callable[[float], object] | None = None
     ) -> Path:
-        """Write the film as a loop and return its path; arguments and errors as for :func:`animate`."""
+        """Write the looping film and return its path; arguments as for :func:`animate`."""
         path, options = Path(path), _options(Path(path))
         drawn = self.pictures(callback)
         if options["format"] == "GIF":

@@ -101,8 +101,8 @@ class Lights:
         """Share ``(N, D)`` of each light that reaches points on a surface.
 
         A surface nearer to the light than a point casts no shadow on it if the difference is less
-        than `bias`, and a full shadow if the difference is at least twice `bias`.  Points are lifted by `bias` along
-        their normals, to the side of the light.
+        than `bias`, and a full shadow if the difference is at least twice `bias`.  Points are
+        lifted by `bias` along their normals, to the side of the light.
         """
         out = np.empty((len(points), len(self.axes)))
         arrays = (self.axes, self.corners, self.scales, self.nearness)

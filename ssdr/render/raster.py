@@ -122,7 +122,7 @@ class Camera:
         return cls(axes, centre @ axes, tall, True, vertical)
 
     def project(self, points: Float, size: tuple[int, int]) -> Float:
-        """Pixel coordinates x, y and nearness ``(N, 3)`` of points; NaN behind a perspective camera."""
+        """Pixel coordinates x, y and nearness ``(N, 3)``; NaN for points behind the eye."""
         width, height = size
         view = (np.asarray(points, dtype=np.float64) - self.eye) @ self.axes.T
         z = -view[:, 2]
@@ -226,7 +226,7 @@ def _nearest(kernel: Any, shapes: Float, faces: Any, nearness: Float) -> tuple[P
 
 
 def block_mean(values: Float, step: int) -> Float:
-    """Mean over blocks of `step` by `step` pixels; height and width are multiples of `step`."""
+    """Mean of each block of `step` × `step` pixels; `step` must divide height and width."""
     rows = values[0::step].copy()
     for k in range(1, step):  # several times faster than a mean over two axes
         rows += values[k::step]
