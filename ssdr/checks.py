@@ -1,4 +1,4 @@
-"""Arguments, checked once where they come in: each error names what was expected and what came."""
+"""Checks of arguments; each error names the argument, what was expected and what was given."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ Array = NDArray[np.float64]
 
 LARGEST = 1e100  # bound on numbers whose squares are summed
 _MOST_INFLUENCES = 64
-_LEAST_DETERMINANT = 1e-12  # of an affine bone: below, it is flat
-_OFF = 1e-4  # by which weights may miss the sum 1, and rotations orthogonality
-_ROUNDING = 1e-13  # by which rotations miss it in double precision: they stay as they are
+_LEAST_DETERMINANT = 1e-12  # least determinant of an affine bone; a smaller one flattens the mesh
+_OFF = 1e-4  # largest deviation of sums of weights from 1, and of rotations from orthogonal
+_ROUNDING = 1e-13  # deviation from orthogonal that is rounding and left as it is
 _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 
 # --- numbers -----------------------------------------------------------------------------------
@@ -48,7 +48,7 @@ _SHARE = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*%\s*", re.IGNORECASE)
 def check_whole(
     value: Any, argument: str, least: int, most: int | None = None, note: str = ""
 ) -> int:
-    """An integer from `least` to `most`; `note` ends the description of what was expected."""
+    """The value as an int, checked to lie from `least` to `most`; `note` is added to the error."""
     expected = f"an integer >= {least}" if most is None else f"an integer from {least} to {most}"
     if not is_whole(value) or value < least or (most is not None and value > most):
         raise InputError(argument, f"{expected}{note}", repr(value))
@@ -56,7 +56,7 @@ def check_whole(
 
 
 def check_nonnegative(value: Any, argument: str, expected: str) -> float:
-    """A finite real number >= 0."""
+    """The value as a float, checked to be finite and >= 0."""
     if not (is_real(value) and value >= 0):
         raise InputError(argument, expected, repr(value))
     return float(value)
@@ -119,7 +119,7 @@ def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
     Raises
     ------
     InputError
-        If it is ragged or no sequence of numbers.
+        If NumPy cannot make an array of it, such as of rows of different lengths.
     """
     try:
         return np.asarray(value)
@@ -130,16 +130,16 @@ def as_array(value: Any, argument: str, expected: str) -> NDArray[Any]:
 def check_floats(
     value: Any, argument: str, shape: tuple[int | str, ...], *, copy: bool = False
 ) -> NDArray[np.floating]:
-    """Real, finite numbers as a contiguous array of float32 or float64.
+    """The value as a contiguous float32 or float64 array, checked to be real and finite.
 
     Parameters
     ----------
     value : array_like
     argument : str
     shape : tuple of int and str
-        A letter stands for any size but 0.
+        Expected shape; a letter stands for any size but 0.
     copy : bool
-        Return float64 that the caller does not hold: a callback may write to what it handed over.
+        Return a float64 copy, so that later writes to `value` do not change the result.
     """
     wanted = f"shape ({', '.join(str(s) for s in shape)})"
     array = as_array(value, argument, f"numbers of {wanted}")
@@ -167,7 +167,7 @@ def check_squarable(array: NDArray[np.floating], argument: str, expected: str = 
 
 
 def check_frames(frames: Any, n_frames: int) -> Any:
-    """A slice, mask or list of indices that picks frames from an array."""
+    """`frames` as an index into an array: a slice, a mask, or indices, checked for range."""
     if isinstance(frames, slice):
         return frames
     index = np.atleast_1d(np.asarray(frames))
@@ -198,7 +198,7 @@ def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | Non
 
 
 def check_importance(value: Any, argument: str, count: int) -> Array | None:
-    """Non-negative importance, not all zero, scaled to a maximum of 1; only ratios count."""
+    """Importance ``(count,)``, checked to be >= 0 and not all 0, and scaled to a maximum of 1."""
     if value is None:
         return None
     if isinstance(value, np.ndarray) and value.dtype == bool:  # a mask of what counts
@@ -213,7 +213,7 @@ def check_importance(value: Any, argument: str, count: int) -> Array | None:
 
 
 def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray[np.int32]:
-    """Triangles (T, 3), from None none; the first index out of range is named."""
+    """Triangles ``(T, 3)`` as int32, checked for range; an empty array if `faces` is None."""
     wanted = "an array of shape (T, 3)"
     array = as_array(() if faces is None else faces, argument, wanted)
     if array.size == 0:
@@ -236,9 +236,9 @@ def check_faces(faces: Any, n_vertices: int, argument: str = "faces") -> NDArray
 def check_skin(
     indices: Any, weights: Any, n_vertices: int, n_bones: int | None = None, prefix: str = ""
 ) -> tuple[NDArray[np.int32], NDArray[np.floating]]:
-    """Bones and weights (V, K) of every vertex: weights >= 0 whose rows sum to 1 within 1e-4.
+    """Bone indices and weights ``(V, K)``, checked: weights >= 0 whose rows sum to 1 within 1e-4.
 
-    `prefix` leads to the arguments in messages, such as ``"start."``.
+    `prefix` is put before the names of the arguments in errors, such as ``"start."``.
     """
     w = check_floats(weights, f"{prefix}weights", (n_vertices, "K"))
     j = as_array(indices, f"{prefix}indices", f"integers of shape {w.shape}")
@@ -259,10 +259,11 @@ def check_skin(
 def check_transforms(
     transforms: Any, n_frames: int, bone_model: BoneModel = "rigid", prefix: str = ""
 ) -> Array:
-    """Transforms (F, B, 3, 4) that the bone model allows.
+    """Transforms ``(F, B, 3, 4)``, checked to be of the bone model.
 
-    Rotations, scaled or not, may be off orthogonal by 1e-4 and come back orthogonal; affine maps
-    keep orientation.  `prefix` leads to the argument in messages, such as ``"start."``.
+    Rotations (of rigid bones and similarities) may deviate from orthogonal by 1e-4 and are made
+    orthogonal.  Affine maps need a positive determinant.  `prefix` is put before the name of the
+    argument in errors, such as ``"start."``.
     """
     argument = f"{prefix}transforms"
     m = check_floats(transforms, argument, (n_frames, "B", 3, 4), copy=True)

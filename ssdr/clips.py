@@ -23,7 +23,7 @@ class Clip:
     ----------
     name : str
     start, stop : int
-        First frame, and the one after the last.
+        First frame, and the frame after the last.
     fps : float
         Frames per second.
 
@@ -69,7 +69,7 @@ class Clip:
 
 
 class OneClip(tuple[Clip, ...]):
-    """The only clip of a model, which has all its frames and its rate.
+    """Tuple of the only clip of a model, with all frames and the frame rate of the model.
 
     ``dataclasses.replace(model, fps=30)`` passes the old clip together with the new rate.  This
     type marks a clip that then takes the new rate; a clip given by the caller must agree with it.
@@ -81,7 +81,7 @@ class OneClip(tuple[Clip, ...]):
 def check_clips(
     clips: Any, *, fps: Any, name: str, n_frames: int
 ) -> tuple[tuple[Clip, ...], float]:
-    """Clips of a model and its frame rate, that of the first clip.
+    """Checked clips of a model, and its frame rate, which is the rate of the first clip.
 
     Raises
     ------
@@ -131,10 +131,10 @@ def one_rate(clips: Sequence[Clip]) -> bool:
 
 
 def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
-    """Name, frame rate and clips of a model of several sequences of one mesh.
+    """Name, frame rate and clips, as keyword arguments, of a model of several sequences.
 
-    A clip has the name of its sequence's clip, else that of the sequence.  The model has the name
-    of the sequences if they share one, else none.
+    Each sequence becomes a clip, named by the sequence's `clip` or, if that is empty, its `name`.
+    The model has the name of the sequences if all have the same, and no name otherwise.
     """
     several = len(sequences) > 1
     names = [s.clip or s.name or (f"clip_{k}" if several else "") for k, s in enumerate(sequences)]

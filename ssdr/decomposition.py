@@ -56,17 +56,17 @@ def decompose(
         too large to be held at once is read by chunks, on the workers of a Dask client where
         one is active.  They must not change during the call.
     faces : (T, 3) int array, optional
-        With plain arrays.
+        Triangles, if `sequence` is an array.
     bones : int
-        1 to V; the result has exactly as many.  Not needed beside a skeleton or a model to
-        start from, which have their own number.
+        Number of bones of the result, 1 to V.  Not needed with a skeleton or a model to start
+        from, since these have their own number.
     influences : int
-        Most bones a vertex (K).
+        Largest number of bones that move a vertex (K).
     effort : {"fast", "balanced", "best"}
         Place on the curve of speed against accuracy.
     bone_model : {"rigid", "similarity", "affine"}
-        What a bone may do: turn and move, also grow and shrink uniformly, or
-        stretch and shear as well (det > 0 always).
+        What a bone may do.  "rigid": turn and move.  "similarity": also scale uniformly.
+        "affine": also stretch and shear.  None may mirror (det > 0).
     rig : {"loose", "rigid"} or Skeleton, optional
         By default bones have no hierarchy.  "rigid": each hangs on another by a joint that is
         one point under both in every frame, so that the model can be posed; only roots move
@@ -74,17 +74,18 @@ def decompose(
         gaps; their joints may come apart.  A :class:`Skeleton` is kept.
     start : Skinning or Start, optional
         A model to go on from, such as a checkpoint: the result's error is never above its
-        error.  If it is of other frames, its bones are fitted to its weights.  A
-        :class:`Start` holds parts of a model, some of which stay.
+        error.  If it has other frames, bones for the frames given are fitted to
+        its weights.  A :class:`Start` holds parts of a model, some of which stay.
     vertex_importance : (V,) array, optional
         Non-negative; scales each vertex's squared error in the objective.
     frame_importance : (F,) array, optional
-        Positive; likewise for frames.  Less than 1e-4 of the largest counts as that.
+        Positive; scales each frame's squared error.  Values below 1e-4 of the largest are raised
+        to that.
     smoothness : float
         Length in the mesh's units: a jump of 1 in a weight across an edge costs as
         much as this distance in every frame at one vertex.  0: off.
     rng : int or numpy.random.Generator
-        Same seed, same bits, whatever the number of threads.
+        Seed; the same seed gives the same bits, whatever the number of threads.
     time_limit : float, optional
         Seconds of this call, compilation left out, after which the best model so
         far is returned; at least one model is always made.
@@ -93,7 +94,7 @@ def decompose(
         whole or not at all: an ordinary model, for `start` and every command.  While frames
         are streamed it is a model of the frames that have been read.
     callback : callable, optional
-        Called with a :class:`Progress` after every step; returning True stops.
+        Called with a :class:`Progress` after every step; the run stops if it returns True.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Errors and warnings of this package, and the smallest checks of arguments.
+"""Errors and warnings of this package, and checks of single numbers, flags and choices.
 
 All errors derive from :class:`SsdrError`, so that one ``except`` catches them;
 those about an argument or a file are ``ValueError`` as well.
@@ -111,12 +111,12 @@ class SsdrWarning(UserWarning):
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Whether a value is an integer; True and False are none."""
+    """Whether a value is an integer; True and False do not count as integers."""
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
-    """Whether a value is a real number; True, False and complex numbers are none."""
+    """Whether a value is a real number, by default a finite one; True and False do not count."""
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         return False
     try:
@@ -126,20 +126,20 @@ def is_real(value: object, *, finite: bool = True) -> TypeGuard[float]:
 
 
 def check_flag(value: object, argument: str) -> bool:
-    """The value, which must be True or False."""
+    """The value as a bool, checked to be True or False."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(argument, "True or False", repr(value))
     return bool(value)
 
 
 def check_choice(value: object, argument: str, choices: Any) -> None:
-    """Refuse a value that is none of the strings of a ``Literal``."""
+    """Raise an InputError unless the value is one of the strings of the ``Literal`` `choices`."""
     if not isinstance(value, str) or value not in get_args(choices):
         raise InputError(argument, f"one of {get_args(choices)}", repr(value))
 
 
 def error_text(error: BaseException) -> str:
-    """Message of an error; of an error of the system the file and the reason."""
+    """Message of an error; for an OSError the file and the reason."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return str(error) or type(error).__name__

@@ -13,7 +13,8 @@ from .parallel import chunk_bounds, run_chunks
 
 __all__ = ["skin"]
 
-_VERTEX_CHUNK = 1024  # vertices in a task: fewer cost more calls, more balance threads worse
+# vertices in a task; smaller tasks cost more calls, larger ones balance threads worse
+_VERTEX_CHUNK = 1024
 
 
 def skin(

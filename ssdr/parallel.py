@@ -26,14 +26,14 @@ _pool: ThreadPoolExecutor | None = None
 _threads: int | None = None
 _controller: threadpoolctl.ThreadpoolController | None = None
 _limiter: Any = None
-_limited = 0  # open blocks of serial_blas: the last to end lifts the limit
+_limited = 0  # number of open blocks of serial_blas; the last to end lifts the limit
 
 
 def get_threads() -> int:
     """Number of threads that kernels use.
 
-    The number given to :func:`set_threads`, else the environment variable ``SSDR_NUM_THREADS``,
-    else the number of cores that the process may use.
+    This is the number given to :func:`set_threads`; without one, that of the environment variable
+    ``SSDR_NUM_THREADS``; without that, the number of cores that the process may use.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def get_threads() -> int:
 def set_threads(count: int | None) -> None:
     """Set the number of threads for this process; None restores the default.
 
-    Results are the same, bit for bit, whatever the number.
+    The results of all functions are the same, bit for bit, with any number of threads.
 
     Examples
     --------
@@ -86,9 +86,9 @@ def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
 
 
 def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> list[Any]:
-    """Call ``function(chunk number, start, stop)`` for every chunk, in threads.
+    """Call ``function(chunk number, start, stop)`` for every chunk, in threads; list of results.
 
-    Results are in the order of the chunks.  The first exception ends the work and is raised.  The
+    The results are in the order of the chunks.  The first exception ends the work and is raised.  The
     function may itself call ``run_chunks``.
 
     Examples
@@ -153,8 +153,8 @@ if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's t
 def serial_blas() -> Iterator[None]:
     """Limit BLAS to one thread inside the block; nested blocks cost nothing.
 
-    The limit holds for the process.  The number of threads is restored when the last thread
-    leaves its block.
+    The limit holds for the whole process.  The former number of BLAS threads is restored when the
+    last of all open blocks ends.
 
     Examples
     --------

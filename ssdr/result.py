@@ -30,15 +30,16 @@ class Decomposition:
         its steps, "time limit" or "cancelled"; of :func:`smallest` "tolerance held" or
         "tolerance out of reach" in place of the first two.
     history : tuple of Record
-        One record for each accepted model; `rmse` never rises (with `smoothness` the
-        penalised error never does); the last is the result.  Of :func:`smallest` one record
-        for each smaller model that held the tolerance, then the result.
+        One record for each accepted model, of which the last is the result.  The RMSE never
+        rises; with `smoothness` this holds for the penalised error instead.  For
+        :func:`smallest`, one record for each smaller model that held the tolerance, then the
+        result.
     offsets : (S + 1,) int array
-        First frame of each shot, and the number of frames.
+        First frame of each of the S shots, followed by the total number of frames.
     compile_seconds : float
         Time that loading or compiling the kernels took in this call.
     warnings : tuple of str
-        What was also given as :class:`SsdrWarning`.
+        Messages of the warnings (:class:`SsdrWarning`) of the call.
 
     Examples
     --------
@@ -64,7 +65,7 @@ class Decomposition:
         return self.stop_reason in ("converged", "tolerance held")
 
     def reconstruct(self, frames: Any = None) -> NDArray[np.floating]:
-        """Positions (f, V, 3) of the named frames, all by default."""
+        """Vertex positions ``(f, V, 3)`` of the model in the given frames, by default in all."""
         return self.skinning.skin(frames)
 
     def __repr__(self) -> str:

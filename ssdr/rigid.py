@@ -22,9 +22,10 @@ __all__ = [
     "unflip_quaternions",
 ]
 
-# ratio of singular values below which a moment leaves the rotation about its axis open
+# largest ratio of the second to the first singular value at which points count as collinear
 _COLLINEAR = 1e-13
-_LARGEST_ENTRY = 1e100  # of what may be a rotation: products of larger numbers overflow
+# largest entry of a rotation or quaternion; products of larger numbers overflow
+_LARGEST_ENTRY = 1e100
 # Sine of an angle below which sin(u·angle)/sin(angle) is u to rounding: equal quaternions would
 # divide zero by zero.
 _SMALL_SINE = 1e-8
@@ -101,7 +102,7 @@ def kabsch(
 
 
 def _numbers(value: ArrayLike, argument: str, *last: int) -> NDArray[np.float64]:
-    """Finite real numbers as float64, with these last axes."""
+    """The value as float64, checked to be finite, real and of shape ``(..., *last)``."""
     array = as_array(value, argument, "an array of numbers")
     if array.dtype.kind not in "fiub":
         raise InputError(argument, "real numbers", f"dtype {array.dtype}")
@@ -125,7 +126,7 @@ def _check_broadcast(argument: str, *shapes: tuple[int, ...]) -> None:
 def _scaled(
     array: NDArray[np.float64], axes: tuple[int, ...]
 ) -> tuple[NDArray[np.float64], NDArray[np.intc]]:
-    """Array scaled by a power of two to a magnitude of 1/2 to 1 along axes, and the exponent."""
+    """Array / 2^n with largest magnitude from 1/2 to 1 along `axes`, and n; zeros stay zero."""
     _, power = np.frexp(np.abs(array).max(axis=axes, keepdims=True, initial=0.0))
     return np.ldexp(array, -power), power
 

@@ -1,4 +1,4 @@
-"""An animated mesh of fixed topology, the input of everything else.
+"""An animated mesh of fixed topology, the input of the other modules.
 
 ``MeshSequence`` checks its arrays once; every function after it trusts them.  Vertices may be held
 in memory, in a memory map or in a chunked array (zarr, dask), and are read by chunks of frames.
@@ -64,16 +64,16 @@ class MeshSequence:
     fps : float
         Frames per second.
     name : str
-        Of the mesh.
+        Name of the mesh.
     clip : str
-        Name of the animation, where it has one of its own.
+        Name of the animation; empty if it has none.
     surface : Surface, optional
         Texture coordinates, normals and materials of the triangles.
     vertex_map : (V0,) int array, optional
         For a welded sequence: the welded vertex of each vertex of the original mesh.
     validate : bool
-        ``False`` skips the check for NaN and Inf, which reads all frames; for data that is
-        known to be finite.
+        Whether to check for NaN and Inf, which reads all frames; ``False`` is for data known to
+        be finite.
 
     Raises
     ------
@@ -121,7 +121,7 @@ class MeshSequence:
 
     @property
     def is_lazy(self) -> bool:
-        """True where the vertices are not an array in memory."""
+        """Whether the vertices are read on demand instead of being an array in memory."""
         return type(self.vertices) is not np.ndarray
 
     def __len__(self) -> int:
@@ -135,7 +135,7 @@ class MeshSequence:
         )
 
     def frames(self, index: int | slice | ArrayLike) -> NDArray[np.floating]:
-        """Read the named frames into memory, ``(n, V, 3)`` or ``(V, 3)``."""
+        """Read frames into memory: ``(n, V, 3)``, or ``(V, 3)`` if `index` is an integer."""
         if isinstance(index, (int, np.integer, slice)):
             return native(self.vertices[index])
         order = np.asarray(index)
@@ -146,11 +146,11 @@ class MeshSequence:
         return np.stack([native(self.vertices[int(t)]) for t in order])
 
     def chunks(self, max_bytes: int = _CHUNK_BYTES) -> Iterator[tuple[int, NDArray[np.floating]]]:
-        """Read the frames in order, as ``(first frame, (n, V, 3) array)``."""
+        """Read all frames in order, in chunks: index of the first frame and ``(n, V, 3)`` array."""
         yield from _chunks(self.vertices, max_bytes)
 
     def diagonal(self) -> float:
-        """Diagonal of the largest bounding box of any frame."""
+        """Diagonal of the bounding box in the frame where it is largest."""
         largest = 0.0
         for _, block in self.chunks():
             extent = block.max(axis=1).astype(np.float64) - block.min(axis=1)
@@ -247,13 +247,13 @@ def _chunks(vertices: Any, max_bytes: int) -> Iterator[tuple[int, NDArray[np.flo
 
 
 def native(block: Any) -> NDArray[np.floating]:
-    """A block read into memory in native byte order, which a memory map need not have."""
+    """A block of frames in memory and in native byte order; a memory map may have the other."""
     array = np.asarray(block)
     return array.astype(array.dtype.newbyteorder("="), copy=False)
 
 
 def _identical(sequence: MeshSequence) -> NDArray[np.intp]:
-    """Label (V,) of each vertex; equal labels where positions are equal in every frame."""
+    """Labels ``(V,)``, equal for vertices whose positions are equal in every frame."""
     label = np.zeros(sequence.n_vertices, dtype=np.intp)
     for _, block in sequence.chunks():
         paths = np.ascontiguousarray(block.transpose(1, 0, 2)).reshape(len(label), -1)
@@ -330,7 +330,7 @@ def check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
 
 
 def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
-    """The shots of one mesh, from a sequence, a list of them, or plain frames and faces."""
+    """Checked list of sequences of one mesh, from one, a list of them, or an array and faces."""
     if isinstance(sequence, MeshSequence):
         shots = [sequence]
     elif (

@@ -27,7 +27,7 @@ _HANGUP = getattr(signal, "SIGHUP", None)  # none on Windows
 
 
 def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
-    """Raise ``KeyboardInterrupt`` at a signal."""
+    """Context in which a signal raises ``KeyboardInterrupt``."""
 
     def interrupt() -> None:
         raise KeyboardInterrupt
@@ -37,7 +37,7 @@ def interrupt_on_signals() -> contextlib.AbstractContextManager[None]:
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """An event that the first signal sets; the second signal ends the process."""
+    """Context that gives an event; the first signal sets it and the second ends the process."""
     stop = threading.Event()
 
     def ask() -> None:
@@ -52,7 +52,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 
 def _write_stderr(text: bytes) -> None:
-    """Write to stderr at once, whatever the main thread is writing."""
+    """Write to stderr without a buffer, since a signal may interrupt a buffered write."""
     with contextlib.suppress(OSError):  # a terminal that has been closed
         os.write(2, text)
 
@@ -62,7 +62,7 @@ def _handling(handler: Callable[[], None]) -> Iterator[None]:
     """Call `handler` at a signal inside the block, in the main thread.
 
     Signals that are ignored from the start, as under ``nohup``, stay ignored.  A terminal that
-    is closed may send SIGHUP several times, of which the first counts.
+    is closed may send SIGHUP several times; only the first one counts.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

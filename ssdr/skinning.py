@@ -45,20 +45,19 @@ class Skinning:
         vectors.
     faces : (T, 3) int array, optional
     fps : float, optional
-        Frames per second of the first clip, 24 by default; of the whole where
-        there is one clip or all have one rate.
+        Frames per second of the first clip; 24 by default.
     bone_model : {"rigid", "similarity", "affine"}
-        What the 3×3 blocks may be: rotations, uniformly scaled rotations,
-        anything.
+        What the 3×3 blocks may be: "rigid" rotations, "similarity" uniformly scaled rotations,
+        "affine" any matrices.
     keyframes : (F, B) bool array, optional
-        Which transforms are keys; the others follow by interpolation and
-        `transforms` holds their values.  None: every frame is a key.
+        Which transforms are keys; the others are interpolated, and `transforms` holds the
+        interpolated values.  None: every frame is a key.
     surface, vertex_map
         As in :class:`~ssdr.MeshSequence`.
     bone_names : tuple of str, optional
         ``bone_0``, ``bone_1``, ... by default.
     name : str
-        Of the mesh.
+        Name of the mesh.
     clips : tuple of Clip, optional
         Ranges of frames that play separately, each at its own rate; in order they
         cover all frames.  One clip over all frames by default.
@@ -175,10 +174,10 @@ class Skinning:
         return self.names()
 
     def local_transforms(self) -> NDArray[np.float64]:
-        """``(F, B, 3, 4)`` transforms of the joints relative to their parents'.
+        """``(F, B, 3, 4)`` transforms of the joints relative to the joints of their parents.
 
-        A joint's frame has its origin at the joint and, in the rest pose, the
-        axes of the world; that of a root is relative to the world.
+        A joint's coordinate system has its origin at the joint and, in the rest pose, the axes of
+        the world.  The transform of a root is relative to the world.
 
         Raises
         ------
@@ -198,7 +197,7 @@ class Skinning:
         return to_local(self.transforms, parents, positions)
 
     def joint_gaps(self) -> NDArray[np.float64]:
-        """``(F, B)`` distances between a joint's images under its bone and the parent.
+        """``(F, B)`` distances between where a bone and where its parent carry their joint.
 
         0 at roots, and 0 up to rounding where the joints are rigid.
 
@@ -250,13 +249,13 @@ class Skinning:
         return joint_freedom(self.transforms, parents, least_turn)
 
     def pose(self, local_rotations: ArrayLike, root: ArrayLike | None = None) -> Skinning:
-        """The same model in a new motion, given as rotations of its joints.
+        """A copy of the model with a new motion, given as rotations of its joints.
 
         Parameters
         ----------
         local_rotations : (f, B, 3, 3) or (f, B, 4) array
-            Rotation of each joint relative to its parent's frame, as a matrix
-            or a quaternion xyzw of length 1; those of one frame without f.
+            Rotation of each joint relative to its parent, as a matrix or a quaternion xyzw of
+            length 1.  The first axis may be left out for a single frame.
         root : (f, R, 3) array, optional
             Positions of the joints of the R roots, in the order of the bones;
             those of the rest pose by default.
@@ -299,14 +298,14 @@ class Skinning:
         return self.parents, self.joint_positions
 
     def skin(self, frames: Any = None, *, dtype: Any = None) -> NDArray[np.floating]:
-        """Positions ``(f, V, 3)`` of the named frames; all of them by default."""
+        """Vertex positions ``(f, V, 3)`` in the given frames, by default in all."""
         chosen = self.transforms
         if frames is not None:
             chosen = chosen[check_frames(frames, self.n_frames)]
         return skin(self.rest, self.indices, self.weights, chosen, dtype=dtype)
 
     def select(self, *clips: str | int) -> Skinning:
-        """The model with the named clips alone, in that order.
+        """A copy of the model with only the given clips (names or indices), in the given order.
 
         Raises
         ------
@@ -357,7 +356,7 @@ class Skinning:
         return matrix
 
     def centroids(self) -> NDArray[np.float64]:
-        """Weighted centroid ``(B, 3)`` in the rest pose of what each bone moves.
+        """Centroids ``(B, 3)`` of the vertices that each bone moves, by weight, in the rest pose.
 
         A bone that moves nothing gets the centroid of the mesh.
         """
@@ -371,8 +370,8 @@ class Skinning:
     def prune(self, influences: int, *, minimum: float = 0.0) -> Skinning:
         """Keep the largest weights of each vertex and renormalise.
 
-        At most `influences` weights are kept, each at least `minimum`, and the largest in any
-        case.  ``metrics.compare(model.skin(), pruned.skin())`` measures the cost.
+        At most `influences` weights of at least `minimum` are kept, and always the largest.
+        ``metrics.compare(model.skin(), pruned.skin())`` measures the error that this adds.
 
         Raises
         ------

@@ -29,11 +29,11 @@ class Start:
     indices, weights : (V, K) arrays, optional
         Skin weights; they stay at `locked_vertices`.
     locked_vertices : mask or indices, optional
-        All vertices by default.
+        Vertices whose given weights stay; all by default.
     transforms : (F, B0, 3, 4) array, optional
-        Bones, at most as many as asked for; `locked_bones` stay.
+        Transforms of B0 bones, at most as many as asked for; those of `locked_bones` stay.
     locked_bones : mask or indices, optional
-        All B0 bones by default.
+        Bones whose given transforms stay; all B0 by default.
 
     Examples
     --------
@@ -63,13 +63,14 @@ class Skeleton:
         A model with a hierarchy, such as :func:`load_skinning` reads.  If it moves another mesh,
         its joints are taken to lie in the rest frame and its weights are not used.
     joints : {"rigid", "loose"}
-        Each joint is one point under its bone and the parent in every frame, or may come apart.
+        "rigid": bone and parent carry the joint to the same point in every frame.  "loose": they
+        may carry it to different points.
     extra_bones : int or mapping
         Number of bones to add to the skeleton, placed where the error is largest, or how many
         below which bone, by name: ``{"chest": 2, "hips": 1}``.
     locked_joints : sequence of str
-        Joints whose rotation relative to their parent stays what the skeleton says: in each frame,
-        where it has as many as the sequence, else in its one pose.
+        Joints whose rotation relative to their parent stays as in the skeleton: frame by frame if
+        it has as many frames as the sequence, otherwise as in its only pose.
 
     Examples
     --------

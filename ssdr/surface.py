@@ -26,7 +26,7 @@ class Material:
     texture : bytes or None
         The encoded base colour image, carried untouched.
     texture_type : str
-        Its MIME type, ``image/png`` or ``image/jpeg``.
+        MIME type of the texture, ``image/png`` or ``image/jpeg``.
 
     Examples
     --------
@@ -48,8 +48,8 @@ class Material:
 class Surface:
     """Texture coordinates, normals and materials of a mesh, stored per triangle corner.
 
-    Kept per corner, it survives welding: a seam is where two corners at one
-    vertex differ.
+    Welding keeps these values, since they belong to corners; at a seam, corners at one vertex
+    differ.
 
     Attributes
     ----------

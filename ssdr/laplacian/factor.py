@@ -1,4 +1,4 @@
-"""Sparse symmetric positive definite systems: CHOLMOD where installed, SuperLU otherwise.
+"""Solvers of sparse symmetric positive definite systems: CHOLMOD if installed, or SuperLU.
 
 CHOLMOD is optional, since its packages have no wheels and its fast parts are under the GPL.
 Without it everything works, only slower.
@@ -31,7 +31,7 @@ def factor_spd(matrix: Any, *, backend: Backend | None = None) -> tuple[Solve, B
     Parameters
     ----------
     matrix : (n, n) sparse matrix or array
-        Both triangles stored.
+        Matrix with both triangles stored.
     backend : {"cholmod", "scipy"}, optional
         CHOLMOD (scikit-sparse 0.4 or 0.5) where installed, otherwise SciPy's
         SuperLU without pivoting.

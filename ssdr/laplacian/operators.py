@@ -1,7 +1,7 @@
 """Laplacians and mass matrices of a triangle mesh.
 
-Sign convention: L = D − W, positive semi-definite, so that −M⁻¹L is the
-discrete Laplace–Beltrami operator.
+Sign convention: L = D − W, with weights W of the edges and their row sums D, is positive
+semi-definite, so that −M⁻¹L with the masses M is the discrete Laplace–Beltrami operator.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def mass_matrix(
 
 
 def _moderate(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Points divided by 2**power, so that fourth powers do not overflow, and power (or 0)."""
+    """Points / 2^n, so that fourth powers do not overflow, and n (0 if they are small enough)."""
     largest = float(np.abs(points).max())
     power = int(np.frexp(largest)[1]) if largest > _MODERATE else 0
     return np.ldexp(points, -power), power
@@ -212,6 +212,6 @@ def _assemble(a: Any, b: Any, weights: NDArray[np.float64], n: int) -> csr_array
 def check_mesh(
     vertices: ArrayLike, faces: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices ``(V, 3)`` in float64, and triangles."""
+    """Checked vertices ``(V, 3)`` as float64 and triangles ``(T, 3)`` as int32."""
     points = check_floats(vertices, "vertices", ("V", 3)).astype(np.float64)
     return points, check_faces(faces, len(points))

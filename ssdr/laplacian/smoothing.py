@@ -36,13 +36,14 @@ _BATCH_BYTES = 64 << 20  # bytes of right-hand sides solved at a time, to bound 
 
 
 class LaplacianSmoother:
-    """Implicit smoothing (M + ℓ²L) x = M x₀; the matrix is factored once.
+    """Implicit smoothing: x from (M + ℓ²L) x = M x₀, with a matrix that is factored once.
 
+    Here x₀ are the given values, M is the mass matrix and L the Laplacian.
     This is one backward Euler step of the heat equation over the time ℓ².  A pattern of
     wavelength λ on the surface is multiplied by 1 / (1 + (2πℓ/λ)²): patterns much longer than 2πℓ
     stay and much shorter ones vanish, whatever the resolution of the mesh.  Constants stay.  The
     operator is built from one pose and can be applied to the coordinates of any other; it is linear
-    and commutes with rotations and translations of those.
+    and commutes with rotations and translations of the coordinates.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ class LaplacianSmoother:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrequencySplit:
-    """Smooth part and detail of a sequence, which add up to it.
+    """Smooth part and detail of a sequence; their sum is the sequence.
 
     Attributes
     ----------
@@ -215,7 +216,7 @@ class FrequencySplit:
 
     @property
     def backend(self) -> Backend:
-        """The library that solved, "cholmod" or "scipy"."""
+        """Library that solved the systems, "cholmod" or "scipy"."""
         return self.smoother.backend
 
 
@@ -229,7 +230,7 @@ def split_frequencies(
     mass: MassKind = "barycentric",
     backend: Backend | None = None,
 ) -> FrequencySplit:
-    """Split every frame into a smooth part and the detail that adds up to it.
+    """Split every frame into a smooth part and a detail, whose sum is the frame.
 
     Parameters
     ----------

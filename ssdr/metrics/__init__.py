@@ -1,4 +1,4 @@
-"""How far an animated mesh is from a reference: distances, Hausdorff, STED, or all in one call."""
+"""Errors of an animated mesh against a reference: distances, Hausdorff, STED, or all at once."""
 
 from __future__ import annotations
 

@@ -46,11 +46,11 @@ class Comparison(Distances):
 
     @property
     def distances(self) -> Distances:
-        """This comparison, whose own attributes are those of :class:`Distances`."""
+        """This comparison itself, since it has all attributes of :class:`Distances`."""
         return self
 
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
-        """Plain numbers for JSON.
+        """Dictionary of plain numbers, for JSON.
 
         Parameters
         ----------
@@ -100,8 +100,8 @@ def compare(
         Triangles of both; by default those of either sequence.  Without triangles, the Hausdorff
         distance is that of the vertices alone and STED has no spatial part.
     hausdorff, sted : bool
-        Whether to compute them, which takes most of the time.  For other parameters than the
-        defaults call :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
+        Whether to compute these metrics, which take most of the time.  For parameters other than
+        the defaults call :func:`~ssdr.metrics.hausdorff` and :func:`~ssdr.metrics.sted`.
 
     Returns
     -------

@@ -38,7 +38,7 @@ class Sted:
     neighbourhood, window, dt, c, signed
         Parameters of the call.
     normaliser : float
-        s, in the mesh's units.
+        Length s by which motion was divided, in the mesh's units.
 
     Examples
     --------
@@ -89,7 +89,7 @@ def sted(
     ----------
     reference, other : MeshSequence or (F, V, 3) array
     faces : (T, 3) int array, optional
-        Those of the sequences by default.
+        Triangles; those of the sequences by default.
     neighbourhood : int
         An edge is near a vertex if one of its ends is less than this number of
         edges away; 1 takes the edges at the vertex.

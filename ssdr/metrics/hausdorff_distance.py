@@ -21,7 +21,7 @@ __all__ = ["Hausdorff", "hausdorff"]
 
 _FRAMES = 8  # frames in a task: a search starts from the triangles found in the frame before
 _LEAF = 4  # approximate number of triangles in a leaf of the tree
-_FIRST = 32  # points searched before the bound is tested
+_FIRST = 32  # points searched before the bound is tested for the first time
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,9 +67,9 @@ def hausdorff(
 ) -> Hausdorff:
     """Symmetric Hausdorff distance of each frame.
 
-    max( max_a min_b ‖a − b‖, max_b min_a ‖a − b‖ ), with a and b the vertices of the two meshes;
-    for surfaces, the inner minimum is over the whole other surface.  The correspondence of vertices
-    is not used, so that sliding along the surface costs nothing.
+    The distance is max( max_a min_b ‖a − b‖, max_b min_a ‖a − b‖ ), where a and b are vertices of
+    the two meshes; for surfaces, the inner minimum is over the whole other surface.  The
+    correspondence of vertices is not used, so that sliding along the surface costs nothing.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def hausdorff(
 
 
 def _one_way(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Largest distance of a point of `a` to the set `b`."""
+    """Largest distance from a point of `a` to its nearest point of `b`."""
     tree = cKDTree(b, balanced_tree=False, compact_nodes=False)
     if len(a) != len(b):
         return float(np.max(tree.query(a)[0]))

@@ -18,7 +18,7 @@ _CHUNK_BYTES = 16 << 20  # bytes of float64 compared at a time, to bound memory
 def as_sequence(frames: Frames, faces: ArrayLike | None, argument: str) -> MeshSequence:
     """`frames` as a MeshSequence; `faces`, if given, replace its own.
 
-    `argument` is what errors call it.
+    `argument` is the name of `frames` in errors.
     """
     if isinstance(frames, MeshSequence):
         if faces is None:
@@ -67,14 +67,14 @@ def check_finite(first: MeshSequence, second: MeshSequence, *results: Any) -> No
 
 
 def edges_of(first: MeshSequence, second: MeshSequence) -> NDArray[np.int32]:
-    """Edges ``(E, 2)`` of the first sequence, or of the second if that alone has faces."""
+    """Edges ``(E, 2)`` of the first sequence, or of the second if only the second has faces."""
     faces = first.faces if len(first.faces) else second.faces
     ends = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
 
 
 def chunk_size(sequence: MeshSequence, per_frame: int = 0) -> int:
-    """Number of frames in a chunk; a frame takes `per_frame` float64 numbers, at least 3 V."""
+    """Number of frames in a chunk, if a frame takes `per_frame` numbers (at least 3 V)."""
     return max(1, _CHUNK_BYTES // (8 * max(per_frame, 3 * sequence.n_vertices)))
 
 

@@ -32,13 +32,13 @@ class Distances:
     mean, max : float
         Mean and largest distance.
     max_frame, max_vertex : int
-        Frame and vertex of the largest distance; the first of several.
+        Frame and vertex of the largest distance; the first if several are equal.
     per_frame : (F,) float64
         RMSE of each frame.
     per_vertex : (V,) float64
         RMSE of each vertex.
     diagonal : float
-        Of the reference's bounding box in the frame where it is largest.
+        Diagonal of the reference's bounding box in the frame where it is largest.
 
     Examples
     --------
@@ -120,7 +120,9 @@ def distances(reference: Frames, other: Frames) -> Distances:
 
 
 def rmse(reference: Frames, other: Frames) -> float:
-    """√(Σ ‖d‖² / (F V)) over all vertices and frames, in the mesh's units.
+    """Root mean square √(Σ ‖d‖² / (F V)) of the distances ‖d‖ between corresponding vertices.
+
+    The sum is over all V vertices and F frames; the result is in the mesh's units.
 
     Parameters
     ----------

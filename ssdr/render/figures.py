@@ -241,7 +241,7 @@ def _draw_scale(
 
 
 def write_picture(picture: Image.Image, path: str | os.PathLike[str], **options: Any) -> None:
-    """Write a picture to a file, whole or not at all.
+    """Write a picture to a file; an error leaves no partial file.
 
     Parameters
     ----------

@@ -44,9 +44,9 @@ class Film:
     fps : float
         Frames per second.
     titles : tuple of str or None
-        One for each panel.
+        Title of each panel.
     captions : tuple of str or None
-        One for each frame.
+        Caption of each frame shown.
     unit : (str, float)
         Unit of the stated errors, as in :func:`contact_sheet`.
 
@@ -91,7 +91,7 @@ class Film:
         reference : MeshSequence, optional
             The true animation, shown to the left of the subject.
         style : Style or sequence of Style, optional
-            One panel for each.
+            Style of each panel.
         size : (int, int)
             Width and height of a panel in pixels.
         frames : sequence of int, optional
@@ -155,7 +155,7 @@ class Film:
 
     @property
     def _paper(self) -> tuple[int, int, int]:
-        """Heights above and below the panels, and the width between them."""
+        """Heights of the white space above and below the panels, and its width between panels."""
         height = self.panels.view.size[1]
         head, gap = (round(0.1 * height), 2 * round(0.008 * height)) if self.titles else (0, 0)
         if self.captions is None:
@@ -195,7 +195,7 @@ class Film:
     def write(
         self, path: str | os.PathLike[str], callback: Callable[[float], object] | None = None
     ) -> Path:
-        """Write the looping film; arguments and errors as for :func:`animate`."""
+        """Write the looping film and return its path; arguments as for :func:`animate`."""
         path, options = Path(path), _options(Path(path))
         drawn = self.pictures(callback)
         if options["format"] == "GIF":

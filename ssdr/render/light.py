@@ -94,15 +94,15 @@ class Lights:
         return self.axes[:, 2]
 
     def only(self, chosen: NDArray[np.bool_]) -> Lights:
-        """Lights chosen by a mask ``(D,)``."""
+        """Copy with the lights that a mask ``(D,)`` chooses."""
         return Lights(*(getattr(self, f.name)[chosen] for f in dataclasses.fields(self)))
 
     def shares(self, points: Float, normals: Float, bias: float) -> Float:
         """Share ``(N, D)`` of each light that reaches points on a surface.
 
-        A surface that is nearer to the light than a point by less than `bias` casts no shadow on
-        it, one that is nearer by twice as much a full shadow.  Points are lifted by `bias` along
-        their normals, to the side of the light.
+        A surface nearer to the light than a point casts no shadow on it if the difference is less
+        than `bias`, and a full shadow if the difference is at least twice `bias`.  Points are
+        lifted by `bias` along their normals, to the side of the light.
         """
         out = np.empty((len(points), len(self.axes)))
         arrays = (self.axes, self.corners, self.scales, self.nearness)

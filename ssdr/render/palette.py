@@ -30,13 +30,13 @@ _HEAT = (
 
 
 def linear_from_srgb(color: ArrayLike) -> NDArray[np.float64]:
-    """Linear light from display values in [0, 1] (IEC 61966-2-1)."""
+    """Linear RGB from sRGB, in [0, 1] (IEC 61966-2-1)."""
     c = np.asarray(color, dtype=np.float64)
     return np.asarray(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4))
 
 
 def srgb_from_linear(color: ArrayLike) -> NDArray[np.float64]:
-    """Display values in [0, 1] from linear light, clipped."""
+    """Display values (sRGB) from linear RGB, clipped to [0, 1]."""
     c = np.clip(np.asarray(color, dtype=np.float64), 0.0, 1.0)
     return np.asarray(np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055))
 
@@ -82,9 +82,9 @@ def bone_colors(positions: ArrayLike) -> NDArray[np.float64]:
 
 
 def mix(colors: NDArray[np.float64], weights: ArrayLike, indices: ArrayLike) -> NDArray[np.float64]:
-    """Colours of vertices, linear RGB ``(V, 3)``, from those of bones ``(B, 3)`` and skin weights.
+    """Colours ``(V, 3)`` of vertices: bone colours ``(B, 3)`` blended by skin weights ``(V, K)``.
 
-    They are blended in OKLab by weights ``(V, K)``.
+    All colours are linear RGB; they are blended in OKLab.
     """
     lab = np.cbrt(colors @ _LMS_FROM_RGB.T) @ _LAB_FROM_LMS.T
     w, j = np.asarray(weights, dtype=np.float64), np.asarray(indices)
@@ -100,7 +100,7 @@ def heat(values: ArrayLike) -> NDArray[np.float64]:
 
 
 def _linear_from_oklab(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear RGB, which may lie outside the gamut of the display."""
+    """Linear RGB of OKLab colours; it may lie outside the gamut of the display."""
     return np.asarray((lab @ np.linalg.inv(_LAB_FROM_LMS).T) ** 3 @ np.linalg.inv(_LMS_FROM_RGB).T)
 
 

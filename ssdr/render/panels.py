@@ -39,7 +39,7 @@ class Panels:
     frames : tuple of int
     view : View
     top : float
-        Error with the last colour of the scale.
+        Error that has the last colour of the scale, in the mesh's units.
     exceeded : bool
         Whether a frame has a larger error.
     """
@@ -103,7 +103,7 @@ class Panels:
         return any(style == "error" for _, style in self.rows)
 
     def draw(self, frame: int) -> list[Image.Image]:
-        """Picture of a frame for each row."""
+        """Draw one frame in the style of each row; one picture per row."""
         stages: dict[int, Stage] = {}  # by scene, since all its rows share one
         pictures = []
         for scene, style in self.rows:
@@ -140,7 +140,7 @@ class Panels:
 
 
 def as_many(name: str, texts: Sequence[str], things: Sequence[Any]) -> list[str]:
-    """Texts as a list, checked to be one for each thing."""
+    """Texts as a list, checked to be as many as `things`."""
     if isinstance(texts, str) or len(texts) != len(things):
         raise InputError(name, f"{len(things)} texts", texts)
     return [str(t) for t in texts]
@@ -172,7 +172,8 @@ def _checked_style(style: Style | None, scene: Scene) -> Style:
 def _round_up(value: float) -> float:
     """Round up to 1, 1.5, 2, 3, 4, 5, 6 or 8 times a power of ten.
 
-    An excess of up to 0.1 % over a step does not count; 1 if the value is not positive.
+    A value up to 0.1 % above such a number is rounded down to it.  The result is 1 if the value is
+    not positive.
     """
     if not value > 0:
         return 1.0

@@ -1,4 +1,4 @@
-"""Camera, and the nearest triangle or ball in each of its pixels."""
+"""Camera and rasteriser: the nearest triangle or ball in each pixel."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Camera:
     eye : (3,) float64
         Centre of projection; for a parallel projection any point on its axis.
     scale : float
-        Half the height of the picture in the mesh's units; for a perspective projection at
-        distance 1.
+        Half the height of what the picture shows, in the mesh's units; for a perspective
+        projection at distance 1 from the eye.
     perspective : bool
     vertical : (3,) float64
         Up axis of the world.
@@ -122,7 +122,7 @@ class Camera:
         return cls(axes, centre @ axes, tall, True, vertical)
 
     def project(self, points: Float, size: tuple[int, int]) -> Float:
-        """Pixel coordinates x and y, and nearness, ``(N, 3)``; NaN behind the camera."""
+        """Pixel coordinates x, y and nearness ``(N, 3)``; NaN for points behind the eye."""
         width, height = size
         view = (np.asarray(points, dtype=np.float64) - self.eye) @ self.axes.T
         z = -view[:, 2]
@@ -136,7 +136,7 @@ class Camera:
         return np.stack([width / 2 + x, height / 2 - y, near], axis=1)
 
     def pixels_per_unit(self, size: tuple[int, int]) -> float:
-        """Pixels per unit of length; for a perspective projection at distance 1."""
+        """Pixels per unit of length; for a perspective projection, at distance 1 from the eye."""
         return size[1] / 2 / self.scale
 
     def rays(
@@ -226,7 +226,7 @@ def _nearest(kernel: Any, shapes: Float, faces: Any, nearness: Float) -> tuple[P
 
 
 def block_mean(values: Float, step: int) -> Float:
-    """Mean over blocks of `step` by `step` pixels; height and width are multiples of `step`."""
+    """Mean of each block of `step` × `step` pixels; `step` must divide height and width."""
     rows = values[0::step].copy()
     for k in range(1, step):  # several times faster than a mean over two axes
         rows += values[k::step]
@@ -237,7 +237,7 @@ def block_mean(values: Float, step: int) -> Float:
 
 
 def up_axes(up: str) -> tuple[Float, Float, Float]:
-    """Unit vectors up, to the front and to the right of the front, for an up axis."""
+    """Unit vectors towards the up axis, the front, and the right seen from the front."""
     name = up.lstrip("-") if isinstance(up, str) else ""
     if name not in ("x", "y", "z") or up not in (name, f"-{name}"):
         raise InputError("up", "x, y or z, with or without a minus", repr(up))

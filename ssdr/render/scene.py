@@ -39,11 +39,11 @@ class Scene:
     subject : MeshSequence or Skinning
     reference : MeshSequence or None
     vertex_map : (V,) int32 or None
-        Vertex of a welded subject for each vertex shown.
+        For each vertex shown, the vertex of the welded subject.
     parts : tuple of Part
         At least one; errors are those of the measured parts.
     has_parts : bool
-        Whether the parts were given.
+        Whether the caller gave parts.
     regions : dict of str to (V,) bool
         Sets of vertices whose RMSE is stated.
     """
@@ -124,7 +124,7 @@ class Scene:
 
     @functools.cached_property
     def diagonal(self) -> float:
-        """Diagonal of the bounding box in the frame where it is largest; 1 instead of 0."""
+        """Diagonal of the bounding box in the frame where it is largest; 1 if it is 0."""
         shown = self.reference or self.subject
         if isinstance(shown, MeshSequence):
             return shown.diagonal() or 1.0
@@ -162,7 +162,7 @@ class Scene:
         return np.asarray(np.any([p.vertices for p in self.parts if p.measured], axis=0))
 
     def error_range(self, frames: Sequence[int]) -> tuple[float, float]:
-        """The 99.5th percentile and the maximum of the errors of measured vertices."""
+        """99.5th percentile and maximum of the errors of measured vertices in some frames."""
         errors = np.stack([self.errors(t)[self.measured] for t in frames])
         # bounded below, so that float32 rounding does not look like an error
         return max(float(np.quantile(errors, 0.995)), 1e-6 * self.diagonal), float(errors.max())
@@ -177,7 +177,7 @@ class Scene:
         return math.sqrt(total / (len(order) * int(chosen.sum())))
 
     def figures(self, frames: Sequence[int] | None, unit: Unit) -> str:
-        """Text with the RMSE of each region, or of the measured vertices."""
+        """Text with the RMSE of each region or, without regions, of the measured vertices."""
         name, factor = unit
         found = []
         for region, mask in (self.regions or {"": self.measured}).items():
@@ -191,7 +191,7 @@ class Scene:
         return " and ".join(p.name for p in self.parts if p.measured)
 
     def summary(self, with_error: bool, unit: Unit) -> str:
-        """Line of text with counts and error."""
+        """Line of text with numbers of vertices, frames and bones and, on request, the error."""
         texts = [f"{self.subject.n_vertices:,} vertices", f"{self.subject.n_frames:,} frames"]
         if self.has_parts:
             texts[0] = f"{self.measured_name}: {int(self.measured.sum()):,} vertices"
@@ -247,5 +247,5 @@ def number(value: float, unit: Unit) -> str:
 
 
 def evenly(count: int, most: int = _SOME_FRAMES) -> list[int]:
-    """Integers spread evenly from 0 to count − 1, at most `most` of them."""
+    """At most `most` integers, spread evenly from 0 to count − 1."""
     return [int(k) for k in np.linspace(0, count - 1, min(count, most))]

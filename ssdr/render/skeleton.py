@@ -30,7 +30,8 @@ def draw_bones(
     """Draw the bones of a frame over a picture.
 
     With a hierarchy a bone is drawn as octahedra from its joint to the joints of its children, or
-    to its end.  Without one it is a ball, with axes, at the posed centroid of what it moves.
+    to its end.  Without a hierarchy it is a ball with axes at the posed centroid of the vertices
+    that it moves.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Visible points of a posed subject and the light on them, for any colours."""
+"""Visible points of a posed subject and the light on them, shared by pictures in all colours."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Stage:
     corners : (N, k) int32
         Vertices of the triangle in each of these pixels, or the vertex of a cloud.
     share : (N, k) float64
-        Barycentric coordinates for them.
+        Barycentric coordinates of the pixel among these vertices.
     normal, around, reached
         As in :func:`reflected`.
     """

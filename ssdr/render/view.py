@@ -25,7 +25,7 @@ _SIDES = (25, -25, 40, -40, 60, -60, 10, -10)  # azimuths to choose from, in deg
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """Camera of all panels, and the shift of each frame towards it.
+    """Camera of all panels, and the shift that keeps a travelling subject in view.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class View:
     ground : float
         Height of the lowest point along the camera's vertical.
     shift : dict of int to (3,) float64
-        Subtracted from the points of each frame.
+        Vector subtracted from the points of each frame, by frame index.
     """
 
     camera: Camera
