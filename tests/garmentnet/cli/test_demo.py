@@ -24,8 +24,9 @@ def test_an_interrupted_demo_continues_and_gives_scores_and_pictures(tmp_path):
     summary = demo.run_demo(tmp_path / "demo", progress=lambda step, *_: steps.append(step))
     assert not any(step.startswith("simulating, 0") for step in steps)
     assert not any(step == "training low, epoch 1" for step in steps)
-    scores = {line.split("|")[0].strip(): line.split("|") for line in summary["table"][2:]}
-    overall = {name: float(cells[3].split()[0]) for name, cells in scores.items()}
+    names = [cell.strip() for cell in summary["table"][0].split("|")]
+    rows = [[cell.strip() for cell in line.split("|")] for line in summary["table"][2:]]
+    overall = {row[1]: float(row[names.index("overall RMSE")]) for row in rows}
     assert overall["network"] < overall["mean shape"]
     sheet, film, checkpoint = map(Path, summary["files"])
     assert checkpoint.is_file()
