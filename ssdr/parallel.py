@@ -86,10 +86,10 @@ def chunk_bounds(n: int, size: int) -> list[tuple[int, int]]:
 
 
 def run_chunks(function: Callable[..., Any], bounds: list[tuple[int, int]]) -> list[Any]:
-    """Call ``function(chunk number, start, stop)`` for every chunk, in threads; list of results.
+    """List of the results of ``function(chunk number, start, stop)`` for all chunks, in threads.
 
-    The results are in the order of the chunks.  The first exception ends the work and is raised.  The
-    function may itself call ``run_chunks``.
+    The results are in the order of the chunks.  The first exception ends the work and is raised.
+    The function may itself call ``run_chunks``.
 
     Examples
     --------
