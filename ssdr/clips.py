@@ -164,7 +164,10 @@ def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
 
 
 def readable(name: object) -> str:
-    """A name as text without what files cannot hold: NUL and lone surrogates."""
+    """A name as text that any file can hold.
+
+    NUL is removed, and each lone surrogate becomes a question mark.
+    """
     return str(name).replace("\0", "").encode("utf-8", "replace").decode()
 
 

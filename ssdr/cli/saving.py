@@ -86,9 +86,9 @@ def check_file(path: Path, option: str, *, force: bool, others: Iterable[Path]) 
 def try_format(
     path: Path, settings: Settings, options: FitOptions, mesh: MeshSequence, clips: Sequence[Clip]
 ) -> None:
-    """Save a small model like the one to come, so that errors of the format come before the work.
+    """Save a small stand-in for the result, so that a format that cannot store it fails early.
 
-    The small model has the mesh, the clips (with two frames each), the bone model and the number of
+    The stand-in has the mesh, the clips (with two frames each), the bone model and the number of
     influences of the model to come. It is written to a temporary folder.
 
     Raises

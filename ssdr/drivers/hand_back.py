@@ -97,9 +97,9 @@ def outcome_of(
 ) -> Outcome:
     """Outcome of a run: the model in the input's space, its true error, and the history.
 
-    If the call started from a model that has less error and could be its result, that model is
-    handed back.  `steps` hold squared errors in the solver's space; `idle` is the number of bones
-    that could each be removed at no loss.
+    If the call was given a start model that it may return unchanged (see `_is_an_answer`), and the
+    error of that model is less, the start model is returned instead. `steps` hold squared errors in
+    the solver's space; `idle` is the number of bones that could each be removed at no loss.
     """
     count = problem.n_frames * problem.n_vertices
 
@@ -127,7 +127,11 @@ def outcome_of(
 
 
 def _is_an_answer(problem: Problem, start: Skinning) -> bool:
-    """Whether the model that a call starts from could be its result if its error is less."""
+    """Whether the call may return its start model unchanged.
+
+    It may if the model has all frames of the problem, the call has neither importances nor
+    smoothness, and, for a rigid rig, the given tree is rigid.
+    """
     plain = problem.vertex_importance is None and problem.frame_importance is None
     rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
     frames = start.n_frames == problem.n_frames

@@ -67,7 +67,10 @@ def carried(
 
 
 class AllFrames:
-    """Model for all frames, carried over from some of them and improved by passes over all.
+    """A model of all frames, started from a model of chosen frames.
+
+    Each frame takes the transforms of the most similar chosen frame at first; each
+    :meth:`pass_over` then improves the model on all frames.
 
     Parameters
     ----------

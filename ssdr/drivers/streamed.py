@@ -41,7 +41,10 @@ PASSES = {"fast": 1, "balanced": 4, "best": 8}  # most passes over all frames
 
 
 def solve(problem: Problem) -> Outcome:
-    """Solve a problem on representative frames, settle it on more frames, finish it on all.
+    """Fit a model to representative frames, and improve it by passes over all frames.
+
+    Between both it is refined on as many frames as fit into memory, if these are more, unless the
+    run is stopped or out of time.
 
     Raises
     ------

@@ -34,7 +34,7 @@ class StorageError:
         self._largest = max(self._largest, float(squares.max()))
 
     def round(self, block: NDArray[np.floating], first: int) -> NDArray[np.float32]:
-        """Return `block` in float32, and add the error of this rounding.
+        """Round `block` to float32, count the rounding distances in the statistics, and return it.
 
         `first` is the number of the block's first frame, for the error message.
 

@@ -163,7 +163,9 @@ def invert(a, n, full, row):
 
 @inline
 def cheapest_to_drop(h, w, n, a, full, row, scale):
-    """The two of n weights, except the last, whose removal raises the error least; cheapest first.
+    """Positions of the two weights that are cheapest to remove, cheapest first.
+
+    The last of the n weights is no candidate. A position is -1 if there is no such weight.
 
     Removing weight q raises the error by w_q² / P_qq, where P is the inverse of h restricted to
     changes of the weights that keep their sum.  This is exact if the other weights stay positive.

@@ -38,7 +38,9 @@ _DAMPING = 1e-3  # initial damping of these steps, as in the solver
 
 
 class Nested:
-    """Models with fewer and fewer influences, from which each vertex takes its weights.
+    """Series of models, each with one influence per vertex fewer than the one before.
+
+    Pruning chooses for each vertex the model that gives it its rest position and weights.
 
     Parameters
     ----------
@@ -105,7 +107,10 @@ class Pruned(NamedTuple):
 
 
 class Pruner:
-    """Search for the highest price of a byte at which a model holds the tolerance.
+    """Drops influences and keyframes of a model while its error stays within the tolerance.
+
+    It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
+    tolerance, and returns the smallest model that it found.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ _TRANSLATION_BYTES = 12
 
 @dataclasses.dataclass(frozen=True)
 class Attempt:
-    """One attempt at a number of bones.
+    """Record of one attempt to reach the tolerance with a given number of bones.
 
     Attributes
     ----------

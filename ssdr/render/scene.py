@@ -107,7 +107,7 @@ class Scene:
 
     @property
     def model(self) -> Skinning:
-        """The subject as a Skinning."""
+        """The subject, which must be a Skinning (see `has_bones`)."""
         assert isinstance(self.subject, Skinning)
         return self.subject
 

@@ -283,7 +283,10 @@ def entering_at(step: int) -> int:
 
 
 def polish_steps(data: Trajectories, model: Model, count: int, locked: Locked) -> None:
-    """Make `count` polish steps (in place); every third lets bones enter the supports."""
+    """Make `count` Gauss–Newton steps (in place).
+
+    In the first and in every third step after it, further bones may become influences of a vertex.
+    """
     polish = GaussNewton(data, model, locked=locked)
     for k in range(count):
         polish.step(entering=entering_at(k))

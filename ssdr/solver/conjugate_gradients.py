@@ -108,7 +108,10 @@ class Recycled:
         return Recycled(directions, images)
 
     def update(self, precondition: Operator) -> Operator:
-        """The preconditioner Vᵀ P V + Σ s sᵀ, given P = `precondition`."""
+        """Operator that applies Vᵀ P V + Σ s sᵀ, as the class defines it.
+
+        It is the preconditioner P = `precondition`, improved by the kept directions.
+        """
         s, y = self.directions, self.images
         pieces = chunk_bounds(s.shape[1], _COLUMNS)
 

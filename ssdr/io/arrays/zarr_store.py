@@ -125,7 +125,10 @@ def _zstd_size(data: Any) -> int:
 
 
 def write_sequence(sequence: MeshSequence, path: Path) -> SaveReport:
-    """Write ``vertices`` in chunks of whole frames, ``faces`` and ``fps``, without loss."""
+    """Write a zarr store: ``vertices``, ``faces`` and the attribute ``fps``.
+
+    Each chunk of ``vertices`` holds whole frames. Numbers keep their full precision.
+    """
     zarr = require("zarr", "zarr", str(path))
     if not path.parent.is_dir():
         raise InputError("path", "a folder in a folder that exists", str(path))

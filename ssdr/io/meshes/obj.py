@@ -177,7 +177,11 @@ def _texture(path: Path, value: str) -> tuple[bytes | None, str]:
 
 
 class ObjWriter:
-    """Writer of one file per frame of a mesh, which makes the text common to all files once."""
+    """Writer of a mesh as one OBJ file per frame.
+
+    Lines that are the same in all files (faces, texture coordinates, materials) are formatted only
+    once.
+    """
 
     def __init__(
         self, faces: NDArray[np.int32], surface: Surface | None, folder: Path, stem: str

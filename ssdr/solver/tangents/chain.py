@@ -158,7 +158,11 @@ class ChainTangent(Tangent):
         return self.parts(x)[1]
 
     def parts(self, x: Array) -> tuple[Array, Array]:
-        """Views of the unknowns of the frames (F, 3B + 3R) and of the joints (J, 3)."""
+        """Split x into two views: the unknowns of the frames, and those of the joints.
+
+        The first is (F, 3B + 3R) for B bones and R roots; the second, (J, 3), are the changes δc of
+        the J joints that may move.
+        """
         n_frames, n_bones = self.model.transforms.shape[:2]
         size = 3 * (n_bones + len(self._roots))
         return x[: n_frames * size].reshape(n_frames, size), x[n_frames * size :].reshape(-1, 3)
