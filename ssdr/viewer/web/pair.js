@@ -1,0 +1,10 @@
+// A page of two sequences has errors, but no bones: what the panel offers for it.
+
+if (doc.error && !doc.rig) {
+  ready.then(() => {
+    if (!doc.input) return set({ view: "result" });
+    $("views").hidden = $("colors").hidden = false;
+    document.querySelector("[name=color][value=error]").closest("label").hidden = false;
+    return set({ view: "side", color: "error" });
+  });
+}

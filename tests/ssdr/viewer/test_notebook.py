@@ -1,0 +1,140 @@
+"""What a notebook shows: the page in a frame, or a picture, and never an error."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import html
+import io
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import ssdr
+from helpers.page import Held
+from ssdr.viewer import notebook
+from ssdr.viewer.page import page_text
+
+HINT = "Its page would be large here: ssdr.view(...) opens it by itself."
+
+
+class Elements(HTMLParser):
+    """Attributes of the elements of a text by name, and its words."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.words = {}, ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.found[tag] = dict(attributes)
+
+    def handle_data(self, data):
+        self.words += data
+
+
+def elements(thing):
+    return Elements(thing._repr_html_())
+
+
+@pytest.fixture(scope="module")
+def dancer():
+    return ssdr.samples.load("dancer_small")
+
+
+@pytest.fixture(scope="module")
+def result(dancer):
+    return ssdr.decompose(dancer, bones=4, effort="fast")
+
+
+@pytest.mark.parametrize("kind", ["sequence", "skinning", "decomposition"])
+def test_a_small_one_is_its_page_in_a_frame(dancer, result, kind):
+    thing = {"sequence": dancer, "skinning": result.skinning, "decomposition": result}[kind]
+    shown = elements(thing)
+    page = shown.found["iframe"]["srcdoc"]
+    assert page == page_text(thing)[0]
+    assert shown.words == repr(thing)
+    assert len(page) <= 3_000_000
+    frames = Held(page).input() if kind == "sequence" else Held(page).vertices()
+    truth = dancer.vertices if kind == "sequence" else result.reconstruct()
+    np.testing.assert_allclose(frames, truth, atol=1e-4 * dancer.diagonal())
+
+
+def test_a_page_above_the_limit_is_a_picture_of_the_middle(dancer, result, monkeypatch):
+    monkeypatch.setattr(notebook, "_PAGE_BYTES", 1000)
+    for thing in (dancer, result.skinning, result):
+        image = elements(thing).found["img"]
+        assert image["alt"] == "frame 12"
+        picture = Image.open(io.BytesIO(base64.b64decode(image["src"].partition(",")[2])))
+        assert picture.size == (480, 360)
+        assert np.asarray(picture).std() > 10
+    other = dataclasses.replace(dancer, vertices=np.roll(dancer.vertices, -12, axis=0)[:1])
+    assert elements(other).found["img"]["src"] == elements(dancer).found["img"]["src"]
+
+
+def test_frames_too_many_to_walk_over_are_not_read(dancer):
+    class Watched:
+        shape, dtype = (10**6, 799, 3), np.dtype(np.float32)
+        read = 0
+
+        def __getitem__(self, index):
+            block = np.broadcast_to(dancer.vertices[0], self.shape)[index]
+            self.read += block.size // (799 * 3)
+            return block
+
+    watched = Watched()
+    shown = elements(ssdr.MeshSequence(watched, dancer.faces, validate=False))
+    assert "img" in shown.found
+    assert "iframe" not in shown.found
+    assert watched.read == 1
+
+
+def test_a_mesh_too_large_to_draw_is_its_figures():
+    many = ssdr.MeshSequence(np.zeros((50, 50_001, 3), np.float32))
+    shown = elements(many)
+    assert not {"iframe", "img"} & set(shown.found)
+    assert shown.words == "MeshSequence(F=50, V=50001, T=0, fps=24, float32)" + HINT
+
+
+def test_what_fails_is_left_out(dancer, monkeypatch):
+    def broken(*_, **__):
+        raise RuntimeError("no")
+
+    monkeypatch.setattr("ssdr.viewer.page.page_text", broken)
+    assert "img" in elements(dancer).found
+    monkeypatch.setattr("ssdr.render.render_frame", broken)
+    assert elements(dancer).words == repr(dancer) + HINT
+
+
+def test_points_one_frame_and_names_that_mean_harm():
+    name = '"></iframe><script>alert(1)</script>'
+    for faces in (None, [[0, 1, 2]]):
+        shown = elements(ssdr.MeshSequence(np.eye(3)[None], faces, name=name))
+        assert set(shown.found) == {"div", "iframe"}
+        assert Held(shown.found["iframe"]["srcdoc"]).document["title"] == name
+
+
+CELLS = (
+    "import ssdr\ndancer = ssdr.samples.load('dancer_small')\ndancer",
+    "result = ssdr.decompose(dancer, bones=4, effort='fast')\nresult",
+    "result.skinning",
+    "from ssdr.viewer import notebook\nnotebook._PAGE_BYTES = 1\nresult",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of packages that only a notebook needs
+def test_cells_of_a_notebook_that_runs(tmp_path):
+    nbformat, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    pytest.importorskip("ipykernel")
+    book = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in CELLS])
+    client.NotebookClient(book, timeout=300, resources={"metadata": {"path": tmp_path}}).execute()
+    shown = [cell.outputs[-1].data for cell in book.cells]
+    kinds = ["MeshSequence", "Decomposition", "Skinning", "Decomposition"]
+    for data, kind, tag in zip(shown, kinds, ["iframe"] * 3 + ["img"], strict=True):
+        assert data["text/plain"].startswith(kind)
+        assert re.search(rf"<{tag} ", data["text/html"])
+        assert html.escape(data["text/plain"]) in data["text/html"]
