@@ -1,0 +1,1 @@
+"""Clients of the command ``ssdr`` for other programs; none of them is imported here."""

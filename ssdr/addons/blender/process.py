@@ -1,0 +1,93 @@
+"""Processes that are followed without waiting for them, and the environment in which ssdr lies."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Generator
+from pathlib import Path
+
+_STEP = re.compile(r"DEBUG \S+ (.+), iteration \d+, rmse (\S+), (\d+) % done")
+
+
+class Problem(Exception):
+    """Error whose message is shown to the user."""
+
+
+def python_in(folder: Path) -> Path:
+    """Path of the Python executable in a virtual environment."""
+    return folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+
+
+def installation(environment: Path, source: str) -> list[list[str]]:
+    """Commands that make an environment and install ssdr into it.
+
+    `source` is a wheel, a folder that holds the wheels of ssdr and of all that it needs (then no
+    network is used), or empty: ssdr by its name.
+    """
+    what = ["ssdr"]
+    if Path(source).is_dir() and source:
+        what = ["--no-index", "--find-links", source, "ssdr"]
+    elif source:
+        if not (source.endswith(".whl") and Path(source).is_file()):
+            raise Problem(f"{source} is neither a wheel nor a folder of wheels")
+        what = ["--find-links", str(Path(source).parent), source]
+    python = str(python_in(environment))
+    return [
+        [sys.executable, "-m", "venv", "--clear", str(environment)],
+        [python, "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *what],
+        [python, "-m", "ssdr", "--version"],
+    ]
+
+
+def follow(words: list[str], folder: Path) -> Generator[str, None, str]:
+    """Run a command in a folder, which gets its output; yield its last line of stderr meanwhile.
+
+    The value that the generator returns is what the command wrote to stdout.  Closing the generator
+    kills the process.
+    """
+    out, err = folder / "stdout.txt", folder / "stderr.txt"
+    hidden = {"creationflags": 0x08000000} if sys.platform == "win32" else {}  # no console window
+    with out.open("wb") as stdout, err.open("wb") as stderr:
+        try:
+            process = subprocess.Popen(
+                words, cwd=folder, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, **hidden
+            )
+        except OSError as error:
+            raise Problem(f"{words[0]} cannot be run: {error.strerror}") from error
+        try:
+            while process.poll() is None:
+                yield _last_line(err)
+                time.sleep(0.02)
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    text = out.read_text(encoding="utf-8", errors="replace")
+    if process.returncode:
+        raise Problem(_error_in(text) or _last_line(err) or f"{words[0]} failed without a word")
+    return text
+
+
+def progress(line: str) -> tuple[float, str]:
+    """Fraction of the work that is done, and a text, from a line of the solver's log."""
+    step = _STEP.match(line)
+    if step is None:
+        return 0.0, "preparing (the first run compiles, for about a minute)"
+    return int(step[3]) / 100, f"{step[1]}, RMSE {step[2]}"
+
+
+def _last_line(path: Path) -> str:
+    with path.open("rb") as stream:
+        stream.seek(max(0, os.path.getsize(path) - 2000))
+        lines = stream.read().decode("utf-8", "replace").split("\n")
+    return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def _error_in(text: str) -> str:
+    try:
+        return str(json.loads(text)["error"])
+    except (ValueError, TypeError, KeyError):
+        return ""

@@ -1,0 +1,230 @@
+"""Limits of the engines that play skinned models, and what they do to a model beyond them.
+
+The page on engines quotes the source of each number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .hierarchy.transforms import rest_diagonal
+from .lbs import skin
+from .quantisation import WeightStorage, quantise, weight_values
+from .skinning import Skinning
+from .space import METRES_Y_UP, Space
+
+__all__ = ["ENGINES", "Engine", "EngineName", "Finding", "findings", "n_roots"]
+
+EngineName = Literal["unreal", "unity", "godot", "three", "bevy", "web"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Engine:
+    """What an engine takes of a skinned model.
+
+    Attributes
+    ----------
+    title : str
+    suffixes : tuple of str
+        Formats that it reads; the first is the one to write.
+    influences : int
+        Influences of a vertex that it keeps with its default settings.
+    influences_why : str
+        What becomes of more, and which setting keeps them.
+    bones : int or None
+        Most bones of a mesh; None: none is known below that of the format.
+    still_bones : bool
+        Whether bones that move no vertex count among them.
+    bones_kind : {"refused", "cut off"}
+        What becomes of more.
+    bones_why : str
+    storage : {"float32", "uint16", "uint8"}
+        Type in which it holds weights with its default settings.
+    rounds_down : bool
+        Whether it divides weights by their sum in float32 and then rounds each down, so that they
+        sum to less than 1 and draw vertices towards the origin; else their sum is kept.
+    write : {"float32", "uint16", "uint8"}
+        Type in which to store weights: the finest that any of its settings holds.
+    space : Space
+        Unit and up axis that a model has once it is imported.
+    lost_in_names : str
+        Regular expression of what bone names do not keep.
+    one_root : bool
+        Whether all bones must hang on one root.
+    ignores_case : bool
+        Whether names that differ in case alone count as the same.
+    """
+
+    title: str
+    suffixes: tuple[str, ...] = (".glb", ".gltf")
+    influences: int = 4
+    influences_why: str
+    bones: int | None = None
+    still_bones: bool = True
+    bones_kind: Literal["refused", "cut off"] = "cut off"
+    bones_why: str = ""
+    storage: WeightStorage = "float32"
+    rounds_down: bool = False
+    write: WeightStorage = "float32"
+    space: Space = METRES_Y_UP
+    lost_in_names: str = r"(?!)"
+    one_root: bool = False
+    ignores_case: bool = False
+
+
+ENGINES: dict[EngineName, Engine] = {
+    "unreal": Engine(
+        title="Unreal Engine",
+        suffixes=(".fbx", ".glb", ".gltf", ".usd", ".usda", ".usdc"),
+        influences=8,
+        influences_why="Unlimited Bone Influences keeps 12",
+        bones=256,
+        still_bones=False,
+        bones_kind="refused",
+        bones_why="for each material; not drawn unless Support 16-bit Bone Index is on",
+        storage="uint8",
+        write="uint16",
+        space=Space(0.01, "z"),
+        lost_in_names=r"^.*:",
+        one_root=True,
+        ignores_case=True,
+    ),
+    "unity": Engine(
+        title="Unity",
+        suffixes=(".fbx", ".glb", ".gltf"),
+        influences_why="of .fbx, Skin Weights: Custom and Quality: Auto keep up to 255",
+    ),
+    "godot": Engine(
+        title="Godot",
+        suffixes=(".glb", ".gltf", ".fbx"),
+        influences=8,
+        influences_why="JOINTS_0 and JOINTS_1 are read",
+        storage="uint16",
+        rounds_down=True,
+        write="uint16",
+        lost_in_names=r"[:/]",
+    ),
+    "three": Engine(
+        title="three.js",
+        suffixes=(".glb", ".gltf", ".fbx"),
+        influences_why="a vertex has one skinIndex and one skinWeight of 4",
+        lost_in_names=r"[\s\[\].:/]",
+    ),
+    "bevy": Engine(
+        title="Bevy",
+        influences_why="JOINTS_0 alone is read",
+        bones=256,
+        bones_why="where the GPU has no storage buffers, as in WebGL 2",
+    ),
+    "web": Engine(
+        title="glTF viewers",
+        influences_why="a viewer need not read more than JOINTS_0",
+        bones=65535,
+        bones_kind="refused",
+        bones_why="JOINTS_0 is of 16 bits",
+        write="uint16",
+    ),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One thing that an engine does to a model: "refused", "cut off", "rounded" or "renamed"."""
+
+    kind: Literal["refused", "cut off", "rounded", "renamed"]
+    text: str
+
+
+def findings(model: Skinning, engine: Engine, suffix: str) -> tuple[Finding, ...]:
+    """What an engine would refuse, cut off, round or rename of a model.
+
+    Parameters
+    ----------
+    model : Skinning
+    engine : Engine
+    suffix : str
+        That of the model's file, such as ``".glb"``.
+
+    Returns
+    -------
+    tuple of Finding
+        Empty if there is nothing to say.
+    """
+    return tuple(_findings(model, engine, suffix))
+
+
+def _findings(model: Skinning, engine: Engine, suffix: str) -> Iterator[Finding]:
+    if suffix not in engine.suffixes:
+        yield Finding("refused", f"format {suffix}: reads {', '.join(engine.suffixes)}")
+    count = model.n_bones if engine.still_bones else len(np.unique(model.sparse_weights().indices))
+    if engine.bones is not None and count > engine.bones:
+        text = f"{count} bones: takes {engine.bones} ({engine.bones_why})"
+        yield Finding(engine.bones_kind, text)
+    roots = n_roots(model)
+    if engine.one_root and roots > 1:
+        text = f"{roots} root bones: takes 1, unless it counts a node above them as one"
+        yield Finding("refused", text)
+    kept = model
+    used = (model.weights > 0).sum(axis=1)
+    if used.max() > engine.influences:
+        kept = model.prune(engine.influences)
+        text = (
+            f"{int(used.max())} influences, of {int((used > engine.influences).sum()):,} vertices "
+            f"more than {engine.influences}: keeps {engine.influences} ({engine.influences_why}); "
+            f"{_moved(model, kept.indices, kept.weights)}"
+        )
+        yield Finding("cut off", text)
+    if engine.storage != "float32":
+        indices, weights = _rounded(kept, engine)
+        off = float(np.abs(weights - kept.weights).max())
+        if off > 1e-7:  # more than float32 rounds
+            text = f"weights, to {8 * np.dtype(engine.storage).itemsize} bits"
+            if engine.rounds_down:
+                text += ", down"
+            moved = _moved(kept, indices, weights)
+            yield Finding("rounded", f"{text}: off by up to {off:.2g}; {moved}")
+    yield from _renamed(model.names(), engine)
+
+
+def _rounded(model: Skinning, engine: Engine) -> tuple[NDArray[np.integer], NDArray[np.floating]]:
+    """Indices and weights that the engine holds."""
+    if not engine.rounds_down:
+        indices, stored = quantise(model.indices, model.weights.astype(float), engine.storage)
+        return indices, weight_values(stored)
+    weights = model.weights.astype(np.float32)
+    # Where this sum comes out above 1, weights that are whole steps fall below them.
+    weights /= np.cumsum(weights, axis=1, dtype=np.float32)[:, -1:]
+    steps = np.float32(np.iinfo(engine.storage).max)
+    return model.indices, np.floor(weights * steps) / float(steps)
+
+
+def _renamed(names: tuple[str, ...], engine: Engine) -> Iterator[Finding]:
+    changed = [name for name in names if re.search(engine.lost_in_names, name)]
+    if changed:
+        yield Finding("renamed", f"{len(changed)} bones, as {changed[0]!r}")
+    seen = [name.casefold() if engine.ignores_case else name for name in names]
+    same = [name for name, key in zip(names, seen, strict=True) if seen.count(key) > 1]
+    if same:
+        yield Finding("renamed", f"{len(same)} bones whose names are the same, as {same[0]!r}")
+
+
+def n_roots(model: Skinning) -> int:
+    """Number of bones that hang on no other."""
+    return model.n_bones if model.parents is None else int((model.parents < 0).sum())
+
+
+def _moved(model: Skinning, indices: NDArray[np.integer], weights: NDArray[np.floating]) -> str:
+    """How far other weights move vertices at most, in words."""
+    far = 0.0
+    for frame in range(model.n_frames):
+        other = skin(model.rest, indices, weights, model.transforms[frame], dtype=float)
+        apart = model.skin([frame], dtype=float)[0] - other
+        far = max(far, float(np.linalg.norm(apart, axis=-1).max()))
+    share = 100 * far / (rest_diagonal(model.rest) or 1.0)
+    return f"a vertex moves by {far:.3g}, {share:.2g} % of the diagonal, or less"

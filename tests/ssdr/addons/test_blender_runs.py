@@ -1,0 +1,165 @@
+"""The extension's operators: Esc, what is wrong, the installation of the solver, the page."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from helpers.blender_scene import needs_blender
+
+
+@needs_blender
+def test_cancelled_in_the_middle_the_scene_is_as_it_was(blender: Any) -> None:
+    said = blender("""
+item = grid()
+item.vertex_groups.new(name="pin").add((0, 19), 1.0, "ADD")
+item.modifiers.new("Cloth", "CLOTH").settings.vertex_group_mass = "pin"
+item.modifiers.new("Solidify", "SOLIDIFY")
+for frame in range(1, 6):
+    scene.frame_set(frame)
+was, found = state(), []
+for phase in ("reading the frames", "RMSE", "measuring the error"):
+    work = job.Decompose(bpy.context, item, options, PYTHON)
+    while phase not in work.text:
+        assert work.step()
+    work.cancel()
+    alone = False
+    try:
+        os.waitpid(-1, os.WNOHANG)
+    except ChildProcessError:
+        alone = True
+    found.append([state() == was, left_behind(), alone])
+
+# the operator itself, without an interface: Esc, then a run to its end
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+class Clerk(ui._Stepwise):
+    def start(self, context):
+        return job.Decompose(bpy.context, item, options, PYTHON)
+    def report(self, kind, text):
+        told.append([*kind, text])
+    def ends(self, key):
+        event = SimpleNamespace(type="TIMER", value="NOTHING")
+        assert self.invoke(context, None) == {"RUNNING_MODAL"}
+        for _ in range(40):
+            assert self.modal(context, event) == {"RUNNING_MODAL"}
+        event.type, event.value, end = key, "PRESS", ["RUNNING_MODAL"]
+        while end == ["RUNNING_MODAL"]:
+            end = list(self.modal(context, event))
+        return end
+context, told = MagicMock(), []
+ends = [Clerk().ends("ESC"), state() == was, left_behind(), Clerk().ends("TIMER"), state() == was]
+status = [call.args[0] for call in context.workspace.status_text_set.call_args_list]
+print("SAID " + json.dumps([found, ends, told, status]))
+""")
+    found, ends, told, status = said
+    assert found == 3 * [[True, [], True]]
+    assert ends == [["CANCELLED"], True, [], ["FINISHED"], False]
+    assert told[0] == ["INFO", "Cancelled: nothing has changed"]
+    assert told[1][1].startswith("8 bones, RMSE ")
+    assert status[-1] is None
+    assert any("reading the frames  (Esc: cancel)" in str(one) for one in status)
+    percents = [int(one.split()[0]) for one in status[status.index(None) + 1 : -1]]
+    assert percents == sorted(percents)
+
+
+@needs_blender
+def test_what_is_wrong_is_said_in_plain_words(blender: Any) -> None:
+    said = blender("""
+was = left_behind()
+found = {"none": error()}
+light = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+scene.collection.objects.link(light)
+bpy.context.view_layer.objects.active = light
+found["light"] = error()
+still = grid()
+found["still"] = error()
+still.hide_set(True)
+bpy.context.view_layer.objects.active = still
+found["hidden"] = error()
+still.hide_set(False)
+build = still.modifiers.new("Build", "BUILD")
+found["count"] = error()
+still.modifiers.remove(build)
+options.joints = "ARMATURE"
+found["armature"] = error()
+options.joints = "NONE"
+bending()
+options.clips = True
+found["no marker"] = error()
+for name, frame in (("walk", 1), ("jump", 30)):
+    scene.timeline_markers.new(name, frame=frame)
+found["one frame"] = error()
+options.clips = False
+options.bones = 5000
+found["bones"] = error()
+found["page"] = error(bpy.ops.ssdr.page)
+preferences.python = str(FOLDER / "nowhere" / "python")
+found["python"] = error()
+preferences.python = shutil.which("git") or shutil.which("false")
+found["no ssdr"] = error()
+preferences.python = ""
+found["environment"] = error()
+found["online"] = error(bpy.ops.ssdr.install)
+preferences.source = str(FOLDER / "ssdr.zip")
+found["wheel"] = error(bpy.ops.ssdr.install)
+found["left"] = left_behind()
+print("SAID " + json.dumps(found))
+""")
+    for key, words in {
+        "none": "Select a mesh object first: none is active",
+        "light": "Select a mesh object: Lamp is of type light",
+        "still": "Grid does not move between the frames 1 and 30 of the scene",
+        "hidden": "Grid is hidden: show it",
+        "count": "their number must stay the same",
+        "armature": "Choose the armature whose bones to keep",
+        "no marker": "There is no marker between the frames 1 and 30 of the scene",
+        "one frame": "The clip jump, from its marker at frame 30 on, has 1 frame: move a marker",
+        "bones": "bones: expected an integer from 1 to",
+        "page": "Select an object that was given bones since Blender was started",
+        "python": "There is no Python at",
+        "no ssdr": "has no ssdr that works",
+        "environment": "ssdr is not installed yet: press Install in Preferences",
+        "online": "Blender has no leave to go online",
+        "wheel": "is neither a wheel nor a folder of wheels",
+    }.items():
+        assert words in said[key], key
+        assert said[key].startswith("Error: "), key
+        assert "\n" not in said[key], key
+    assert said["left"] == []
+
+
+@needs_blender
+def test_the_button_installs_from_a_folder_of_wheels_and_the_page_opens(
+    blender: Any, tmp_path: Path
+) -> None:
+    info = "ssdr-0.1.0.dist-info"
+    (tmp_path / "wheels").mkdir()
+    with zipfile.ZipFile(tmp_path / "wheels" / "ssdr-0.1.0-py3-none-any.whl", "w") as wheel:
+        wheel.writestr("ssdr/__main__.py", "print('ssdr 0.1.0')")
+        wheel.writestr(f"{info}/METADATA", "Metadata-Version: 2.1\nName: ssdr\nVersion: 0.1.0\n")
+        wheel.writestr(
+            f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
+        wheel.writestr(f"{info}/RECORD", f"ssdr/__main__.py,,\n{info}/METADATA,,\n{info}/WHEEL,,\n")
+    said = blender(
+        """
+preferences.python, preferences.source = "", str(FOLDER / "wheels")
+path = os.environ.pop("PYTHONPATH")
+installed = list(bpy.ops.ssdr.install())
+made = ui._python(bpy.context)
+os.environ["PYTHONPATH"] = path
+preferences.python = str(PYTHON)
+item = bending()
+options.color_error = False
+bpy.ops.ssdr.decompose()
+work = job.Page(item, PYTHON)
+while work.step():
+    pass
+print("SAID " + json.dumps([
+    installed, made.is_file(), "ssdr" in str(made),
+    "<html" in work.page.read_text(encoding="utf-8").lower(), len(item.data.color_attributes)]))
+"""
+    )
+    assert said == [["FINISHED"], True, True, True, 0]
