@@ -25,14 +25,18 @@ _PUBLIC = {
     "io": ("list_clips", "load", "load_skinning", "save"),
     "joints.mirror": ("Mirror", "find_mirror"),
     "lbs": ("skin",),
+    "levels_of_detail": ("LevelsOfDetail", "levels"),
     "parallel": ("get_threads", "set_threads"),
     "parsimony.smallest": ("smallest",),
     "result": ("Decomposition",),
     "rigid": ("kabsch",),
+    "rounding": ("round_weights",),
     "sequence": ("MeshSequence", "WeldReport"),
     "skinning": ("Skinning",),
+    "space": ("Space",),
     "start": ("Skeleton", "Start"),
     "surface": ("Material", "Surface"),
+    "viewer.page": ("view",),
 }
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}
 
@@ -42,12 +46,14 @@ __all__ = [
     "Decomposition",
     "FormatError",
     "InputError",
+    "LevelsOfDetail",
     "Material",
     "MeshSequence",
     "Mirror",
     "MissingDependencyError",
     "Skeleton",
     "Skinning",
+    "Space",
     "SsdrError",
     "SsdrWarning",
     "Start",
@@ -65,6 +71,7 @@ __all__ = [
     "io",
     "kabsch",
     "laplacian",
+    "levels",
     "list_clips",
     "load",
     "load_skinning",
@@ -72,6 +79,7 @@ __all__ = [
     "parallel",
     "parsimony",
     "rigid",
+    "round_weights",
     "samples",
     "save",
     "sequence",
@@ -79,6 +87,7 @@ __all__ = [
     "skin",
     "skinning",
     "smallest",
+    "view",
 ]
 
 if TYPE_CHECKING:
@@ -100,14 +109,18 @@ if TYPE_CHECKING:
     from .io import list_clips, load, load_skinning, save
     from .joints.mirror import Mirror, find_mirror
     from .lbs import skin
+    from .levels_of_detail import LevelsOfDetail, levels
     from .parallel import get_threads, set_threads
     from .parsimony.smallest import smallest
     from .result import Decomposition
     from .rigid import kabsch
+    from .rounding import round_weights
     from .sequence import MeshSequence, WeldReport
     from .skinning import Skinning
+    from .space import Space
     from .start import Skeleton, Start
     from .surface import Material, Surface
+    from .viewer.page import view
 
 
 def __getattr__(name: str) -> Any:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
+import functools
+import inspect
 import math
 import re
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,15 +27,19 @@ __all__ = [
     "check_influences",
     "check_mask",
     "check_nonnegative",
+    "check_range",
     "check_rng",
     "check_skin",
     "check_smoothness",
     "check_squarable",
     "check_transforms",
     "check_whole",
+    "names_arguments",
     "parse_tolerance",
 ]
 
+P = ParamSpec("P")
+R = TypeVar("R")
 BoneModel = Literal["rigid", "similarity", "affine"]
 Array = NDArray[np.float64]
 
@@ -108,6 +116,22 @@ def parse_tolerance(tolerance: Any, diagonal: float) -> float:
         expected = 'a length > 0 in the mesh\'s units, or a share of the diagonal such as "0.5%"'
         raise InputError("tolerance", expected, repr(tolerance))
     return number * unit
+
+
+def names_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Function that refuses a keyword which it does not have by an InputError, not a TypeError."""
+    known = list(inspect.signature(function).parameters)
+
+    @functools.wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        for name in kwargs:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, 1) or known
+                unknown = f"an argument that {function.__name__} does not have"
+                raise InputError(name, ", ".join(near), unknown)
+        return function(*args, **kwargs)
+
+    return checked
 
 
 # --- arrays ------------------------------------------------------------------------------------
@@ -192,7 +216,7 @@ def check_mask(value: Any, argument: str, count: int) -> NDArray[np.bool_] | Non
         raise InputError(argument, "a mask or a list of indices", f"{array.dtype} {array.shape}")
     mask = np.zeros(count, dtype=bool)
     if array.size:
-        _check_range(array, argument, count)
+        check_range(array, argument, count)
         mask[array] = True
     return mask
 
@@ -245,7 +269,7 @@ def check_skin(
     if j.shape != w.shape or j.dtype.kind not in "iu":
         came = f"{j.dtype} {j.shape}"
         raise InputError(f"{prefix}indices", f"integers of shape {w.shape}", came)
-    _check_range(j, f"{prefix}indices", np.iinfo(np.int32).max if n_bones is None else n_bones)
+    check_range(j, f"{prefix}indices", np.iinfo(np.int32).max if n_bones is None else n_bones)
     if w.min() < 0:
         raise InputError(f"{prefix}weights", "numbers >= 0", f"{w.min()}")
     off = np.abs(w.sum(axis=1, dtype=np.float64) - 1)
@@ -298,7 +322,7 @@ def check_transforms(
     return np.asarray(m, dtype=np.float64)
 
 
-def _check_range(array: NDArray[Any], argument: str, count: int) -> None:
+def check_range(array: NDArray[Any], argument: str, count: int) -> None:
     if array.size and (array.min() < 0 or array.max() >= count):
         raise InputError(
             argument, f"indices from 0 to {count - 1}", f"{array.min()} to {array.max()}"

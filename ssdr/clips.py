@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from .checks import check_whole
 from .errors import InputError, is_real, is_whole
+from .space import common_space
 
 if TYPE_CHECKING:
     from .sequence import MeshSequence
@@ -131,7 +132,7 @@ def one_rate(clips: Sequence[Clip]) -> bool:
 
 
 def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
-    """Name, frame rate and clips, as keyword arguments, of a model of several sequences.
+    """Keyword arguments for a model of several sequences: name, frame rate, clips and space.
 
     Each sequence becomes a clip, named by the sequence's `clip` or, if that is empty, its `name`.
     The model has the name of the sequences if all have the same, and no name otherwise.
@@ -143,10 +144,11 @@ def names_of(sequences: Sequence[MeshSequence]) -> dict[str, Any]:
         for name, s in zip(unique_names(names) if several else names, sequences, strict=True)
     )
     same = len({s.name for s in sequences}) == 1
-    return {"name": sequences[0].name if same else "", "fps": clips[0].fps, "clips": clips}
+    name, space = sequences[0].name if same else "", common_space(s.space for s in sequences)
+    return {"name": name, "fps": clips[0].fps, "clips": clips, "space": space}
 
 
-def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
+def pick(names: Sequence[str], clip: Any) -> int:
     """Index of a clip that is given by name or index; 0 for None.
 
     Raises
@@ -159,8 +161,8 @@ def pick(names: Sequence[str], clip: Any, argument: str = "clip") -> int:
     if isinstance(clip, str) and clip in names:
         return list(names).index(clip)
     if not is_whole(clip):
-        raise InputError(argument, f"one of {list(names)}", repr(clip))
-    return check_whole(clip, argument, 0, len(names) - 1)
+        raise InputError("clip", f"one of {list(names)}", repr(clip))
+    return check_whole(clip, "clip", 0, len(names) - 1)
 
 
 def readable(name: object) -> str:

@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .checks import BoneModel
+from .checks import BoneModel, names_arguments
 from .drivers import in_memory, streamed
 from .drivers.efforts import Effort
+from .drivers.hand_back import finished
 from .drivers.problem import check_problem
 from .drivers.scan import needs_streaming
-from .errors import SsdrWarning
+from .quantisation import WeightStorage
 from .result import Decomposition
 from .search.progress import Callback
 from .sequence import MeshSequence
 from .skinning import Skinning
-from .solver.warmup import compile_kernels
 from .start import Skeleton, Start
 
 __all__ = ["decompose"]
 
 
+@names_arguments
 def decompose(
     sequence: MeshSequence | Any,
     faces: Any = None,
     *,
     bones: int | None = None,
-    influences: int = 4,
+    influences: int | tuple[int, WeightStorage] = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | Skeleton | None = None,
@@ -60,8 +60,10 @@ def decompose(
     bones : int
         Number of bones of the result, 1 to V.  Not needed with a skeleton or a model to start
         from, since these have their own number.
-    influences : int
-        Largest number of bones that move a vertex (K).
+    influences : int or (int, {"uint8", "uint16", "float32"})
+        Largest number of bones that move a vertex (K), and what files will store their weights in,
+        as in ``(4, "uint8")``.  Of "uint8" and "uint16" the weights of the result are whole
+        multiples of 1/255 or 1/65535, which writers keep exactly, and all else is solved for them.
     effort : {"fast", "balanced", "best"}
         Place on the curve of speed against accuracy.
     bone_model : {"rigid", "similarity", "affine"}
@@ -128,18 +130,5 @@ def decompose(
     True
     """
     problem = check_problem(**locals())  # every argument, under its own name
-    driver = streamed if needs_streaming(problem.sequences) else in_memory
-    compile_seconds = compile_kernels()
-    outcome = driver.solve(problem)
-    problem.checkpoint.offer(lambda: outcome.skinning, now=True)
-    for note in outcome.warnings:
-        warnings.warn(note, SsdrWarning, stacklevel=2)
-    return Decomposition(
-        skinning=outcome.skinning,
-        rmse=outcome.rmse,
-        stop_reason=outcome.stop_reason,
-        history=outcome.history,
-        offsets=problem.offsets,
-        compile_seconds=compile_seconds,
-        warnings=outcome.warnings,
-    )
+    solve = streamed.solve if needs_streaming(problem.sequences) else in_memory.solve
+    return finished(problem, lambda: solve(problem))

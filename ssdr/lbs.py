@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import check_range
 from .errors import InputError
 from .kernels.lbs import skin_range
 from .parallel import chunk_bounds, run_chunks
@@ -68,9 +69,7 @@ def skin(
         raise InputError("weights", f"shape {j.shape}", f"shape {w.shape}")
     if m.ndim not in (3, 4) or m.shape[-2:] != (3, 4):
         raise InputError("transforms", "shape (F, B, 3, 4) or (B, 3, 4)", f"shape {m.shape}")
-    if j.size and not 0 <= j.min() <= j.max() < m.shape[-3]:
-        expected = f"indices from 0 to {m.shape[-3] - 1}"
-        raise InputError("indices", expected, f"{j.min()} to {j.max()}")
+    check_range(j, "indices", m.shape[-3])
     for name, array in (("rest", p), ("weights", w), ("transforms", m)):
         if array.dtype.kind not in "fiu":
             raise InputError(name, "real numbers", f"dtype {array.dtype}")

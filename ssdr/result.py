@@ -56,7 +56,7 @@ class Decomposition:
     stop_reason: str
     history: tuple[Record, ...]
     offsets: NDArray[np.int64]
-    compile_seconds: float
+    compile_seconds: float = 0.0
     warnings: tuple[str, ...] = ()
 
     @property
@@ -70,3 +70,8 @@ class Decomposition:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.skinning!r}, rmse={self.rmse:.6g}, {self.stop_reason})"
+
+    def _repr_html_(self) -> str:
+        from .viewer.notebook import notebook_html
+
+        return notebook_html(self)

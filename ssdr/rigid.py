@@ -19,6 +19,7 @@ __all__ = [
     "quaternion_from_matrix",
     "sixd_from_matrix",
     "slerp",
+    "turn_between",
     "unflip_quaternions",
 ]
 
@@ -169,14 +170,23 @@ def nearest_rotation(moment: ArrayLike) -> NDArray[np.float64]:
     rotation = np.asarray(u @ vt)
     line = s[..., 1] <= _COLLINEAR * s[..., 0]
     if line.any():
-        turn = _turn_between(vt[line][..., 0, :], u[line][..., :, 0])
+        turn = turn_between(vt[line][..., 0, :], u[line][..., :, 0])
         point = s[line][..., 0] == 0
         rotation[line] = np.where(point[..., None, None], np.eye(3), turn)
     return rotation
 
 
-def _turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smallest rotations that carry unit vectors `a` to `b`, each a product of two half turns."""
+def turn_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Smallest rotations ``(..., 3, 3)`` that carry unit vectors `a` to `b`, both ``(..., 3)``.
+
+    Each is a product of two half turns.
+
+    Examples
+    --------
+    >>> quarter = ssdr.rigid.turn_between(np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
+    >>> (quarter @ [1, 0, 0]).round(12)
+    array([0., 1., 0.])
+    """
     half = a + b
     size = np.linalg.norm(half, axis=-1, keepdims=True)
     # Between opposite vectors any half turn about an axis across them will do.

@@ -16,8 +16,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from .checks import as_array, check_faces
+from .checks import as_array, check_faces, check_range
 from .errors import InputError, is_real
+from .space import UNKNOWN, Space, check_space
 from .surface import Material, Surface, check_surface
 
 __all__ = ["Material", "MeshSequence", "Surface", "WeldReport"]
@@ -71,6 +72,8 @@ class MeshSequence:
         Texture coordinates, normals and materials of the triangles.
     vertex_map : (V0,) int array, optional
         For a welded sequence: the welded vertex of each vertex of the original mesh.
+    space : Space
+        Unit of length and up axis, as far as they are known.
     validate : bool
         Whether to check for NaN and Inf, which reads all frames; ``False`` is for data known to
         be finite.
@@ -97,6 +100,7 @@ class MeshSequence:
     clip: str = ""
     surface: Surface | None = None
     vertex_map: Any = None
+    space: Space = UNKNOWN
     validate: dataclasses.InitVar[bool] = True
 
     def __post_init__(self, validate: bool) -> None:
@@ -110,6 +114,7 @@ class MeshSequence:
             put(self, "vertex_map", check_vertex_map(self.vertex_map, self.n_vertices))
         if self.surface is not None:
             put(self, "surface", check_surface(self.surface, len(self.faces)))
+        check_space(self.space)
 
     @property
     def n_frames(self) -> int:
@@ -133,6 +138,11 @@ class MeshSequence:
             f"MeshSequence({name}F={self.n_frames}, V={self.n_vertices}, "
             f"T={len(self.faces)}, fps={self.fps:g}, {self.vertices.dtype})"
         )
+
+    def _repr_html_(self) -> str:
+        from .viewer.notebook import notebook_html
+
+        return notebook_html(self)
 
     def frames(self, index: int | slice | ArrayLike) -> NDArray[np.floating]:
         """Read frames into memory: ``(n, V, 3)``, or ``(V, 3)`` if `index` is an integer."""
@@ -322,34 +332,18 @@ def check_vertex_map(vertex_map: Any, n_vertices: int) -> NDArray[np.int32]:
     array = np.asarray(vertex_map)
     if array.ndim != 1 or array.dtype.kind not in "iu":
         raise InputError("vertex_map", "a vector of integers", f"{array.dtype} {array.shape}")
-    if array.size and (array.min() < 0 or array.max() >= n_vertices):
-        raise InputError(
-            "vertex_map", f"indices from 0 to {n_vertices - 1}", f"{array.min()} to {array.max()}"
-        )
+    check_range(array, "vertex_map", n_vertices)
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
 def as_sequences(sequence: Any, faces: Any = None) -> list[MeshSequence]:
     """Checked list of sequences of one mesh, from one, a list of them, or an array and faces."""
-    if isinstance(sequence, MeshSequence):
-        shots = [sequence]
-    elif (
-        isinstance(sequence, Sequence)
-        and len(sequence) > 0
-        and any(isinstance(s, MeshSequence) for s in sequence)
-    ):
-        shots = list(sequence)
-    elif (
-        isinstance(sequence, Sequence)
-        and len(sequence) > 0
-        and all(getattr(s, "ndim", 0) == 3 for s in sequence)
-    ):
-        raise InputError(
-            "sequence",
-            "several shots as a list of MeshSequence",
-            f"a list of {len(sequence)} arrays (F, V, 3)",
-        )
-    else:
+    shots = list(sequence) if isinstance(sequence, Sequence) else [sequence]
+    if not any(isinstance(shot, MeshSequence) for shot in shots):
+        several = isinstance(sequence, Sequence) and len(shots) > 0
+        if several and all(getattr(shot, "ndim", 0) == 3 for shot in shots):
+            came = f"a list of {len(shots)} arrays (F, V, 3)"
+            raise InputError("sequence", "several shots as a list of MeshSequence", came)
         return [MeshSequence(sequence, faces)]
     if faces is not None:
         raise InputError("faces", "None beside a MeshSequence, which has its own", type(faces))

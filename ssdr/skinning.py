@@ -23,6 +23,7 @@ from .hierarchy.transforms import (
 )
 from .lbs import skin
 from .sequence import check_vertex_map
+from .space import UNKNOWN, Space, check_space
 from .surface import Surface, check_surface
 
 __all__ = ["BoneModel", "Skinning", "skin"]
@@ -52,7 +53,7 @@ class Skinning:
     keyframes : (F, B) bool array, optional
         Which transforms are keys; the others are interpolated, and `transforms` holds the
         interpolated values.  None: every frame is a key.
-    surface, vertex_map
+    surface, vertex_map, space
         As in :class:`~ssdr.MeshSequence`.
     bone_names : tuple of str, optional
         ``bone_0``, ``bone_1``, ... by default.
@@ -95,6 +96,7 @@ class Skinning:
     keyframes: Any = None
     surface: Surface | None = None
     vertex_map: Any = None
+    space: Space = UNKNOWN
     bone_names: tuple[str, ...] | None = None
     name: str = ""
     clips: tuple[Clip, ...] = None  # type: ignore[assignment]  # one over all frames
@@ -122,6 +124,7 @@ class Skinning:
             put(self, "keyframes", keyframes)
         if self.surface is not None:
             check_surface(self.surface, len(faces))
+        check_space(self.space)
         if self.vertex_map is not None:
             put(self, "vertex_map", check_vertex_map(self.vertex_map, n_vertices))
         if self.bone_names is not None:
@@ -163,6 +166,11 @@ class Skinning:
             f"Skinning(V={self.n_vertices}, B={self.n_bones}, K={self.n_influences}, "
             f"F={self.n_frames}, {self.bone_model})"
         )
+
+    def _repr_html_(self) -> str:
+        from .viewer.notebook import notebook_html
+
+        return notebook_html(self)
 
     def names(self) -> tuple[str, ...]:
         """Names of the bones."""

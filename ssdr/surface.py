@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import check_range
 from .errors import InputError
 
 __all__ = ["Material", "Surface", "check_surface"]
@@ -85,13 +86,7 @@ def check_surface(surface: Surface, n_faces: int) -> Surface:
             raise InputError(
                 f"surface.{field}", f"shape {(n_faces, *tail)}", f"shape {np.shape(array)}"
             )
-    index = surface.material_index
-    if index is not None and len(index):
+    if surface.material_index is not None:
         count = max(1, len(surface.materials))
-        if index.min() < 0 or index.max() >= count:
-            raise InputError(
-                "surface.material_index",
-                f"indices from 0 to {count - 1}",
-                f"{index.min()} to {index.max()}",
-            )
+        check_range(surface.material_index, "surface.material_index", count)
     return surface

@@ -14,7 +14,9 @@ from typing import Annotated, Any
 import typer
 
 from .. import errors
+from ..parallel import set_threads
 from ..signals import interrupt_on_signals
+from .check import check
 from .compare import compare
 from .convert import convert
 from .decompose import decompose
@@ -24,6 +26,7 @@ from .output import Output
 from .render import render
 from .smallest import smallest
 from .streams import safe_streams
+from .view import view
 
 _BAD_NAMES = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _CODES: tuple[tuple[Any, int], ...] = (
@@ -36,13 +39,13 @@ _CODES: tuple[tuple[Any, int], ...] = (
 app = typer.Typer(
     name="ssdr",
     help="Animated meshes to skinned models: rest pose, skin weights and bones.",
-    epilog="Exit codes: 0 done, 1 unexpected, 2 wrong usage or input, 3 bad file, "
-    "4 missing optional package, 130 interrupted.",
+    epilog="Exit codes: 0 done, 1 unexpected or refused by check, 2 wrong usage or input, "
+    "3 bad file, 4 missing optional package, 130 interrupted.",
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (decompose, smallest, info, compare, convert, render):
+for _command in (decompose, smallest, info, check, compare, convert, render, view):
     app.command()(_command)
 
 
@@ -59,8 +62,20 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
+    verbose: Annotated[
+        int, typer.Option("--verbose", "-v", count=True, help="Log on stderr; -vv for debugging.")
+    ] = 0,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads; all cores by default.")
+    ] = None,
 ) -> None:
-    pass
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    logger = logging.getLogger("ssdr")
+    logger.handlers = [handler]
+    logger.setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)])
+    if threads is not None:
+        set_threads(threads)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -130,7 +145,7 @@ def _message(error: BaseException) -> str:
     if isinstance(error, (errors.SsdrError, OSError, MemoryError)):
         return errors.error_text(error)
     logging.getLogger("ssdr").debug("traceback", exc_info=error)
-    return f"unexpected {type(error).__name__}: {error} (-vv shows where)"
+    return f"unexpected {type(error).__name__}: {error} (ssdr -vv COMMAND shows where)"
 
 
 def _is_usage(error: BaseException) -> bool:

@@ -5,28 +5,38 @@ from __future__ import annotations
 import dataclasses
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from ..errors import InputError
 from ..sequence import MeshSequence
+from ..skinning import Skinning
 from .format_options import read_options
-from .options import RUN, Options, argument, option, takes
-from .output import Output
-from .reading import join, read_pairs
+from .options import FILES, RUN, Force, SpaceOptions, argument, option, takes
+from .output import Output, page_row
+from .reading import join, read_any, read_pairs
+from .view import check_page
+
+if TYPE_CHECKING:
+    from ..viewer.page import Page
 
 _SLACK = 0.02  # in log10 (5 %), between the ratio of two diagonals and a power of ten
 
 
 @dataclasses.dataclass(kw_only=True)
-class CompareOptions(Options):
+class CompareOptions(SpaceOptions):
     """Arguments and options of ``ssdr compare``."""
 
     reference: Annotated[Path, argument("A", "The reference.")]
     other: Annotated[Path, argument("B", "What is measured against it.")]
     hausdorff: Annotated[bool, option(RUN, "Hausdorff distances; they are slow.")] = True
     sted: Annotated[bool, option(RUN, "Spatio-temporal edge difference.")] = True
+    target: Annotated[
+        Path | None,
+        option(FILES, "A page of both with the error.", "--output", "-o", metavar="PAGE.html"),
+    ] = None
+    force: Force = False
 
 
 @takes
@@ -36,15 +46,23 @@ def compare(options: CompareOptions) -> None:
     Skinnings are posed first, and a welded mesh is spread back to its original vertices.  Files
     with several clips are compared clip by clip, all of them unless --clip names some.
     --read A:KEY=VALUE is an option for A alone, --read B:KEY=VALUE for B alone.
+
+    The page of --output shows B as the result and A as the input, by bones if B is a skinning.
     """
     output = Output.start(options)
+    from ..io import in_space
     from ..metrics import compare as measure
 
     files = options.reference, options.other
+    if options.target is not None:
+        check_page(options.target, "--output", force=options.force, others=list(files))
     read = read_options(files, options, roles=("A", "B"))
     with output.waiting(f"loading {files[0]}, {files[1]}"):
         found = read_pairs(files, options.clip, read)
-        pairs = [(name, *_on_the_same_vertices(a, b)) for name, a, b in found]
+        pairs = [(n, *_on_the_same_vertices(a, in_space(b, a.space))) for n, a, b in found]
+    (_, a, b), compared = found[0], pairs[0][2].space
+    if compared != b.space:
+        output.warn(f"A is in {a.space}, B in {b.space}: compared in {compared}")
     hint = _other_units(pairs[0][1], pairs[0][2], read[1].get("scale", 1.0))
     if hint:
         output.warn(hint)
@@ -61,7 +79,36 @@ def compare(options: CompareOptions) -> None:
             whole = measure(a, b, hausdorff=False, sted=False)
             document["clips"] = [{"name": name, **result.as_dict()} for name, result in results]
             text = "\n\n".join([*(f"{n}: {r}" for n, r in results), f"all clips: {whole}"])
+    if options.target is not None:
+        with output.waiting("writing the page"):
+            page = _write_page(options, options.target, pairs, read[1])
+        document["output"] = page.path
+        text += "\n" + "  ".join(page_row(page))
     output.result({**document, **whole.as_dict()}, text)
+
+
+def _write_page(
+    options: CompareOptions,
+    target: Path,
+    pairs: list[tuple[str, MeshSequence, MeshSequence]],
+    read: dict[str, Any],
+) -> Page:
+    """Page of B beside A; `read` are the options for B."""
+    import ssdr
+
+    model = ssdr.io.in_space(read_any(options.other, **read), pairs[0][2].space)
+    if not isinstance(model, Skinning):
+        model = join([b for _, _, b in pairs])
+    elif len(model.clips) > 1:
+        model = model.select(*(b.clip for _, _, b in pairs))
+    return ssdr.view(
+        model,
+        [a for _, a, _ in pairs],
+        target,
+        title=f"{options.other.name} beside {options.reference.name}",
+        file=options.other,
+        reference_name=options.reference.name,
+    )
 
 
 def _other_units(a: MeshSequence, b: MeshSequence, scale: float) -> str:
@@ -90,7 +137,7 @@ def _on_the_same_vertices(a: MeshSequence, b: MeshSequence) -> tuple[MeshSequenc
         raise InputError(
             "B",
             f"the {a.n_vertices:,} vertices of A (if one of them was welded, weld the other, "
-            "too: ssdr convert IN OUT.npz --weld)",
+            "too: ssdr convert IN OUT.npz --read weld=true)",
             f"{b.n_vertices:,}",
         )
     return a, b

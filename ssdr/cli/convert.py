@@ -9,7 +9,7 @@ from typing import Annotated
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import read_options
-from .options import FILES, Force, Options, Write, argument, option, takes
+from .options import FILES, Force, SpaceOptions, Write, argument, option, takes
 from .output import Output, saved_line
 from .reading import clips_document, clips_text, read_model, read_vertices
 from .saving import check_outputs
@@ -17,7 +17,7 @@ from .template import options_with_template, shared_format
 
 
 @dataclasses.dataclass(kw_only=True)
-class ConvertOptions(Options):
+class ConvertOptions(SpaceOptions):
     """Arguments and options of ``ssdr convert``."""
 
     source: Annotated[Path, argument("IN", "A sequence or a skinning.")]
@@ -52,14 +52,17 @@ def convert(options: ConvertOptions) -> None:
         kind, words, frames = "file", clips_text(clips), sum(clip.n_frames for clip in clips)
     else:
         with output.waiting(f"loading {source}"):
-            take = read_vertices if options.bake or options.weld else read_model
+            take = read_vertices if options.bake or read.get("weld") else read_model
             thing = take(source, options.clip, read)
         skinned = isinstance(thing, Skinning)
         inputs = {source: read}
-        settings = options_with_template(target, options.write, inputs, new_bones=not skinned)
+        clips = thing.clips if isinstance(thing, Skinning) else ()
+        names = [clip.name for clip in clips]
+        settings = options_with_template(
+            target, options.write, inputs, new_bones=not skinned, clips=names
+        )
         with output.waiting(f"saving {target}"):
             report = ssdr.save(thing, target, **settings)
-        clips = thing.clips if isinstance(thing, Skinning) else ()
         kind, words, frames = ("skinning" if skinned else "sequence"), repr(thing), thing.n_frames
     document = {
         "command": "convert",

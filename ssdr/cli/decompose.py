@@ -5,9 +5,17 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Any
 
+from ..engines import EngineName
 from ..errors import InputError
 from .fitting import fit
-from .options import MODEL, RIG, FitOptions, option, takes
+from .options import FILES, MODEL, RIG, FitOptions, option, takes
+from .presets import engine_of, finished, preset
+
+_NOT_BESIDE_LEVELS = (
+    *("bone_model", "smoothness", "rig", "extra_bones", "lock", "keep_weights"),
+    *("root_motion", "start", "time_limit", "checkpoint"),
+)
+_LEVELS = "several numbers of --bones (levels of detail)"
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -33,6 +41,13 @@ class DecomposeOptions(FitOptions):
     keep_weights: Annotated[
         bool, option(RIG, "Keep the file's weights and rest pose.", "--keep-weights")
     ] = False
+    root_motion: Annotated[
+        bool, option(RIG, "Move a root joint by ground track and heading.", "--root-motion")
+    ] = False
+    engine: Annotated[
+        EngineName | None,
+        option(FILES, "Engine whose limits are the defaults of other options.", "--for"),
+    ] = None
 
 
 @takes
@@ -49,13 +64,30 @@ def decompose(options: DecomposeOptions) -> None:
     """
     import ssdr
 
-    fit("decompose", ssdr.decompose, options, lambda: _arguments(options))
+    engine = engine_of(options.engine)
+    said = {} if engine is None else {"for": preset(options, engine)}
+
+    def solve(*shots: Any, **arguments: Any) -> Any:
+        if not isinstance(options.bones, tuple):
+            result = ssdr.decompose(*shots, **arguments)
+        else:
+            names = ("bones", "effort", "rng", "callback")
+            same = {name: arguments[name] for name in names}
+            result = ssdr.levels(*shots, influences=options.influences[0], **same)
+            said["levels"] = _levels_text(result, shots[0])
+        return finished(result, options, engine, options.root_motion, said)
+
+    fit("decompose", solve, options, lambda: _arguments(options), said)
 
 
 def _arguments(options: DecomposeOptions) -> dict[str, Any]:
     """Arguments of :func:`ssdr.decompose` from those options that only this command has."""
     import ssdr
 
+    if isinstance(options.bones, tuple):
+        _check_levels(options)
+        options.influences = options.influences[0], "float32"  # the levels are solved with floats
+        return {}
     smooth = {"smoothness": options.smoothness}
     if options.rig in (None, "loose", "rigid"):
         for name in ("extra_bones", "lock", "keep_weights"):
@@ -79,6 +111,28 @@ def _arguments(options: DecomposeOptions) -> dict[str, Any]:
         raise InputError("--start", "none beside --keep-weights", options.start)
     kept = ssdr.Start(rest=model.rest, indices=model.indices, weights=model.weights)
     return {"rig": rig, "start": kept, **smooth}
+
+
+def _check_levels(options: DecomposeOptions) -> None:
+    """Raise InputError for what levels of detail cannot be combined with."""
+    for field in dataclasses.fields(options):
+        if field.name in _NOT_BESIDE_LEVELS and getattr(options, field.name) != field.default:
+            flag = "--" + field.name.replace("_", "-")
+            raise InputError(flag, f"none beside {_LEVELS}", getattr(options, field.name))
+    for path in options.outputs:
+        if path.suffix.lower() not in (".glb", ".gltf"):
+            raise InputError("--output", f"glTF for {_LEVELS}", str(path))
+
+
+def _levels_text(result: Any, shots: Any) -> str:
+    """Number of bones and error of each level of detail, in words."""
+    listed = shots if isinstance(shots, list) else [shots]
+    percent = 100 / max(shot.diagonal() for shot in listed)
+    return "; ".join(
+        f"{level.n_bones} bones: RMSE {error * percent:.3g} % of the diagonal, "
+        f"{error / alone if alone else 1:.2f} times that of a model of its own"
+        for level, error, alone in zip(result.levels, result.errors, result.alone, strict=True)
+    )
 
 
 def _extra_bones(text: str) -> int | dict[str, int]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ..clips import names_of
@@ -15,8 +17,9 @@ from ..errors import Cancelled, InputError
 from ..io.registry import SaveReport
 from ..sequence import MeshSequence
 from ..signals import stop_on_signals
-from .format_options import read_options
-from .options import FitOptions
+from ..space import Space
+from .format_options import read_options, write_weights
+from .options import PAGES, FitOptions
 from .output import Output, in_words, saved_line
 from .reading import clips_document, clips_text, join, read_any, read_clips
 from .saving import check_file, check_outputs, save_model, try_format
@@ -24,12 +27,14 @@ from .template import options_with_template
 
 Solver = Callable[..., Any]
 Shots = list[MeshSequence]
+_INFLUENCES = 4
 _SHARED = ("bones", "influences", "effort", "bone_model", "time_limit", "checkpoint")
 _ROWS = {
     "input": "{input}: {frames:,} frames, {vertices:,} vertices, {triangles:,} triangles, "
     "diagonal {diagonal:.4g}",
     "model": "{bones} bones, {influences} influences",
     "RMSE": "{rmse:.4g} in the mesh's units, {rmse_percent:.3g} % of the diagonal",
+    "largest": "{max_error:.4g}, {max_error_percent:.3g} % of the diagonal, of any vertex",
     "E": "{E:.4g} = 1000 RMSE / sqrt(3)",
     "time": "{total_seconds:.1f} s: loading {load_seconds:.1f}, compiling {compile_seconds:.1f}, "
     "solving {seconds:.1f}, saving {save_seconds:.1f}",
@@ -51,7 +56,11 @@ _ENDINGS = {
 
 
 def fit(
-    command: str, solve: Solver, options: FitOptions, arguments: Callable[[], dict[str, Any]]
+    command: str,
+    solve: Solver,
+    options: FitOptions,
+    arguments: Callable[[], dict[str, Any]],
+    said: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Read the inputs, call the solver, save its model and print the result.
 
@@ -65,6 +74,8 @@ def fit(
     arguments : callable
         Function that checks the options that only this command has, and returns their arguments for
         `solve`.
+    said : mapping of str to str
+        Further rows of the table, which `solve` may still add to.
 
     Raises
     ------
@@ -72,35 +83,36 @@ def fit(
         If a signal stopped the solver; the best model is saved before.
     """
     output = Output.start(options)
+    influences, storage = options.influences or (_INFLUENCES, None)
+    if storage:
+        write_weights(options, storage)
+    options.influences = influences, storage or "float32"
     began = time.perf_counter()
     _check_files(options)
     own = arguments()
     shots, start, settings = _read(options, output)
+    _place(own, shots[0].space)
     own.setdefault("start", start)
     loaded = time.perf_counter()
     with stop_on_signals() as stop:
         result = _solve(solve, options, shots, stop, own)
         solved = time.perf_counter()
+        coarser = getattr(result, "levels", ())[1:]
+        if coarser:
+            settings = {path: {**given, "levels": coarser} for path, given in settings.items()}
         reports = save_model(result.skinning, settings)
-        picture = None if stop.is_set() else options.picture
-        if picture is not None:
-            from ..render.figures import contact_sheet, write_picture
-
-            with output.waiting(f"drawing {picture}"):
-                title = options.inputs[0].stem
-                sheet = contact_sheet(result.skinning, reference=join(shots), title=title)
-                write_picture(sheet, picture)
+        drawn = [] if stop.is_set() else options.drawn
+        reports += [_draw(path, options, shots, result) for path in drawn]
     saved = time.perf_counter()
     about = {
         "command": command,
-        "picture": picture,
         "load_seconds": loaded - began,
         "compile_seconds": result.compile_seconds,
         "seconds": solved - loaded - result.compile_seconds,
         "save_seconds": saved - solved,
         "total_seconds": saved - began,
     }
-    _print(options, shots, result, reports, about)
+    _print(options, shots, result, reports, {**about, **said}, list(said.items()))
     if stop.is_set():
         raise Cancelled("interrupted; the best model so far is saved (--start goes on from it)")
 
@@ -109,18 +121,16 @@ def _check_files(options: FitOptions) -> None:
     """Raise an InputError before the work if an output could not be written after it."""
     check_outputs(options.outputs, options.write, force=options.force, sources=options.inputs)
     others = [*options.inputs, *options.outputs]
-    checkpoint, picture = options.checkpoint, options.picture
+    for path in options.drawn:
+        check_file(path, "--output", force=options.force, others=others)
+        others.append(path)
+    checkpoint = options.checkpoint
     if checkpoint is not None:
         if checkpoint.suffix.lower() != ".npz":
             raise InputError("--checkpoint", "a file ending in .npz", str(checkpoint))
         # A run may go on from its own checkpoint.
         mine = options.start is not None and Path(options.start).resolve() == checkpoint.resolve()
         check_file(checkpoint, "--checkpoint", force=options.force or mine, others=others)
-    if picture is not None:
-        from ..render.figures import picture_format
-
-        picture_format(picture)
-        check_file(picture, "--picture", force=options.force, others=others)
 
 
 def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, dict[str, Any]]]:
@@ -129,10 +139,11 @@ def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, d
     read = read_options(options.inputs, options)
     with output.waiting(f"loading {names}"):
         shots = read_clips(options.inputs, options.clip, read)
-        start = _start(options.start)
+        start = _start(options.start, shots[0].space)
     if sum(map(len, shots)) == 1:
-        got = f"one frame, {names} (no motion: did you mean a pattern?)"
-        raise InputError("IN", "an animation", got)
+        numbered = re.sub(r"\d+(?=\D*$)", "*", options.inputs[0].name)
+        hint = f": did you mean {numbered}?" if numbered != options.inputs[0].name else ""
+        raise InputError("IN", "an animation", f"one frame, {names} (no motion{hint})")
     clips = names_of(shots)["clips"]
     inputs, settings = dict(zip(options.inputs, read, strict=True)), {}
     for path in options.outputs:
@@ -143,16 +154,31 @@ def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, d
     return shots, start, settings
 
 
-def _start(text: str | None) -> Any:
-    """Parse `--start`: a model to go on from, a mesh as rest pose, or the number of a frame."""
+def _start(text: str | None, space: Space) -> Any:
+    """Parse `--start`: a model to go on from, a mesh as rest pose, or the number of a frame.
+
+    A model or mesh is converted to the inputs' `space`.
+    """
     import ssdr
 
     if text is None:
         return None
     if text.isdecimal() and not Path(text).exists():
         return ssdr.Start(rest_frame=int(text))
-    thing = read_any(Path(text))
+    thing = ssdr.io.in_space(read_any(Path(text)), space)
     return ssdr.Start(rest=thing.vertices[0]) if isinstance(thing, MeshSequence) else thing
+
+
+def _place(own: dict[str, Any], space: Space) -> None:
+    """Convert the skeleton of a file, and what is kept of that file, to the inputs' `space`."""
+    import ssdr
+
+    rig = own.get("rig")
+    if isinstance(rig, ssdr.Skeleton):
+        model = ssdr.io.in_space(rig.skinning, space)
+        own["rig"] = dataclasses.replace(rig, skinning=model)
+        if "start" in own:
+            own["start"] = dataclasses.replace(own["start"], rest=model.rest)
 
 
 def _solve(
@@ -173,17 +199,45 @@ def _solve(
         return solve(shots[0] if len(shots) == 1 else shots, callback=follow, **own)
 
 
+def _draw(path: Path, options: FitOptions, shots: Shots, result: Any) -> SaveReport:
+    """Write a page of the result beside the input, or a contact sheet."""
+    import ssdr
+
+    from ..render.figures import contact_sheet, write_picture
+
+    title = options.inputs[0].stem
+    with Output.current.waiting(f"drawing {path}"):
+        if path.suffix.lower() not in PAGES:
+            sheet = contact_sheet(result.skinning, reference=join(shots), title=title)
+            write_picture(sheet, path)
+            return SaveReport(path=path, bytes=path.stat().st_size)
+        files = [file for file in options.outputs if file.is_file()]
+        page = ssdr.view(
+            result,
+            shots,
+            path,
+            title=title,
+            file=files[0] if files else None,
+            reference_name=", ".join(source.name for source in options.inputs),
+        )
+        return SaveReport(path=page.path, bytes=page.bytes, note=", ".join(page.notes))
+
+
 def _print(
     options: FitOptions,
     shots: Shots,
     result: Any,
     reports: list[SaveReport],
     about: dict[str, Any],
+    said: list[tuple[str, str]],
 ) -> None:
-    """Print the result as a table or as JSON; `about` holds further entries, such as times."""
+    """Print the result as a table with the rows `said` or as JSON with the entries `about`, too."""
     from .. import __version__
+    from ..frames.error import largest_error
 
     diagonal, clips = max(shot.diagonal() for shot in shots), names_of(shots)["clips"]
+    model = result.skinning
+    largest = largest_error(shots, model.rest, model.indices, model.weights, model.transforms)
     document = {
         **about,
         "version": __version__,
@@ -192,12 +246,15 @@ def _print(
         "vertices": shots[0].n_vertices,
         "triangles": len(shots[0].faces),
         "clips": clips_document(clips),
-        "bones": result.skinning.n_bones,
-        "influences": result.skinning.n_influences,
+        "bones": model.n_bones,
+        "influences": model.n_influences,
+        "storage": options.influences[1],
         "effort": options.effort,
         "seed": options.seed,
         "rmse": result.rmse,
         "rmse_percent": 100 * result.rmse / diagonal if diagonal > 0 else math.nan,
+        "max_error": largest,
+        "max_error_percent": 100 * largest / diagonal if diagonal > 0 else math.nan,
         "E": 1000 * result.rmse / math.sqrt(3),
         "diagonal": diagonal,
         "converged": result.converged,
@@ -209,6 +266,7 @@ def _print(
     rows = in_words(document | {"input": options.inputs}, _ROWS)
     if len(clips) > 1:
         rows.insert(1, ("clips", clips_text(clips)))
+    rows += said
     parsimony = getattr(result, "parsimony", None)
     if parsimony is not None:
         found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}

@@ -9,11 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, check_flag
 from ..io.registry import FORMATS, Format, format_to_read, function_of
-from .options import Options
+from ..quantisation import WeightStorage
+from .options import FitOptions, Options, SpaceOptions
 
 _PREFIX = re.compile(r"\.?(\w+):(?=\w+=)")
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+PLACED = {"scale", "units", "up"}  # arguments of ssdr.load that move a mesh or say where it is
 STRICT = "strict"  # an option of every output, see ssdr.cli.template
 
 
@@ -32,7 +35,9 @@ def read_options(
         If no file's format has an option, or the text before the colon is neither the suffix nor
         the role of a file.
     """
-    shared = {"fps": options.fps, "weld": options.weld or None}
+    shared: dict[str, Any] = {}
+    if isinstance(options, SpaceOptions):
+        shared = {"units": _metres(options.units), "up": options.up}
     result = [{k: v for k, v in shared.items() if v is not None} for _ in paths]
     for pair in options.read or ():
         prefix, key, value = _parse("--read", pair)
@@ -46,6 +51,8 @@ def read_options(
             raise InputError("--read", f"{before} before the colon", pair)
         known = {k: _known(paths[k]) for k in meant}
         takers = [k for k in meant if key in known[k]]
+        if key == "weld":
+            check_flag(value, "weld")
         if not takers:
             wanted = ", ".join(sorted(set().union(*known.values())))
             files = ", ".join(str(paths[k]) for k in meant)
@@ -74,6 +81,16 @@ def write_options(pairs: list[str] | None, path: Path) -> dict[str, Any]:
     return options
 
 
+def write_weights(options: FitOptions, storage: WeightStorage) -> bool:
+    """Have the outputs whose format can round weights store them so, unless the user says else."""
+    suffixes = dict.fromkeys(path.suffix.lower() for path in options.outputs)
+    rounding = [s for s in suffixes if "weights" in keywords(FORMATS.get(s), "write_skinning")]
+    # before the user's pairs, and those of an engine, which override them
+    mine = [f"{suffix[1:]}:weights={storage}" for suffix in rounding]
+    options.write = [*mine, *(options.write or [])]
+    return bool(rounding)
+
+
 def keywords(format_: Format | None, role: str) -> set[str]:
     """Names of the options of a format's function, such as ``"read"``; empty if it has none."""
     if format_ is None or getattr(format_, role) is None:
@@ -94,7 +111,15 @@ def _known(path: Path) -> set[str]:
     """Names of the keyword arguments with which a file can be read."""
     format_ = readable_format(path)
     of_format = keywords(format_, "read") | keywords(format_, "read_skinning")
-    return (of_format | {"fps", "scale", "weld"}) - {"clip"}
+    return (of_format | {"weld"} | PLACED | {"fps"}) - {"clip"}
+
+
+def _metres(text: str | None) -> float | None:
+    """Parse ``--units``: metres in a unit, or the symbol of a unit."""
+    try:
+        return None if text is None else _UNITS.get(text) or float(text)
+    except ValueError:
+        raise InputError("--units", f"metres, or {', '.join(_UNITS)}", repr(text)) from None
 
 
 def _suffix(path: Path) -> str:

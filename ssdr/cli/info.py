@@ -17,7 +17,7 @@ from ..joints.mirror import mirror_of, mirrored_edges
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import read_options
-from .options import Options, argument, takes
+from .options import SpaceOptions, argument, takes
 from .output import Output, in_words
 from .reading import clips_document, clips_in, clips_text, read_any, read_model
 
@@ -40,7 +40,8 @@ _MIRROR = {
 _MESH = {
     "frames": "{frames:,} at {fps:g} a second, {duration:.3g} s",
     "vertices": "{vertices:,}, {loose_vertices:,} of them in no triangle",
-    "seams": "{seams:,} vertices coincide with others in every frame (--weld merges them)",
+    "seams": "{seams:,} vertices coincide with others in every frame "
+    "(--read weld=true merges them)",
     "triangles": "{triangles:,} in {components:,} connected components, "
     "{degenerate_triangles:,} degenerate",
     "edges": "{boundary_edges:,} boundary, {nonmanifold_edges:,} non-manifold",
@@ -51,7 +52,7 @@ _MESH = {
 
 
 @dataclasses.dataclass(kw_only=True)
-class InfoOptions(Options):
+class InfoOptions(SpaceOptions):
     """Arguments and options of ``ssdr info``."""
 
     source: Annotated[Path, argument("FILE", "A sequence or a skinning.")]
@@ -76,6 +77,7 @@ def info(options: InfoOptions) -> None:
         kind, about, table = "sequence", _about_sequence(thing), {}
     about |= _about_mesh(thing)
     rows = [("file", f"{source}: a {kind}"), ("clips", clips_text(clips))]
+    rows.append(("space", str(thing.space)))
     rows += in_words(about, _MESH | table)
     tree = about.get("hierarchy")
     if tree is not None:
@@ -174,6 +176,7 @@ def _about_mesh(thing: MeshSequence | Skinning) -> dict[str, Any]:
     longest = np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     return {
         "name": thing.name,
+        **dataclasses.asdict(thing.space),
         "frames": thing.n_frames,
         "fps": thing.fps,
         "vertices": n,

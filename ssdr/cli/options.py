@@ -7,13 +7,21 @@ import functools
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import typer
+
+from ..errors import InputError
+from ..quantisation import WeightStorage
 
 MODEL, PICTURE, RIG, RUN, FILES = "Model", "Picture", "Rig", "Run", "Files"
 _PANELS = (None, MODEL, PICTURE, RIG, RUN, FILES)  # in the order of the help
 _PAIR = "[SUFFIX:]KEY=VALUE"
+_OUTPUT = "Model; repeat it for other formats, a contact sheet (.png) or a page (.html)."
+_BONES = "Number of bones; several, as 60,30,12, are levels of detail."
+_MOST = "Most bones of a vertex (4), and what to solve weights for: float32, uint16 or uint8."
+PAGES = (".html", ".htm")
+_DRAWN = (*PAGES, ".png", ".jpg", ".jpeg", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".pdf")
 
 
 def option(panel: str, help: str, *names: str, **more: Any) -> Any:
@@ -26,6 +34,25 @@ def argument(metavar: str, help: str) -> Any:
     return typer.Argument(metavar=metavar, help=help)
 
 
+def bone_numbers(text: str) -> int | tuple[int, ...]:
+    """Parse `--bones` of ``ssdr decompose``: a number, or those of levels of detail."""
+    parts = text.split(",")
+    counts = tuple(int(part) for part in parts if part.strip().isdecimal())
+    if len(counts) < len(parts) or sorted({0, *counts}) != [0, *counts[::-1]]:
+        raise typer.BadParameter(f"expected a number, or falling ones as 60,30,12, got {text!r}")
+    return counts if len(counts) > 1 else counts[0]
+
+
+def influences_of(text: str) -> tuple[int, WeightStorage | None]:
+    """Parse `--influences`: a number, and the storage of the weights, None if it has none."""
+    number, comma, storage = text.partition(",")
+    known = get_args(WeightStorage)
+    if not number.isdecimal() or int(number) < 1 or (comma and storage not in known):
+        kinds = " or ".join(known)
+        raise typer.BadParameter(f"expected a number, or one and {kinds}, as 4,uint8, got {text!r}")
+    return int(number), storage or None  # type: ignore[return-value]
+
+
 @dataclasses.dataclass(kw_only=True)
 class Options:
     """Options of every command."""
@@ -33,22 +60,28 @@ class Options:
     clip: Annotated[
         list[str] | None, option(FILES, "Clip to read; repeat it, or say all.", metavar="NAME")
     ] = None
-    fps: Annotated[float | None, option(FILES, "Frames per second of the inputs.")] = None
-    weld: Annotated[
-        bool, option(FILES, "Merge vertices that coincide in every frame (UV seams).", "--weld")
-    ] = False
     read: Annotated[
         list[str] | None,
-        option(FILES, "Option of ssdr.load, as scale=0.01; repeatable.", metavar=_PAIR),
+        option(FILES, "Option of ssdr.load, as fps=30 or weld=true; repeatable.", metavar=_PAIR),
     ] = None
-    threads: Annotated[int | None, option(RUN, "Threads; all cores by default.", min=1)] = None
     json: Annotated[bool, option(FILES, "Print one JSON object and nothing else.", "--json")] = (
         False
     )
     quiet: Annotated[bool, option(FILES, "No progress and no table.", "--quiet", "-q")] = False
-    verbose: Annotated[
-        int, option(FILES, "Log on stderr; -vv for debugging.", "--verbose", "-v", count=True)
-    ] = 0
+
+
+@dataclasses.dataclass(kw_only=True)
+class SpaceOptions(Options):
+    """Options of every command that compares or writes coordinates."""
+
+    units: Annotated[
+        str | None,
+        option(FILES, "Unit of the inputs, in place of what they state.", metavar="METRES|cm|mm|m"),
+    ] = None
+    up: Annotated[
+        Literal["y", "z"] | None,
+        option(FILES, "Up axis of the inputs, in place of what they state."),
+    ] = None
 
 
 Force = Annotated[bool, option(FILES, "Overwrite outputs that exist.", "--force", "-f")]
@@ -59,20 +92,28 @@ Write = Annotated[
 
 
 @dataclasses.dataclass(kw_only=True)
-class FitOptions(Options):
-    """Arguments and options of both ``ssdr decompose`` and ``ssdr smallest``."""
+class FitOptions(SpaceOptions):
+    """Arguments and options of both ``ssdr decompose`` and ``ssdr smallest``.
+
+    Of the outputs, `drawn` are the pages and pictures; only the models stay in `outputs`.
+    """
 
     inputs: Annotated[
         list[Path], argument("IN...", "Animated mesh; several files of one mesh are its clips.")
     ]
     outputs: Annotated[
         list[Path],
-        option(FILES, "Result; repeat it for more formats.", "--output", "-o", metavar="OUT"),
+        option(FILES, _OUTPUT, "--output", "-o", metavar="OUT"),
     ]
-    bones: Annotated[int | None, option(MODEL, "Number of bones.", "--bones", "-b", min=1)] = None
+    drawn: list[Path] = dataclasses.field(init=False)
+    bones: Annotated[
+        Any,
+        option(MODEL, _BONES, "--bones", "-b", parser=bone_numbers, metavar="B[,B,...]"),
+    ] = None
     influences: Annotated[
-        int, option(MODEL, "Most bones that move one vertex.", "--influences", "-k", min=1)
-    ] = 4
+        Any,
+        option(MODEL, _MOST, "--influences", "-k", parser=influences_of, metavar="K[,STORAGE]"),
+    ] = None
     effort: Annotated[
         Literal["fast", "balanced", "best"],
         option(MODEL, "Speed against accuracy.", "--effort", "-e"),
@@ -99,11 +140,14 @@ class FitOptions(Options):
         Path | None,
         option(RUN, "Save the best model so far here about every minute.", metavar="MODEL.npz"),
     ] = None
-    picture: Annotated[
-        Path | None, option(FILES, "Draw a contact sheet as well.", metavar="PNG")
-    ] = None
     write: Write = None
     force: Force = False
+
+    def __post_init__(self) -> None:
+        self.drawn = [path for path in self.outputs if path.suffix.lower() in _DRAWN]
+        self.outputs = [path for path in self.outputs if path not in self.drawn]
+        if not self.outputs:
+            raise InputError("--output", "a file for the model, too", str(self.drawn[0]))
 
 
 def takes(function: Callable[[Any], None]) -> Callable[..., None]:

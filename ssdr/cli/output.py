@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import logging
 import math
 import sys
 from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from rich.filesize import decimal
@@ -17,6 +16,9 @@ from rich.filesize import decimal
 from ..io.registry import SaveReport
 from .options import Options
 from .progress import Show, progress_bar, waiting
+
+if TYPE_CHECKING:
+    from ..viewer.page import Page
 
 Rows = Iterable[tuple[str, str]]
 
@@ -43,16 +45,7 @@ class Output:
 
     @classmethod
     def start(cls, options: Options) -> Output:
-        """Set the options of the current output, the log and the threads; return this output."""
-        from ..parallel import set_threads
-
-        handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-        logger = logging.getLogger("ssdr")
-        logger.handlers = [handler]
-        logger.setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(options.verbose, 2)])
-        if options.threads is not None:
-            set_threads(options.threads)
+        """Set the options of the current output, and return it."""
         cls.current.options = options
         return cls.current
 
@@ -133,6 +126,11 @@ def saved_line(report: SaveReport, diagonal: float = 0.0) -> str:
             share = f" ({100 * length / diagonal:.3g} %)" if diagonal else ""
             parts.append(f"{name} {length:.4g}{share}")
     return ", ".join([*parts, report.note] if report.note else parts)
+
+
+def page_row(page: Page) -> tuple[str, str]:
+    """Label and words for a page that was written: its file and size."""
+    return "page", " ".join([f"{page.path}, {decimal(page.bytes)}", *page.notes])
 
 
 def _plain(value: Any) -> Any:

@@ -13,7 +13,7 @@ from ..clips import Clip, unique_names
 from ..errors import FormatError, InputError
 from ..sequence import MeshSequence
 from ..skinning import Skinning
-from .format_options import keywords, readable_format
+from .format_options import PLACED, keywords, readable_format
 from .output import Output
 
 
@@ -25,7 +25,7 @@ def read_any(path: Path, **options: Any) -> MeshSequence | Skinning:
     no_skinning = None
     if known:
         try:
-            fitting = {k: v for k, v in options.items() if k in known | {"scale"}}
+            fitting = {k: v for k, v in options.items() if k in known | PLACED}
             return io.load_skinning(path, **fitting)
         except FormatError as error:
             no_skinning = error
@@ -65,13 +65,13 @@ def read_clips(
         If no file has a clip of a name in `names`, a file with several clips has none of these
         names, or the files hold different meshes.
     """
-    from ..io import load
+    from ..io import in_space, load
 
     found: list[tuple[Path, MeshSequence]] = []
     held: list[str] = []
     for path, given in zip(paths, options, strict=True):
         given = {k: v for k, v in given.items() if k != "weld"}
-        known = [] if "animation" in given else [clip.name for clip in clips_in(path, given)]
+        known = [clip.name for clip in clips_in(path, given)]
         if len(known) < 2:
             shots = [load(path, **given)]
             held.append(shots[0].clip or shots[0].name)
@@ -79,7 +79,7 @@ def read_clips(
             held += known
             chosen = _chosen(names, known, path)
             shots = [load(path, clip=name, **given) for name in chosen]
-        found += [(path, shot) for shot in shots]
+        found += [(path, in_space(shot, (found or [(path, shot)])[0][1].space)) for shot in shots]
     _check_names(names, held)
     _check_one_mesh(found)
     shots = _named(found)
@@ -98,6 +98,13 @@ def read_model(
     if names is None and len(clips_in(path, options)) < 2:
         return thing
     return read_vertices(path, names, options)
+
+
+def read_truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> MeshSequence:
+    """Sequence of the reference file; if it has several clips, those named as in `clips`."""
+    several = len(clips_in(path, options)) > 1
+    names = [clip.name for clip in clips] if several and clips else None
+    return join(read_clips([path], names, [options]))
 
 
 def read_vertices(path: Path, names: list[str] | None, options: dict[str, Any]) -> MeshSequence:
@@ -119,10 +126,7 @@ def read_pairs(
     InputError
         If B lacks a clip of A, or the files do not have the same number of clips.
     """
-    several = [
-        "animation" not in given and len(clips_in(path, given)) > 1
-        for path, given in zip(paths, options, strict=True)
-    ]
+    several = [len(clips_in(path, o)) > 1 for path, o in zip(paths, options, strict=True)]
     sides = []
     for path, given, many in zip(paths, options, several, strict=True):
         # A file with one clip has no choice where the other has several.

@@ -6,14 +6,13 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
 
-from ..clips import Clip, one_rate
+from ..clips import one_rate
 from ..errors import InputError
-from ..sequence import MeshSequence
 from ..skinning import Skinning
 from .format_options import read_options
 from .options import FILES, PICTURE, Force, Options, argument, option, takes
 from .output import Output
-from .reading import clips_in, join, read_clips, read_model
+from .reading import read_model, read_truth
 from .saving import check_file
 
 _STYLES = "plain|weights|bones|error"
@@ -41,7 +40,10 @@ class RenderOptions(Options):
         int | None, option(PICTURE, "Pixels: by default 1600, for one frame 1000, for a film 480.")
     ] = None
     title: Annotated[str | None, option(PICTURE, "Heading of the sheet.")] = None
-    up: Annotated[str, option(PICTURE, "Up axis: x, y, z, or with a minus.")] = "y"
+    up: Annotated[
+        str | None,
+        option(PICTURE, "Up axis: x, y, z, or with a minus; by default that of the file, or y."),
+    ] = None
     azimuth: Annotated[float | None, option(PICTURE, "Degrees around; chosen by default.")] = None
     elevation: Annotated[float, option(PICTURE, "Degrees above.")] = 12.0
     parallel: Annotated[bool, option(PICTURE, "Parallel projection.", "--parallel")] = False
@@ -68,10 +70,10 @@ def render(options: RenderOptions) -> None:
     if film and clips and not one_rate(clips):
         rates = ", ".join(f"{c.name} at {c.fps:g}" for c in clips)
         raise InputError("--clip", "a clip, or some of one frame rate, for a film", rates)
-    truth = None if reference is None else _truth(reference, clips, read[1])
+    truth = None if reference is None else read_truth(reference, clips, read[1])
     look: dict[str, Any] = {
         "reference": truth,
-        "up": options.up,
+        "up": options.up or subject.space.up or "y",
         "azimuth": options.azimuth,
         "elevation": options.elevation,
         "perspective": not options.parallel,
@@ -95,13 +97,6 @@ def render(options: RenderOptions) -> None:
             write_picture(picture, target)
     document = {"command": "render", "input": source, "output": target}
     output.result(document, [("wrote", str(target))])
-
-
-def _truth(path: Path, clips: tuple[Clip, ...], options: dict[str, Any]) -> MeshSequence:
-    """Sequence of the reference file; if it has several clips, those named as in `clips`."""
-    several = len(clips_in(path, options)) > 1
-    names = [clip.name for clip in clips] if several and clips else None
-    return join(read_clips([path], names, [options]))
 
 
 def _frames(text: str) -> int | list[int]:

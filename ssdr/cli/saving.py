@@ -101,12 +101,14 @@ def try_format(
     if format_of(path)[1].extra == "blender":  # starts another program, for seconds
         return
     n = mesh.n_vertices
-    bones = min(options.influences, options.bones or n, _TRIED_INFLUENCES)
+    bones = min(options.influences[0], np.max(options.bones or n), _TRIED_INFLUENCES)
     one = _SHEARED if options.bone_model == "affine" else np.eye(3, 4)
     transforms = np.tile(one, (2 * len(clips), bones, 1, 1))
     arrays = mesh.frames(0), np.tile(np.arange(bones), (n, 1)), np.full((n, bones), 1 / bones)
     pairs = tuple(Clip(c.name, 2 * k, 2 * k + 2, c.fps) for k, c in enumerate(clips))
-    same = {name: getattr(mesh, name) for name in ("faces", "surface", "vertex_map", "name")}
+    same = {
+        name: getattr(mesh, name) for name in ("faces", "surface", "vertex_map", "name", "space")
+    }
     model = Skinning(*arrays, transforms, clips=pairs, bone_model=options.bone_model, **same)
     # Errors of the temporary folder say nothing about that of the output.
     with contextlib.suppress(OSError), warnings.catch_warnings():

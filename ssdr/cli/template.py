@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from ..io.registry import FORMATS, Format, call, format_of
-from .format_options import STRICT, readable_format, write_options
+from ..io.registry import Format, call, format_of
+from .format_options import PLACED, STRICT, readable_format, write_options
 from .output import Output
 
 Inputs = Mapping[Path, dict[str, Any]]
@@ -63,7 +63,7 @@ def options_with_template(
         options |= {"template": source} | ({STRICT: True} if strict else {})
         lost = [what for what in lost if what == _AXES]
         if not asked:
-            names = _new_names(source, clips)
+            names = _new_names(source, clips, strict and not Output.current.options.clip)
             options |= {k: v for k, v in inputs[source].items() if k == "meshes"}
             options |= {"clip_names": names} if names else {}
     if new_bones:
@@ -84,21 +84,24 @@ def _template(target: Path, options: dict[str, Any], inputs: Inputs) -> Path | N
             continue
         problem = call(format_, "template_problem", source)
         if not problem:
-            # A model with another up axis does not fit the rest of the file.
-            up = options.get("up", "y" if format_ is FORMATS[".glb"] else None)
-            return source if up in (read.get("up"), "y") else None
+            # A model that was scaled or is said to be elsewhere does not fit the rest of the file.
+            return None if PLACED & (read.keys() | options.keys()) else source
         Output.current.warn(f"{target} is written anew: {source}: {problem}")
     return None
 
 
-def _new_names(source: Path, clips: Sequence[str]) -> dict[str, str]:
-    """Names of clips in the model by their names in the file, where the two differ."""
+def _new_names(source: Path, clips: Sequence[str], every: bool) -> dict[str, str | None]:
+    """Names of clips in the model by their names in the file, where the two differ.
+
+    None stands for a clip that was left out by `--clip` or with a warning.
+    """
     from ..io import list_clips
 
-    names = {}
+    names: dict[str, str | None] = {}
     for clip in list_clips(source):
         candidates = (clip.name, source.stem, f"{source.stem}_{clip.name}")
-        names[clip.name] = next((name for name in candidates if name in clips), clip.name)
+        left = clip.name if every else None
+        names[clip.name] = next((name for name in candidates if name in clips), left)
     return {old: new for old, new in names.items() if old != new}
 
 

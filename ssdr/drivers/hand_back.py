@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Any
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..clips import names_of
-from ..frames.error import squared_error
-from ..frames.executor import Executor
+from ..errors import SsdrWarning
+from ..frames import error as frames_error
 from ..joints.mirror import mirror_of, side_names
 from ..joints.placement import refit_joints, spanning_tree
+from ..quantisation import is_stored
+from ..result import Decomposition
 from ..search.progress import Record
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.gauge import normalise_gauge
 from ..solver.model import Model
 from ..solver.trajectories import Alignment
+from ..solver.warmup import compile_kernels
 from .problem import Problem
 
-__all__ = ["Outcome", "Step", "outcome_of", "skinning_of"]
+__all__ = ["Step", "finished", "outcome_of", "skinning_of"]
 
 # Largest ratio of the true error to that of the objective at which records are scaled to the true
 # error.  A larger ratio means that the error is of vertices with almost no importance.
@@ -30,26 +34,7 @@ _MOST_RATIO = 10.0
 # iteration, seconds, squared error and phase of an accepted model
 Step = tuple[int, float, float, str]
 
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Outcome:
-    """Result of a driver.
-
-    Attributes
-    ----------
-    skinning : Skinning
-    rmse : float
-        Error over all frames, measured by skinning the rest pose.
-    stop_reason : str
-    history : tuple of Record
-    warnings : tuple of str
-    """
-
-    skinning: Skinning
-    rmse: float
-    stop_reason: str
-    history: tuple[Record, ...]
-    warnings: tuple[str, ...] = ()
+Result = TypeVar("Result", bound=Decomposition)
 
 
 def skinning_of(
@@ -93,8 +78,7 @@ def outcome_of(
     *,
     reason: str,
     idle: int,
-    executor: Executor | None = None,
-) -> Outcome:
+) -> Decomposition:
     """Outcome of a run: the model in the input's space, its true error, and the history.
 
     If the call was given a start model that it may return unchanged (see `_is_an_answer`), and the
@@ -105,8 +89,7 @@ def outcome_of(
 
     def rmse_of(s: Skinning) -> float:
         parts = (s.rest, s.indices, s.weights, s.transforms)
-        squared = squared_error(problem.sequences, *parts, executor=executor)
-        return math.sqrt(float(squared.sum()) / count)
+        return frames_error.rmse(problem.sequences, *parts, executor=problem.executor)
 
     skinning = skinning_of(problem, alignment, model)
     rmse = rmse_of(skinning)
@@ -117,25 +100,40 @@ def outcome_of(
             skinning, rmse = start, before
     values = np.array([value for _, _, value, _ in steps])
     hint = f"{idle} of {problem.bones} bones could each go at no loss: fewer bones would do"
-    return Outcome(
+    return Decomposition(
         skinning=skinning,
         rmse=rmse,
         stop_reason=reason,
         history=_history(steps, alignment.scale * np.sqrt(np.maximum(values, 0.0) / count), rmse),
+        offsets=problem.offsets,
         warnings=(hint,) if idle else (),
     )
+
+
+def finished(problem: Problem, solve: Callable[[], Result]) -> Result:
+    """Compile the kernels, solve, write the last checkpoint, and give the result's warnings.
+
+    Warnings name the line that called the caller of this function, a decorated one.
+    """
+    seconds = compile_kernels()
+    result = dataclasses.replace(solve(), compile_seconds=seconds)
+    problem.checkpoint.offer(lambda: result.skinning, now=True)
+    for note in result.warnings:
+        warnings.warn(note, SsdrWarning, stacklevel=4)
+    return result
 
 
 def _is_an_answer(problem: Problem, start: Skinning) -> bool:
     """Whether the call may return its start model unchanged.
 
     It may if the model has all frames of the problem, the call has neither importances nor
-    smoothness, and, for a rigid rig, the given tree is rigid.
+    smoothness, the weights are as stored, and, for a rigid rig, the given tree is rigid.
     """
     plain = problem.vertex_importance is None and problem.frame_importance is None
     rigid = problem.rig != "rigid" or (problem.given.tree is not None and problem.given.tree.rigid)
     frames = start.n_frames == problem.n_frames
-    return plain and rigid and frames and problem.smoothness == 0
+    stored = is_stored(start.weights, problem.storage)
+    return plain and rigid and frames and stored and problem.smoothness == 0
 
 
 def _start_as_result(problem: Problem, found: Skinning) -> Skinning:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from ..result import Decomposition
 from ..search.given import Given
 from ..search.progress import Clock, ProgressReport
 from ..search.run import Run, Schedule
 from ..solver.smoothness import WeightSmoothness
 from ..solver.trajectories import Trajectories
-from .hand_back import Outcome, outcome_of, skinning_of
+from .hand_back import outcome_of, skinning_of
 from .problem import Problem
+from .rounding import rounded_best
 from .schedule import schedule_for
 
 __all__ = ["begin", "solve"]
 
 
-def solve(problem: Problem) -> Outcome:
-    """Solve a problem on all frames at once.
+def solve(problem: Problem, schedule: Schedule | None = None) -> Decomposition:
+    """Solve a problem on all frames at once, by default with the schedule of its effort.
 
     Raises
     ------
@@ -24,17 +26,17 @@ def solve(problem: Problem) -> Outcome:
     """
     clock = Clock()
     data = problem.trajectories(problem.sequences, problem.frame_importance)
-    run = begin(problem, data, problem.given.inside(data), clock)
+    run = begin(problem, data, problem.given.inside(data), clock, schedule)
     del data  # frees the frames once the run has compressed them
+    report = ProgressReport(problem.callback, clock, problem.time_limit)
     reason = run.make_steps(
-        ProgressReport(problem.callback, clock, problem.time_limit),
+        report,
         save=lambda: problem.checkpoint.offer(
             lambda: skinning_of(problem, run.whole, run.best_model)
         ),
     )
-    return outcome_of(
-        problem, run.whole, run.best_model, run.records, reason=reason, idle=run.idle_bones
-    )
+    model, steps, reason = rounded_best(problem, run, report, reason)
+    return outcome_of(problem, run.whole, model, steps, reason=reason, idle=run.idle_bones)
 
 
 def begin(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +19,8 @@ from ..checks import (
     check_whole,
 )
 from ..errors import InputError, check_choice, is_real, is_whole
+from ..frames.executor import Executor, Local, executor_for
+from ..quantisation import WeightStorage
 from ..search.given import Given
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
@@ -28,6 +31,7 @@ from ..start import Skeleton, Start
 from .checkpoint import Checkpoint
 from .efforts import Effort
 from .given_parts import check_skeleton, check_start, extra_parents, with_skeleton
+from .scan import needs_streaming
 from .schedule import RigKind
 
 __all__ = ["Problem", "check_problem"]
@@ -46,6 +50,8 @@ class Problem:
     sequences : list of MeshSequence
         Shots of one mesh.
     bones, influences : int
+    storage : {"float32", "uint16", "uint8"}
+        What the weights will be stored in.
     effort : {"fast", "balanced", "best"}
     rig : {"none", "loose", "rigid"}
     names : tuple of str
@@ -70,6 +76,7 @@ class Problem:
     sequences: list[MeshSequence]
     bones: int
     influences: int
+    storage: WeightStorage
     effort: Effort
     rig: RigKind
     names: tuple[str, ...]
@@ -83,6 +90,11 @@ class Problem:
     time_limit: float | None
     callback: Callback | None
     checkpoint: Checkpoint
+
+    @functools.cached_property
+    def executor(self) -> Executor:
+        """What walks over the frames: Dask workers, if frames are streamed and workers there."""
+        return executor_for(self.sequences) if needs_streaming(self.sequences) else Local()
 
     @property
     def n_frames(self) -> int:
@@ -143,7 +155,8 @@ def check_problem(
     """
     sequences = as_sequences(sequence, faces)
     n, n_frames = sequences[0].n_vertices, sum(len(s) for s in sequences)
-    influences, bone_model = check_influences(influences), check_bone_model(bone_model)
+    influences, storage = _check_stored(influences)
+    bone_model = check_bone_model(bone_model)
     check_choice(effort, "effort", Effort)
     if not (start is None or isinstance(start, (Skinning, Start))):
         raise InputError("start", "None, a Skinning or a Start", type(start).__name__)
@@ -175,6 +188,7 @@ def check_problem(
         sequences=sequences,
         bones=bones,
         influences=influences,
+        storage=storage,
         effort=effort,
         rig=kind,
         names=names,
@@ -197,6 +211,15 @@ def check_problem(
         callback=callback,
         checkpoint=Checkpoint(checkpoint),
     )
+
+
+def _check_stored(influences: Any) -> tuple[int, WeightStorage]:
+    """Largest number of influences, and what their weights are stored in."""
+    if not (isinstance(influences, tuple) and len(influences) == 2):
+        return check_influences(influences), "float32"
+    count, storage = influences
+    check_choice(storage, "influences[1]", WeightStorage)
+    return check_influences(count), storage
 
 
 def _is_kind(rig: Any) -> bool:

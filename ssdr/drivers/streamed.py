@@ -18,17 +18,19 @@ import math
 import numpy as np
 
 from ..errors import Cancelled, InputError
-from ..frames.executor import Executor, executor_for
+from ..result import Decomposition
 from ..search.given import Given
 from ..search.progress import Clock, ProgressReport
 from ..search.run import Run
 from ..sequence import MeshSequence
 from ..skinning import Skinning
+from ..solver.model import Model
 from ..solver.trajectories import Array, Trajectories
-from .hand_back import Outcome, Step, outcome_of, skinning_of
+from .hand_back import Step, outcome_of, skinning_of
 from .in_memory import begin
 from .passes import ENTERING, GAIN, AllFrames, carried
 from .problem import Problem
+from .rounding import rounded_best
 from .scan import Scan, scan, subset
 from .schedule import settling_schedule
 
@@ -40,7 +42,7 @@ SCANNED, _REPRESENTED, _SETTLED = 0.05, 0.3, 0.5
 PASSES = {"fast": 1, "balanced": 4, "best": 8}  # most passes over all frames
 
 
-def solve(problem: Problem) -> Outcome:
+def solve(problem: Problem) -> Decomposition:
     """Fit a model to representative frames, and improve it by passes over all frames.
 
     Between both it is refined on as many frames as fit into memory, if these are more, unless the
@@ -56,11 +58,10 @@ def solve(problem: Problem) -> Outcome:
     if problem.given.rotations is not None:
         raise InputError("rig.locked_joints", "() for frames that are streamed", "some")
     clock = Clock()
-    executor = executor_for(problem.sequences)
-    few = scan_of(problem, clock, executor)
+    few = scan_of(problem, clock)
     more = few.extended(problem.n_vertices)
     importance = problem.frame_importance
-    sequence, data, given = _read_chosen(problem, few, few.importance(importance), executor)
+    sequence, data, given = _read_chosen(problem, few, few.importance(importance))
     run = begin(problem, data, given, clock)
     del data  # frees the frames once the run has compressed them
     reason = _make_steps(problem, run, sequence, (SCANNED, _REPRESENTED))
@@ -74,11 +75,13 @@ def solve(problem: Problem) -> Outcome:
         chosen = more
         run.release()
         weights = None if importance is None else importance[more.chosen]
-        sequence, data, given = _read_chosen(later, more, weights, executor)
+        sequence, data, given = _read_chosen(later, more, weights)
         run = _settling(later, few, more, run, data, given)
         reason = _make_steps(problem, run, sequence, (_REPRESENTED, _SETTLED))
     idle = run.idle_bones
-    frames = _all_frames(later, chosen, run, executor)
+    report = ProgressReport(problem.callback, run.clock, problem.time_limit)
+    model, _, reason = rounded_best(problem, run, report, reason)
+    frames = _all_frames(later, chosen, run, model)
     run.release()
     passes, why = _passes(problem, run, frames, hurried=reason == "cancelled")
     return outcome_of(
@@ -88,11 +91,10 @@ def solve(problem: Problem) -> Outcome:
         passes,
         reason=why or reason,
         idle=idle,
-        executor=executor,
     )
 
 
-def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
+def scan_of(problem: Problem, clock: Clock) -> Scan:
     """Scan all frames of a problem, and report the progress to the callback."""
     report = ProgressReport(problem.callback, clock, problem.time_limit)
 
@@ -104,16 +106,16 @@ def scan_of(problem: Problem, clock: Clock, executor: Executor) -> Scan:
         problem.sequences,
         problem.vertex_importance,
         [problem.given.rest_frame],
-        executor=executor,
+        executor=problem.executor,
         on_progress=on_progress,
     )
 
 
 def _read_chosen(
-    problem: Problem, chosen: Scan, importance: Array | None, executor: Executor
+    problem: Problem, chosen: Scan, importance: Array | None
 ) -> tuple[MeshSequence, Trajectories, Given]:
     """Read the chosen frames; return them, their trajectories, and the given parts for them."""
-    sequence = subset(problem.sequences, chosen.chosen, executor=executor)
+    sequence = subset(problem.sequences, chosen.chosen, executor=problem.executor)
     data = problem.trajectories([sequence], importance)
     return sequence, data, problem.given.of_frames(chosen.chosen).inside(data)
 
@@ -145,21 +147,21 @@ def _settling(
     return run
 
 
-def _all_frames(problem: Problem, chosen: Scan, run: Run, executor: Executor) -> AllFrames:
+def _all_frames(problem: Problem, chosen: Scan, run: Run, model: Model) -> AllFrames:
     """Prepare the model of a run on some frames for passes over all frames."""
     locked = problem.locked
-    if run.smoothness is not None:
-        # a pass ignores the penalty, so that it must keep the weights of the run
+    if run.smoothness is not None or problem.storage != "float32":
+        # a pass knows neither penalty nor rounding, so that it must keep the weights of the run
         locked = dataclasses.replace(locked, weights=np.ones(run.whole.n_vertices, dtype=bool))
     return AllFrames(
         problem.sequences,
         chosen,
         run.whole,
-        run.best_model,
+        model,
         locked=locked,
         given=problem.given.inside(chosen.alignment),
         importance=problem.frame_importance,
-        executor=executor,
+        executor=problem.executor,
     )
 
 

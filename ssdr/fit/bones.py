@@ -18,7 +18,7 @@ from ..checks import (
 )
 from ..clips import names_of
 from ..errors import check_flag
-from ..frames.error import squared_error
+from ..frames.error import rmse_of, squared_error
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.alternation import bone_step
@@ -27,7 +27,7 @@ from ..solver.initialization import fit_patches
 from ..solver.model import Locked, Model
 from ..solver.moments import bone_sums, stack_blocks
 from ..solver.trajectories import Array, Trajectories, gather
-from .fit import NAMES, Fit, checked, rmse_of
+from .fit import Fit, checked
 
 __all__ = ["BoneFit", "fit_bones"]
 
@@ -140,7 +140,8 @@ def fit_bones(
         bones=skinning.n_bones,
         vertex_importance=check_importance(vertex_importance, "vertex_importance", n),
     )
-    inner, start = data.from_world(rest, world, NAMES)
+    inner = data.points_from_world(rest, "skinning.rest")
+    start = None if world is None else data.moves_from_world(world, "skinning.transforms")
     locked = Locked(rest=True, weights=np.ones(n, dtype=bool), bones=locked_bones, bone_model=kind)
     # no step may turn a bone inside out, which blocks some paths of affine bones from their own
     # fit; from rigid bones these paths are open

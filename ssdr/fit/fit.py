@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from ..checks import check_floats, check_squarable, check_transforms
 from ..errors import InputError
+from ..frames.error import rmse_of
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..solver.trajectories import Array, Trajectories, gather
 
-__all__ = ["NAMES", "Fit", "checked", "fit_of", "gathered", "rmse_of"]
+__all__ = ["Fit", "checked", "fit_of", "gathered"]
 
 Gathered = tuple[Trajectories, Array, Array]
-NAMES = ("skinning.rest", "skinning.transforms")  # names of the arguments in error messages
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,16 +67,11 @@ def gathered(sequences: list[MeshSequence], skinning: Skinning, rest: Array) -> 
     n_frames = sum(len(s) for s in sequences)
     world = check_transforms(skinning.transforms, n_frames, skinning.bone_model, "skinning.")
     data = gather(sequences, bones=world.shape[1])
-    inner, bones = data.from_world(rest, world, NAMES)
-    assert bones is not None
-    return data, inner, bones
+    inner = data.points_from_world(rest, "skinning.rest")
+    return data, inner, data.moves_from_world(world, "skinning.transforms")
 
 
 def fit_of(data: Trajectories, error: Array, skinning: Skinning) -> Fit:
     """Fit of a model, from the squared error (V,) of its vertices in the solver's space."""
     squared = error * data.scale**2
     return Fit(skinning=skinning, squared_error=squared, rmse=rmse_of(squared, data.n_frames))
-
-
-def rmse_of(squared: Array, n_frames: int) -> float:
-    return float(np.sqrt(squared.sum() / (n_frames * len(squared))))

@@ -91,7 +91,7 @@ def initialize(
         inner_rest = check_floats(rest, "rest", (n, 3), copy=True).astype(np.float64)
         check_squarable(inner_rest, "rest")
     data = gather(sequences, bones=bones)
-    start = data.frame(0) if inner_rest is None else data.from_world(inner_rest, None)[0]
+    start = data.frame(0) if inner_rest is None else data.points_from_world(inner_rest, "rest")
     model = start_model(data, start, bones, min(k, bones), generator, None, bone_model)
     locked = Locked(rest=rest is not None, bone_model=bone_model)
     vertex_step(data, model, locked=locked)

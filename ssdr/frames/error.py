@@ -15,7 +15,7 @@ from ..sequence import MeshSequence
 from ..skinning import skin
 from .executor import Executor, Frames, Local, SpanTask, spans_of
 
-__all__ = ["largest_error", "squared_error"]
+__all__ = ["largest_error", "rmse", "rmse_of", "squared_error"]
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,18 @@ def squared_error(
     for part in _of_each_span(_squared_error_of_span, sequences, skinning, executor):
         total += part
     return total
+
+
+def rmse(
+    sequences: Sequence[MeshSequence], *skinning: Any, executor: Executor | None = None
+) -> float:
+    """Root mean square of the distances |d|; arguments as in :func:`squared_error`."""
+    return rmse_of(squared_error(sequences, *skinning, executor=executor), len(skinning[-1]))
+
+
+def rmse_of(squared: Array, n_frames: int) -> float:
+    """Root mean square error of the squared errors of each vertex, summed over all frames."""
+    return math.sqrt(float(squared.sum()) / (n_frames * len(squared)))
 
 
 def largest_error(

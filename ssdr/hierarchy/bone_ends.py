@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rigid import turn_between
 from .transforms import parents_first, rest_diagonal
 
 __all__ = ["limb_axes", "limb_ends"]
@@ -95,17 +96,5 @@ def limb_axes(positions: NDArray[np.floating], parents: NDArray[np.integer], end
     for b in parents_first(parents):
         above = axes[parents[b]] if parents[b] >= 0 else np.eye(3)
         along = ends[b] - positions[b]
-        axes[b] = _least_turn(above[:, 1], along / np.linalg.norm(along)) @ above
+        axes[b] = turn_between(above[:, 1], along / np.linalg.norm(along)) @ above
     return axes
-
-
-def _least_turn(a: Array, b: Array) -> Array:
-    """The smallest rotation that takes unit vector a to b."""
-    cosine = float(a @ b)
-    if cosine < -1 + 1e-9:  # half a turn about any axis across
-        across = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))])
-        across /= np.linalg.norm(across)
-        return np.asarray(2 * np.outer(across, across) - np.eye(3))
-    x, y, z = np.cross(a, b)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))

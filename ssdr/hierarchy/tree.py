@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from .transforms import parents_first
 
@@ -139,32 +140,18 @@ def root_at_centroids(edges: NDArray[np.bool_], mass: Array) -> NDArray[np.int64
     mass : (B,) array
         Weight of each bone.
     """
-    n = len(mass)
-    parents = np.full(n, -2, dtype=np.int64)
-    for first in range(n):
-        if parents[first] != -2:
-            continue
-        bones = _orient(edges, parents, first)
-        local = np.where(parents[bones] >= 0, np.searchsorted(bones, parents[bones]), -1)
-        below = Tree(local, np.zeros((len(bones), 3)), rigid=False).subtree_sums(mass[bones])
-        # the heaviest part without each bone: the part above it or one of the parts below
-        heaviest = below.max() - below
-        np.maximum.at(heaviest, local[local >= 0], below[local >= 0])
-        parents[bones] = -2
-        _orient(edges, parents, int(bones[heaviest.argmin()]))
-    return parents
+    _, part = connected_components(edges, directed=False)
+    _, first = np.unique(part, return_index=True)
+    tree = Tree(_rooted(edges, first), np.zeros((len(mass), 3)), rigid=False)
+    # the heaviest part without each bone: the part above it or one of the parts below
+    below, hung = tree.subtree_sums(mass), tree.non_roots
+    heaviest = below[first][part] - below
+    np.maximum.at(heaviest, tree.parents[hung], below[hung])
+    order = np.lexsort((heaviest, part))
+    return _rooted(edges, order[np.searchsorted(part[order], np.arange(len(first)))])
 
 
-def _orient(edges: NDArray[np.bool_], parents: NDArray[np.int64], root: int) -> NDArray[np.intp]:
-    """Set the parents of all bones connected with `root` (in place); return these bones, ascending.
-
-    Their parents must be −2 before.
-    """
-    parents[root] = -1
-    bones = [root]
-    for bone in bones:
-        for k in np.flatnonzero(edges[bone]).tolist():
-            if parents[k] == -2:
-                parents[k] = bone
-                bones.append(k)
-    return np.sort(np.array(bones, dtype=np.intp))
+def _rooted(edges: NDArray[np.bool_], roots: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Parents (B,) of a forest, given a root of each tree."""
+    above = [breadth_first_order(edges, root, directed=False)[1] for root in roots]
+    return np.asarray(np.max(above, axis=0, initial=-1), dtype=np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .load_save import copy, left_out, list_clips, load, load_skinning, save
 from .registry import FORMATS, SaveReport
+from .spaces import in_space
 from .tables import SkinWeights, read_weights
 
 __all__ = [
@@ -11,6 +12,7 @@ __all__ = [
     "SaveReport",
     "SkinWeights",
     "copy",
+    "in_space",
     "left_out",
     "list_clips",
     "load",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 import shutil
 import time
 import uuid
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from ..errors import InputError
 
-_LONGEST_NAME = 255  # bytes, in every file system in common use
+_PREFIX = ".ssdr-"  # of the names of temporary files
 _STALE_SECONDS = 3600.0  # no write goes on for so long without a change of its file
 
 
@@ -24,9 +23,9 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
 
     The temporary file lies in the folder of `path` and has its suffix, because some writers choose
     the format by it. If the block raises an exception, `path` is untouched and the temporary file
-    is removed. If the process is killed, the temporary file stays until `path` is written again an
-    hour or more later. If `path` is a symbolic link, the file that it points to is replaced and the
-    link stays.
+    is removed. If the process is killed, the temporary file stays until a file is written to
+    its folder an hour or more later. If `path` is a symbolic link, the file that it points to is
+    replaced and the link stays.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ def atomic_path(path: Path | str, *, flush: bool = True) -> Iterator[Path]:
     target = _file_behind(path)
     temporary = free_name(target)
     if flush:
-        _remove_stale(target)
+        _remove_stale(target.parent)
     try:
         with naming(path, temporary):
             yield temporary
@@ -101,20 +100,15 @@ def write_bytes(path: Path | str, data: bytes, *, flush: bool = True) -> int:
 def free_name(target: Path) -> Path:
     """Hidden path beside `target`, with the same suffix, that no other process uses."""
     # tempfile would make a file that its owner alone can read.
-    mark = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
-    most = _LONGEST_NAME - len(os.fsencode(f"..{mark}{target.suffix}"))
-    stem = os.fsencode(target.stem)[: max(most, 0)].decode("utf-8", "ignore")
-    return target.with_name(f".{stem}.{mark}{target.suffix}")
+    return target.with_name(f"{_PREFIX}{uuid.uuid4().hex[:12]}{target.suffix}")
 
 
-def _remove_stale(target: Path) -> None:
-    """Remove temporary files of `target` that killed processes left more than an hour ago."""
-    start, end = re.escape(f".{target.stem}."), re.escape(target.suffix)
+def _remove_stale(folder: Path) -> None:
+    """Remove temporary files older than an hour from a folder: killed processes left them."""
     with contextlib.suppress(OSError):  # another process may remove them at the same time
-        for entry in os.scandir(target.parent):
-            left = re.fullmatch(rf"{start}[0-9]+-[0-9a-f]{{8}}{end}", entry.name)
-            if left and entry.is_file() and time.time() - entry.stat().st_mtime > _STALE_SECONDS:
-                os.unlink(entry)
+        for left in folder.glob(f"{_PREFIX}*"):
+            if left.is_file() and time.time() - left.stat().st_mtime > _STALE_SECONDS:
+                left.unlink()
 
 
 def remove(path: Path) -> None:

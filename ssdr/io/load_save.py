@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..clips import Clip, pick
 from ..errors import FormatError, InputError, SsdrWarning, is_real
 from ..sequence import MeshSequence
+from ..space import Space, Up
 from .registry import (
     FORMATS,
     Format,
@@ -26,6 +25,7 @@ from .registry import (
     is_many,
     refuse_device,
 )
+from .spaces import ready_to_write, scaled, with_space
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -41,6 +41,8 @@ def load(
     weld: bool = False,
     fps: float | None = None,
     scale: float = 1.0,
+    units: float | None = None,
+    up: Up | None = None,
     **options: Any,
 ) -> MeshSequence:
     """Read an animated mesh; from a file with a skinning, the skinned vertices of every frame.
@@ -62,8 +64,12 @@ def load(
         Frames per second, in place of the rate in the file. By default the file's rate, or 24 if it
         states none.
     scale : float
-        Factor by which all lengths are multiplied: 0.01 turns centimetres into metres. With any
-        factor but 1, all frames are read into memory.
+        Factor by which all lengths are multiplied. With any but 1, the unit of the result is not
+        known, and all frames are read into memory.
+    units : float, optional
+        Metres in a unit of the result, in place of what the file states. Numbers stay as they are.
+    up : {"y", "z"}, optional
+        Up axis of the result, in place of what the file states. Nothing is turned.
     **options
         Options of the format; the page on formats lists them.
 
@@ -91,14 +97,13 @@ def load(
     ((24, 799, 3), 8.0)
     """
     source, format_ = _readable(path, fps, scale)
+    space = Space(units, up)
     if format_.list_clips is not None and clip is not None:
         options["clip"] = clip
     sequence: MeshSequence = call(format_, "read", source, fps=fps, **options)
     if format_.list_clips is None:
         pick([_only_clip(sequence, source).name], clip)
-    if scale != 1:
-        blocks = [block * block.dtype.type(scale) for _, block in sequence.chunks()]
-        sequence = dataclasses.replace(sequence, vertices=np.concatenate(blocks))
+    sequence = scaled(sequence, scale, space)
     if weld:
         sequence, report = sequence.weld()
         numbers = dataclasses.astuple(report)
@@ -146,6 +151,8 @@ def load_skinning(
     clip: str | int | Sequence[str | int] | None = None,
     fps: float | None = None,
     scale: float = 1.0,
+    units: float | None = None,
+    up: Up | None = None,
     **options: Any,
 ) -> Skinning:
     """Read a skinning: rest pose, skin weights and bone transforms.
@@ -161,6 +168,8 @@ def load_skinning(
     scale : float
         Factor by which all lengths are multiplied: positions of vertices and joints, and
         translations of the bones.
+    units, up
+        As in :func:`load`.
 
     Raises
     ------
@@ -180,23 +189,16 @@ def load_skinning(
     4
     """
     source, format_ = _readable(path, fps, scale, "read_skinning")
+    space = Space(units, up)
     skinning: Skinning = call(format_, "read_skinning", source, fps=fps, **options)
-    if scale != 1:
-        transforms, at = skinning.transforms.copy(), skinning.joint_positions
-        transforms[..., 3] *= scale
-        skinning = dataclasses.replace(
-            skinning,
-            rest=skinning.rest * skinning.rest.dtype.type(scale),
-            transforms=transforms,
-            joint_positions=None if at is None else at * at.dtype.type(scale),
-        )
+    skinning = scaled(skinning, scale, space)
     if clip is None:
         return skinning
     return skinning.select(*([clip] if isinstance(clip, (str, int)) else clip))
 
 
 def _readable(
-    path: Any, fps: float | None, scale: float = 1.0, function: str = "read"
+    path: Any, fps: float | None = None, scale: float = 1.0, function: str = "read"
 ) -> tuple[Path, Format]:
     """Path and format of a file, after checking that it can be read and the options are valid.
 
@@ -220,8 +222,18 @@ def _readable(
     return source, format_
 
 
-def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport:
+def save(
+    thing: Any,
+    path: str | os.PathLike[str],
+    *,
+    units: float | None = None,
+    up: Up | None = None,
+    **options: Any,
+) -> SaveReport:
     """Write a sequence or a skinning to a file.
+
+    It is converted to metres with y up for glTF and FBX, and to the space of a template. The note
+    of the report says what was done and what is not known.
 
     If writing stops with an error, no incomplete file is left. If the format cannot hold a
     skinning, its skinned vertices are written, with the frames of all clips one after the other.
@@ -233,6 +245,10 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
     path : path
         File to write, whose suffix chooses the format. For numbered meshes, a pattern such as
         ``folder/frame_%04d.obj``.
+    units : float, optional
+        Metres in a unit of `thing`, in place of those that ``thing.space`` states.
+    up : {"y", "z"}, optional
+        Up axis of `thing`, in place of that of ``thing.space``.
     **options
         Options of the format; the page on formats lists them.
 
@@ -282,11 +298,21 @@ def save(thing: Any, path: str | os.PathLike[str], **options: Any) -> SaveReport
         raise InputError(
             "path", f"a suffix of {', '.join(able)} for a {type(thing).__name__}", suffix
         )
-    report: SaveReport = call(format_, writer, thing, target, **options)
+    given = with_space(thing, thing.space.but(Space(units, up)))
+    space, template = format_.space, options.get("template")
+    if template is not None and format_.template_space is not None:
+        space = call(format_, "template_space", _as_path(template))
+    ready, said = ready_to_write(given, format_.title, space)
+    if options.get("levels"):
+        stated = [with_space(level, given.space) for level in options["levels"]]
+        options["levels"] = [ready_to_write(x, format_.title, space)[0] for x in stated]
+    report: SaveReport = call(format_, writer, ready, target, **options)
+    back = (ready.space.units or 1.0) / (given.space.units or ready.space.units or 1.0)
+    lengths = {n: getattr(report, n) for n in ("error", "max_error", "between_frames")}
+    report = dataclasses.replace(report, **{n: x and x * back for n, x in lengths.items()})
     if report.lost:
-        lost = f"{target}: not kept: {', '.join(report.lost)}"
-        warnings.warn(lost, SsdrWarning, stacklevel=2)
-    notes = [note for note in (report.note, joined) if note]
+        warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
+    notes = [note for note in (said, report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
 
 
@@ -323,12 +349,9 @@ def copy(
     ...     ssdr.io.copy(f"{folder}/dance.glb", f"{folder}/dance.gltf").lost
     ()
     """
-    source, to = _as_path(path), _as_path(target)
-    format_ = format_of(source)[1]
+    (source, format_), to = _readable(path), _as_path(target)
     if format_.copy is None or format_of(to)[1] is not format_:
         raise InputError("target", f"a file of the format of {source}", str(to))
-    if not source.exists():
-        raise FileNotFoundError(f"{source}: no such file")
     report: SaveReport = call(format_, "copy", source, to, clips=clips)
     return report
 

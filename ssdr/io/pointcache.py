@@ -102,20 +102,12 @@ def write_sequence(sequence: MeshSequence, path: Path, *, unweld: bool = False) 
         header, kind = _MDD.pack(count, len(index)), ">f4"
         header += seconds(np.arange(count), sequence.fps).astype(kind).tobytes()
     error = StorageError()
-    with atomic_path(path) as temporary:
-        with temporary.open("wb") as stream:
-            stream.write(header)
-            for start, block in sequence.chunks():
-                stored = error.round(block, start)
-                stream.write(stored[:, index].astype(kind, copy=False).tobytes())
-        size = temporary.stat().st_size
-    return SaveReport(
-        path=path,
-        bytes=size,
-        error=error.rmse or None,
-        max_error=error.largest or None,
-        note=note,
-    )
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.write(header)
+        for start, block in sequence.chunks():
+            stored = error.round(block, start)
+            stream.write(stored[:, index].astype(kind, copy=False).tobytes())
+    return error.report(path, note=note)
 
 
 def _rate(path: Path, times: np.ndarray[Any, Any]) -> float | None:

@@ -8,23 +8,17 @@ import importlib
 import inspect
 import logging
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clips import one_rate, pick
-from ..errors import (
-    FormatError,
-    InputError,
-    MissingDependencyError,
-    SsdrError,
-    is_real,
-    is_whole,
-)
+from ..clips import Clip, one_rate, pick
+from ..errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real, is_whole
 from ..sequence import MeshSequence
+from ..space import METRES_Y_UP, UNKNOWN, Space
 from .budget import afford
 
 if TYPE_CHECKING:
@@ -49,7 +43,7 @@ class SaveReport:
         file holds no skin weights.
     error : float or None
         Root mean square sqrt(Σ |d|² / (F V)) of the distances |d| between the vertices in the file
-        and those given, in the mesh's units; None if the file is exact.
+        and those given, in the units of those given; None if the file is exact.
     max_error : float or None
         Largest of these distances; None if the file is exact.
     between_frames : float or None
@@ -84,15 +78,17 @@ class SaveReport:
 class Format:
     """A file format, and the modules that hold its functions.
 
-    `extra` is the extra of ssdr that the format needs. Each field after it is named after a
-    function, and holds the name of the module with that function, or None. If a format has
-    `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If it has
-    `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
+    `extra` is the extra of ssdr that the format needs. `space` is the space that its files must
+    have, whose unknown parts they may choose; None if they cannot state any. Each field after it is
+    named after a function, and holds the name of the module with that function, or None. If a
+    format has `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If
+    it has `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
     `template`, and `template_problem` returns the reason why a file cannot be a template.
     """
 
     title: str
     extra: str | None = None
+    space: Space | None = None
     read: str | None = None
     write_sequence: str | None = None
     read_skinning: str | None = None
@@ -101,16 +97,17 @@ class Format:
     copy: str | None = None
     left_out: str | None = None
     template_problem: str | None = None
+    template_space: str | None = None
 
 
-def _format(title: str, extra: str | None = None, **modules: str) -> Format:
+def _format(title: str, extra: str | None = None, space: Any = None, **modules: str) -> Format:
     """Format from keywords ``module="function ..."``, where ``__`` in a module stands for a dot."""
     places = {
         function: module.replace("__", ".")
         for module, functions in modules.items()
         for function in functions.split()
     }
-    return Format(title, extra, **places)
+    return Format(title, extra, space, **places)
 
 
 _READS = "read list_clips read_skinning"
@@ -118,19 +115,21 @@ _PASSES = "copy left_out template_problem"
 _ALL = f"{_READS} write_sequence write_skinning"
 _NUMBERED = _format("numbered meshes", meshes__numbered="read")
 _CACHE = "read write_sequence"
+_SKIN = "write_skinning"
 _GLTF = _format(
-    "glTF 2.0", gltf__reader=_READS, gltf__writer="write_skinning", gltf__passing=_PASSES
+    "glTF 2.0", None, METRES_Y_UP, gltf__reader=_READS, gltf__writer=_SKIN, gltf__passing=_PASSES
 )
 _USD = _format(
     "Universal Scene Description",
     "usd",
+    UNKNOWN,
     usd__reader=_READS,
     usd__writer="write_sequence write_skinning",
-    usd__template=_PASSES,
+    usd__template=f"{_PASSES} template_space",
 )
 
 FORMATS: dict[str, Format] = {
-    ".npz": _format("NumPy archive", arrays__npz=_ALL),
+    ".npz": _format("NumPy archive", None, UNKNOWN, arrays__npz=_ALL),
     ".npy": _format("NumPy array", arrays__npy=_CACHE),
     ".zarr": _format("zarr store", "zarr", arrays__zarr_store=_CACHE),
     ".obj": _format("numbered Wavefront OBJ", meshes__numbered=_CACHE),
@@ -139,14 +138,16 @@ FORMATS: dict[str, Format] = {
     ".stl": _format("numbered STL", meshes__numbered="read"),
     ".pc2": _format("PC2 point cache", pointcache=_CACHE),
     ".mdd": _format("MDD point cache", pointcache=_CACHE),
-    ".csv": _format("skin weights, CSV", tables="write_skinning"),
+    ".csv": _format("skin weights, CSV", None, UNKNOWN, tables=_SKIN),
     ".glb": _GLTF,
     ".gltf": _GLTF,
     ".usd": _USD,
     ".usda": _USD,
     ".usdc": _USD,
     ".abc": _format("Alembic", "blender", blender__bridge="read"),
-    ".fbx": _format("FBX", "blender", blender__bridge=f"{_READS} write_skinning left_out"),
+    ".fbx": _format(
+        "FBX", "blender", METRES_Y_UP, blender__bridge=f"{_READS} write_skinning left_out"
+    ),
 }
 
 
@@ -231,15 +232,41 @@ def _check_option(name: str, value: Any, annotation: str) -> None:
         raise InputError(name, "a positive number", value)
 
 
-def pick_clip(names: Sequence[str], clip: Any, path: Path, argument: str = "clip") -> int:
+def pick_clip(names: Sequence[str], clip: Any, path: Path) -> int:
     """Index of the clip that a name or number chooses, by :func:`~ssdr.clips.pick`.
 
     If there are several clips, the log names the chosen one.
     """
-    index = pick(names, clip, argument)
+    index = pick(names, clip)
     if len(names) > 1:
         _log.info("%s: clip %r of %s", path, names[index], list(names))
     return index
+
+
+def choose(meshes: str | Sequence[str] | None, names: Sequence[Collection[str]]) -> list[int]:
+    """Indices of the meshes that have a name in `meshes`; all if that is None.
+
+    `names` are those by which each mesh can be chosen.
+
+    Raises
+    ------
+    InputError
+        If no mesh has one of the names.
+    """
+    if meshes is None:
+        return list(range(len(names)))
+    wanted = {meshes} if isinstance(meshes, str) else set(meshes)
+    known = set().union(*names)
+    for name in sorted(wanted - known):
+        raise InputError("meshes", f"one of {sorted(known)}", repr(name))
+    return [k for k, own in enumerate(names) if wanted.intersection(own)]
+
+
+def check_one_rate(clips: Sequence[Clip], where: str) -> None:
+    """Raise an InputError if clips differ in their frame rates; `where` says why they must not."""
+    if not one_rate(clips):
+        rates = ", ".join(f"{clip.name} at {clip.fps:g}" for clip in clips)
+        raise InputError("thing", f"clips of one frame rate {where}", rates)
 
 
 def bake(skinning: Skinning) -> MeshSequence:
@@ -250,13 +277,8 @@ def bake(skinning: Skinning) -> MeshSequence:
     InputError
         If clips have different frame rates.
     """
-    if not one_rate(skinning.clips):
-        raise InputError(
-            "thing",
-            "clips of one frame rate where vertices are stored, which have one; "
-            "skinning.select(name) takes one out",
-            ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
-        )
+    hint = "skinning.select(name) takes one out"
+    check_one_rate(skinning.clips, f"where vertices are stored, which have one; {hint}")
     return MeshSequence(
         skinning.skin(),
         skinning.faces,
@@ -265,6 +287,7 @@ def bake(skinning: Skinning) -> MeshSequence:
         clip=skinning.clips[0].name if len(skinning.clips) == 1 else "",
         surface=skinning.surface,
         vertex_map=skinning.vertex_map,
+        space=skinning.space,
         validate=False,
     )
 
@@ -292,21 +315,23 @@ def written_vertices(
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+def reading(path: Path, *options: str) -> Iterator[None]:
     """Turn errors of a parser inside the block into a FormatError that names the file.
 
     An InputError inside the block becomes a FormatError, too, because it is about the contents of
-    the file; check arguments of the caller outside the block. Errors of a missing file, permission
-    or package stay as they are.
+    the file, unless it is about one of the `options` of the caller. Errors of a missing file,
+    permission or package stay as they are.
     """
     try:
         refuse_device(path)
         yield
     except Exception as error:
         missing = isinstance(error, FileNotFoundError) and not path.exists()
-        named = isinstance(error, FormatError) and str(path) in str(error)
+        named = isinstance(error, FormatError) and str(error).startswith(str(path))
+        of_caller = isinstance(error, InputError) and error.argument in options
         of_no_file = isinstance(error, SsdrError) and not isinstance(error, ValueError)
-        if missing or named or of_no_file or isinstance(error, PermissionError):
+        kept = of_caller or of_no_file or isinstance(error, (PermissionError, UserWarning))
+        if missing or named or kept:
             raise
         what = str(error) or type(error).__name__
         if isinstance(error, MemoryError):

@@ -11,14 +11,13 @@ rotation about a far origin, they would move the vertices along a chord instead 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..clips import Clip, unique_names
-from ..errors import InputError, check_choice
+from ..errors import InputError
 from ..hierarchy.transforms import (
     from_frames,
     rest_diagonal,
@@ -27,13 +26,12 @@ from ..hierarchy.transforms import (
     to_world,
     translating,
 )
+from ..quantisation import WeightStorage, quantise, weight_values
 from ..rigid import matrix_from_quaternion, quaternion_from_matrix, slerp, unflip_quaternions
 from ..skinning import Skinning, skin
 from .registry import SaveReport
 from .storage import StorageError, frame_blocks
 from .tables import weight_rows
-
-WeightStorage = Literal["float32", "uint16", "uint8"]
 
 # frames per second in use in film, television and motion capture
 _RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
@@ -296,65 +294,34 @@ def interpolate_quaternions(
     return slerp(p, q, u)
 
 
-def quantise(
-    indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
-) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Weights as a file stores them, rounded so that those of a vertex sum to exactly 1.
+def frame_rate(stamps: NDArray[np.float64]) -> float | None:
+    """Frames per second of ascending key times (in seconds); None if none is found.
 
-    Returns
-    -------
-    indices : (V, K) int32
-        As given, but 0 where the stored weight is 0, as glTF requires.
-    stored : (V, K) float32, uint16 or uint8
-
-    Raises
-    ------
-    InputError
-        If `storage` is unknown.
+    All keys fall on frames at the rate of the closest two keys, if it does for them, or at the
+    first usual rate that does. Where these do not suit, more than three in four keys may follow
+    each other at one rate, which is then taken before any usual one: the other keys lie between
+    its frames. Rates below 10 are not taken, because sparse keys alone would suggest them.
     """
-    check_choice(storage, "weights", WeightStorage)
-    stored: NDArray[Any] = weights.astype(np.float32)
-    if storage == "float32":
-        stored[:, 0] = 1.0 - stored[:, 1:].sum(axis=1, dtype=np.float64)
-    else:
-        steps = np.iinfo(storage).max
-        scaled = weights * steps
-        whole = np.floor(scaled)
-        # The largest remainders are rounded up: rows keep their sum with the least error.
-        order = np.argsort(-np.where(weights > 0, scaled - whole, -1.0), axis=1, kind="stable")
-        rank = np.argsort(order, axis=1, kind="stable")
-        whole += rank < np.rint(steps - whole.sum(axis=1))[:, None]
-        stored = whole.astype(storage)
-    return np.where(stored > 0, indices, 0).astype(np.int32), stored
-
-
-def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
-    """Weights in float64 from stored weights; integers are divided by the maximum of their type."""
-    steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
-    return np.asarray(stored / np.float64(steps))
-
-
-def frame_rate(times: Sequence[NDArray[np.float64]]) -> float | None:
-    """Frames per second at which all key times (in seconds) fall on frames; None if none is found.
-
-    First the rate is tried at which the closest two keys are one frame apart, then the usual rates
-    from the lowest. Rates below 10 are not taken, because sparse keys alone would suggest them.
-    """
-    stamps = np.unique(np.concatenate([np.zeros(0), *times]))
-    if len(stamps) < 2:
-        return None
     gaps = np.diff(stamps)
     gaps = gaps[gaps > 1e-4]
     if not len(gaps):
         return None
     span = float(stamps[-1] - stamps[0])
-    shortest = float(gaps.min())
-    closest = round(span / shortest) / span
-    nearest = float(round(closest))
-    if nearest and abs(closest - nearest) < 1e-4 * nearest:
-        closest = nearest
-    for rate in (closest, *_RATES):
-        ticks = (stamps - stamps[0]) * rate
-        if 10 <= rate <= 1000 and np.abs(ticks - np.rint(ticks)).max() < 0.01:
+    closest = _near_whole(round(span / float(gaps.min())) / span)
+    alike = np.abs(gaps / np.median(gaps) - 1) < 0.01
+    common = _near_whole(1 / float(gaps[alike].mean())) if alike.mean() > 0.75 else None
+    for rate in (closest, common, *_RATES):
+        if rate and 10 <= rate <= 1000 and (rate == common or not off_frames(stamps, rate)):
             return rate
     return None
+
+
+def _near_whole(rate: float) -> float:
+    nearest = float(round(rate))
+    return nearest if nearest and abs(rate - nearest) < 1e-4 * nearest else rate
+
+
+def off_frames(stamps: NDArray[np.float64], fps: float) -> int:
+    """Number of ascending times (in seconds) that lie between frames, counted from the first."""
+    ticks = (stamps - stamps[0]) * fps
+    return int((np.abs(ticks - np.rint(ticks)) >= 0.01).sum())

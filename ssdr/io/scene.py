@@ -6,7 +6,7 @@ import dataclasses
 import logging
 from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..lbs import skin
 from ..sequence import MeshSequence
 from ..skinning import BoneModel, Skinning
+from ..space import Space
 from ..surface import Material, Surface
 from .budget import MOST_BYTES, afford
 from .corners import corner_normals
@@ -83,23 +84,29 @@ class ScenePart(Protocol):
     weights : (V, K) float array
     faces : (T, 3) int array
         Indices into the part's own vertices.
+    uv, normals : (T, 3, 2) and (T, 3, 3) float32 arrays or None
+        UVs and normals at the corners of the triangles.
+    material : (T,) int array
+        Index of each triangle's material among those of the scene; -1 stands for a default one.
     """
 
     skeleton: Any
     indices: NDArray[np.int32]
     weights: NDArray[np.float64]
     faces: NDArray[np.int64]
+    material: NDArray[np.integer]
 
+    @property
+    def uv(self) -> NDArray[np.float32] | None: ...
+    @property
+    def normals(self) -> NDArray[np.float32] | None: ...
     def shape(self, time: Any, /) -> Shape: ...
     def transforms(self, time: Any, /) -> NDArray[np.float64]: ...
     def bones(self, transforms: NDArray[np.float64], /) -> Bones: ...
 
 
-Part = TypeVar("Part", bound=ScenePart)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
-class Sample(Generic[Part]):
+class Sample:
     """One clip of a scene, with the parts to show in it.
 
     Attributes
@@ -112,7 +119,7 @@ class Sample(Generic[Part]):
     """
 
     clip: Clip
-    parts: Sequence[Part]
+    parts: Sequence[Any]
     time: Any
 
 
@@ -124,27 +131,6 @@ class Bones:
     parents: NDArray[np.integer]
     joint_positions: NDArray[np.float64]
     transforms: NDArray[np.float64]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Looks:
-    """UVs, normals and materials of the parts of a scene.
-
-    Attributes
-    ----------
-    uv, normals : list
-        For each part, the UVs (T, 3, 2) and the normals (T, 3, 3) at the corners of its triangles,
-        or None.
-    material_index : list of (T,) int arrays
-        For each part, the index into `materials` of each triangle; -1 stands for a default
-        material.
-    materials : list of Material
-    """
-
-    uv: list[NDArray[np.float32] | None]
-    normals: list[NDArray[np.float32] | None]
-    material_index: list[NDArray[np.int64]]
-    materials: list[Material]
 
 
 def file_weights(
@@ -186,36 +172,41 @@ def join_faces(parts: Sequence[ScenePart]) -> NDArray[np.int32]:
 
 
 def _join_surface(
-    parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], looks: Looks
+    parts: Sequence[ScenePart], rest: Sequence[NDArray[np.floating]], materials: list[Material]
 ) -> Surface | None:
     """Surface of all parts joined; None if there are no UVs, normals or materials.
 
     If only some parts have UVs, the others get zeros. If only some have normals, the others get the
     normals of their rest pose.
     """
-    index, materials = np.concatenate(looks.material_index), looks.materials
-    some_uv = any(uv is not None for uv in looks.uv)
-    some_normals = any(normals is not None for normals in looks.normals)
-    if not len(index) or not (some_uv or some_normals or materials):
+    index = np.concatenate([part.material for part in parts])
+    if not len(index):
+        return None
+    uvs: list[Any] = [part.uv for part in parts]
+    normals: list[Any] = [part.normals for part in parts]
+    some_uv = any(uv is not None for uv in uvs)
+    some_normals = any(known is not None for known in normals)
+    if not (some_uv or some_normals or materials):
         return None
     if materials and (index < 0).any():
         index = np.where(index < 0, len(materials), index)
         materials = [*materials, Material(name="default")]
-    blank = [np.zeros((len(part.faces), 3, 2), dtype=np.float32) for part in parts]
-    uv = [zeros if uv is None else uv for zeros, uv in zip(blank, looks.uv, strict=True)]
-    normals = [
-        corner_normals(points, part.faces, None) if normals is None else normals
-        for points, part, normals in zip(rest, parts, looks.normals, strict=True)
-    ]
+    for k, part in enumerate(parts):
+        if uvs[k] is None:
+            uvs[k] = np.zeros((len(part.faces), 3, 2), dtype=np.float32)
+        if normals[k] is None:
+            normals[k] = corner_normals(rest[k], part.faces, None)
     return Surface(
-        uv=np.concatenate(uv) if some_uv else None,
+        uv=np.concatenate(uvs) if some_uv else None,
         normals=np.concatenate(normals) if some_normals else None,
         material_index=index.astype(np.int32) if materials else None,
         materials=tuple(materials),
     )
 
 
-def join_sequence(sample: Sample[Any], looks: Looks, name: str) -> MeshSequence:
+def join_sequence(
+    sample: Sample, materials: list[Material], name: str, space: Space
+) -> MeshSequence:
     """Sequence called `name` of the skinned vertices of all parts in the frames of one clip."""
     clip, parts = sample.clip, sample.parts
     starts = part_starts(parts)
@@ -230,13 +221,14 @@ def join_sequence(sample: Sample[Any], looks: Looks, name: str) -> MeshSequence:
             rest = shape(block.start) if callable(shape) else shape
             out[block] = skin(rest, part.indices, part.weights, moved[block], dtype=np.float64)
     rest_poses = [shape(0) if callable(shape) else shape for shape in shapes]
-    surface = _join_surface(parts, rest_poses, looks)
-    return MeshSequence(
-        frames, join_faces(parts), clip.fps, name=name, clip=clip.name, surface=surface
-    )
+    surface = _join_surface(parts, rest_poses, materials)
+    named: dict[str, Any] = {"name": name, "clip": clip.name, "surface": surface, "space": space}
+    return MeshSequence(frames, join_faces(parts), clip.fps, **named)
 
 
-def join_skinning(samples: Sequence[Sample[Any]], looks: Looks, name: str) -> Skinning:
+def join_skinning(
+    samples: Sequence[Sample], materials: list[Material], name: str, space: Space
+) -> Skinning:
     """Skinning called `name` of all parts, with one clip for each sample.
 
     Raises
@@ -279,9 +271,10 @@ def join_skinning(samples: Sequence[Sample[Any]], looks: Looks, name: str) -> Sk
         np.concatenate([widened(part, part.weights) for part in parts]),
         joined,
         faces=join_faces(parts),
-        surface=_join_surface(parts, rest, looks),
+        surface=_join_surface(parts, rest, materials),
         name=name,
         clips=in_order(one.clip for one in samples),
+        space=space,
     )
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .registry import SaveReport
 
 _BLOCK_BYTES = 64 << 20  # bytes of float64 positions in a block: more only takes more memory
 
@@ -50,6 +53,11 @@ class StorageError:
             raise InputError("thing", "coordinates that float32 can hold", frames)
         self.add(stored, block)
         return stored
+
+    def report(self, path: Path, **fields: Any) -> SaveReport:
+        """Report on the file `path`, with these distances as its error and further `fields`."""
+        size, error, most = path.stat().st_size, self.rmse or None, self.largest or None
+        return SaveReport(path=path, bytes=size, error=error, max_error=most, **fields)
 
     @property
     def rmse(self) -> float | None:

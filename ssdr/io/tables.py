@@ -144,8 +144,7 @@ def read_weights(
 def _parse(text: str) -> tuple[NDArray[np.int64], list[str], NDArray[np.float64]]:
     rows = list(filter(None, csv.reader(io.StringIO(text, newline=""), strict=True)))
     header = [cell.strip() for cell in rows[0]] if rows else []
-    problem = f"the header is {','.join(header)[:80]!r}, not vertex,bone,weight"
-    check(header == _COLUMNS, problem)
+    check(header == _COLUMNS, f"the header is {','.join(header)[:80]!r}, not vertex,bone,weight")
     for k, row in enumerate(rows[1:], 1):
         if len(row) != 3 or not _NUMBER.fullmatch(row[0]):
             raise FormatError(f"row {k} is not vertex,bone,weight")

@@ -129,6 +129,26 @@ def rest_step(form, g, p, a, b):
 
 
 @inline
+def place(x2, y, pairs, ids, w, n, move_rest, p, form, g, m, a, b):
+    """Move p to the best rest position under the weights, if at all, and return the error there."""
+    form_of(pairs, ids, w, n, form)
+    for c in range(4):
+        value = 0.0
+        for q in range(n):
+            value += w[q] * y[c, ids[q]]
+        g[c] = value
+    if move_rest:
+        rest_step(form, g, p, a, b)
+    monomials(p, m)
+    e = x2 - 2.0 * g[3]
+    for c in range(3):
+        e -= 2.0 * g[c] * p[c]
+    for d in range(10):
+        e += form[d] * m[d]
+    return e
+
+
+@inline
 def vertex_error(x2, gram4, y, indices, w, n, p):
     """Squared error x2 − 2 fᵀw + wᵀHw of a vertex with rest position p."""
     e = x2
@@ -301,21 +321,7 @@ def solve_vertices(
                 for q in range(n):
                     alive[q] = q
                 simplex_qp(h, f, w, alive, n, a, b)
-        form_of(pairs, ids, w, n, form)
-        for c in range(4):
-            value = 0.0
-            for q in range(n):
-                value += w[q] * y[i, c, ids[q]]
-            g[c] = value
-        if move_rest:
-            rest_step(form, g, p, a, b)
-        e = x2[i] - 2.0 * g[3]
-        for c in range(3):
-            e -= 2.0 * g[c] * p[c]
-        monomials(p, m)
-        for d in range(10):
-            e += form[d] * m[d]
-        error[i] = e
+        error[i] = place(x2[i], y[i], pairs, ids, w, n, move_rest, p, form, g, m, a, b)
         if not locked[i]:
             store(ids, w, n, indices[i], weights[i])
 

@@ -44,11 +44,6 @@ class Comparison(Distances):
     hausdorff: Hausdorff | None = None
     sted: Sted | None = None
 
-    @property
-    def distances(self) -> Distances:
-        """This comparison itself, since it has all attributes of :class:`Distances`."""
-        return self
-
     def as_dict(self, *, arrays: bool = False) -> dict[str, Any]:
         """Dictionary of plain numbers, for JSON.
 

@@ -19,7 +19,7 @@ from .fewest_bones import FewestBones
 from .ladder import Ladder, Stopped
 from .pruning import Pruner
 from .rank import rank_bound, rank_of, reduced
-from .report import Measure, Parsimony, Pruning, Smallest, size
+from .report import Measure, Parsimony, Pruning, Smallest
 from .solved_frames import SolvedFrames
 
 __all__ = ["Driver"]
@@ -138,10 +138,12 @@ class Driver:
     def _find_bones(self) -> None:
         """Find the fewest bones.
 
-        If frames are streamed, the search solves representative ones.  It is then repeated with a
-        stricter tolerance until the model holds the tolerance on all frames.
+        If frames are streamed, the search solves representative ones, and if weights are stored in
+        integers, it knows no rounding.  It is then repeated with a stricter tolerance until the
+        rounded model holds the tolerance on all frames.
         """
         ladder, frames, search = self.ladder, self.frames, self.search
+        exact = frames.scan is None and self.problem.storage == "float32"
         for _ in range(_RETRIES):
             search.run()
             held = ladder.fewest
@@ -153,7 +155,7 @@ class Driver:
             if self.stopped is not None:
                 raise Stopped(self.stopped)
             error = frames.error_of_all(self.skinning)
-            if frames.scan is None or error <= self.tolerance:
+            if exact or error <= self.tolerance:
                 return
             ladder.tolerance *= 0.99 * self.tolerance / error
             search.least = held
@@ -194,7 +196,6 @@ class Driver:
             stop_reason=reason,
             history=(*ladder.records, last),
             offsets=problem.offsets,
-            compile_seconds=0.0,
             warnings=() if held else (self._shortfall(skinning, error, reason),),
             parsimony=Parsimony(
                 tolerance=self.asked,
@@ -204,7 +205,7 @@ class Driver:
                 bones=skinning.n_bones,
                 influences=skinning.n_influences,
                 least_bones=self.least,
-                size=size(skinning),
+                size=frames.size(skinning),
                 prunings=tuple(self.prunings),
                 attempts=tuple(ladder.attempts),
             ),

@@ -20,7 +20,7 @@ from ..solver.gauss_newton import GaussNewton
 from ..solver.model import Locked, Model
 from ..solver.trajectories import Trajectories
 from .keyframes import Tracks
-from .report import Pruning, influence_bytes, size
+from .report import Pruning, influence_bytes
 from .solved_frames import SolvedFrames
 
 __all__ = ["Nested", "Pruner"]
@@ -149,7 +149,7 @@ class Pruner:
                 high = price
             else:
                 low = price
-                if size(trial.keyed).total < size(best.keyed).total:
+                if self.frames.size(trial.keyed).total < self.frames.size(best.keyed).total:
                     best = trial
                 if streamed:
                     break
@@ -160,8 +160,8 @@ class Pruner:
             else:
                 price = math.sqrt(low * high)
         return best.keyed, [
-            _pruning("influences", skinning, best.fewer, before, best.error),
-            _pruning("keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
+            self._record("influences", skinning, best.fewer, before, best.error),
+            self._record("keyframes", best.fewer, best.keyed, best.error, best.keyed_error),
         ]
 
     def _guess(self, skinning: Skinning) -> float:
@@ -175,7 +175,7 @@ class Pruner:
         tracks = Tracks(skinning, self.offsets)
         # factor from squared errors in the solver's space to those of all frames in mesh units
         unit = data.scale**2 * skinning.n_frames / data.n_frames
-        influence = influence_bytes(skinning.n_bones) / unit
+        influence = influence_bytes(skinning.n_bones, frames.problem.storage) / unit
         least = nested.choose(0.0)[1]
         low, high = 1e-12 * budget, budget
         for _ in range(_HALVINGS):
@@ -187,7 +187,8 @@ class Pruner:
 
     def _pruned(self, price: float) -> Pruned:
         data, nested = self.frames.data, self.nested
-        influence = influence_bytes(nested.models[0].n_bones) / data.scale**2
+        storage = self.frames.problem.storage
+        influence = influence_bytes(nested.models[0].n_bones, storage) / data.scale**2
         model = nested.build(nested.choose(price * influence)[0])
         if self.frames.measure == "rmse":  # a polish may raise the largest error
             # given a damping, the polish keeps the supports
@@ -202,13 +203,18 @@ class Pruner:
         keyed = tracks.play(tracks.choose(price)[0])
         return Pruned(fewer, keyed, error, self.frames.error_of_all(keyed))
 
+    def _record(
+        self,
+        what: Literal["influences", "keyframes"],
+        a: Skinning,
+        b: Skinning,
+        before: float,
+        after: float,
+    ) -> Pruning:
+        def count(s: Skinning) -> int:
+            if what == "influences":
+                return int(np.count_nonzero(s.weights))
+            return s.n_frames * s.n_bones if s.keyframes is None else int(np.sum(s.keyframes))
 
-def _pruning(
-    what: Literal["influences", "keyframes"], a: Skinning, b: Skinning, before: float, after: float
-) -> Pruning:
-    def count(s: Skinning) -> int:
-        if what == "influences":
-            return int(np.count_nonzero(s.weights))
-        return s.n_frames * s.n_bones if s.keyframes is None else int(np.sum(s.keyframes))
-
-    return Pruning(what, count(a), count(b), size(a).total, size(b).total, before, after)
+        size_a, size_b = (self.frames.size(s).total for s in (a, b))
+        return Pruning(what, count(a), count(b), size_a, size_b, before, after)

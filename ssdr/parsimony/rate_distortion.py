@@ -64,11 +64,6 @@ class Curve:
     diagonal: float
     knee: int
 
-    @property
-    def percent(self) -> NDArray[np.float64]:
-        """RMSE in percent of the diagonal."""
-        return 100 * self.rmse / (self.diagonal or 1.0)
-
 
 def curve(
     sequence: MeshSequence | Any,

@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, check_choice
 from ..hierarchy.transforms import rest_diagonal, translating
+from ..quantisation import WeightStorage
 from ..result import Decomposition
 from ..skinning import Skinning
 
@@ -70,7 +71,8 @@ class Size:
         Bytes of the rest pose: 12 per vertex (three float32).
     weights : int
         Bytes of the weights: 1 per vertex for the number of its influences, and per influence 2 for
-        a weight of 16 bits and 1 for the bone's index (2 if there are more than 256 bones).
+        a weight of 16 bits (1 of 8 bits) and 1 for the bone's index (2 if there are more than 256
+        bones).
     joints : int
         Bytes of the joints: 12 per bone for its position in the rest pose, and in a hierarchy 1 for
         its parent (2 if there are more than 256 bones).
@@ -202,13 +204,15 @@ class Smallest(Decomposition):
     parsimony: Parsimony
 
 
-def size(skinning: Skinning) -> Size:
+def size(skinning: Skinning, *, storage: WeightStorage = "uint16") -> Size:
     """Bytes of a model: rest pose, nonzero weights, joints, and keys.
 
     Parameters
     ----------
     skinning : Skinning
         If its `keyframes` are None, every frame is a key of every bone.
+    storage : {"uint16", "uint8", "float32"}
+        What a weight is stored in; "float32" counts as "uint16", which holds it well enough.
 
     Returns
     -------
@@ -217,7 +221,7 @@ def size(skinning: Skinning) -> Size:
     Raises
     ------
     InputError
-        If the argument is not a Skinning.
+        If an argument is not usable.
 
     Examples
     --------
@@ -232,8 +236,9 @@ def size(skinning: Skinning) -> Size:
     keys = np.full(bones, frames)
     if skinning.keyframes is not None:
         keys = np.asarray(skinning.keyframes).sum(axis=0)
-    influence = influence_bytes(bones)
-    parent = influence - 2 if skinning.parents is not None else 0
+    check_choice(storage, "storage", WeightStorage)
+    influence = influence_bytes(bones, storage)
+    parent = index_bytes(bones) if skinning.parents is not None else 0
     times = np.where(keys < frames, keys * time_bytes(frames), 0)
     return Size(
         rest=12 * skinning.n_vertices,
@@ -243,9 +248,14 @@ def size(skinning: Skinning) -> Size:
     )
 
 
-def influence_bytes(bones: int) -> int:
-    """Bytes per influence: a weight of 16 bits and an index."""
-    return 3 if bones <= 256 else 4
+def influence_bytes(bones: int, storage: WeightStorage) -> int:
+    """Bytes per influence: a weight of 16 bits, or of 8, and an index."""
+    return (1 if storage == "uint8" else 2) + index_bytes(bones)
+
+
+def index_bytes(bones: int) -> int:
+    """Bytes of the index of a bone."""
+    return 1 if bones <= 256 else 2
 
 
 def key_bytes(skinning: Skinning) -> NDArray[np.int64]:

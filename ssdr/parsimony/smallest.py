@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..checks import BoneModel, check_whole, parse_tolerance
+from ..checks import BoneModel, check_whole, names_arguments, parse_tolerance
 from ..drivers.efforts import Effort
+from ..drivers.hand_back import finished
 from ..drivers.problem import Problem, check_problem
-from ..errors import InputError, SsdrWarning, check_choice
+from ..errors import InputError, check_choice
+from ..quantisation import WeightStorage
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
-from ..solver.warmup import compile_kernels
 from ..start import Skeleton, Start
 from .driver import Driver
 from .report import Measure, Smallest
@@ -29,6 +29,7 @@ _MOST_BONES = 256  # by default, so that the index of a bone fits into 8 bits
 _LEAST_VERTEX = 1e-4
 
 
+@names_arguments
 def smallest(
     sequence: MeshSequence | Any,
     faces: Any = None,
@@ -36,7 +37,7 @@ def smallest(
     tolerance: float | str,
     measure: Measure = "rmse",
     bones: int | None = None,
-    influences: int = 4,
+    influences: int | tuple[int, WeightStorage] = 4,
     effort: Effort = "balanced",
     bone_model: BoneModel = "rigid",
     rig: str | None = None,
@@ -70,8 +71,9 @@ def smallest(
         The solver minimises squares, so that "max" takes more bones than necessary.
     bones : int, optional
         Largest number of bones; by default 256, or the number of vertices if that is less.
-    influences : int
-        Most influences per vertex (K).
+    influences : int or (int, {"uint8", "uint16", "float32"})
+        Most influences per vertex (K), and what files will store their weights in, as in
+        :func:`decompose`.  The tolerance holds for the stored weights.
     effort : {"fast", "balanced", "best"}
         Work spent on each number of bones before it is given up.
     bone_model : {"rigid", "similarity", "affine"}
@@ -128,39 +130,22 @@ def smallest(
     >>> result.rmse <= 0.01 * dancer.diagonal(), result.stop_reason
     (True, 'tolerance held')
     """
+    arguments = locals()  # under their own names
     sequences = as_sequences(sequence, faces)
     n = sequences[0].n_vertices
     most = min(n, _MOST_BONES) if bones is None else bones
     most = check_whole(most, "bones", 1, n, " (the number of vertices)")
-    problem = check_problem(
-        sequences,
-        None,
-        bones=None if isinstance(start, Skinning) else most,
-        influences=influences,
-        effort=effort,
-        bone_model=bone_model,
-        rig=rig,
-        start=start,
-        vertex_importance=vertex_importance,
-        frame_importance=frame_importance,
-        rng=rng,
-        time_limit=time_limit,
-        checkpoint=checkpoint,
-        callback=callback,
-    )
+    del arguments["tolerance"], arguments["measure"]
+    arguments["bones"] = None if isinstance(start, Skinning) else most
+    problem = check_problem(**arguments)
     check_choice(measure, "measure", Measure)
     parse_tolerance(tolerance, 1.0)
     _check_beside_tolerance(problem, rig, most)
     length = parse_tolerance(tolerance, max(s.diagonal() for s in sequences))
-    compile_seconds = compile_kernels()
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
-    driver = Driver(dataclasses.replace(problem, bones=most, locked=locked), length, measure)
-    result = dataclasses.replace(driver.solve(), compile_seconds=compile_seconds)
-    problem.checkpoint.offer(lambda: result.skinning, now=True)
-    for note in result.warnings:
-        warnings.warn(note, SsdrWarning, stacklevel=2)
-    return result
+    sought = dataclasses.replace(problem, bones=most, locked=locked)
+    return finished(problem, lambda: Driver(sought, length, measure).solve())
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:

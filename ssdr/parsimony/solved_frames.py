@@ -6,25 +6,27 @@ all frames.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from ..drivers.efforts import NUMBERS
 from ..drivers.hand_back import skinning_of
 from ..drivers.passes import ENTERING, GAIN, AllFrames
 from ..drivers.problem import Problem
 from ..drivers.scan import Scan, needs_streaming, subset
 from ..drivers.streamed import scan_of
-from ..frames.error import largest_error, squared_error
-from ..frames.executor import Executor, executor_for
+from ..frames.error import largest_error, rmse
 from ..search.given import Given
 from ..search.progress import Clock
 from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
-from .report import Measure, size
+from ..solver.rounding import rounded_models
+from .report import Measure, Size, size
 
 __all__ = ["SolvedFrames"]
 
@@ -56,12 +58,10 @@ class SolvedFrames:
         self.sequences, given = problem.sequences, problem.given
         importance = problem.frame_importance
         self.scan: Scan | None = None
-        self.executor: Executor | None = None
         if needs_streaming(self.sequences):
-            self.executor = executor_for(self.sequences)
-            self.scan = scan_of(problem, clock, self.executor)
+            self.scan = scan_of(problem, clock)
             chosen = self.scan.chosen
-            self.sequences = [subset(self.sequences, chosen, executor=self.executor)]
+            self.sequences = [subset(self.sequences, chosen, executor=problem.executor)]
             importance, given = self.scan.importance(importance), given.of_frames(chosen)
         self.data = problem.trajectories(self.sequences, importance).compressed(problem.bones)
         self.given = given.inside(self.data)
@@ -83,7 +83,7 @@ class SolvedFrames:
         """Error of a skinning, measured on all frames, in the mesh's units."""
         parts = (s.rest, s.indices, s.weights, s.transforms)
         measure = measure or self.measure
-        return _error(measure, self.problem.sequences, *parts, executor=self.executor)
+        return _error(measure, self.problem.sequences, *parts, executor=self.problem.executor)
 
     def skinning(self, model: Model) -> Skinning:
         """Convert a model to a skinning of the frames that the search solves."""
@@ -99,6 +99,8 @@ class SolvedFrames:
     ) -> Skinning:
         """Convert a model to a skinning of all frames; streamed frames are solved in passes.
 
+        Weights are rounded to what the problem's storage holds.
+
         Parameters
         ----------
         model : Model
@@ -110,18 +112,27 @@ class SolvedFrames:
         on_progress : callable
             Called within a pass; if it returns True, that pass is the last.
         """
+        problem, last, stop = self.problem, math.inf, False
+        locked = problem.locked
+        if problem.storage != "float32":
+            rounds = NUMBERS[problem.effort].rounding
+            parts = self.data, model, problem.storage
+            for rounded in rounded_models(*parts, locked=locked, rounds=rounds):
+                model = rounded
+                if on_progress():
+                    break
+            locked = dataclasses.replace(locked, weights=np.ones(problem.n_vertices, dtype=bool))
         if self.scan is None:
             return self.skinning(model)
-        problem, last, stop = self.problem, math.inf, False
         frames = AllFrames(
             problem.sequences,
             self.scan,
             self.data,
             model,
-            locked=problem.locked,
+            locked=locked,
             given=Given(),
             importance=problem.frame_importance,
-            executor=self.executor,
+            executor=problem.executor,
         )
 
         def within(_: float) -> None:
@@ -135,17 +146,19 @@ class SolvedFrames:
             last = value
         return _trimmed(skinning_of(problem, frames.alignment, frames.model))
 
+    def size(self, skinning: Skinning) -> Size:
+        """Size of a skinning whose weights are in the problem's storage."""
+        return size(skinning, storage=self.problem.storage)
+
     def bytes(self, model: Model) -> int:
         """Bytes of a model for all frames, in which every bone has a key at every frame."""
-        stored, frames = size(self.skinning(model)), self.data.n_frames
+        stored, frames = self.size(self.skinning(model)), self.data.n_frames
         return stored.total + stored.keys // frames * (self.problem.n_frames - frames)
 
 
 def _error(measure: Measure, sequences: list[MeshSequence], *parts: Any, **executor: Any) -> float:
-    if measure == "max":
-        return largest_error(sequences, *parts, **executor)
-    count = sum(len(s) for s in sequences) * sequences[0].n_vertices
-    return math.sqrt(float(squared_error(sequences, *parts, **executor).sum()) / count)
+    error = largest_error if measure == "max" else rmse
+    return error(sequences, *parts, **executor)
 
 
 def _trimmed(skinning: Skinning) -> Skinning:

@@ -18,8 +18,6 @@ from .parts import Part
 from .raster import Camera
 from .scene import Scene, Style, Unit
 
-__all__ = ["contact_sheet", "picture_format", "render_frame", "write_picture"]
-
 _ROWS = {"plain": "shape", "weights": "skin weights", "bones": "bones", "error": "error"}
 
 

@@ -20,8 +20,6 @@ from .panels import INK, QUIET, Panels, as_many, draw_scale
 from .parts import Part
 from .scene import Scene, Style, Unit, evenly
 
-__all__ = ["Film", "animate"]
-
 _PAPER, _MARK = "#ffffff", "#c93559"
 _PALETTE_FRAMES = 4  # frames from which the colours of a GIF are chosen
 # Pillow's options by suffix; method 4 makes a WebP a third smaller and takes less time than drawing

@@ -13,11 +13,8 @@ from numpy.typing import NDArray
 
 from ..kernels.raster import light_shares, raster_triangles
 from ..parallel import chunk_bounds, run_chunks
-from .raster import Camera, unit
+from .raster import Camera, Float, unit
 
-__all__ = ["Lights", "around_both_sides", "lamp", "reflected", "sky", "sphere_directions"]
-
-Float = NDArray[np.float64]
 # Unit directions in view axes (right, up, towards the viewer) and linear RGB times strength, chosen
 # by eye.  The lamp grazes surfaces that face the viewer, so that folds are shaded.
 _LAMP = unit(np.array([-0.84, 0.52, 0.36]))

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["bone_colors", "heat", "linear_from_srgb", "mix", "srgb_from_linear"]
-
 # Ottosson, "A perceptual color space for image processing" (OKLab), 2020: both matrices.
 _LMS_FROM_RGB = np.array(
     [

@@ -8,21 +8,17 @@ from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from ..errors import InputError
 from .palette import heat, linear_from_srgb, srgb_from_linear
 from .parts import NEUTRAL
-from .raster import block_mean
+from .raster import Float, block_mean
 from .scene import Scene, Style, Unit, number
 from .skeleton import draw_bones
 from .studio import Stage
 from .view import View
 
-__all__ = ["INK", "QUIET", "Panels", "as_many", "checked_frames", "draw_scale"]
-
-Float = NDArray[np.float64]
 INK, QUIET = "#20242c", "#6b7280"
 _SAMPLES = 2  # per pixel along each axis
 _EVEN = 0.45  # share of the light without direction on colours that show values

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..checks import check_mask
 from ..errors import InputError
 
-__all__ = ["CLAY", "FABRIC", "NEUTRAL", "SKIN", "Part", "checked_parts", "checked_regions"]
-
 Color = tuple[float, float, float]
 CLAY: Color = (0.84, 0.82, 0.79)
 """Light warm grey."""

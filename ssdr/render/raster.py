@@ -13,18 +13,6 @@ from ..errors import InputError
 from ..kernels.raster import raster_balls, raster_triangles
 from ..parallel import chunk_bounds, run_chunks
 
-__all__ = [
-    "Camera",
-    "balls_seen",
-    "between",
-    "block_mean",
-    "empty_depth",
-    "normals_of",
-    "triangles_seen",
-    "unit",
-    "up_axes",
-]
-
 Float = NDArray[np.float64]
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 _BAND = 48  # rows of pixels in a task; each task visits all triangles

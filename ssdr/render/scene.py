@@ -19,8 +19,6 @@ from ..skinning import Skinning
 from .palette import bone_colors, mix
 from .parts import Part, checked_parts, checked_regions
 
-__all__ = ["Scene", "Style", "Unit", "evenly", "number"]
-
 Style = Literal["plain", "weights", "bones", "error"]
 Unit = tuple[str, float]
 Float = NDArray[np.float64]

@@ -7,12 +7,9 @@ from numpy.typing import NDArray
 
 from .light import reflected
 from .palette import linear_from_srgb
-from .raster import Camera, balls_seen, empty_depth, normals_of, triangles_seen, unit
+from .raster import Camera, Float, balls_seen, empty_depth, normals_of, triangles_seen, unit
 from .scene import Scene
 
-__all__ = ["draw_bones", "octahedra"]
-
-Float = NDArray[np.float64]
 # red, green and blue for a bone's x, y and z axes, as in modelling programs
 _AXES = linear_from_srgb([[0.86, 0.27, 0.25], [0.30, 0.66, 0.31], [0.22, 0.45, 0.85]])
 _JOINT = linear_from_srgb([0.24, 0.25, 0.28])

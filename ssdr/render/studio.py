@@ -13,6 +13,7 @@ from .light import Lights, around_both_sides, lamp, reflected, sky
 from .palette import linear_from_srgb
 from .raster import (
     Camera,
+    Float,
     Pixels,
     balls_seen,
     between,
@@ -22,9 +23,6 @@ from .raster import (
     unit,
 )
 
-__all__ = ["Stage"]
-
-Float = NDArray[np.float64]
 _TOP, _BOTTOM = (0.957, 0.957, 0.965), (0.863, 0.871, 0.894)  # sRGB of the backdrop
 _CREASE = 0.6  # cosine of the angle between the normals of a vertex and its triangle
 _BIAS = 0.0035  # distance, relative to the diagonal, below which surfaces cast no shadow

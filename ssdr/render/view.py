@@ -9,15 +9,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, is_whole
-from .raster import Camera, up_axes
+from .raster import Camera, Float, up_axes
 from .scene import Scene, evenly
-
-__all__ = ["View"]
-
-Float = NDArray[np.float64]
 
 _SIZES = (16, 8192)  # smallest and largest side in pixels; larger ones take gigabytes
 _SIDES = (25, -25, 40, -40, 60, -60, 10, -10)  # azimuths to choose from, in degrees

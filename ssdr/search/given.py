@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from ..solver.trajectories import Alignment, Array
 __all__ = ["Given"]
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Given:
     """Parts of a model that a caller hands over.
 
@@ -76,7 +76,7 @@ class Given:
     def of_frames(self, chosen: NDArray[np.int64]) -> Given:
         """A copy for the frames `chosen` alone, ascending; `rest_frame` must be one of them."""
         transforms = self.transforms
-        return dataclasses.replace(
+        return replace(
             self,
             rest_frame=int(np.searchsorted(chosen, self.rest_frame)),
             transforms=None if transforms is None else np.ascontiguousarray(transforms[chosen]),
@@ -84,25 +84,16 @@ class Given:
 
     def inside(self, alignment: Alignment) -> Given:
         """A copy with rest pose, joints and transforms taken into the solver's space."""
-
-        def inward(points: Array | None, name: str) -> Array | None:
-            if points is None:
-                return None
-            return np.ascontiguousarray(alignment.from_world(points, None, (name, ""))[0])
-
-        tree, transforms = self.tree, self.transforms
+        inward, inside, tree = alignment.points_from_world, self, self.tree
         if tree is not None:
             owner = "rig.skinning" if self.keeps_tree else "start"
             points = inward(tree.points, f"{owner}.joint_positions")
-            assert points is not None
-            tree = dataclasses.replace(tree, points=points)
-        if transforms is not None:
-            names = ("", "start.transforms")
-            _, transforms = alignment.from_world(alignment.centre[:1], transforms, names)
-        return dataclasses.replace(
-            self,
-            rest=inward(self.rest, "start.rest"),
-            tree_pose=inward(self.tree_pose, "rig.skinning.rest"),
-            transforms=transforms,
-            tree=tree,
-        )
+            inside = replace(inside, tree=replace(tree, points=points))
+        if self.transforms is not None:
+            moves = alignment.moves_from_world(self.transforms, "start.transforms")
+            inside = replace(inside, transforms=moves)
+        if self.rest is not None:
+            inside = replace(inside, rest=inward(self.rest, "start.rest"))
+        if self.tree_pose is not None:
+            inside = replace(inside, tree_pose=inward(self.tree_pose, "rig.skinning.rest"))
+        return inside

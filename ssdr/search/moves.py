@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
 from ..solver.alternation import alternate, bone_costs, bone_step, vertex_step
 from ..solver.gauge import normalise_gauge
@@ -18,7 +19,6 @@ from ..solver.initialization import fit_patches
 from ..solver.model import CHUNK, Locked, Model
 from ..solver.moments import transform_sums
 from ..solver.trajectories import Array, Trajectories
-from ..solver.vertex_newton import newton_rows
 
 __all__ = [
     "add_and_merge_bones",
@@ -214,28 +214,21 @@ def drop_influence(data: Trajectories, model: Model, locked: Locked) -> None:
 
         def work(_: int, i: int, j: int) -> None:
             some = rows[i:j]
-            y, x2 = data.z[some] @ reduced, data.x2[some]
-            least = np.full(len(some), np.inf)
-            indices, weights, rest = model.indices[some], model.weights[some], model.rest[some]
+            n = len(some)
+            sums = (data.z[some] @ reduced).reshape(n, 4, -1), data.x2[some], gram, gram4
+            given = model.rest[some], model.indices[some], model.weights[some]
+            least, error = np.full(n, np.inf), np.empty(n)
+            flags = keep[some], not locked.rest, 0, _ROUNDS
+            unread = np.empty((n, k + 2, k + 2)), np.empty((n, k + 2))
             for q in range(k):
-                t_indices, t_weights, t_rest = indices.copy(), weights.copy(), rest.copy()
-                t_weights[:, q] = 0.0
-                t_weights /= t_weights.sum(axis=1, keepdims=True)
-                error = np.empty(len(some))
-                newton_rows(
-                    y,
-                    x2,
-                    (gram, gram4),
-                    (t_rest, t_indices, t_weights, error),
-                    keep[some],
-                    move_rest=not locked.rest,
-                    entering=0,
-                    rounds=_ROUNDS,
-                )
+                rest, indices, weights = (a.copy() for a in given)
+                weights[:, q] = 0.0
+                weights /= weights.sum(axis=1, keepdims=True)
+                polish_vertices(*sums, rest, indices, weights, error, *flags, *unread)
                 better = error < least
                 least[better], at = error[better], some[better]
-                model.indices[at], model.weights[at] = t_indices[better], t_weights[better]
-                model.rest[at] = t_rest[better]
+                model.indices[at], model.weights[at] = indices[better], weights[better]
+                model.rest[at] = rest[better]
             model.error[some] = np.maximum(least, 0.0)
 
         run_chunks(work, chunk_bounds(len(rows), CHUNK))

@@ -263,10 +263,11 @@ class Run:
 
         def after_step(phase: str) -> str | None:
             rmse = unit * math.sqrt(self.best_value)
-            _logger.debug("%s, iteration %d, rmse %.6g", phase, self.iteration, rmse)
+            fraction = part[0] + (part[1] - part[0]) * self.fraction
+            said = phase, self.iteration, rmse, 100 * fraction
+            _logger.debug("%s, iteration %d, rmse %.6g, %.0f %% done", *said)
             if self.best is not None:
                 save()
-            fraction = part[0] + (part[1] - part[0]) * self.fraction
             if report(phase, iteration=self.iteration, rmse=rmse, fraction=fraction):
                 if self.best is None:
                     raise Cancelled("stopped by the callback before there was any model")

@@ -115,9 +115,7 @@ class StartFromModel(Stage):
 
     def apply(self, run: Run) -> Iterator[None]:
         data, given = run.data, run.given
-        assert given.rest is not None
-        assert given.indices is not None
-        own = self._model(run, _patches_of_weights(run, given.rest, given.indices))
+        own = self._model(run, None)
         model = own if given.transforms is None else self._model(run, given.transforms.copy())
         tree = given.tree if run.rigid_joints else None
         if own is model or own.weighted_error(data) < model.weighted_error(data):
@@ -130,11 +128,13 @@ class StartFromModel(Stage):
         run.model = model
         yield
 
-    def _model(self, run: Run, bones: Array) -> Model:
+    def _model(self, run: Run, bones: Array | None) -> Model:
         given = run.given
         assert given.rest is not None
         assert given.indices is not None
         assert given.weights is not None
+        if bones is None:
+            bones = _patches_of_weights(run, given.rest, given.indices)
         parts = (given.rest, given.indices, given.weights)
         model = Model.with_weights(bones, *parts, run.influences)
         _measure_error(run, model)

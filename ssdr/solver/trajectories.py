@@ -73,32 +73,30 @@ class Alignment:
         t = shift + self.centre[:, None] - r @ origin
         return self.points_to_world(rest), np.concatenate([r, t[..., None]], axis=-1)
 
-    def from_world(
-        self,
-        rest: Array,
-        transforms: Array | None,
-        names: tuple[str, str] = ("rest", "transforms"),
-    ) -> tuple[Array, Array | None]:
-        """Map a rest pose and transforms to the solver's space.
+    def from_world(self, rest: Array, transforms: Array) -> tuple[Array, Array]:
+        """Map a rest pose and transforms to the solver's space."""
+        return self.points_from_world(rest, "rest"), self.moves_from_world(transforms, "transforms")
 
-        Error messages call the two arguments by `names`.
+    def points_from_world(self, points: Array, argument: str) -> Array:
+        """Map points of the rest pose to the solver's space.
 
         Raises
         ------
         InputError
-            If numbers are too large to be squared.
+            If numbers of `argument`, the points, are too large to be squared.
         """
-        origin = self.centre[0]
-        inner = (np.asarray(rest, dtype=np.float64) - origin) / self.scale
-        check_squarable(inner, names[0], _APART)
-        if transforms is None:
-            return inner, None
+        inner = (np.asarray(points, dtype=np.float64) - self.centre[0]) / self.scale
+        check_squarable(inner, argument, _APART)
+        return np.ascontiguousarray(inner)
+
+    def moves_from_world(self, transforms: Array, argument: str) -> Array:
+        """Map transforms to the solver's space; errors as in :meth:`points_from_world`."""
         m = np.asarray(transforms, dtype=np.float64)
         r = np.einsum("tba,tjbc->tjac", self.rotation, m[..., :3])
-        moved = m[..., 3] + m[..., :3] @ origin - self.centre[:, None]
+        moved = m[..., 3] + m[..., :3] @ self.centre[0] - self.centre[:, None]
         t = np.einsum("tba,tjb->tja", self.rotation, moved) / self.scale
-        check_squarable(t, names[1], _APART)
-        return inner, np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
+        check_squarable(t, argument, _APART)
+        return np.ascontiguousarray(np.concatenate([r, t[..., None]], axis=-1))
 
     def inward(self, block: NDArray[np.floating], first: int) -> Array:
         """Map frames `first`, `first` + 1, ... (c, V, 3) to the solver's space, as (V, c, 3)."""

@@ -11,7 +11,6 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..kernels.polish import polish_vertices
 from ..parallel import chunk_bounds, run_chunks, serial_blas
@@ -19,7 +18,7 @@ from .model import CHUNK, FREE, Locked, Model
 from .moments import transform_sums
 from .trajectories import Array, Trajectories
 
-__all__ = ["VertexSystem", "newton_rows", "newton_vertices", "optimise_vertices"]
+__all__ = ["VertexSystem", "newton_vertices", "optimise_vertices"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,9 +62,7 @@ def optimise_vertices(
         Matrices and gradients at the optimised model.
     """
     stacked, gram, gram4, reduced = transform_sums(data, model.transforms)
-    n, size = data.n_vertices, model.n_influences + 2
-    system = VertexSystem(stacked, np.empty((n, size, size)), np.empty((n, size)))
-    newton_vertices(
+    answers = newton_vertices(
         lambda i, k: data.z[i:k] @ reduced,
         data.x2,
         (gram, gram4),
@@ -73,10 +70,8 @@ def optimise_vertices(
         locked=locked,
         entering=entering,
         rounds=rounds,
-        inverse=system.inverse,
-        gradient=system.gradient,
     )
-    return system
+    return VertexSystem(stacked, *answers)
 
 
 def newton_vertices(
@@ -88,9 +83,7 @@ def newton_vertices(
     locked: Locked,
     entering: int,
     rounds: int,
-    inverse: Array | None = None,
-    gradient: Array | None = None,
-) -> None:
+) -> tuple[Array, Array]:
     """Optimise weights and rest pose, given sums over the frames (in place).
 
     Parameters
@@ -111,56 +104,21 @@ def newton_vertices(
         before the Gauss–Newton steps.
     rounds : int
         Largest number of Gauss–Newton steps of a vertex.
-    inverse, gradient : (V, D, D), (V, D) arrays, optional
-        Outputs: the fields of :class:`VertexSystem`.
+
+    Returns
+    -------
+    (V, D, D), (V, D) arrays
+        `inverse` and `gradient` of :class:`VertexSystem`.
     """
-    n = len(model.rest)
-    keep = locked.vertex_mask(n)
+    n, size = len(model.rest), model.n_influences + 2
+    keep, flags = locked.vertex_mask(n), (not locked.rest, entering, rounds)
+    inverse, gradient = np.empty((n, size, size)), np.empty((n, size))
 
     def work(_: int, i: int, k: int) -> None:
-        newton_rows(
-            products(i, k),
-            x2[i:k],
-            tables,
-            (model.rest[i:k], model.indices[i:k], model.weights[i:k], model.error[i:k]),
-            keep[i:k],
-            move_rest=not locked.rest,
-            entering=entering,
-            rounds=rounds,
-            inverse=None if inverse is None else inverse[i:k],
-            gradient=None if gradient is None else gradient[i:k],
-        )
+        y = products(i, k).reshape(k - i, 4, model.n_bones)
+        rows = model.rest[i:k], model.indices[i:k], model.weights[i:k], model.error[i:k]
+        answers = inverse[i:k], gradient[i:k]
+        polish_vertices(y, x2[i:k], *tables, *rows, keep[i:k], *flags, *answers)
 
     run_chunks(work, chunk_bounds(n, CHUNK))
-
-
-def newton_rows(
-    y: Array,
-    x2: Array,
-    tables: tuple[Array, Array],
-    rows: tuple[Array, NDArray[np.int32], Array, Array],
-    keep: NDArray[np.bool_],
-    *,
-    move_rest: bool,
-    entering: int,
-    rounds: int,
-    inverse: Array | None = None,
-    gradient: Array | None = None,
-) -> None:
-    """Optimise n vertices as :func:`newton_vertices` does, in the calling thread.
-
-    Parameters
-    ----------
-    y : (n, 4B) array
-        The vertices' rows of Y.
-    rows : tuple of arrays
-        The vertices' rest positions, indices, weights and errors, all changed in place.
-    keep : (n,) bool array
-        Mask of the vertices whose weights are locked.
-    """
-    n, size = len(x2), rows[1].shape[1] + 2
-    matrices = np.empty((n, size, size)) if inverse is None else inverse
-    gradients = np.empty((n, size)) if gradient is None else gradient
-    y = y.reshape(n, 4, len(tables[0]))
-    flags = keep, move_rest, entering, rounds
-    polish_vertices(y, x2, *tables, *rows, *flags, matrices, gradients)
+    return inverse, gradient

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from ..kernels.lbs import squared_error_range
+from ..frames.error import squared_error
 from ..sequence import MeshSequence
 from .alternation import bone_costs, bone_step, vertex_step
 from .gauss_newton import GaussNewton
@@ -26,23 +26,15 @@ def compile_kernels() -> float:
     if _ready:
         return 0.0
     began = time.perf_counter()
-    data = gather([MeshSequence(np.random.default_rng(0).standard_normal((3, 8, 3)))], bones=2)
+    sequence = MeshSequence(np.random.default_rng(0).standard_normal((3, 8, 3)))
+    data = gather([sequence], bones=2)
     transforms = np.zeros((3, 2, 3, 4))
     transforms[..., :3] = np.eye(3)
     model = Model.start(transforms, data.frame(0), np.arange(8) % 2, 2)
     vertex_step(data, model)
     bone_step(data, model)
     bone_costs(data, model)
-    squared_error_range(
-        model.rest,
-        model.indices,
-        model.weights,
-        model.transforms[:1],
-        np.zeros((1, data.n_vertices, 3)),
-        0,
-        1,
-        np.zeros(data.n_vertices),
-    )
+    squared_error([sequence], model.rest, model.indices, model.weights, model.transforms)
     GaussNewton(data, model).step(entering=1)
     _ready = True
     seconds = time.perf_counter() - began

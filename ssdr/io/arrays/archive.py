@@ -182,8 +182,7 @@ def _read_header(stream: IO[bytes], member: str = "the array") -> _Header:
             shape, fortran, dtype = read(stream, max_header_size=_MOST_HEADER)
         except Exception as error:
             raise FormatError(f"{member} has no usable .npy header ({error})") from error
-    problem = f"{member} holds pickled Python objects, which are never read"
-    check(not dtype.hasobject, problem)
+    check(not dtype.hasobject, f"{member} holds pickled Python objects, which are never read")
     plain = dtype.kind == "U" or (dtype.kind in "fiub" and dtype.itemsize)
     check(plain, f"{member} holds {dtype}, neither numbers nor text")
     check(all(type(n) is int and n >= 0 for n in shape), f"{member} has the shape {shape}")

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ...errors import FormatError
 from ...sequence import MeshSequence
 from ..atomic import atomic_path
 from ..companion import over_mesh
-from ..registry import SaveReport
+from ..registry import SaveReport, check
 from .archive import read_array, write_array
 
 
@@ -31,8 +30,8 @@ def read(
         Map the file into memory instead of reading it.
     """
     array = read_array(path, mmap=mmap)
-    if array.ndim != 3 or array.shape[2] != 3:
-        raise FormatError(f"{path}: expected an array of shape (F, V, 3), got {array.shape}")
+    points = array.ndim == 3 and array.shape[2] == 3
+    check(points, f"{path}: expected an array of shape (F, V, 3), got {array.shape}")
     return over_mesh(array, path, faces, "faces", fps)
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ...clips import Clip, pick
 from ...errors import InputError
 from ...sequence import MeshSequence
+from ...space import Space
 from ...surface import Material, Surface
 from ..budget import afford
 from ..registry import SaveReport, bake, check, pick_clip, reading
@@ -35,6 +36,7 @@ FORMAT_VERSION = 2  # of the arrays' names and meaning; raised when an old reade
 _SURFACE = ("surface_uv", "surface_normals", "surface_material_index", "materials", "texture_*")
 _SKINNING = ("rest", "weights", "transforms", "faces", "fps", "format_version")
 _FIELDS = {"uv": "float32", "normals": "float32", "material_index": "int32"}  # of a Surface
+_SPACE = ("units", "up")
 _WHERE_GIVEN = ("keyframes", "vertex_map", "parents", "joint_positions")
 
 
@@ -80,7 +82,7 @@ def read(
     arrays = read_arrays(
         path,
         required=("vertices", "faces"),
-        optional=("fps", "name", "clip", "vertex_map", *_SURFACE),
+        optional=("fps", "name", "clip", "vertex_map", *_SPACE, *_SURFACE),
         mapped=("vertices",) if mmap else (),
         max_bytes=max_bytes,
     )
@@ -90,11 +92,12 @@ def read(
         sequence = MeshSequence(
             arrays["vertices"],
             arrays["faces"],
-            _fps(arrays) if fps is None else fps,
+            _number(arrays, "fps", 24.0) if fps is None else fps,
             name=_text(arrays, "name") or path.stem,
             clip=_text(arrays, "clip"),
             surface=surface_from(arrays),
             vertex_map=arrays.get("vertex_map"),
+            space=_space(arrays),
         )
     pick([sequence.clip or sequence.name], clip)
     return sequence
@@ -111,7 +114,7 @@ def list_clips(
     arrays = read_arrays(path, required=(), optional=names, max_bytes=max_bytes)
     with reading(path):
         name = _text(arrays, "clip") or _text(arrays, "name") or path.stem
-        rate = _fps(arrays) if fps is None else fps
+        rate = _number(arrays, "fps", 24.0) if fps is None else fps
         return (Clip(name, 0, shape_of(path, "vertices")[0], rate),)
 
 
@@ -148,12 +151,12 @@ def read_skinning(
         required=_SKINNING,
         optional=(
             *("indices", "joints", "bone_model", "bone_names", "name", *_WHERE_GIVEN, *_SURFACE),
-            *("clip_names", "clip_offsets", "clip_fps"),
+            *("clip_names", "clip_offsets", "clip_fps", *_SPACE),
         ),
         max_bytes=max_bytes,
     )
     with reading(path):
-        version = int(_scalar(arrays, "format_version"))
+        version = int(_number(arrays, "format_version", 0))
         problem = f"format_version {version}; this release reads up to {FORMAT_VERSION}"
         check(1 <= version <= FORMAT_VERSION, problem)
         indices = "joints" if version == 1 else "indices"
@@ -168,12 +171,13 @@ def read_skinning(
             arrays["weights"],
             arrays["transforms"],
             faces=arrays["faces"],
-            fps=_fps(arrays) if fps is None else fps,
+            fps=_number(arrays, "fps", 24.0) if fps is None else fps,
             clips=clips,
             bone_model=_text(arrays, "bone_model") or "rigid",  # type: ignore[arg-type]
             surface=surface_from(arrays),
             bone_names=tuple(json.loads(names)) if names else None,
             name=_text(arrays, "name"),
+            space=_space(arrays),
             **{key: arrays.get(key) for key in _WHERE_GIVEN},
         )
 
@@ -207,6 +211,9 @@ def _write(thing: Any, path: Path, arrays: dict[str, Any], compress: bool) -> Sa
     for key in _WHERE_GIVEN:
         if getattr(thing, key, None) is not None:
             arrays[key] = getattr(thing, key)
+    for key in _SPACE:
+        if getattr(thing.space, key) is not None:
+            arrays[key] = np.array(getattr(thing.space, key))
     arrays |= _surface_arrays(thing.surface)
     size = write_arrays(path, arrays, compress=compress)
     return SaveReport(path=path, bytes=size, influences=getattr(thing, "n_influences", None))
@@ -225,22 +232,24 @@ def _clips_from(arrays: Mapping[str, NDArray[Any]]) -> Any:
     return [Clip(*one) for one in zip(names, offsets[:-1], offsets[1:], rates, strict=True)]
 
 
-def _fps(arrays: Mapping[str, NDArray[Any]]) -> float:
-    return float(_scalar(arrays, "fps")) if "fps" in arrays else 24.0
+def _space(arrays: Mapping[str, NDArray[Any]]) -> Space:
+    units = _number(arrays, "units", 1.0) if "units" in arrays else None
+    return Space(units, _text(arrays, "up") or None)  # type: ignore[arg-type]
 
 
-def _scalar(arrays: Mapping[str, NDArray[Any]], key: str) -> Any:
-    array = arrays[key]
-    if array.size != 1 or array.dtype.kind not in "fiu":
-        raise InputError(key, "one number", f"{array.dtype} of shape {array.shape}")
-    return array.ravel()[0]
+def _number(arrays: Mapping[str, NDArray[Any]], key: str, default: float) -> float:
+    return float(_only(arrays.get(key, np.array(default)), key, "number", "fiu"))
 
 
 def _text(arrays: Mapping[str, NDArray[Any]], key: str) -> str:
-    array = arrays.get(key, np.array(""))
-    if array.size != 1 or array.dtype.kind != "U":
-        raise InputError(key, "one text", f"{array.dtype} of shape {array.shape}")
-    return str(array.ravel()[0])
+    return str(_only(arrays.get(key, np.array("")), key, "text", "U"))
+
+
+def _only(array: NDArray[Any], key: str, what: str, kinds: str) -> Any:
+    """Single entry of an array; an InputError if it has several, or a kind not in `kinds`."""
+    if array.size != 1 or array.dtype.kind not in kinds:
+        raise InputError(key, f"one {what}", f"{array.dtype} of shape {array.shape}")
+    return array.ravel()[0]
 
 
 def _surface_arrays(surface: Surface | None) -> dict[str, NDArray[Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...checks import check_faces
-from ...errors import FormatError, InputError
+from ...errors import InputError
 from ...sequence import MeshSequence
 from ..atomic import free_name, naming, remove
 from ..budget import afford, refuse_bomb
@@ -55,8 +55,7 @@ def read(
                 check(not link.is_symlink(), f"{link}: a link to a folder, not followed")
         node = zarr.open(path, mode="r")
         group = {"vertices": node} if hasattr(node, "shape") else node
-        if "vertices" not in group:
-            raise FormatError(f"no array vertices; it holds {sorted(node.keys())}")
+        check("vertices" in group, f"no array vertices; it holds {sorted(group.keys())}")
         vertices = group["vertices"]
         points = len(vertices.shape) == 3 and vertices.shape[2] == 3
         check(points, f"expected the shape (F, V, 3), got {vertices.shape}")

@@ -12,28 +12,31 @@ import logging
 import os
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...clips import Clip, in_order, one_rate, readable
+from ...clips import Clip, in_order, readable
 from ...errors import FormatError, InputError, MissingDependencyError, SsdrError, is_real
 from ...sequence import MeshSequence
 from ...skinning import Skinning
+from ...space import METRES_Y_UP, UNKNOWN, Space
 from ..arrays.npz import surface_from
 from ..atomic import atomic_path
-from ..axes import Up, check_up, turn_sequence_up, turn_skinning_up
 from ..budget import MOST_BYTES
-from ..gltf import writer as gltf
-from ..registry import SaveReport, pick_clip, reading
+from ..gltf.writer import write_along_bones
+from ..registry import SaveReport, check_one_rate, pick_clip, reading
 from ..scene import Bones, make_skinning
 from ..signatures import describe
+from ..spaces import in_space, transformed, with_space
 from ..storage import StorageError, frame_blocks
 from .finder import command
 
 _log = logging.getLogger(__name__)
+_BLENDER = Space(1.0, "z")
 _IMPORT_FPS = 24.0
 _LONGEST_NAME = 63  # bytes in the name of anything in Blender
 _SCRIPT = Path(__file__).with_name("script.py")
@@ -46,7 +49,7 @@ def read(
     *,
     clip: str | int | None = None,
     fps: float | None = None,
-    up: Up = "y",
+    meshes: str | Sequence[str] | None = None,
     time_limit: float = 600.0,
     max_bytes: int | None = None,
 ) -> MeshSequence:
@@ -60,8 +63,8 @@ def read(
     fps : float, optional
         Frames per second at which to sample; by default 24 for Alembic, which states no rate, and
         as in :func:`read_skinning` for FBX.
-    up : {"y", "z"}
-        Up axis of the result. Most such files have y up; Blender itself has z up.
+    meshes : str or several of them, optional
+        Names of the objects or meshes to read, or of objects above them; all by default.
     time_limit : float
         Seconds after which Blender is stopped.
     max_bytes : int, optional
@@ -70,26 +73,26 @@ def read(
     Returns
     -------
     MeshSequence
-        Vertices in float32, converted to metres from the unit of an FBX file.
+        Vertices in float32, of an FBX file in metres with y up, to which Blender converts them from
+        what the file states. Alembic states neither, and its numbers are those of the file.
 
     Raises
     ------
     FormatError
-        If Blender cannot read the file.
+        If Blender cannot read the file, or it has none of `meshes`.
     InputError
         If the file has no such take.
     MissingDependencyError
         If Blender is not found or is older than 4.2.
     """
-    check_up(up)
     take = clip if isinstance(clip, (str, int)) and not isinstance(clip, bool) else None
-    arrays = _ask_blender("read", path, fps, time_limit, max_bytes, take=take)
-    with reading(path):
-        names = _names(arrays, path)
-    name = names[pick_clip(names, clip, path)]
-    if fps is None and path.suffix.lower() == ".abc":
+    arrays = _ask_blender("read", path, fps, time_limit, max_bytes, take=take, meshes=meshes)
+    fbx = path.suffix.lower() == ".fbx"
+    if fps is None and not fbx:
         _log.info("%s: sampled at 24 frames per second; fps= says otherwise", path)
-    with reading(path):
+    with reading(path, "clip"):
+        names = _names(arrays, path)
+        name = names[pick_clip(names, clip, path)]
         sequence = MeshSequence(
             arrays["vertices"],
             arrays["faces"],
@@ -97,8 +100,10 @@ def read(
             name=_title(arrays, path),
             clip=name,
             surface=surface_from(arrays),
+            space=_BLENDER,
         )
-        return turn_sequence_up(sequence, "z", up)
+        turned = in_space(sequence, METRES_Y_UP)
+        return turned if fbx else with_space(turned, UNKNOWN)
 
 
 def list_clips(
@@ -119,7 +124,8 @@ def read_skinning(
     path: Path,
     *,
     fps: float | None = None,
-    up: Up = "y",
+    meshes: str | Sequence[str] | None = None,
+    joints_alone: bool = False,
     time_limit: float = 600.0,
     max_bytes: int | None = None,
 ) -> Skinning:
@@ -135,15 +141,19 @@ def read_skinning(
     fps : float, optional
         Frames per second at which to sample; by default, for each take, the rate of the file or, if
         keys of the take lie between the file's frames, the rate of these keys.
-    up, time_limit
+    meshes, time_limit
         As in :func:`read`.
+    joints_alone : bool
+        Read the armatures of a file without a mesh, with a vertex at each joint. Such a file states
+        no bind pose; the rest pose is that in which it was exported.
     max_bytes : int, optional
         Most memory that the transforms of all frames may take; 16 GiB by default.
 
     Returns
     -------
     Skinning
-        Rest pose and transforms in float64, in metres; weights in float32; a clip for each take.
+        Rest pose and transforms in float64, in metres with y up; weights in float32; a clip for
+        each take.
 
     Raises
     ------
@@ -152,8 +162,8 @@ def read_skinning(
     MissingDependencyError
         If Blender is not found or is older than 4.2.
     """
-    check_up(up)
-    arrays = _ask_blender("read skinning", path, fps, time_limit, max_bytes)
+    job: dict[str, Any] = {"joints_alone": joints_alone, "meshes": meshes}
+    arrays = _ask_blender("read skinning", path, fps, time_limit, max_bytes, **job)
     with reading(path):
         clips = _clips(arrays, path)
         if len(clips) > 1:
@@ -168,8 +178,9 @@ def read_skinning(
             surface=surface_from(arrays),
             name=_title(arrays, path),
             clips=clips,
+            space=_BLENDER,
         )
-        return turn_skinning_up(model, "z", up)
+        return in_space(model, METRES_Y_UP)
 
 
 def _clips(arrays: dict[str, NDArray[Any]], path: Path) -> tuple[Clip, ...]:
@@ -205,6 +216,8 @@ def _ask_blender(
         head = stream.read(64)
     if not head.startswith(_MAGIC[suffix]):
         raise FormatError(f"{path}: not an {suffix} file: {describe(head)}")
+    if isinstance(job.get("meshes"), str):
+        job["meshes"] = [job["meshes"]]
     job |= {"action": action, "path": str(path.resolve()), "fps": fps or 24.0}
     job |= {"resample": fps is not None, "max_bytes": max_bytes or MOST_BYTES}
     try:
@@ -223,7 +236,7 @@ def write_skinning(
     path: Path,
     *,
     influences: int | None = None,
-    up: Up = "y",
+    centimetres: bool = False,
     name: str | None = None,
     time_limit: float = 600.0,
 ) -> SaveReport:
@@ -236,9 +249,13 @@ def write_skinning(
     Parameters
     ----------
     skinning : Skinning
+        In metres with y up.
     path : Path
-    influences, up, name
+    influences, name
         As in :func:`ssdr.io.gltf.writer.write_skinning`.
+    centimetres : bool
+        Whether to store numbers in centimetres, the unit that the file states in any case. By
+        default they are metres, below nodes that Blender gives a scale of 100.
     time_limit : float
         Seconds after which Blender is stopped.
 
@@ -258,12 +275,7 @@ def write_skinning(
     long = [one for one in names if len(one.encode()) > _LONGEST_NAME]
     if long:
         raise InputError("thing", f"clip names of at most {_LONGEST_NAME} bytes", long[0])
-    if not one_rate(skinning.clips):
-        raise InputError(
-            "thing",
-            "clips of one frame rate, as all takes of an FBX file have",
-            ", ".join(f"{clip.name} at {clip.fps:g}" for clip in skinning.clips),
-        )
+    check_one_rate(skinning.clips, "as all takes of an FBX file have")
     command(_SCRIPT)
     with tempfile.TemporaryDirectory(prefix="ssdr-") as folder, atomic_path(path) as temporary:
         source = Path(folder) / "model.glb"
@@ -274,12 +286,9 @@ def write_skinning(
             for k, c in enumerate(skinning.clips)
         ]
         model = dataclasses.replace(skinning, fps=_IMPORT_FPS, clips=tuple(numbered))
-        settings: dict[str, Any] = {"influences": influences, "up": up, "name": title}
-        lengths = None  # without a hierarchy a bone has no direction
-        if skinning.parents is None:
-            stored = gltf.write_skinning(model, source, **settings)
-        else:
-            stored, lengths = gltf.write_along_bones(model, source, **settings)
+        unit = 0.01 if centimetres else 1.0
+        model = transformed(model, 1 / unit)
+        stored, lengths = write_along_bones(model, source, influences=influences, name=title)
         job = {
             "action": "write",
             "source": str(source),
@@ -287,6 +296,7 @@ def write_skinning(
             "fps": skinning.fps,
             "import_fps": _IMPORT_FPS,
             "lengths": lengths,
+            "unit": unit,
             "clips": [
                 {"name": one, "action": f"c{k}", "frames": clip.n_frames}
                 for k, (one, clip) in enumerate(zip(names, skinning.clips, strict=True))
@@ -295,7 +305,7 @@ def write_skinning(
         written = run(job, time_limit=time_limit)
         if not temporary.is_file():
             raise SsdrError("Blender wrote no FBX file")
-    back = read_skinning(path, up=up, time_limit=time_limit)
+    back = read_skinning(path, time_limit=time_limit)
     vertex = written["vertex"]
     if (back.n_frames, back.n_vertices) != (skinning.n_frames, len(vertex)):
         raise SsdrError(
@@ -314,7 +324,7 @@ def write_skinning(
         bytes=path.stat().st_size,
         error=error.rmse,
         max_error=error.largest,
-        note=stored.note.replace("glTF takes the unit for metres", "the unit is taken for metres"),
+        between_frames=unit * (stored.between_frames or 0.0),
         lost=(lost,) if dropped else (),
     )
 

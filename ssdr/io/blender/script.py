@@ -55,17 +55,36 @@ def edit(item: Any, change: Any) -> None:
     item.hide_viewport = hidden
 
 
-def meshes() -> list[Any]:
-    """Mesh objects that are shown in the scene, sorted by name."""
+def meshes(wanted: Any = None, needed: bool = True) -> list[Any]:
+    """Mesh objects that are shown in the scene, sorted by name.
+
+    With `wanted` only objects that have one of these names, or a parent or mesh of such a name. An
+    error is raised if a mesh is `needed` and there is none.
+    """
     found = [
         o
         for o in bpy.context.scene.objects
         if o.type == "MESH" and not (o.hide_render or o.hide_viewport) and len(o.data.vertices)
     ]
     found = [o for o in found if not is_bone_shape(o)] or found
-    if not found:
+    if not found and needed:
         raise ValueError("no mesh that is shown, one at least was expected")
+    if wanted is not None:
+        known = sorted({name for item in found for name in names_of(item)})
+        for name in wanted:
+            if name not in known:
+                raise ValueError(f"no mesh {name!r}, only {', '.join(known)}")
+        found = [item for item in found if not names_of(item).isdisjoint(wanted)]
     return sorted(found, key=lambda o: o.name)
+
+
+def names_of(item: Any) -> set[str]:
+    """Names of an object, its mesh and the objects above it."""
+    names = {item.data.name}
+    while item is not None:
+        names.add(item.name)
+        item = item.parent
+    return names
 
 
 def is_bone_shape(item: Any) -> bool:
@@ -111,7 +130,9 @@ def read(job: dict[str, Any]) -> None:
     and "read skinning" (skins, with the bones' transforms in all takes).
     """
     load(job["path"], job["fps"])
-    items, found = meshes(), takes.list_takes(job["path"])
+    armatures = [o for o in bpy.context.scene.objects if o.type == "ARMATURE"]
+    items = meshes(job.get("meshes"), not (job.get("joints_alone") and armatures))
+    found = takes.list_takes(job["path"])
     names = [name for name, _ in found]
     arrays: dict[str, Any] = {"names": np.array(json.dumps(names))}
     if len(items) == 1:
@@ -127,6 +148,8 @@ def read(job: dict[str, Any]) -> None:
             np.savez(job["out"], **arrays)  # the caller reports that there is no such take
             return
         found = found[take : take + 1] if found else []
+    elif not items:
+        model = skins.JointPoints(armatures)
     else:
         model = skins.SkinnedMeshes(items, takes.skin_bone_names(job["path"]))
     pose, timelines, need = takes.pose(), [], 0
@@ -142,7 +165,8 @@ def read(job: dict[str, Any]) -> None:
             raise ValueError(f"its {model.what} need {need} bytes, max_bytes is {limit}")
         if len(timelines) == 1:
             model.read_rest(timeline)
-            surfaces.join(items, arrays, job["path"])
+            if items:
+                surfaces.join(items, arrays, job["path"])
         for k in range(timeline.count):
             model.sample(timeline.go(k))
     np.savez(
@@ -238,11 +262,9 @@ def copies(faces: Any) -> Any:
 
 def write(job: dict[str, Any]) -> None:
     lengths = job["lengths"]
-    if lengths is None:
-        load(job["source"], job["import_fps"])
-    else:
-        # the importer then draws bones along their own y axis
-        load(job["source"], job["import_fps"], bone_heuristic="BLENDER")
+    # with this heuristic the importer draws bones along their own y axis
+    options = {} if lengths is None else {"bone_heuristic": "BLENDER"}
+    load(job["source"], job["import_fps"], **options)
     takes.set_rate(job["fps"])
     items = meshes()
     for item in items:
@@ -255,6 +277,7 @@ def write(job: dict[str, Any]) -> None:
             edit(item, lambda bone: setattr(bone, "length", lengths.get(bone.name, bone.length)))
         if item.animation_data:
             put_strips(item, job["clips"])
+    bpy.context.scene.unit_settings.scale_length = job["unit"]
     for item in bpy.context.scene.objects:
         item.select_set(item in items or item in armatures)
     bpy.ops.export_scene.fbx(

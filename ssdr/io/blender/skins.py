@@ -233,3 +233,44 @@ class SkinnedMeshes:
             "parents": np.array(parents),
             "joint_positions": np.concatenate(heads),
         }
+
+
+class JointPoints:
+    """The bones of armatures that move no mesh, with a vertex at each joint."""
+
+    what = "transforms"
+
+    def __init__(self, items: list[Any]) -> None:
+        found = [Armature(item, {bone.name for bone in item.data.bones}) for item in items]
+        self.armatures = [armature for armature in found if armature.names]
+        self.bytes_per_frame = 96 * sum(len(a.names) for a in self.armatures)
+
+    def read_rest(self, timeline: Any) -> None:
+        """Read where the armatures are in the first frame."""
+        graph = timeline.go(0)
+        self._places = [armature.place(graph) for armature in self.armatures]
+
+    def sample(self, graph: Any) -> None:
+        for armature in self.armatures:
+            armature.sample(graph)
+
+    def arrays(self) -> dict[str, Any]:
+        pairs = list(zip(self.armatures, self._places, strict=True))
+        starts = np.cumsum([0, *(len(a.names) for a in self.armatures)])
+        heads = np.concatenate([a.heads @ at[:3, :3].T + at[:3, 3] for a, at in pairs])
+        parents = [
+            start + above if above >= 0 else -1
+            for armature, start in zip(self.armatures, starts, strict=False)
+            for above in armature.parents
+        ]
+        moved = [np.array(a.poses) @ np.linalg.inv(at) for a, at in pairs]
+        return {
+            "rest": heads,
+            "indices": np.arange(len(heads), dtype=np.int32)[:, None],
+            "weights": np.ones((len(heads), 1), dtype=np.float32),
+            "faces": np.zeros((0, 3), dtype=np.int32),
+            "transforms": np.concatenate(moved, axis=1)[:, :, :3],
+            "bones": np.array(json.dumps([name for a in self.armatures for name in a.names])),
+            "parents": np.array(parents),
+            "joint_positions": heads,
+        }

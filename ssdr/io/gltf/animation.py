@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...clips import Clip, readable, unique_names
+from ...errors import FormatError
 from ...rigid import matrix_from_quaternion
-from ..rig import frame_rate, interpolate_quaternions
+from ..registry import check
+from ..rig import frame_rate, interpolate_quaternions, off_frames
 from .document import Document
 
 _KINDS = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3", "weights": "SCALAR"}
@@ -38,12 +40,15 @@ class Animation:
     channels : dict
         Key times, values and interpolation of each channel, by the index of its node and its path
         ("translation", "rotation", "scale" or "weights").
+    between : int
+        Number of key times that lie between frames, if most of them lie on frames.
     """
 
     name: str
     fps: float
     times: NDArray[np.float64]
     channels: dict[tuple[int, str], _Channel]
+    between: int = 0
 
     @property
     def clip(self) -> Clip:
@@ -84,20 +89,23 @@ def read_animation(document: Document, index: int, fps: float | None = None) -> 
         return Animation(name, fps or 24.0, np.zeros(1), {})
     item = document.items("animations")[index]
     channels = _channels(document, item)
-    stamps = [keys for keys, _, _ in channels.values()]
-    first = min((float(keys[0]) for keys in stamps), default=0.0)
-    last = max((float(keys[-1]) for keys in stamps), default=0.0)
+    stamps = np.unique(np.concatenate([np.zeros(0), *(keys for keys, _, _ in channels.values())]))
+    first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
     stated = item.get("extras", {}).get("ssdr", {})
-    rate = fps or frame_rate(stamps) or 24.0
+    found = None if fps else frame_rate(stamps)
+    rate = fps or found or 24.0
+    between = off_frames(stamps, found) if found else 0
     count = math.floor(min((last - first) * rate, 1e15) + 1e-3) + 1
     if "fps" in stated and "frames" in stated:
         own = document.number(stated["fps"], "fps")
-        document.check(own > 0, f"fps is {own}")
+        check(own > 0, f"fps is {own}")
         if fps in (None, own):
             rate, count = own, document.integer(stated, "frames", f"the clip {name}")
             first = document.number(stated.get("start", 0.0), "start")
+    elif between:
+        count = math.ceil((last - first) * rate - 0.01) + 1  # the last frame holds the last key
     document.budget.spend(8 * count, f"{count} frames at {rate:g} per second")
-    return Animation(name, rate, first + np.arange(count) / rate, channels)
+    return Animation(name, rate, first + np.arange(count) / rate, channels, between)
 
 
 def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str], _Channel]:
@@ -108,14 +116,14 @@ def _channels(document: Document, item: dict[str, Any]) -> dict[tuple[int, str],
             continue  # KHR_animation_pointer and the like move no vertex
         sampler = item["samplers"][document.integer(channel, "sampler", "a channel", 0)]
         how = sampler.get("interpolation", "LINEAR")
-        document.check(how in ("LINEAR", "STEP", "CUBICSPLINE"), f"the interpolation {how!r}")
+        check(how in ("LINEAR", "STEP", "CUBICSPLINE"), f"the interpolation {how!r}")
         keys = document.accessor(sampler["input"], "SCALAR", "key times")
         rising = keys[0] >= 0 and (np.diff(keys) > 0).all()
-        document.check(rising, "key times do not rise from 0")
+        check(rising, "key times do not rise from 0")
         values = document.accessor(sampler["output"], _KINDS[path], f"keys of {path}")
         rows = len(keys) * (3 if how == "CUBICSPLINE" else 1)
         fits = len(values) == rows if path != "weights" else values.size % rows == 0
-        document.check(fits, f"{len(values)} keys of {path} for {rows}")
+        check(fits, f"{len(values)} keys of {path} for {rows}")
         channels[node, path] = keys, values.reshape(rows, -1), how
     return channels
 
@@ -190,13 +198,13 @@ class Nodes:
         self._parent: dict[int, int] = {}
         for parent, node in enumerate(self.items):
             for child in node.get("children", []):
-                document.check(child not in self._parent, f"node {child} has two parents")
+                check(child not in self._parent, f"node {child} has two parents")
                 self._parent[child] = parent
         every = set(range(len(self.items)))
         self.order = descendants(self.items, sorted(every - self._parent.keys()))
         if len(self.order) < len(every):
             node = min(every.difference(self.order))
-            raise document.error(f"node {node} is its own ancestor, or is below one that is")
+            raise FormatError(f"node {node} is its own ancestor, or is below one that is")
         self.shown = self.order
         if document.items("scenes"):
             scene = document.items("scenes")[document.json.get("scene", 0)]

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ..atomic import write_bytes
+from ..registry import check, reading
 from ..signatures import picture_type
 from .compression import MESHOPT
-from .document import Document
+from .document import COMPONENTS, WIDTHS, Document
 
-_COMPONENT = {"float32": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
+CODES = {dtype.name: code for code, dtype in COMPONENTS.items()}
 ARRAY, ELEMENTS = 34962, 34963
 
 
@@ -57,10 +58,8 @@ class Builder:
                 if view.get("extensions", {}).keys() & set(MESHOPT):
                     del view["extensions"]
             whole = sum(item["byteLength"] for item in document.items("buffers"))
-            if sum(map(len, self.blocks)) > 16 * whole + (64 << 20):
-                raise document.error(
-                    "its buffer views overlap so much that a copy would be many times larger"
-                )
+            problem = "its buffer views overlap so much that a copy would be many times larger"
+            check(sum(map(len, self.blocks)) <= 16 * whole + (64 << 20), problem)
             for key in ("extensionsUsed", "extensionsRequired"):
                 self.json[key] = [e for e in self.json.get(key, []) if e not in MESHOPT]
         for key in ("accessors", "bufferViews"):
@@ -79,31 +78,48 @@ class Builder:
         kind: str,
         *,
         target: int | None = None,
-        normalized: bool = False,
         bounds: bool = False,
+        use: str = "",
     ) -> int:
-        """Add an accessor for `array` in a buffer view of its own and return the accessor's index.
+        """Add an accessor for `array` and return its index.
 
-        `kind` is its type in glTF, such as "VEC3"; `target` states the use of the view. With
-        `bounds`, the accessor states the minimum and maximum of its values.
+        `kind` is its type in glTF, such as "VEC3"; `target` states the use of its buffer view. With
+        `bounds`, the accessor states the minimum and maximum of its values. `use` names the
+        attribute or the animated property.
         """
-        fields = {} if target is None else {"target": target}
-        item: dict[str, Any] = {
-            "bufferView": self.view(np.ascontiguousarray(array).tobytes(), **fields),
-            "componentType": _COMPONENT[array.dtype.name],
-            "count": len(array),
-            "type": kind,
-        }
-        if normalized:
+        item, stored = self.place(array, kind, target, use)
+        item |= {"count": len(array), "type": kind}
+        if stored.dtype.kind in "iu" and use.startswith(("NORMAL", "WEIGHTS", "rotation")):
             item["normalized"] = True
         if bounds:
-            # Validators compare bounds exactly, and float() keeps a float32's value in JSON.
-            flat = array.reshape(len(array), -1)
-            item["min"] = [float(x) for x in flat.min(axis=0)]
-            item["max"] = [float(x) for x in flat.max(axis=0)]
+            # Validators compare bounds exactly, and item() keeps a float32's value in JSON.
+            flat = stored.reshape(len(stored), -1)[:, : WIDTHS[kind]]
+            item["min"] = [x.item() for x in flat.min(axis=0)]
+            item["max"] = [x.item() for x in flat.max(axis=0)]
         accessors: list[Any] = self.json["accessors"]
         accessors.append(item)
         return len(accessors) - 1
+
+    def place(
+        self, array: NDArray[Any], kind: str, target: int | None, use: str
+    ) -> tuple[dict[str, Any], NDArray[Any]]:
+        """Put an array into a buffer view of its own.
+
+        Returns
+        -------
+        fields : dict
+            Fields of an accessor that say where the array is, and its component type.
+        stored : array
+            The array as stored.
+        """
+        fields = {} if target is None else {"target": target}
+        view = self.view(np.ascontiguousarray(array).tobytes(), **fields)
+        return {"bufferView": view, "componentType": CODES[array.dtype.name]}, array
+
+    def require(self, extension: str) -> None:
+        """State that readers must know an extension."""
+        for key in ("extensionsUsed", "extensionsRequired"):
+            self.json.setdefault(key, []).append(extension)
 
     def save(self, path: Path) -> int:
         """Write a ``.glb``, or a ``.gltf`` with its ``.bin``, and return the number of bytes.
@@ -115,10 +131,18 @@ class Builder:
         """
         self._embed_pictures(path)
         blocks: list[memoryview | bytes] = []
-        length = 0
+        length = unpacked = 0
         for view in self.json["bufferViews"]:
             block = self.blocks[view["buffer"]]
-            view |= {"buffer": 0, "byteOffset": length, "byteLength": len(block)}
+            place = {"buffer": 0, "byteOffset": length, "byteLength": len(block)}
+            packed = view.get("extensions", {}).get(MESHOPT[0])
+            if packed is None:
+                view |= place
+            else:  # as if it lay uncompressed in a buffer that the file does not hold
+                packed |= place
+                size = packed["count"] * packed["byteStride"]
+                view |= {"buffer": 1, "byteOffset": unpacked, "byteLength": size}
+                unpacked += size + -size % 4
             blocks += [block, b"\0" * (-len(block) % 4)]
             length += len(block) + -len(block) % 4
         buffer: dict[str, Any] = {}
@@ -128,6 +152,9 @@ class Builder:
             buffer.pop(key, None)
         buffer["byteLength"] = length
         self.json["buffers"] = [buffer] if length else []
+        if unpacked:
+            absent = {MESHOPT[0]: {"fallback": True}}
+            self.json["buffers"].append({"byteLength": unpacked, "extensions": absent})
         for key in ("accessors", "bufferViews", "buffers", "extensionsUsed", "extensionsRequired"):
             if not self.json.get(key, True):
                 del self.json[key]
@@ -158,7 +185,8 @@ class Builder:
             uri = str(image.get("uri", "data:"))
             if uri.startswith("data:"):
                 continue
-            data = self.document.uri(uri, "an image")
+            with reading(self.document.path):
+                data = self.document.uri(uri, "an image")
             beside = path.parent.resolve() == self.document.path.parent.resolve()
             if path.suffix.lower() == ".glb" or not beside:
                 del image["uri"]

@@ -16,26 +16,23 @@ from numpy.typing import NDArray
 
 from ...errors import FormatError
 from ..references import locate
+from ..registry import check
 from ..scene import SceneBudget
 from ..signatures import describe
 from .compression import DRACO, MESHOPT, decode_view
 from .numbering import check_numbers
 
-COMPONENTS: dict[int, np.dtype[Any]] = {
-    5120: np.dtype("<i1"),
-    5121: np.dtype("<u1"),
-    5122: np.dtype("<i2"),
-    5123: np.dtype("<u2"),
-    5125: np.dtype("<u4"),
-    5126: np.dtype("<f4"),
-}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_KINDS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
+COMPONENTS: dict[int, np.dtype[Any]] = {k: np.dtype(f"<{kind}") for k, kind in _KINDS.items()}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _READ = ("KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual")
 _READ_EXTENSIONS = (*_READ, "KHR_materials_", DRACO, *MESHOPT)
 
 
 class Document:
     """The JSON of a ``.glb`` or ``.gltf`` file, with buffers that are read when they are needed.
+
+    To be used inside :func:`~ssdr.io.registry.reading`, which adds the file's name to errors.
 
     When the file is opened, two things are checked: each list of items (nodes, meshes, ...) holds
     JSON objects, and each index of an item is in range. Other fields are not checked then.
@@ -58,48 +55,39 @@ class Document:
         if data[:4] == b"glTF":
             data = self._json_chunk(data)
         elif path.suffix.lower() == ".glb":
-            raise FormatError(f"{path}: not a binary glTF: {describe(data[:64])}")
+            raise FormatError(f"not a binary glTF: {describe(data[:64])}")
         try:
             self.json = json.loads(
                 data.decode("utf-8-sig"), parse_constant=self._finite, parse_float=self._finite
             )
         except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise FormatError(f"{path}: not a glTF file ({error})") from error
-        self.check(isinstance(self.json, dict), "the JSON is not an object")
+            raise FormatError(f"not a glTF file ({error})") from error
+        check(isinstance(self.json, dict), "the JSON is not an object")
         version = str(self.json.get("asset", {}).get("version", "missing"))
-        self.check(version.startswith("2."), f"glTF version {version}; 2.0 is read")
+        check(version.startswith("2."), f"glTF version {version}; 2.0 is read")
         for extension in map(str, self.json.get("extensionsRequired", [])):
             problem = f"requires {extension}, which is not supported: save the file without it"
-            self.check(extension.startswith(_READ_EXTENSIONS), problem)
+            check(extension.startswith(_READ_EXTENSIONS), problem)
         problem = check_numbers(self.json)
-        self.check(not problem, problem)
-
-    def error(self, what: str) -> FormatError:
-        return FormatError(f"{self.path}: {what}")
-
-    def check(self, valid: Any, problem: str) -> None:
-        """Raise a FormatError with the text `problem` unless `valid` is true."""
-        if not valid:
-            raise self.error(problem)
+        check(not problem, problem)
 
     def _finite(self, text: str) -> float:
         value = float(text)
-        self.check(math.isfinite(value), f"the number {text} is not finite")
+        check(math.isfinite(value), f"the number {text} is not finite")
         return value
 
     def _json_chunk(self, data: bytes) -> bytes:
         """JSON chunk of a ``.glb``; the binary chunk is kept as the bytes of buffer 0."""
-        self.check(len(data) >= 20, f"truncated: {len(data)} bytes")
+        check(len(data) >= 20, f"truncated: {len(data)} bytes")
         version, total, length, kind = struct.unpack_from("<III4s", data, 4)
-        self.check(version == 2, f"binary glTF version {version}; 2 is read")
-        self.check(kind == b"JSON", "the first chunk is not JSON")
+        check(version == 2, f"binary glTF version {version}; 2 is read")
+        check(kind == b"JSON", "the first chunk is not JSON")
         problem = f"truncated: states {max(total, length)} bytes, holds {len(data)}"
-        self.check(20 + length <= total <= len(data), problem)
+        check(20 + length <= total <= len(data), problem)
         place = 20 + length + (-length % 4)
         if place + 8 <= total:
             size, kind = struct.unpack_from("<I4s", data, place)
-            problem = f"truncated: a chunk of {size} bytes at byte {place}"
-            self.check(place + 8 + size <= total, problem)
+            check(place + 8 + size <= total, f"truncated: a chunk of {size} bytes at byte {place}")
             if kind == b"BIN\0":
                 self._binary = memoryview(data)[place + 8 : place + 8 + size]
         return data[20 : 20 + length]
@@ -114,13 +102,13 @@ class Document:
 
         If `least` is 0, a missing integer is 0; otherwise it must not be missing.
         """
-        value = item.get(key, None if least else 0)
-        if type(value) is not int or value < least:
-            raise self.error(f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}")
-        return value
+        value: Any = item.get(key, None if least else 0)
+        problem = f"{key} of {what} is {repr(value)[:200]}, not an integer >= {least}"
+        check(type(value) is int and value >= least, problem)
+        return int(value)
 
     def number(self, value: Any, what: str) -> float:
-        self.check(type(value) in (int, float), f"{what} is {repr(value)[:200]}, not a number")
+        check(type(value) in (int, float), f"{what} is {repr(value)[:200]}, not a number")
         return float(value)
 
     def numbers(self, item: dict[str, Any], key: str, default: list[float]) -> NDArray[np.float64]:
@@ -129,24 +117,22 @@ class Document:
         The list must have as many numbers as `default`.
         """
         values = item.get(key, default)
-        problem = f"{key} has {len(values)} numbers, not {len(default)}"
-        self.check(len(values) == len(default), problem)
+        check(len(values) == len(default), f"{key} has {len(values)} numbers, not {len(default)}")
         return np.array([self.number(value, key) for value in values], dtype=np.float64)
 
     def uri(self, uri: Any, what: str) -> bytes:
         """Bytes of a data URI, or of a file in the folder of the glTF file or below it."""
-        if not isinstance(uri, str):
-            raise self.error(f"the uri of {what} is no text")
+        check(isinstance(uri, str), f"the uri of {what} is no text")
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
-            self.check(head.endswith(";base64"), f"the data URI of {what} is not base64")
+            check(head.endswith(";base64"), f"the data URI of {what} is not base64")
             try:
                 return base64.b64decode(body, validate=True)
             except binascii.Error as error:
-                raise self.error(f"the data URI of {what}: {error}") from error
+                raise FormatError(f"the data URI of {what}: {error}") from error
         target, problem = locate(self.path, unquote(uri))
         problem = "lies outside its folder" if "://" in uri else problem
-        self.check(not problem, f"{what} {problem}: {uri[:200]!r}")
+        check(not problem, f"{what} {problem}: {uri[:200]!r}")
         return target.read_bytes()
 
     def picture(self, image: dict[str, Any]) -> bytes:
@@ -165,9 +151,8 @@ class Document:
             elif index == 0 and self._binary is not None:
                 data = self._binary
             else:
-                raise self.error(f"buffer {index} has neither a uri nor a binary chunk")
-            problem = f"buffer {index} states {length} bytes, holds {len(data)}"
-            self.check(len(data) >= length, problem)
+                raise FormatError(f"buffer {index} has neither a uri nor a binary chunk")
+            check(len(data) >= length, f"buffer {index} states {length} bytes, holds {len(data)}")
             self._buffers[index] = data[:length]
         return self._buffers[index]
 
@@ -194,8 +179,7 @@ class Document:
         data = self._buffer(self.integer(item, "buffer", what, 0))
         start = self.integer(item, "byteOffset", what, 0)
         stop = start + self.integer(item, "byteLength", what)
-        problem = f"{what} ends at byte {stop} of a buffer of {len(data)}"
-        self.check(stop <= len(data), problem)
+        check(stop <= len(data), f"{what} ends at byte {stop} of a buffer of {len(data)}")
         return data[start:stop]
 
     def accessor(self, index: int, kind: str, what: str, *, integers: bool = False) -> NDArray[Any]:
@@ -207,21 +191,20 @@ class Document:
         """
         item = self.items("accessors")[index]
         code = item.get("componentType")
-        self.check(item.get("type") == kind, f"{what} is {item.get('type')!r}, not {kind}")
-        self.check(code in COMPONENTS, f"{what} has the component type {code!r}")
-        dtype, width = COMPONENTS[code], _WIDTHS[kind]
-        problem = f"{what} holds {dtype}, not unsigned integers"
-        self.check(dtype.kind == "u" or not integers, problem)
+        check(item.get("type") == kind, f"{what} is {item.get('type')!r}, not {kind}")
+        check(code in COMPONENTS, f"{what} has the component type {code!r}")
+        dtype, width = COMPONENTS[code], WIDTHS[kind]
+        check(dtype.kind == "u" or not integers, f"{what} holds {dtype}, not unsigned integers")
         count = self.integer(item, "count", what)
         self.budget.spend(8 * count * width, f"{what} of {count} elements")
         values: NDArray[Any] = np.zeros((count, width), dtype=dtype)
         if index in self._decoded:
             found = self._decoded[index].reshape(len(self._decoded[index]), -1)
             problem = f"{what}: decoded to {found.shape}, stated is {values.shape}"
-            self.check(found.shape == values.shape, problem)
+            check(found.shape == values.shape, problem)
             values = found.astype(dtype)
             same = (found.dtype.kind == "f") == (dtype.kind == "f") and (values == found).all()
-            self.check(same, f"{what}: decoded to {found.dtype}, which {dtype} does not hold")
+            check(same, f"{what}: decoded to {found.dtype}, which {dtype} does not hold")
         elif "bufferView" in item:
             values = self._rows(item, dtype, width, count, what)
         if "sparse" in item:
@@ -233,20 +216,20 @@ class Document:
                 sparse["indices"], COMPONENTS[code], 1, n_changed, f"indices of sparse {what}"
             )
             problem = f"sparse index {rows.max()} of {what}, which has {count}"
-            self.check(rows.dtype.kind == "u" and int(rows.max()) < count, problem)
+            check(rows.dtype.kind == "u" and int(rows.max()) < count, problem)
             new = self._rows(sparse["values"], dtype, width, n_changed, f"sparse {what}")
             values[rows[:, 0].astype(np.intp)] = new
         if not integers:
             values = values.astype(np.float64)
             if dtype.kind != "f" and item.get("normalized"):
                 values = np.maximum(values / np.iinfo(dtype).max, -1.0)
-            self.check(np.isfinite(values).all(), f"{what} holds NaN or Inf")
+            check(np.isfinite(values).all(), f"{what} holds NaN or Inf")
         return values[:, 0] if width == 1 else values
 
     def replace(self, index: int, values: NDArray[Any], what: str) -> None:
         """Set the values of an accessor whose data the file holds only in compressed form."""
         same = index not in self._decoded or np.array_equal(self._decoded[index], values)
-        self.check(same, f"{what}: two compressed meshes share one accessor")
+        check(same, f"{what}: two compressed meshes share one accessor")
         self._decoded[index] = values
 
     def _rows(
@@ -260,7 +243,7 @@ class Document:
         offset = self.integer(item, "byteOffset", what, 0)
         size = dtype.itemsize * width
         step = size if stride is None else stride
-        self.check(step >= size, f"{what}: a stride of {step} bytes for elements of {size}")
+        check(step >= size, f"{what}: a stride of {step} bytes for elements of {size}")
         problem = f"{what}: {count} elements of {size} bytes do not fit in a view of {len(data)}"
-        self.check(offset + step * (count - 1) + size <= len(data), problem)
+        check(offset + step * (count - 1) + size <= len(data), problem)
         return np.ndarray((count, width), dtype, data, offset, (step, dtype.itemsize))

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...errors import FormatError
 from ...surface import Material
 from ..corners import unit
-from ..scene import Bones, Looks, Shape, file_weights
+from ..registry import check, choose
+from ..scene import Bones, Shape, file_weights
 from ..signatures import picture_type
-from .animation import Nodes
+from .animation import Animation, Nodes, descendants
 from .compression import DRACO, decode_mesh
 from .document import Document
 
@@ -45,7 +46,7 @@ class PrimitiveGroup:
     material : (T,) int
         Index of each triangle's material; -1 for a triangle without one.
     skeleton, indices, weights, faces, uv, normals
-        As in `ScenePart` and `Looks`.
+        As in `ScenePart`.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class PrimitiveGroup:
             for t in group[0].get("targets", [])
         ]
         same = all(len(target) == count for target in targets)
-        document.check(same, f"a morph target of other vertices than {count}")
+        check(same, f"a morph target of other vertices than {count}")
         self.skin = nodes.items[node].get("skin")
         self.skeleton = ("node", node) if self.skin is None else ("skin", self.skin)
         self._joints, self._inverse = self._read_skin()
@@ -103,7 +104,7 @@ class PrimitiveGroup:
             return None
         values = self.document.accessor(self._attributes[name], kind, name, **options)
         count = self.document.items("accessors")[self._attributes["POSITION"]]["count"]
-        self.document.check(len(values) == count, f"{len(values)} {name} for {count} vertices")
+        check(len(values) == count, f"{len(values)} {name} for {count} vertices")
         return values
 
     def _read_skin(self) -> tuple[list[int], NDArray[np.float64]]:
@@ -115,12 +116,12 @@ class PrimitiveGroup:
             return [self.node], np.eye(4)[None]
         item = self.document.items("skins")[self.skin]
         joints = list(item["joints"])
-        self.document.check(joints, f"skin {self.skin} has no joints")
+        check(joints, f"skin {self.skin} has no joints")
         if "inverseBindMatrices" not in item:
             return joints, np.tile(np.eye(4), (len(joints), 1, 1))
         flat = self.document.accessor(item["inverseBindMatrices"], "MAT4", "inverseBindMatrices")
         problem = f"{len(flat)} inverse bind matrices for {len(joints)} joints"
-        self.document.check(len(flat) >= len(joints), problem)
+        check(len(flat) >= len(joints), problem)
         return joints, np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)
 
     def _influences(self, count: int) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
@@ -129,9 +130,9 @@ class PrimitiveGroup:
         if self.skin is None:
             return np.zeros((count, 1), dtype=np.int32), np.ones((count, 1))
         sets = [k for k in range(64) if f"JOINTS_{k}" in self._attributes]
-        document.check(sets, "a skinned mesh has no JOINTS_0")
+        check(sets, "a skinned mesh has no JOINTS_0")
         for k in sets:
-            document.check(f"WEIGHTS_{k}" in self._attributes, f"JOINTS_{k} without WEIGHTS_{k}")
+            check(f"WEIGHTS_{k}" in self._attributes, f"JOINTS_{k} without WEIGHTS_{k}")
         found = [self._attribute(f"JOINTS_{k}", "VEC4", integers=True) for k in sets]
         joint = np.concatenate(found, axis=1).astype(np.int64)  # may be uint32
         weight = np.concatenate([self._attribute(f"WEIGHTS_{k}", "VEC4") for k in sets], axis=1)
@@ -178,8 +179,7 @@ class PrimitiveGroup:
             if "weights" not in holder:
                 holder = self.document.items("meshes")[self.mesh]
             amounts = self.document.numbers(holder, "weights", [0.0] * count)[None]
-        problem = f"{amounts.shape[1]} morph weights for {count} targets"
-        self.document.check(amounts.shape[1] == count, problem)
+        check(amounts.shape[1] == count, f"{amounts.shape[1]} morph weights for {count} targets")
 
         def morphed(frame: int) -> NDArray[np.float64]:
             return np.asarray(self.positions + np.einsum("k,kvc->vc", amounts[frame], self.targets))
@@ -212,25 +212,6 @@ class PrimitiveGroup:
         return bool(np.abs(self._inverse[:, :3, :3] - np.eye(3)).max() > 1e-6)
 
 
-def check_meshes(document: Document, meshes: Any) -> list[str] | None:
-    """The argument `meshes` (a name, several, or None for all meshes) as a list of names or None.
-
-    Raises
-    ------
-    InputError
-        If no mesh of the file can be chosen by one of the names.
-    """
-    if meshes is None:
-        return None
-    wanted = [meshes] if isinstance(meshes, str) else list(meshes)
-    nodes = [node for node in document.items("nodes") if "mesh" in node]
-    known = set().union(*(_names_of(document, node) for node in nodes))
-    for name in wanted:
-        if name not in known:
-            raise InputError("meshes", f"one of {sorted(known)}", repr(name))
-    return wanted
-
-
 def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
     """Names by which the mesh of a node can be chosen: its own and that of the node."""
     mesh = document.items("meshes")[node["mesh"]]
@@ -238,22 +219,26 @@ def _names_of(document: Document, node: dict[str, Any]) -> set[str]:
 
 
 def read_parts(
-    document: Document, nodes: Nodes, meshes: Sequence[str] | None = None
+    document: Document, nodes: Nodes, meshes: str | Sequence[str] | None = None
 ) -> list[PrimitiveGroup]:
     """Parts of all meshes in the scene, or only of those named in `meshes`; lines are left out.
 
     Raises
     ------
     FormatError
-        If there is no such mesh, or an accessor or joint is not usable.
+        If there is no mesh, or an accessor or joint is not usable.
+    InputError
+        If no mesh of the scene has one of the names.
     """
     parts: list[PrimitiveGroup] = []
-    for number in nodes.shown:
+    numbers = list(nodes.shown)
+    if meshes is not None:  # a level of detail that is named is in no scene
+        coarser = (nodes.items[n].get("extensions", {}).get("MSFT_lod", {}) for n in numbers)
+        numbers += [n for some in coarser for n in some.get("ids", ()) if n in nodes.order]
+    numbers = [number for number in numbers if "mesh" in nodes.items[number]]
+    names = [_names_of(document, nodes.items[number]) for number in numbers]
+    for number in [numbers[k] for k in choose(meshes, names)]:
         node = nodes.items[number]
-        if "mesh" not in node:
-            continue
-        if meshes is not None and not _names_of(document, node) & set(meshes):
-            continue
         groups: dict[str, dict[int, dict[str, Any]]] = {}
         for place, primitive in enumerate(document.items("meshes")[node["mesh"]]["primitives"]):
             if DRACO in primitive.get("extensions", {}):
@@ -261,14 +246,44 @@ def read_parts(
             if primitive.get("mode", 4) in (1, 2, 3):
                 _log.warning("%s: lines in mesh %d are left out", document.path, node["mesh"])
                 continue
-            document.check("POSITION" in primitive["attributes"], "a primitive has no POSITION")
+            check("POSITION" in primitive["attributes"], "a primitive has no POSITION")
             # Primitives over the same vertices, one for each material, form one part.
             key = repr((sorted(primitive["attributes"].items()), primitive.get("targets", [])))
             groups.setdefault(key, {})[place] = primitive
         for group in groups.values():
             parts.append(PrimitiveGroup(document, nodes, number, node["mesh"], group))
-    document.check(parts, "the scene holds no mesh")
+    check(parts, "the scene holds no mesh")
     return parts
+
+
+class JointPoints(PrimitiveGroup):
+    """The nodes that move in one of the `clips`, and those below them, with a vertex at each.
+
+    Their rest pose is that of the file without an animation.
+
+    Raises
+    ------
+    FormatError
+        If no node moves, or one has size 0 at rest.
+    """
+
+    def __init__(self, document: Document, clips: Sequence[Nodes]) -> None:
+        still = Nodes(document, Animation("", 24.0, np.zeros(1), {}))
+        moved = {
+            node for one in clips for node, path in one.animation.channels if path != "weights"
+        }
+        below = set(descendants(still.items, sorted(moved))).intersection(still.shown)
+        joints = [node for node in still.order if node in below]
+        check(joints, "the scene holds no mesh, and no node moves")
+        rest = np.stack([still.matrices(joint)[0] for joint in joints])
+        check((np.abs(np.linalg.det(rest)) > 1e-30).all(), "a joint has size 0 at rest")
+        self.document, self._nodes, self.skeleton = document, still, ("joints", 0)
+        self._joints, self._inverse = joints, np.linalg.inv(rest)
+        self.positions, self.targets = rest[:, :3, 3], np.zeros((0, len(joints), 3))
+        self.indices = np.arange(len(joints), dtype=np.int32)[:, None]
+        self.weights = np.ones(self.indices.shape)
+        self.faces, self.material = np.zeros((0, 3), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self.uv = self.normals = None
 
 
 def _decode(document: Document, primitive: dict[str, Any]) -> None:
@@ -278,13 +293,13 @@ def _decode(document: Document, primitive: dict[str, Any]) -> None:
         return
     found, faces = decode_mesh(bytes(document.view(item["bufferView"])[0]), document.path)
     for name, number in item.get("attributes", {}).items():
-        document.check(name in names and number in found, f"its Draco data hold no {name}")
+        check(name in names and number in found, f"its Draco data hold no {name}")
         document.replace(names[name], found[number], name)
     if "indices" in primitive:
         if faces is None:
-            raise document.error("its Draco data hold no triangles")
+            raise FormatError("its Draco data hold no triangles")
         document.replace(primitive["indices"], faces.reshape(-1), "indices")
-        document.check(primitive.get("mode", 4) == 4, "Draco data of a strip or fan")
+        check(primitive.get("mode", 4) == 4, "Draco data of a strip or fan")
 
 
 def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
@@ -296,15 +311,15 @@ def triangles(document: Document, primitive: dict[str, Any], count: int) -> NDAr
     if "indices" in primitive:
         found = document.accessor(primitive["indices"], "SCALAR", "indices", integers=True)
         index = found.astype(np.int64)
-        document.check(index.max() < count, f"index {index.max()} into {count} vertices")
+        check(index.max() < count, f"index {index.max()} into {count} vertices")
     mode = primitive.get("mode", 4)
     if mode == 0:
         return np.zeros((0, 3), dtype=np.int64)
     if mode == 4:
-        document.check(len(index) % 3 == 0, f"{len(index)} indices are no triangles")
+        check(len(index) % 3 == 0, f"{len(index)} indices are no triangles")
         return index.reshape(-1, 3)
-    document.check(mode in (5, 6), f"primitive mode {mode!r}")
-    document.check(len(index) >= 3, f"a strip or fan of {len(index)} vertices")
+    check(mode in (5, 6), f"primitive mode {mode!r}")
+    check(len(index) >= 3, f"a strip or fan of {len(index)} vertices")
     strip = np.stack([index[:-2], index[1:-1], index[2:]], axis=1)
     if mode == 6:
         strip[:, 0] = index[0]
@@ -322,14 +337,9 @@ def _uv_name(document: Document, group: list[dict[str, Any]]) -> str:
     return "TEXCOORD_0"
 
 
-def read_looks(document: Document, parts: list[PrimitiveGroup]) -> Looks:
-    """UVs, normals and material indices of the parts, and all materials of the file."""
-    return Looks(
-        [part.uv for part in parts],
-        [part.normals for part in parts],
-        [part.material for part in parts],
-        [_material(document, item) for item in document.items("materials")],
-    )
+def read_materials(document: Document) -> list[Material]:
+    """All materials of the file."""
+    return [_material(document, item) for item in document.items("materials")]
 
 
 def _material(document: Document, item: dict[str, Any]) -> Material:

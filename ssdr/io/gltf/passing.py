@@ -14,13 +14,7 @@ from .builder import Builder
 from .compression import DRACO
 from .document import Document
 from .numbering import remove_unused, unknown_extensions
-from .parts import check_meshes, read_parts
-
-_MAPS = {
-    "normalTexture": "normal maps",
-    "occlusionTexture": "occlusion maps",
-    "emissiveTexture": "emissive maps",
-}
+from .parts import read_parts
 
 
 def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) -> SaveReport:
@@ -39,17 +33,15 @@ def copy(path: Path, target: Path, *, clips: Sequence[str | int] | None = None) 
     InputError
         If the file has no such clip.
     """
-    with reading(path):
+    with reading(path, "clip"):
         document = Document(path)
         builder = Builder(document)
-        names = animation_names(document)
         named = (*document.items("buffers"), *document.items("images"))
         alone = all(str(item.get("uri", "data:")).startswith("data:") for item in named)
-    if clips is not None:
-        kept = {pick(names, clip) for clip in clips}
-        with reading(path):
-            _keep_clips(builder.json, document.json, kept)
-    elif alone and path.suffix.lower() == target.suffix.lower() == ".glb":
+        if clips is not None:
+            names = animation_names(document)
+            _keep_clips(builder.json, document.json, {pick(names, clip) for clip in clips})
+    if clips is None and alone and path.suffix.lower() == target.suffix.lower() == ".glb":
         return SaveReport(path=target, bytes=write_bytes(target, path.read_bytes()))
     return SaveReport(path=target, bytes=builder.save(target))
 
@@ -70,11 +62,9 @@ def template_problem(path: Path) -> str:
 
 def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[str, ...]:
     """Contents of a file that are lost when it is read as a sequence or skinning."""
-    with reading(path):
+    with reading(path, "meshes"):
         document = Document(path)
-    wanted = check_meshes(document, meshes)
-    with reading(path):
-        parts = read_parts(document, Nodes(document, read_animation(document, 0, None)), wanted)
+        parts = read_parts(document, Nodes(document, read_animation(document, 0)), meshes)
         parts.sort(key=lambda part: part.mesh)
         primitives = [p for part in parts for p in part.primitives.values()]
         found = [_of_attribute(name) for p in primitives for name in p["attributes"]]
@@ -90,7 +80,7 @@ def left_out(path: Path, *, meshes: str | Sequence[str] | None = None) -> tuple[
                 "cameras": document.items("cameras"),
                 "scenes but the first": len(scenes) > 1,
                 "lights": lights,
-                "meshes that were not chosen": wanted is not None,
+                "meshes that were not chosen": meshes is not None,
                 "extras": _has_extras(json),
             }.items()
             if there
@@ -107,7 +97,8 @@ def _of_attribute(name: str) -> str:
 
 
 def _of_material(material: dict[str, Any]) -> list[str]:
-    found = [what for key, what in _MAPS.items() if key in material]
+    # normalTexture, occlusionTexture and emissiveTexture
+    found = [f"{key.removesuffix('Texture')} maps" for key in material if key.endswith("Texture")]
     look = material.get("pbrMetallicRoughness", {})
     if "metallicRoughnessTexture" in look:
         found.append("metallic-roughness maps")

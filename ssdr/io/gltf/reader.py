@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...clips import Clip, in_order, pick
-from ...errors import InputError
+from ...clips import Clip, in_order
+from ...errors import SsdrWarning
 from ...sequence import MeshSequence
 from ...skinning import Skinning
+from ...space import METRES_Y_UP
 from ..registry import pick_clip, reading
 from ..scene import Sample, join_sequence, join_skinning, part_starts
 from .animation import Nodes, animation_names, mesh_name, read_animation, read_animations
 from .document import Document
-from .parts import check_meshes, read_looks, read_parts
+from .parts import JointPoints, PrimitiveGroup, read_materials, read_parts
 
 
 def read(
@@ -21,7 +23,6 @@ def read(
     *,
     fps: float | None = None,
     clip: int | str | None = None,
-    animation: int | str | None = None,
     meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
@@ -35,8 +36,6 @@ def read(
         imply, else 24.
     clip : int or str, optional
         Name or index of the animation; the first by default. The log lists all of them.
-    animation : int or str, optional
-        Another name of `clip`, as in glTF.
     meshes : str or several of them, optional
         Names of the meshes to read, or of nodes that hold them; all by default.
     max_bytes : int, optional
@@ -57,23 +56,29 @@ def read(
     InputError
         If there is no such animation or mesh.
     """
-    with reading(path):
+    with reading(path, "clip", "meshes"):
         document = Document(path, max_bytes)
-        names = animation_names(document)
-    if clip is not None and animation is not None:
-        raise InputError("animation", "nothing beside a clip", repr(animation))
-    chosen = (clip, path) if animation is None else (animation, path, "animation")
-    index = pick_clip(names, *chosen)
-    wanted = check_meshes(document, meshes)
-    with reading(path):
-        nodes = Nodes(document, read_animation(document, index, fps))
-        parts = read_parts(document, nodes, wanted)
+        nodes = _play(document, pick_clip(animation_names(document), clip, path), fps)
+        parts = read_parts(document, nodes, meshes)
         n_frames, n_vertices = len(nodes.animation.times), part_starts(parts)[-1]
         document.budget.spend(
             12.0 * n_frames * n_vertices, f"{n_frames} frames of {n_vertices} vertices"
         )
         sample = Sample(nodes.animation.clip, parts, nodes)
-        return join_sequence(sample, read_looks(document, parts), mesh_name(document))
+        return join_sequence(sample, read_materials(document), mesh_name(document), METRES_Y_UP)
+
+
+def _play(document: Document, index: int, fps: float | None) -> Nodes:
+    """Nodes in the frames of an animation, with a warning if keys lie between these."""
+    one = read_animation(document, index, fps)
+    if one.between:
+        warnings.warn(
+            f"{document.path}: {one.between} keys of the clip {one.name} lie between its frames, "
+            f"which are {one.fps:g} a second, as most keys are; fps= samples otherwise",
+            SsdrWarning,
+            stacklevel=2,
+        )
+    return Nodes(document, one)
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -86,8 +91,8 @@ def read_skinning(
     path: Path,
     *,
     fps: float | None = None,
-    animation: int | str | None = None,
     meshes: str | Sequence[str] | None = None,
+    joints_alone: bool = False,
     max_bytes: int | None = None,
 ) -> Skinning:
     """Read the skins of a file without baking them; a mesh without a skin gets one bone.
@@ -100,9 +105,10 @@ def read_skinning(
     path, meshes, max_bytes
         As in :func:`read`.
     fps : float, optional
-        As in :func:`read`, for every animation.
-    animation : int or str, optional
-        Name or index of the only animation to read; all are read by default.
+        As in :func:`read`, for every animation; all are read.
+    joints_alone : bool
+        Read a file without a mesh: the nodes that move, and those below them, with a vertex at
+        each.
 
     Raises
     ------
@@ -111,13 +117,12 @@ def read_skinning(
     InputError
         If there is no such animation or mesh.
     """
-    with reading(path):
+    with reading(path, "meshes"):
         document = Document(path, max_bytes)
-        names = animation_names(document)
-    numbers = range(len(names)) if animation is None else [pick(names, animation, "animation")]
-    wanted = check_meshes(document, meshes)
-    with reading(path):
-        clips = [Nodes(document, read_animation(document, k, fps)) for k in numbers]
-        parts = read_parts(document, clips[0], wanted)
+        clips = [_play(document, k, fps) for k in range(len(animation_names(document)))]
+        if joints_alone and not any("mesh" in clips[0].items[k] for k in clips[0].shown):
+            parts: list[PrimitiveGroup] = [JointPoints(document, clips)]
+        else:
+            parts = read_parts(document, clips[0], meshes)
         samples = [Sample(nodes.animation.clip, parts, nodes) for nodes in clips]
-        return join_skinning(samples, read_looks(document, parts), mesh_name(document))
+        return join_skinning(samples, read_materials(document), mesh_name(document), METRES_Y_UP)

@@ -26,10 +26,8 @@ def add_weights(builder: Builder, rig: Rig, vertex: NDArray[np.integer]) -> dict
     attributes = {}
     for k in range(joints.shape[1] // 4):
         four = slice(4 * k, 4 * k + 4)
-        attributes[f"JOINTS_{k}"] = builder.accessor(joints[:, four], "VEC4", target=ARRAY)
-        attributes[f"WEIGHTS_{k}"] = builder.accessor(
-            weights[:, four], "VEC4", target=ARRAY, normalized=weights.dtype.kind == "u"
-        )
+        for name, values in ((f"JOINTS_{k}", joints), (f"WEIGHTS_{k}", weights)):
+            attributes[name] = builder.accessor(values[:, four], "VEC4", target=ARRAY, use=name)
     return attributes
 
 
@@ -38,7 +36,7 @@ def skeleton_nodes(rig: Rig, title: str, first: int) -> list[dict[str, Any]]:
     parents = np.full(rig.n_bones, -1) if rig.parents is None else rig.parents
     nodes: list[dict[str, Any]] = [{"name": f"{title}_skeleton"}]
     for bone, name in enumerate(rig.names):
-        nodes.append({"name": name, "translation": rig.offsets[bone].tolist()})
+        nodes.append({"name": name, "translation": [float(str(x)) for x in rig.offsets[bone]]})
         if rig.axes is not None:
             above = rig.axes[parents[bone]] if parents[bone] >= 0 else np.eye(3)
             turn = quaternion_from_matrix(above.T @ rig.axes[bone])
@@ -62,7 +60,7 @@ def add_skin(builder: Builder, rig: Rig, title: str, first: int) -> dict[str, An
     inverse[:, 3, :3] = -np.einsum("bji,bj->bi", axes, rig.centers.astype(np.float64))
     return {
         "name": title,
-        "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4"),
+        "inverseBindMatrices": builder.accessor(inverse.reshape(-1, 16), "MAT4", use="inverse"),
         "skeleton": first,
         "joints": list(range(first + 1, first + 1 + rig.n_bones)),
     }
@@ -91,19 +89,9 @@ def add_animation(
         for path, values, kind in tracks:
             target = {"node": first + 1 + bone, "path": path}
             channels.append({"sampler": len(samplers), "target": target})
-            samplers.append(
-                {
-                    "input": inputs[keys.tobytes()],
-                    "output": builder.accessor(values, kind),
-                    "interpolation": "LINEAR",
-                }
-            )
+            output = builder.accessor(values, kind, use=path)
+            samplers.append({"input": inputs[keys.tobytes()], "output": output})
     stated: dict[str, Any] = {"fps": clip.fps, "frames": clip.n_frames}
     if start:
         stated["start"] = start
-    return {
-        "name": name,
-        "samplers": samplers,
-        "channels": channels,
-        "extras": {"ssdr": stated},
-    }
+    return {"name": name, "samplers": samplers, "channels": channels, "extras": {"ssdr": stated}}

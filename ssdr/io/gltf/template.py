@@ -18,19 +18,18 @@ from numpy.typing import NDArray
 
 from ...skinning import Skinning
 from ..corners import Deformation
-from ..registry import reading
+from ..registry import check, reading
 from ..rig import Rig
 from ..scene import match_template
-from .animation import Nodes, animation_names, descendants, read_animations
+from .animation import Nodes, descendants, read_animations
 from .builder import ARRAY, ELEMENTS, Builder
 from .compression import DRACO
 from .document import Document
 from .numbering import remove, remove_unused, unknown_extensions, used
-from .parts import PrimitiveGroup, check_meshes, read_parts, triangles
+from .parts import PrimitiveGroup, read_parts, triangles
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 
 _LINES = (1, 2, 3)
-_MOTION = ("translation", "rotation", "scale")
 _CONTENT = {"mesh", "camera", "extensions"}  # a node with one of these is more than a joint
 
 
@@ -44,7 +43,8 @@ class Template:
     meshes : str or several of them, optional
         Names of the meshes that are replaced; all by default.
     clip_names : mapping
-        Names of clips in the model, by their names in the file, for clips whose names differ.
+        Names of clips in the model, by their names in the file, for clips whose names differ; None
+        for a clip that is left out on purpose.
 
     Attributes
     ----------
@@ -61,29 +61,29 @@ class Template:
     """
 
     def __init__(
-        self, path: Path, model: Skinning, meshes: Any, clip_names: Mapping[str, str]
+        self, path: Path, model: Skinning, meshes: Any, clip_names: Mapping[str, str | None]
     ) -> None:
-        with reading(path):
+        with reading(path, "meshes"):
             self.document = document = Document(path)
-            if DRACO in document.items("extensionsUsed"):
-                raise document.error("is compressed with Draco and cannot be a template")
-        wanted = check_meshes(document, meshes)
-        with reading(path):
+            packed = DRACO in document.items("extensionsUsed")
+            check(not packed, "is compressed with Draco and cannot be a template")
             animations = read_animations(document)
             # The model's first clip decides whether a node mirrors its mesh.
             named = [one for one in animations if one.name == model.clips[0].name]
             self.world = Nodes(document, (named or animations)[0])
-            self.parts = read_parts(document, self.world, wanted)
+            self.parts = read_parts(document, self.world, meshes)
             self.builder = Builder(document)
         self.json = self.builder.json
         self.vertices = match_template(self.parts, model, path)
         self.replaced = {part.node for part in self.parts}
+        self.names = [one.name for one in animations if document.items("animations")]
+        new_names = [clip_names.get(name, name) for name in self.names]
         # index and start in seconds of each clip of the file, by its name in the model
         self.clips = {
-            clip_names.get(one.name, one.name): (number, float(one.times[0]))
-            for number, one in enumerate(animations if document.items("animations") else [])
+            name: (number, float(animations[number].times[0]))
+            for number, name in enumerate(new_names)
         }
-        self.renamed = bool(clip_names)
+        self.missed = set(new_names) - {None, *(clip.name for clip in model.clips)}
         self.left: set[int] = set()  # nodes whose mesh was moved to a new node
 
     def put(self, rig: Rig, title: str) -> None:
@@ -91,8 +91,11 @@ class Template:
         with reading(self.document.path):
             self._put_meshes(rig)
             first = self._put_skeleton(rig, title)
+            skins = used(self.document.json, "skins") - used(self.json, "skins")
+            joints = self._unneeded_nodes(skins)
+            self._remove_channels(joints)
             self._put_clips(rig, title, first)
-            self._remove_old(rig)
+            self._remove_old(skins, joints)
 
     def _put_meshes(self, rig: Rig) -> None:
         """Replace rest pose, normals and skin weights of each part; remove its morph targets."""
@@ -185,12 +188,17 @@ class Template:
         bare = {part.node for part in self.parts if part.skin is None}
         for node in sorted(self.replaced):
             nodes[node]["skin"] = len(skins) - 1
-            if node in bare and self._determinant(node) <= 0:
+            mirrored = node in bare and self._determinant(node) <= 0
+            if mirrored or list(self.world.ancestors(node)):
                 self._move_to_top(node)
+            if mirrored:
+                self.builder.notes.append(
+                    f"the mesh of node {node} left a transform that mirrors it"
+                )
         return first
 
     def _move_to_top(self, node: int) -> None:
-        """Move the mesh of a node that mirrors or flattens it to a new node without a transform.
+        """Move the mesh of a node to a new node without a transform or a parent.
 
         A skinned mesh does not follow its node, but some engines still use the node's transform
         to tell the front of a triangle from its back, or invert it.
@@ -203,36 +211,36 @@ class Template:
                 scene["nodes"].append(len(nodes) - 1)
         del holder["mesh"], holder["skin"]
         self.left.add(node)
-        self.builder.notes.append(f"the mesh of node {node} left a transform that mirrors it")
 
     def _put_clips(self, rig: Rig, title: str, first: int) -> None:
-        """Add the keys of each clip to the file's animation of its name, or to a new animation."""
-        added = []
+        """Add the keys of each clip to the file's animation of its name, or to a new animation.
+
+        A clip begins at 0 s, unless the file's animation has tracks left that it must keep up with.
+        """
+        animations = self.json.setdefault("animations", [])
         for clip in rig.clips:
             number, start = self.clips.get(clip.name, (None, 0.0))
+            old = {"channels": []} if number is None else animations[number]
+            start = start if old["channels"] else 0.0
+            if start:
+                said = f"the clip {clip.name} begins at {start:g} s, as its other tracks do"
+                self.builder.notes.append(said)
             made = add_animation(self.builder, rig, clip, clip.name or title, first, start)
             if number is None:
-                added.append(made)
+                animations.append(made)
                 continue
-            old = self.json["animations"][number]
-            if self.renamed:
+            if clip.name != self.names[number]:
                 old["name"] = clip.name
             offset = len(old["samplers"])
             old["samplers"] += made["samplers"]
             old["channels"] += [{**c, "sampler": c["sampler"] + offset} for c in made["channels"]]
             if isinstance(old.setdefault("extras", {}), dict):
                 old["extras"] |= made["extras"]
-        if added:
-            self.json.setdefault("animations", []).extend(added)
+        self.json["animations"] = [one for one in animations if one["channels"]]
 
-    def _remove_old(self, rig: Rig) -> None:
-        """Remove skins, joints, keys and bytes that only the replaced meshes used."""
+    def _remove_old(self, skins: set[int], joints: set[int]) -> None:
+        """Remove skins, joints and bytes that only the replaced meshes used."""
         json, original = self.json, self.document.json
-        skins = used(original, "skins") - used(json, "skins")
-        joints = self._unneeded_nodes(skins)
-        self._remove_channels(
-            joints, {self.clips[c.name][0] for c in rig.clips if c.name in self.clips}
-        )
         opaque = unknown_extensions(json)
         if opaque:
             self.builder.notes.append(
@@ -262,20 +270,19 @@ class Template:
             return bool(serves and node not in needed and not item.keys() & _CONTENT)
 
         going = self._subtrees(bare)
-        stuck = old - going - needed
+        stuck = old - going - needed - self.left
         if stuck:
             self.builder.notes.append(
                 f"{len(stuck)} joints of the old skin stay as nodes, as other nodes are below them"
             )
         return going
 
-    def _remove_channels(self, joints: set[int], kept_clips: set[int]) -> None:
+    def _remove_channels(self, joints: set[int]) -> None:
         """Remove channels of morph targets and nodes that moved nothing but the replaced meshes.
 
-        These nodes include the removed `joints`. A clip that loses channels is reported as lost
-        unless its index is in `kept_clips`.
+        These nodes include the removed `joints`. A clip that loses channels and is not in the model
+        is reported as lost, unless it is left out on purpose.
         """
-        animations = self.json.get("animations", [])
         idle = joints | self._idle_nodes()
 
         def serves_replaced(target: dict[str, Any]) -> bool:
@@ -283,25 +290,17 @@ class Template:
                 self.replaced if target.get("path") == "weights" else idle
             )
 
-        left = []
-        for number, animation in enumerate(animations):
+        missed = {number for name, (number, _) in self.clips.items() if name in self.missed}
+        for number, animation in enumerate(self.json.get("animations", [])):
             channels = [c for c in animation["channels"] if not serves_replaced(c["target"])]
             if len(channels) == len(animation["channels"]):
-                left.append(animation)
                 continue
-            if number < len(self.document.items("animations")) and number not in kept_clips:
-                name = animation_names(self.document)[number]
-                self.builder.lost.append(f"the clip {name}, which the model does not have")
-            if channels:
-                needed = sorted({channel["sampler"] for channel in channels})
-                animation["samplers"] = [animation["samplers"][k] for k in needed]
-                animation["channels"] = [
-                    {**c, "sampler": needed.index(c["sampler"])} for c in channels
-                ]
-                left.append(animation)
-        self.json["animations"] = left
-        if not left:
-            del self.json["animations"]
+            if number in missed:
+                lost = f"the clip {self.names[number]}, which the model does not have"
+                self.builder.lost.append(lost)
+            needed = sorted({channel["sampler"] for channel in channels})
+            animation["samplers"] = [animation["samplers"][k] for k in needed]
+            animation["channels"] = [{**c, "sampler": needed.index(c["sampler"])} for c in channels]
 
     def _idle_nodes(self) -> set[int]:
         """Indices of the nodes that move nothing but replaced meshes."""

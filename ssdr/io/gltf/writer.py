@@ -11,17 +11,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...checks import parse_tolerance
+from ...errors import InputError, check_choice
 from ...hierarchy.bone_ends import limb_axes, limb_ends
+from ...hierarchy.transforms import rest_diagonal
+from ...quantisation import WeightStorage
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning
 from ...surface import Material, Surface
-from ..axes import Up, check_up, turn_skinning_up
 from ..corners import Corners, corner_normals, split_corners
-from ..registry import SaveReport
-from ..rig import Rig, WeightStorage, build_rig
+from ..registry import SaveReport, seconds
+from ..rig import Rig, build_rig
 from ..scene import check_kept
 from .builder import ARRAY, ELEMENTS, Builder
+from .compact import Compression, Packed, coarse_rig, fetch_order, steady_slots
+from .shapes import Shapes
 from .skeleton import add_animation, add_skin, add_weights, skeleton_nodes
 from .template import Template
 
@@ -32,27 +36,28 @@ def write_skinning(
     *,
     influences: int | None = None,
     weights: WeightStorage = "float32",
-    up: Up = "y",
     name: str | None = None,
     template: str | os.PathLike[str] | None = None,
     meshes: str | Sequence[str] | None = None,
-    clip_names: Mapping[str, str] | None = None,
+    clip_names: Mapping[str, str | None] | None = None,
     strict: bool = False,
+    shapes: Shapes | None = None,
+    levels: Sequence[Skinning] = (),
+    compression: Compression = "none",
+    tolerance: float | str | None = None,
 ) -> SaveReport:
     """Write a skinning as ``.glb``, or as ``.gltf`` with a ``.bin`` of the same name beside it.
 
     Parameters
     ----------
     skinning : Skinning
-        Rigid or similarity bones.
+        Rigid or similarity bones, in metres with y up.
     path : Path
     influences : int, optional
         Number of largest weights to keep for each vertex; all by default. glTF holds 8, and many
         engines read only the first 4.
     weights : {"float32", "uint16", "uint8"}
         Type in which weights are stored.
-    up : {"y", "z"}
-        The model's up axis; glTF's is y, so a model with z up is turned.
     name : str, optional
         Name of the scene and the mesh; by default that of the skinning or, if it has none, of the
         file. An animation has the name of its clip or, if that has none, of the mesh.
@@ -64,10 +69,25 @@ def write_skinning(
     meshes : str or several of them, optional
         Names of the template's meshes that the model replaces, or of their nodes; all by default.
     clip_names : mapping of str to str, optional
-        Names of clips in the model, by their names in the template, for clips whose names differ.
+        Names of clips in the model, by their names in the template, for clips whose names differ;
+        None for a clip that is left out on purpose and not reported as lost.
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
+    shapes : Shapes, optional
+        Morph targets of the mesh, and how much of each is added in every frame before skinning;
+        not with a template.
+    levels : sequence of Skinning
+        Coarser levels of detail as :func:`ssdr.levels` finds them, which use the first bones of
+        `skinning`.  Their meshes share its skeleton; ``MSFT_lod`` names their nodes.
+    compression : {"none", "quantized", "meshopt"}
+        "quantized" stores integers (``KHR_mesh_quantization``), "meshopt" compresses them as well
+        (``EXT_meshopt_compression``; needs the extra meshopt).  The order of the vertices is not
+        kept.
+    tolerance : float or str, optional
+        With a compression: largest distance of a vertex in any frame from its place in the model,
+        as a length or a share of the diagonal such as ``"0.1%"``.  Keys are left out, and numbers
+        rounded, as far as it allows.  By default all keys and 16 bits stay.
 
     Returns
     -------
@@ -85,56 +105,63 @@ def write_skinning(
     ----------
     Khronos, "glTF 2.0 specification", sections 3.7.3 (skins) and 3.11 (animations).
     """
-    check_up(up)
-    model = turn_skinning_up(skinning, up, "y")
-    rig = build_rig(model, influences=influences, most=8, storage=weights)
+    rounding: dict[str, Any] = {"influences": influences, "most": 8, "storage": weights}
+    check_choice(compression, "compression", Compression)
+    title, builder = name or skinning.name or path.stem, Builder()
+    if compression == "none":
+        if tolerance is not None:
+            raise InputError("tolerance", "None without a compression", tolerance)
+        rig = build_rig(skinning, **rounding)
+    else:
+        if tolerance is not None:
+            tolerance = parse_tolerance(tolerance, rest_diagonal(skinning.rest))
+        rig, grid = coarse_rig(skinning, tolerance, list(levels), **rounding)
+        builder = Packed(grid, meshopt=compression == "meshopt")
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
-    title = name or skinning.name or path.stem
+    if shapes is not None:
+        shapes.check(skinning)
+        if template is not None or levels or compression != "none":
+            raise InputError("shapes", "none beside a template, levels or a compression", "both")
     if template is None:
-        return _save_rig(model, rig, path, title)
-    if up != "y":
-        raise InputError("up", '"y" beside a template, which has its own axes', repr(up))
+        rigs = [_level(rig, skinning, level, rounding) for level in levels]
+        return _save_rig(skinning, rig, path, title, builder, rigs, shapes)
+    if levels or compression != "none":
+        raise InputError("template", "None beside levels or a compression", str(template))
     old = Template(Path(template), skinning, meshes, clip_names or {})
     old.put(rig, title)
     check_kept(old.builder.lost, strict)
-    return _report(model, rig, path, old.builder)
+    return _report(skinning, rig, path, old.builder)
 
 
 def write_along_bones(
-    skinning: Skinning,
-    path: Path,
-    *,
-    influences: int | None = None,
-    up: Up = "y",
-    name: str | None = None,
-) -> tuple[SaveReport, dict[str, float]]:
-    """Write a model that has a hierarchy, with the y axis of each joint along its bone.
+    skinning: Skinning, path: Path, *, influences: int | None = None, name: str | None = None
+) -> tuple[SaveReport, dict[str, float] | None]:
+    """Write a model with the y axis of each joint along its bone, if it has a hierarchy.
 
     Programs that draw a bone along an axis of its joint, such as Blender, then draw it from joint
-    to joint.
+    to joint. Without a hierarchy a bone has no direction.
 
     Parameters
     ----------
-    skinning, path, influences, up, name
+    skinning, path, influences, name
         As for :func:`write_skinning`.
 
     Returns
     -------
     SaveReport
-    lengths : dict
+    lengths : dict or None
         Length of each bone by its name.
     """
-    model = turn_skinning_up(skinning, up, "y")
-    rig = build_rig(model, influences=influences, most=8)
-    assert rig.parents is not None
-    ends = limb_ends(
-        rig.centers, rig.parents, rig.rest, rig.indices, rig.weights, sliding=rig.translating
-    )
-    rig = orient_joints(rig, limb_axes(rig.centers, rig.parents, ends))
-    lengths = np.linalg.norm(ends - rig.centers, axis=1).tolist()
-    report = _save_rig(model, rig, path, name or skinning.name or path.stem)
-    return report, dict(zip(rig.names, lengths, strict=True))
+    rig, lengths = build_rig(skinning, influences=influences, most=8), None
+    if rig.parents is not None:
+        ends = limb_ends(
+            rig.centers, rig.parents, rig.rest, rig.indices, rig.weights, sliding=rig.translating
+        )
+        rig = orient_joints(rig, limb_axes(rig.centers, rig.parents, ends))
+        sizes = np.linalg.norm(ends - rig.centers, axis=1).tolist()
+        lengths = dict(zip(rig.names, sizes, strict=True))
+    return _save_rig(skinning, rig, path, name or skinning.name or path.stem), lengths
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
@@ -159,31 +186,78 @@ def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
     )
 
 
-def _save_rig(model: Skinning, rig: Rig, path: Path, title: str) -> SaveReport:
-    """Write a file that holds nothing but the model."""
-    builder = Builder()
-    builder.notes.append("glTF takes the unit for metres")
+def _level(rig: Rig, finest: Skinning, level: Skinning, rounding: dict[str, Any]) -> Rig:
+    """Rig of a coarser level, after checking that its bones are the first of the finest."""
+    count = level.n_bones
+    same = level.transforms.shape == finest.transforms[:, :count].shape
+    if not (same and np.array_equal(level.transforms, finest.transforms[:, :count])):
+        raise InputError("levels", "models whose bones are the first of the finest", repr(level))
+    alone = build_rig(level, **rounding)
+    return dataclasses.replace(rig, rest=alone.rest, indices=alone.indices, weights=alone.weights)
+
+
+def _save_rig(
+    model: Skinning,
+    rig: Rig,
+    path: Path,
+    title: str,
+    builder: Builder | None = None,
+    coarser: Sequence[Rig] = (),
+    shapes: Shapes | None = None,
+) -> SaveReport:
+    """Write a file that holds nothing but the model, and its coarser levels of detail."""
+    builder = builder or Builder()
     json = builder.json
+    json["meshes"], nodes = [], []
+    for k, level in enumerate([rig, *coarser]):
+        named = f"{title}_LOD{k}" if coarser else title
+        json["meshes"].append({"name": named, "primitives": _mesh(builder, model, level, shapes)})
+        nodes.append({"name": named, "mesh": k, "skin": 0})
+    # The meshes stand at the top of the scene: glTF ignores the transform of a
+    # skinned mesh's node, and importers disagree about its parents.
+    first = len(nodes)
+    if coarser:  # the nodes of coarser levels are in no scene, else all would be drawn
+        nodes[0]["extensions"] = {"MSFT_lod": {"ids": list(range(1, first))}}
+        json.setdefault("extensionsUsed", []).append("MSFT_lod")
+    nodes += skeleton_nodes(rig, title, first)
+    json |= {"nodes": nodes, "scenes": [{"name": title, "nodes": [0, first]}]}
+    json["skins"] = [add_skin(builder, rig, title, first)]
+    unnamed = ("", model.name) if len(rig.clips) == 1 else ()
+    json["animations"] = [
+        add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, first)
+        for clip in rig.clips
+    ]
+    if shapes is not None:
+        json["meshes"][0]["weights"] = shapes.amounts.mean(axis=0).tolist()
+        for clip, animation in zip(rig.clips, json["animations"], strict=True):
+            times = seconds(np.arange(clip.n_frames), clip.fps).astype(np.float32)
+            stamps = builder.accessor(times, "SCALAR", bounds=True)
+            shapes.add_channel(builder, animation, clip.frames, stamps)
+    return _report(model, rig, path, builder)
+
+
+def _mesh(
+    builder: Builder, model: Skinning, rig: Rig, shapes: Shapes | None
+) -> list[dict[str, Any]]:
+    """Add a mesh and return the JSON of its primitives."""
     surface = model.surface
     normals = corner_normals(rig.rest, model.faces, surface) if len(model.faces) else None
     uv = None if surface is None else surface.uv
     corners = split_corners(model.faces, model.n_vertices, uv, normals)
+    index = np.zeros(len(corners.faces), dtype=np.int32)
+    if surface is not None and surface.material_index is not None:
+        index = surface.material_index
+    if isinstance(builder, Packed) and builder.meshopt:
+        corners, index = fetch_order(corners, index)
     attributes = _attributes(builder, rig, corners)
-    primitives = [{"attributes": attributes, "mode": 0}]
-    if len(corners.faces):
-        primitives = _primitives(builder, surface or Surface(), corners, attributes)
-    json["meshes"] = [{"name": title, "primitives": primitives}]
-    # The mesh stands at the top of the scene: glTF ignores the transform of a
-    # skinned mesh's node, and importers disagree about its parents.
-    nodes = [{"name": title, "mesh": 0, "skin": 0}, *skeleton_nodes(rig, title, 1)]
-    json |= {"nodes": nodes, "scenes": [{"name": title, "nodes": [0, 1]}]}
-    json["skins"] = [add_skin(builder, rig, title, 1)]
-    unnamed = ("", model.name) if len(rig.clips) == 1 else ()
-    json["animations"] = [
-        add_animation(builder, rig, clip, title if clip.name in unnamed else clip.name, 1)
-        for clip in rig.clips
-    ]
-    return _report(model, rig, path, builder)
+    if not len(corners.faces):
+        return [{"attributes": attributes, "mode": 0}]
+    primitives = _primitives(builder, surface or Surface(), corners, index, attributes)
+    if shapes is not None:
+        targets = shapes.add_targets(builder, model, corners)
+        for primitive in primitives:
+            primitive["targets"] = targets
+    return primitives
 
 
 def _report(model: Skinning, rig: Rig, path: Path, builder: Builder) -> SaveReport:
@@ -200,12 +274,16 @@ def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
         return builder.accessor(array, kind, target=ARRAY, **fields)
 
     vertex = corners.vertex
-    attributes = {"POSITION": put(rig.rest[vertex], "VEC3", bounds=True)}
+    attributes = {"POSITION": put(rig.rest[vertex], "VEC3", bounds=True, use="POSITION")}
     if corners.normals is not None:
-        attributes["NORMAL"] = put(corners.normals, "VEC3")
+        attributes["NORMAL"] = put(corners.normals, "VEC3", use="NORMAL")
     if corners.uv is not None:
         flipped = np.stack([corners.uv[:, 0], 1 - corners.uv[:, 1]], axis=1)
         attributes["TEXCOORD_0"] = put(flipped.astype(np.float32), "VEC2")
+    if isinstance(builder, Packed):
+        indices, weights = steady_slots(rig, vertex)
+        own = dataclasses.replace(rig, indices=indices, weights=weights)
+        return attributes | add_weights(builder, own, np.arange(len(vertex)))
     attributes |= add_weights(builder, rig, vertex)
     # The model's vertex at each vertex of the file, so that reading can close the seams. Attributes
     # cannot be uint32, and float32 holds integers exactly up to 2^24.
@@ -215,15 +293,17 @@ def _attributes(builder: Builder, rig: Rig, corners: Corners) -> dict[str, int]:
 
 
 def _primitives(
-    builder: Builder, surface: Surface, corners: Corners, attributes: dict[str, int]
+    builder: Builder,
+    surface: Surface,
+    corners: Corners,
+    index: NDArray[np.integer],
+    attributes: dict[str, int],
 ) -> list[dict[str, Any]]:
     """Add the materials and triangles, and return the JSON of a primitive for each material."""
     # glTF's own default is bare metal, which is black wherever there is nothing to reflect
     materials = surface.materials or (Material(),)
-    builder.json["materials"] = [_material(builder, m) for m in materials]
-    index = surface.material_index
-    if index is None:
-        index = np.zeros(len(corners.faces), dtype=np.int32)
+    if "materials" not in builder.json:
+        builder.json["materials"] = [_material(builder, m) for m in materials]
     wide = np.uint16 if len(corners.vertex) < 65535 else np.uint32
     result: list[dict[str, Any]] = []
     for k in np.unique(index):

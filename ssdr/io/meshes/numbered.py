@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import FormatError, InputError
 from ...sequence import MeshSequence
+from ...space import METRES_Y_UP, UNKNOWN
 from ..registry import SaveReport, check, natural_key, reading
 from .obj import ObjWriter, parse_obj
 from .off_stl import parse_off, parse_stl
@@ -56,16 +57,16 @@ def read(path: Path, *, fps: float | None = None) -> MeshSequence:
         frames.append(mesh.vertices)
     with reading(files[0] if len(files) == 1 else path):
         sequence = MeshSequence(
-            np.stack(frames), first.faces, fps or 24.0, name=_name(path), surface=first.surface
+            np.stack(frames),
+            first.faces,
+            fps or 24.0,
+            name=_name(path),
+            surface=first.surface,
+            space=METRES_Y_UP if parse is _parse_gltf else UNKNOWN,
         )
     if files[0].suffix.lower() == ".stl":
         sequence, report = sequence.weld(0.0)
-        _log.info(
-            "%s: STL repeats every vertex; %d corners became %d vertices, the map is kept",
-            path,
-            report.before,
-            report.after,
-        )
+        _log.info("%s: %d corners became %d vertices", path, report.before, report.after)
     return sequence
 
 
@@ -84,9 +85,13 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
     Raises
     ------
     InputError
-        If a sequence of several frames has a plain name, or `start` is negative.
+        If a sequence of several frames has a plain name, a name has two numbers, or `start` is
+        negative.
     """
-    several = check_pattern(path, sequence.n_frames)
+    several = _PRINTF.findall(path.name)
+    if len(several) > 1 or (not several and sequence.n_frames > 1):
+        expected = f"one number such as %04d in the name, for {sequence.n_frames} files"
+        raise InputError("path", expected, path.name)
     if start < 0:
         raise InputError("start", "a number >= 0", start)
     if several:
@@ -107,22 +112,6 @@ def write_sequence(sequence: MeshSequence, path: Path, *, start: int = 0) -> Sav
             else:
                 writer.write(file, vertices, first=t == 0)
     return SaveReport(path=path, bytes=size if writer is None else writer.bytes, note=note)
-
-
-def check_pattern(path: Path, n_frames: int) -> bool:
-    """Whether a file name has a place for the frame's number, as ``frame_%04d.obj`` has.
-
-    Raises
-    ------
-    InputError
-        If there is more than one place, or none for several frames.
-    """
-    names = _PRINTF.findall(path.name)
-    if len(names) > 1 or (not names and n_frames > 1):
-        raise InputError(
-            "path", f"one number such as %04d in the name, for {n_frames} files", path.name
-        )
-    return bool(names)
 
 
 def _files(path: Path) -> list[Path]:
@@ -161,8 +150,7 @@ def _report_gaps(path: Path, files: list[Path]) -> None:
     numbers = [int(m[2]) for m in parts if m]
     steps = np.diff(numbers)
     k = int(steps.argmin())
-    problem = f"{path}: {files[k].name} and {files[k + 1].name} have the same number"
-    check(steps[k] > 0, problem)
+    check(steps[k] > 0, f"{path}: {files[k].name} and {files[k + 1].name} have the same number")
     gaps = [str(numbers[k]) for k in np.flatnonzero(steps > steps.min())]
     if gaps:
         _log.warning("%s: frames are missing after %s", path, ", ".join(gaps[:8]))

@@ -6,7 +6,6 @@ Blender writes), reorders polygons, and does not notice that a number or a row i
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -148,32 +147,20 @@ def _even(
 
 def _uneven(length: int, properties: list[_Property], body: memoryview) -> tuple[_Columns, int]:
     """Columns and size in bytes of an element whose rows hold lists of different lengths."""
-    sizes = [np.dtype(kind).itemsize for _, kind, _ in properties]
-    lengths = [None if count is None else struct.Struct(count) for _, _, count in properties]
-    counts: list[int] = []
-    starts: list[int] = []
+    rows: dict[str, list[NDArray[Any]]] = {name: [] for name, _, _ in properties}
     at = 0
     for _ in range(length):
-        for size, stated in zip(sizes, lengths, strict=True):
+        for name, kind, count in properties:
             n = value = 1
-            if stated is not None:
-                (value,) = stated.unpack_from(body, at)
-                n = int(value)
-                at += stated.size
-            counts.append(n)
-            starts.append(at)
-            at += n * size
-            if n < 0 or n != value or at > len(body):
-                raise FormatError(f"states {length} rows, but the file ends before")
-    columns: _Columns = {}
-    for k, (name, kind, _) in enumerate(properties):
-        count = np.array(counts[k :: len(sizes)], dtype=np.int64)
-        n_bytes = count * sizes[k]
-        gaps = np.array(starts[k :: len(sizes)], dtype=np.int64) - np.cumsum(n_bytes) + n_bytes
-        offsets = np.repeat(gaps, n_bytes)  # place of a byte in the file minus that in the column
-        data = np.frombuffer(body, np.uint8)[offsets + np.arange(len(offsets))]
-        columns[name] = count, data.view(kind)
-    return columns, at
+            if count is not None:
+                value = np.frombuffer(body, count, 1, at)[0]
+                n, at = int(value), at + value.nbytes
+            whole = n >= 0 and n == value and at + n * np.dtype(kind).itemsize <= len(body)
+            check(whole, f"states {length} rows, but the file ends before")
+            rows[name].append(np.frombuffer(body, kind, n, at))
+            at += rows[name][-1].nbytes
+    counts = {name: np.array([len(row) for row in found]) for name, found in rows.items()}
+    return {name: (counts[name], np.concatenate(rows[name])) for name in rows}, at
 
 
 def _surface(vertex: _Columns, faces: NDArray[np.int64]) -> Surface | None:

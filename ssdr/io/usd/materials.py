@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, UsdGeom, UsdShade, Vt
 
 from ...clips import unique_names
-from ...errors import FormatError
 from ...surface import Material, Surface
 from ..atomic import write_bytes
 from ..references import find_inside
-from ..scene import Looks
+from ..registry import check
 from ..signatures import PICTURE_SUFFIXES, picture_type
 from .parts import MeshPrim
 from .skeleton import identifier
@@ -24,12 +23,12 @@ from .skeleton import identifier
 _log = logging.getLogger(__name__)
 
 
-def read_looks(path: Path, meshes: Sequence[MeshPrim]) -> Looks:
-    """UVs, normals and materials of `meshes`, which are those of the stage in the file `path`."""
+def read_materials(path: Path, meshes: Sequence[MeshPrim]) -> list[Material]:
+    """Materials of the meshes of the file `path`; sets that of each triangle in the meshes."""
     found = _Materials(path)
-    index = [found.of_polygons(mesh)[mesh.polygon] for mesh in meshes]
-    uv, normals = [mesh.uv() for mesh in meshes], [mesh.normals() for mesh in meshes]
-    return Looks(uv, normals, index, found.materials)
+    for mesh in meshes:
+        mesh.material = found.of_polygons(mesh)[mesh.polygon]
+    return found.materials
 
 
 class _Materials:
@@ -46,8 +45,8 @@ class _Materials:
         index = np.full(count, self._number(prim, sided), dtype=np.int64)
         for subset in UsdShade.MaterialBindingAPI(prim).GetMaterialBindSubsets():
             rows = np.array(subset.GetIndicesAttr().Get() or [], dtype=np.int64)
-            if len(rows) and not 0 <= rows.min() <= rows.max() < count:
-                raise FormatError(f"{self.path}: {subset.GetPath()}: a face that is not there")
+            there = not len(rows) or 0 <= rows.min() <= rows.max() < count
+            check(there, f"{subset.GetPath()}: a face that is not there")
             index[rows] = self._number(subset.GetPrim(), sided)
         color = UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor")
         values = color.Get() if color and color.HasValue() else None

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
-from ...errors import FormatError
 from ..corners import unit
 from ..meshes.polygons import fan
+from ..registry import check
 from ..scene import Bones, Shape, file_weights
 
 _log = logging.getLogger(__name__)
@@ -42,7 +42,11 @@ class MeshPrim:
         Corners of each triangle, as indices into the corners of all polygons.
     polygon : (T,) int array
         Index of the polygon that each triangle is a piece of.
+    material : (T,) int array
+        As in `ScenePart`, once :func:`~ssdr.io.usd.materials.read_materials` has set it.
     """
+
+    material: NDArray[np.int64]
 
     def __init__(self, path: Path, prim: Any, skeleton: Any = None, query: Any = None) -> None:
         self.path, self.prim = path, prim
@@ -62,13 +66,9 @@ class MeshPrim:
         if self.joints is not None:
             self._read_influences()
 
-    def _fail(self, what: str) -> FormatError:
-        return FormatError(f"{self.path}: {self.prim.GetPath()}: {what}")
-
     def _check(self, valid: Any, problem: str) -> None:
         """Raise a FormatError with the text `problem` unless `valid` is true."""
-        if not valid:
-            raise self._fail(problem)
+        check(valid, f"{self.prim.GetPath()}: {problem}")
 
     def _read_polygons(self) -> None:
         mesh = UsdGeom.Mesh(self.prim)
@@ -111,6 +111,7 @@ class MeshPrim:
             return None
         return array[index]
 
+    @property
     def uv(self) -> NDArray[np.float32] | None:
         api = UsdGeom.PrimvarsAPI(self.prim)
         chosen = api.GetPrimvar("st")
@@ -134,6 +135,7 @@ class MeshPrim:
         attribute = mesh.GetNormalsAttr()
         return attribute.Get(_FIRST), str(mesh.GetNormalsInterpolation()), attribute
 
+    @property
     def normals(self) -> NDArray[np.float32] | None:
         values, how, _ = self.normal_values()
         found = None if values is None else self._at_corners(values, how, 3, "normals")
@@ -173,23 +175,16 @@ class MeshPrim:
     def _binds(self) -> NDArray[np.float64]:
         """Matrices (B, 4, 4) of the joints in the bind pose, in the space of the mesh's points."""
         frames = self._frames(self.joints.GetJointWorldBindTransforms())
-        try:
-            return np.asarray(np.linalg.solve(self._bind, frames))
-        except np.linalg.LinAlgError:
-            raise self._fail("its geomBindTransform is flat") from None
+        flat = np.linalg.det(self._bind) == 0
+        self._check(not flat, "its geomBindTransform is flat")
+        return np.asarray(np.linalg.solve(self._bind, frames))
 
     def bones(self, transforms: NDArray[np.float64]) -> Bones:
         """Bones of the mesh with these `transforms`; without a skin, one bone without a parent."""
         if self.joints is None:
             name = str(self.prim.GetName())
             return Bones([name], np.full(1, -1), np.zeros((1, 3)), transforms)
-        number = {token: k for k, token in enumerate(self._order)}
-        parents = []
-        for token in self._order:
-            above = token.rpartition("/")[0]
-            while above and above not in number:
-                above = above.rpartition("/")[0]
-            parents.append(number.get(above, -1))
+        parents = UsdSkel.Topology(self._order).GetParentIndices()
         # The skeleton may name its joints; if it does not, names are the last parts of their paths.
         names = [token.rsplit("/", 1)[-1] for token in self._order]
         stated = self.joints.GetSkeleton().GetJointNamesAttr().Get() or ()
@@ -221,8 +216,7 @@ class MeshPrim:
     def raw_points(self, code: Any) -> NDArray[np.float64]:
         """Points ``(V, 3)`` at the time `code`, without blend shapes."""
         values = self.attribute.Get(code)
-        if values is None or not len(values):
-            raise self._fail("no points")
+        self._check(values is not None and len(values), "no points")
         return np.array(values, dtype=np.float64)
 
     def shape(self, codes: NDArray[np.float64]) -> Shape:
@@ -273,3 +267,23 @@ class MeshPrim:
         place = np.array(world.GetLocalToWorldTransform(self.joints.GetPrim())).T
         frames = self._frames(self.joints.ComputeSkinningTransforms(code))
         return np.asarray((place @ frames @ self._bind)[:, :3])
+
+
+class JointPoints(MeshPrim):
+    """The joints of a skeleton that moves no mesh, with a vertex at each, as a `ScenePart`."""
+
+    def __init__(self, path: Path, skeleton: Any) -> None:
+        self.path, self.prim, self.joints = path, skeleton.GetPrim(), skeleton
+        self.attribute = skeleton.GetSkeleton().GetJointsAttr()
+        self._order = [str(token) for token in skeleton.GetJointOrder()]
+        self.n_points = self.n_bones = len(self._order)
+        self._rows, self._bind, self._shapes = list(range(self.n_bones)), np.eye(4), None
+        self.skeleton = str(self.prim.GetPath())
+        self.indices = np.arange(self.n_bones, dtype=np.int32)[:, None]
+        self.weights = np.ones((self.n_bones, 1))
+        self.faces = self.corners = np.zeros((0, 3), dtype=np.int64)
+        self.counts = self.polygon = np.zeros(0, dtype=np.int64)
+
+    def shape(self, codes: NDArray[np.float64]) -> Shape:
+        """Joints in the bind pose."""
+        return np.asarray(self._binds()[:, :3, 3])

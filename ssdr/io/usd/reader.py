@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,15 @@ from numpy.typing import NDArray
 from pxr import Usd, UsdGeom, UsdSkel
 
 from ...clips import Clip, in_order, unique_names
-from ...errors import FormatError, is_real, is_whole
+from ...errors import is_real, is_whole
 from ...sequence import MeshSequence
 from ...skinning import Skinning
-from ..axes import Up, check_up, turn_sequence_up, turn_skinning_up
-from ..registry import pick_clip, reading
+from ...space import Space
+from ..registry import check, choose, pick_clip, reading
 from ..rig import frame_rate
 from ..scene import Sample, SceneBudget, join_sequence, join_skinning
-from .materials import read_looks
-from .parts import MeshPrim
+from .materials import read_materials
+from .parts import JointPoints, MeshPrim
 from .stage import open_stage
 
 _log = logging.getLogger(__name__)
@@ -43,19 +44,16 @@ class StageClip:
         animation of the stage.
     bound : bool
         Whether the file itself binds this animation; if so, the stage's time range is the clip's.
-    fps, frames : float and int, or None
-        Frames per second and number of frames, if the file has several clips and states them.
-    start : float
-        Time code of the first frame; used only with `fps` and `frames`.
+    clock : (float, float, int) or None
+        Frames per second, time code of the first frame and number of frames, if the file has
+        several clips and states them.
     """
 
     name: str
     skeleton: Any = None
     animation: Any = None
     bound: bool = True
-    fps: float | None = None
-    frames: int | None = None
-    start: float = 0.0
+    clock: tuple[float, float, int] | None = None
 
 
 class StageReader:
@@ -67,8 +65,8 @@ class StageReader:
         Name of the default prim or, if there is none, of the file.
     clips : list of StageClip
         Clips of the stage; that of the bound animation comes first.
-    up : {"y", "z"}
-        Up axis of the stage.
+    space : Space
+        Unit and up axis that the stage states.
 
     Raises
     ------
@@ -76,8 +74,14 @@ class StageReader:
         If the file is not a stage, or opening it would be unsafe.
     """
 
-    def __init__(self, path: Path, max_bytes: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        max_bytes: int | None = None,
+        meshes: str | Sequence[str] | None = None,
+    ) -> None:
         self.path = path
+        self._wanted = meshes
         self.stage = open_stage(path)
         root = self.stage.GetDefaultPrim()
         self.name = str(root.GetName()) if root else path.stem
@@ -86,9 +90,18 @@ class StageReader:
         self.budget = SceneBudget(
             path, sum(f.stat().st_size for f in files if f.is_file()), max_bytes
         )
-        self.up: Up = "z" if UsdGeom.GetStageUpAxis(self.stage) == UsdGeom.Tokens.z else "y"
-        unit = UsdGeom.GetStageMetersPerUnit(self.stage)
-        _log.info("%s: %s up, %g m a unit", path, self.up, unit)
+        self.space = self._find_space()
+        _log.info("%s: %s", path, self.space)
+
+    def _find_space(self) -> Space:
+        # What a stage does not state has a default in USD, which files seldom mean.
+        stage, units, up = self.stage, None, None
+        if UsdGeom.StageHasAuthoredMetersPerUnit(stage):
+            units = float(UsdGeom.GetStageMetersPerUnit(stage))
+            check(0 < units < math.inf, f"metersPerUnit is {units}")
+        if stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
+            up = "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
+        return Space(units, up)  # type: ignore[arg-type]
 
     def _find_clips(self) -> list[StageClip]:
         prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
@@ -110,7 +123,9 @@ class StageReader:
         for prim in usable:
             own = prim.GetCustomDataByKey("ssdr")
             own = own if isinstance(own, dict) else {}
-            fps, frames = own.get("fps"), own.get("frames")
+            stated: list[Any] = [own.get(key) for key in ("fps", "frames", "start")]
+            fps, frames, start = stated
+            first = float(start) if is_real(start) else 0.0
             # A clip that is the only one has the time range of the stage.
             known = len(usable) > 1 and is_real(fps) and fps > 0 and is_whole(frames) and frames > 0
             default = self.name if len(usable) == 1 and own else str(prim.GetName())
@@ -120,18 +135,19 @@ class StageReader:
                     skeleton=skeletons[0].GetPath(),
                     animation=prim.GetPath(),
                     bound=prim == bound,
-                    fps=float(own["fps"]) if known else None,
-                    frames=int(own["frames"]) if known else None,
-                    start=float(own["start"]) if is_real(own.get("start")) else 0.0,
+                    clock=(float(fps), first, int(frames)) if known else None,
                 )
             )
         names = unique_names([clip.name for clip in clips])
         return [dataclasses.replace(clip, name=n) for clip, n in zip(clips, names, strict=True)]
 
-    def sample(self, clip: StageClip, fps: float | None = None) -> Sample[MeshPrim]:
+    def sample(
+        self, clip: StageClip, fps: float | None = None, joints_alone: bool = False
+    ) -> Sample:
         """Bind a clip and return the visible meshes and the time codes of the clip's frames.
 
-        `fps` replaces the frame rate of the clip.
+        `fps` replaces the frame rate of the clip. If `joints_alone`, the joints of skeletons stand
+        for meshes where there are none.
 
         Raises
         ------
@@ -145,19 +161,23 @@ class StageReader:
         prims = list(Usd.PrimRange(self.stage.GetPseudoRoot(), _ALL))
         cache = UsdSkel.Cache()
         bound: dict[str, tuple[Any, Any]] = {}
+        skeletons: list[Any] = []
         for root in (UsdSkel.Root(prim) for prim in prims if prim.IsA(UsdSkel.Root)):
             cache.Populate(root, _ALL)
+            below = (prim for prim in Usd.PrimRange(root.GetPrim(), _ALL))
+            found = (UsdSkel.Skeleton(prim) for prim in below if prim.IsA(UsdSkel.Skeleton))
+            skeletons += [cache.GetSkelQuery(skeleton) for skeleton in found]
             for binding in cache.ComputeSkelBindings(root, _ALL):
                 skeleton = cache.GetSkelQuery(binding.GetSkeleton())
                 for query in binding.GetSkinningTargets():
                     bound.setdefault(str(query.GetPrim().GetPath()), (skeleton, query))
-        meshes = [
-            MeshPrim(self.path, prim, *bound.get(str(prim.GetPath()), ()))
-            for prim in prims
-            if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)
-        ]
-        if not meshes:
-            raise FormatError(f"{self.path}: no visible mesh")
+        shown = [prim for prim in prims if prim.IsA(UsdGeom.Mesh) and self._is_shown(prim)]
+        names = [str(prim.GetPath()).split("/")[1:] for prim in shown]
+        places = [shown[k] for k in choose(self._wanted, names)]
+        meshes = [MeshPrim(self.path, p, *bound.get(str(p.GetPath()), ())) for p in places]
+        if not meshes and joints_alone:
+            meshes = [JointPoints(self.path, skeleton) for skeleton in skeletons]
+        check(meshes, "no visible mesh")
         rate, codes = self._clock(meshes, clip, fps)
         return Sample(Clip(clip.name, 0, len(codes), rate), meshes, codes)
 
@@ -175,20 +195,19 @@ class StageReader:
         """Frames per second of a clip, and the time code (F,) of each frame."""
         stage = self.stage
         tempo = float(stage.GetTimeCodesPerSecond())
-        if not (math.isfinite(tempo) and tempo > 0):
-            raise FormatError(f"timeCodesPerSecond is {tempo}")
+        check(0 < tempo < math.inf, f"timeCodesPerSecond is {tempo}")
         stamps = np.unique(np.concatenate([np.zeros(0), *(mesh.stamps() for mesh in meshes)]))
-        if clip.fps is not None and clip.frames is not None and fps in (None, clip.fps):
-            rate, first, count = clip.fps, clip.start, clip.frames
+        if clip.clock is not None and fps in (None, clip.clock[0]):
+            rate, first, count = clip.clock
         else:
             first, last = (float(stamps[0]), float(stamps[-1])) if len(stamps) else (0.0, 0.0)
             if clip.bound and stage.HasAuthoredTimeCodeRange():
                 first, last = float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
-            if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-                raise FormatError(f"the time codes run from {first} to {last}")
+            usable = -math.inf < first <= last < math.inf
+            check(usable, f"the time codes run from {first} to {last}")
             ticks = stamps - first
             on_codes = not len(stamps) or np.abs(ticks - np.rint(ticks)).max() < 0.01
-            rate = fps or (None if on_codes else frame_rate([stamps / tempo])) or tempo
+            rate = fps or (None if on_codes else frame_rate(stamps / tempo)) or tempo
             count = math.floor(min((last - first) / tempo * rate, 1e15) + 1e-3) + 1
         n_vertices = sum(mesh.n_points for mesh in meshes)
         n_bones = sum(mesh.n_bones for mesh in meshes)
@@ -204,7 +223,7 @@ def read(
     *,
     clip: str | int | None = None,
     fps: float | None = None,
-    up: Up | None = None,
+    meshes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
 ) -> MeshSequence:
     """Read all visible meshes in world space, with UsdSkel and blend shapes baked to vertices.
@@ -218,8 +237,8 @@ def read(
     fps : float, optional
         Frames per second at which to sample; by default those that the clip states, else one frame
         per time code or, if samples lie between time codes, the rate of the samples.
-    up : {"y", "z"}, optional
-        Up axis to which the scene is turned; by default it keeps that of the file.
+    meshes : str or several of them, optional
+        Names of the meshes to read, or of prims above them; all by default.
     max_bytes : int, optional
         Most memory that reading may take; by default 1000 times the size of the file, but at
         least 1 GiB and at most 16 GiB.
@@ -227,24 +246,22 @@ def read(
     Returns
     -------
     MeshSequence
-        Vertices in float32, in the unit of the file; the log says how many metres that is. Each
-        polygon is cut into a fan of triangles.
+        Vertices in float32, in the unit and with the up axis of the file, which `space` states.
+        Each polygon is cut into a fan of triangles.
 
     Raises
     ------
     FormatError
         If the file is damaged or holds no visible mesh, or if a mesh's topology changes over time.
     InputError
-        If there is no such clip.
+        If there is no such clip or mesh.
     """
-    check_up(up, optional=True)
-    with reading(path):
-        reader = StageReader(path, max_bytes)
-    index = pick_clip([one.name for one in reader.clips], clip, path)
-    with reading(path):
+    with reading(path, "clip", "meshes"):
+        reader = StageReader(path, max_bytes, meshes)
+        index = pick_clip([one.name for one in reader.clips], clip, path)
         sample = reader.sample(reader.clips[index], fps)
-        sequence = join_sequence(sample, read_looks(path, sample.parts), reader.name)
-        return turn_sequence_up(sequence, reader.up, up or reader.up)
+        materials = read_materials(path, sample.parts)
+        return join_sequence(sample, materials, reader.name, reader.space)
 
 
 def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
@@ -255,7 +272,12 @@ def list_clips(path: Path, *, fps: float | None = None) -> tuple[Clip, ...]:
 
 
 def read_skinning(
-    path: Path, *, fps: float | None = None, up: Up | None = None, max_bytes: int | None = None
+    path: Path,
+    *,
+    fps: float | None = None,
+    meshes: str | Sequence[str] | None = None,
+    joints_alone: bool = False,
+    max_bytes: int | None = None,
 ) -> Skinning:
     """Read the UsdSkel skins of a file without baking them; a mesh without a skin gets one bone.
 
@@ -264,10 +286,12 @@ def read_skinning(
 
     Parameters
     ----------
-    path, up, max_bytes
+    path, meshes, max_bytes
         As in :func:`read`.
     fps : float, optional
         As in :func:`read`, for every clip.
+    joints_alone : bool
+        Read the skeletons of a file without a mesh, with a vertex at each joint.
 
     Raises
     ------
@@ -275,9 +299,8 @@ def read_skinning(
         As in :func:`read`, and if a mesh has moving points or blend shapes, which a skinning cannot
         store.
     """
-    check_up(up, optional=True)
-    with reading(path):
-        reader = StageReader(path, max_bytes)
-        samples = [reader.sample(clip, fps) for clip in reader.clips]
-        model = join_skinning(samples, read_looks(path, samples[0].parts), reader.name)
-        return turn_skinning_up(model, reader.up, up or reader.up)
+    with reading(path, "meshes"):
+        reader = StageReader(path, max_bytes, meshes)
+        samples = [reader.sample(clip, fps, joints_alone) for clip in reader.clips]
+        materials = read_materials(path, samples[0].parts)
+        return join_skinning(samples, materials, reader.name, reader.space)

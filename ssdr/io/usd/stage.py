@@ -16,7 +16,7 @@ from pxr import Sdf, Tf, Usd, UsdUtils
 
 from ...errors import FormatError
 from ..references import is_inside
-from ..registry import refuse_device
+from ..registry import check, refuse_device
 
 _DEEPEST = 1000  # levels of nesting; usd-core crashes the process at some tens of thousands
 # Strings, asset paths and comments of a text layer, closed or not; brackets in them do not count.
@@ -34,6 +34,8 @@ _STEPS[list(b"([{")], _STEPS[list(b")]}")] = 1, -1
 def open_stage(path: Path) -> Any:
     """Open a stage from the present contents of its file, not from those that USD has in memory.
 
+    To be called inside :func:`~ssdr.io.registry.reading`.
+
     Raises
     ------
     FormatError
@@ -45,13 +47,12 @@ def open_stage(path: Path) -> Any:
     except Tf.ErrorException as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         said = next((line for line in lines if "Error" in line), lines[-1] if lines else "")
-        raise FormatError(f"{path}: not a usable USD file ({said[-300:]})") from error
-    if not stage:
-        raise FormatError(f"{path}: not a usable USD file")
+        raise FormatError(f"not a usable USD file ({said[-300:]})") from error
+    check(stage, "not a usable USD file")
     stage.Reload()  # layers are kept by name; the file may have been written anew
     for layer in stage.GetUsedLayers():
-        if layer.realPath and not is_inside(Path(layer.realPath), path.parent):
-            raise FormatError(f"{path}: refers to {layer.realPath}, which lies outside its folder")
+        inside = not layer.realPath or is_inside(Path(layer.realPath), path.parent)
+        check(inside, f"refers to {layer.realPath}, which lies outside its folder")
     return stage
 
 
@@ -71,39 +72,35 @@ def _check_layers(path: Path) -> None:
             continue
         seen.add(file.resolve())
         refuse_device(file)
-        _check_nesting(file, path)
+        _check_nesting(file)
         layer = Sdf.Layer.FindOrOpen(str(file))
         for asset in itertools.chain(*UsdUtils.ExtractExternalReferences(str(file))):
             named = Sdf.Layer.SplitIdentifier(asset)[0].partition("[")[0]
             name = Path(Sdf.ComputeAssetPathRelativeToLayer(layer, named))
             if not Sdf.FileFormat.FindByExtension(name.suffix[1:] or "none"):
                 continue  # a picture or the like, which USD does not open
-            if not is_inside(name, path.parent):
-                raise FormatError(
-                    f"{path}: refers to {asset}, which lies outside its folder; open a copy with "
-                    "all that it refers to in one folder (usdcat --flatten makes one)"
-                )
+            hint = "open a copy with all that it refers to in one folder"
+            problem = f"refers to {asset}, which lies outside its folder; {hint}"
+            inside = is_inside(name, path.parent)
+            check(inside, f"{problem} (usdcat --flatten makes one)")
             # the files of value clips can be named by a pattern such as clip.###.usd
             pattern = "*".join(re.split("#+", name.name))
             waiting += name.parent.glob(pattern) if "#" in name.name else [name]
 
 
-def _check_nesting(file: Path, path: Path) -> None:
-    """Refuse a package, and a text layer nested so deeply that usd-core would crash the process.
-
-    `path` is the file that was to be opened, for error messages; `file` is one of its layers.
-    """
+def _check_nesting(file: Path) -> None:
+    """Refuse a package, and a text layer nested so deeply that usd-core would crash the process."""
     if not file.is_file():
         return
     data = file.read_bytes()
-    if data.startswith(b"PK"):
-        raise FormatError(f"{path}: {file.name} is a package, which must be unpacked first")
+    packed = data.startswith(b"PK")
+    check(not packed, f"{file.name} is a package, which must be unpacked first")
     if data.startswith(b"PXR-USDC"):
         return
     steps = _STEPS[np.frombuffer(_QUOTED.sub(b"", data), dtype=np.uint8)]
     depth = np.cumsum(steps[steps != 0], dtype=np.int64).max(initial=0)
-    if depth > _DEEPEST:
-        raise FormatError(f"{path}: {file.name} is nested {depth} deep, at most {_DEEPEST} is read")
+    problem = f"{file.name} is nested {depth} deep, at most {_DEEPEST} is read"
+    check(depth <= _DEEPEST, problem)
 
 
 @contextlib.contextmanager

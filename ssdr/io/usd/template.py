@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
 
 from ...clips import pick
-from ...errors import FormatError
 from ...skinning import Skinning
+from ...space import Space
 from ..atomic import atomic_path
 from ..corners import Deformation
-from ..registry import SaveReport, reading
+from ..registry import SaveReport, check, reading
 from ..rig import Rig
 from ..scene import check_kept, match_template
 from .parts import MeshPrim
@@ -36,6 +36,12 @@ def template_problem(path: Path) -> str:
         return _problem([mesh.prim for mesh in reader.sample(reader.clips[0]).parts])
 
 
+def template_space(path: Path) -> Space:
+    """Unit and up axis that a template states."""
+    with reading(path):
+        return StageReader(path).space
+
+
 def _problem(prims: list[Any]) -> str:
     if any(prim.IsInstanceProxy() for prim in prims):
         return "its meshes are instances"
@@ -48,7 +54,7 @@ def put(
     target: Path,
     model: Skinning,
     rig: Rig,
-    clip_names: Mapping[str, str],
+    clip_names: Mapping[str, str | None],
     strict: bool,
 ) -> list[str]:
     """Write a template with the model's skin to `temporary` and return the contents that are lost.
@@ -62,7 +68,7 @@ def put(
     rig : Rig
         The rig of `model`.
     clip_names : mapping of str to str
-        Names of clips in the model, by their names in the template, for clips whose names differ.
+        As of the writer.
     strict : bool
         Whether to raise an error if contents of the template are lost.
 
@@ -77,16 +83,16 @@ def put(
     with reading(template):
         reader = StageReader(template)
         samples = [reader.sample(clip) for clip in reader.clips]
-        starts = {clip_names.get(s.clip.name, s.clip.name): float(s.time[0]) for s in samples}
+        names = [clip_names.get(s.clip.name, s.clip.name) for s in samples]
+        starts = {n: float(s.time[0]) for n, s in zip(names, samples, strict=True) if n}
         meshes = samples[0].parts
         problem = _problem([mesh.prim for mesh in meshes])
-        if problem:
-            raise FormatError(f"{template}: {problem}; it cannot be a template")
+        check(not problem, f"{problem}; it cannot be a template")
     vertices = match_template(meshes, model, template)
-    ours = {clip.name for clip in rig.clips}
+    ours = {None, *(clip.name for clip in rig.clips)}
     lost = [
         f"the clip {clip.name}, which the model does not have"
-        for clip, name in zip(reader.clips, starts, strict=True)
+        for clip, name in zip(reader.clips, names, strict=True)
         if clip.animation is not None and name not in ours
     ]
     check_kept(lost, strict)

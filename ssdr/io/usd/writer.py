@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
-from ...errors import InputError, is_real
 from ...sequence import MeshSequence
 from ...skinning import Skinning
+from ...space import METRES_Y_UP, Space
 from ..atomic import atomic_path
-from ..axes import Up, check_up
 from ..corners import corner_normals
 from ..registry import SaveReport
 from ..rig import build_rig
@@ -33,17 +32,16 @@ def write_skinning(
     path: Path,
     *,
     influences: int | None = None,
-    up: Up = "y",
-    meters_per_unit: float = 1.0,
     name: str | None = None,
     template: str | os.PathLike[str] | None = None,
-    clip_names: Mapping[str, str] | None = None,
+    clip_names: Mapping[str, str | None] | None = None,
     strict: bool = False,
 ) -> SaveReport:
     """Write a UsdSkel character: skeleton, one animation per clip, skin weights, surface.
 
     The first clip is bound to the skeleton, and the stage has its frame rate. Clips with another
-    rate have their frames between the time codes of the stage.
+    rate have their frames between the time codes of the stage. The stage states the model's unit
+    and up axis or, where the model has none, 1 m and y.
 
     Parameters
     ----------
@@ -53,10 +51,6 @@ def write_skinning(
         ``.usda`` (text), ``.usdc`` or ``.usd`` (binary).
     influences : int, optional
         Number of largest weights to keep for each vertex; all by default.
-    up : {"y", "z"}
-        The model's up axis, stated in the file; nothing is turned.
-    meters_per_unit : float
-        The model's unit, stated in the file.
     name : str, optional
         Name of the root prim; by default that of the skinning or, if it has none, of the file.
     template : path, optional
@@ -65,7 +59,8 @@ def write_skinning(
         and bindings, primvars, other prims. The unit, the up axis and the time codes are the
         template's.
     clip_names : mapping of str to str, optional
-        Names of clips in the model, by their names in the template, for clips whose names differ.
+        Names of clips in the model, by their names in the template, for clips whose names differ;
+        None for a clip that is left out on purpose and not reported as lost.
     strict : bool
         Whether to raise an error, instead of reporting the loss, if contents of the template
         cannot be kept.
@@ -96,14 +91,14 @@ def write_skinning(
     )
     first = rig.clips[0]
     lost: list[str] = []
-    notes = [] if template is not None else [f"{up} up, {meters_per_unit:g} m a unit"]
+    notes: list[str] = []
     if rig.scales is not None:
         notes.append("UsdSkel holds scales in half precision")
     if template is not None:
         with atomic_path(path) as temporary, system_errors(path):
             lost += put(Path(template), temporary, path, skinning, rig, clip_names or {}, strict)
     else:
-        with _new_stage(path, first.fps, first.n_frames, up, meters_per_unit) as stage:
+        with _new_stage(path, first.fps, first.n_frames, skinning.space, notes) as stage:
             top = Sdf.Path("/" + identifier(name or skinning.name or path.stem))
             stage.SetDefaultPrim(UsdSkel.Root.Define(stage, top).GetPrim())
             skeleton = top.AppendChild("Skeleton")
@@ -120,25 +115,18 @@ def write_skinning(
     return rig.report(skinning, path=path, bytes=size, note="; ".join(notes), lost=tuple(lost))
 
 
-def write_sequence(
-    sequence: MeshSequence,
-    path: Path,
-    *,
-    up: Up = "y",
-    meters_per_unit: float = 1.0,
-    name: str | None = None,
-) -> SaveReport:
+def write_sequence(sequence: MeshSequence, path: Path, *, name: str | None = None) -> SaveReport:
     """Write a point cache: one mesh with a float32 sample of its points per frame.
 
     Parameters
     ----------
     sequence : MeshSequence
-    path, up, meters_per_unit, name
+    path, name
         As in :func:`write_skinning`.
     """
-    notes = [f"{up} up, {meters_per_unit:g} m a unit"]
+    notes: list[str] = []
     error = StorageError()
-    with _new_stage(path, sequence.fps, sequence.n_frames, up, meters_per_unit) as stage:
+    with _new_stage(path, sequence.fps, sequence.n_frames, sequence.space, notes) as stage:
         top = Sdf.Path("/" + identifier(name or sequence.name or path.stem))
         stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, top).GetPrim())
         mesh = _define_mesh(stage, top, sequence, path, notes)
@@ -149,26 +137,19 @@ def write_sequence(
             for frame, values in enumerate(error.round(block, first), start=first):
                 points.Set(Vt.Vec3fArray.FromNumpy(values), float(frame))
                 extent.Set(_extent(values), float(frame))
-    return SaveReport(
-        path=path,
-        bytes=path.stat().st_size,
-        error=error.rmse or None,
-        max_error=error.largest or None,
-        note="; ".join(notes),
-    )
+    return error.report(path, note="; ".join(notes))
 
 
 @contextlib.contextmanager
 def _new_stage(
-    path: Path, fps: float, n_frames: int, up: Up, meters_per_unit: float
+    path: Path, fps: float, n_frames: int, space: Space, notes: list[str]
 ) -> Iterator[Any]:
-    check_up(up)
-    if not (is_real(meters_per_unit) and meters_per_unit > 0):
-        raise InputError("meters_per_unit", "a positive number", meters_per_unit)
+    taken = METRES_Y_UP.but(space)
+    notes.append(f"{space}" if space == taken else f"{space}: taken for {taken}")
     with atomic_path(path) as temporary, system_errors(path):
         stage = Usd.Stage.CreateNew(str(temporary))
-        UsdGeom.SetStageUpAxis(stage, up.upper())
-        UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
+        UsdGeom.SetStageUpAxis(stage, str(taken.up).upper())
+        UsdGeom.SetStageMetersPerUnit(stage, taken.units)
         stage.SetTimeCodesPerSecond(fps)
         stage.SetFramesPerSecond(fps)
         stage.SetStartTimeCode(0)

@@ -1,0 +1,321 @@
+"""Small glTF files for engines: coarse keys and coordinates, compressed by meshopt.
+
+The arrays of a rig are rounded first, so that its error is that of the file; then
+:class:`Packed` stores them in few buffer views, one for each kind of array, since a view of its
+own for each array would take more bytes than many arrays do.
+
+References
+----------
+Khronos, ``KHR_mesh_quantization``; Kapoulkine, ``EXT_meshopt_compression``, whose appendices A and
+B define the codecs and the filters.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...parsimony.keyframes import Tracks
+from ...skinning import Skinning
+from ..corners import Corners
+from ..registry import require
+from ..rig import Rig, build_rig
+from .builder import ARRAY, CODES, ELEMENTS, Builder
+from .compression import MESHOPT
+
+Compression = Literal["none", "quantized", "meshopt"]
+_SETTLES = 8
+_PRICES = 12  # bisections for the price of a key
+# Shares of the tolerance for a step of positions and translations, and for the far end of a
+# rotation's step; rounding is at most half of each, and the keys get what is left.
+_STEP, _TURN = 0.4, 0.3
+_FINE = 1 / 65535  # step of positions, as a share of the largest extent, without a tolerance
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Steps to which a file rounds.
+
+    Attributes
+    ----------
+    low : (3,) float64
+        Smallest rest position.
+    step : float
+        Step of rest positions; counts of steps are uint16.
+    exponent : int
+        Steps of translations and scales are 2 to this power.
+    bits : int
+        Bits of a component of a quaternion, with its sign.
+    """
+
+    low: NDArray[np.float64]
+    step: float
+    exponent: int
+    bits: int
+
+    @staticmethod
+    def of(rests: list[NDArray[Any]], reach: float, tolerance: float | None) -> Grid:
+        """Grid for rest poses, and for bones whose vertices are at most `reach` from the joint."""
+        low = np.min([rest.min(axis=0) for rest in rests], axis=0).astype(np.float64)
+        extent = float(np.max([(rest - low).max() for rest in rests])) or 1.0
+        step = max((tolerance or 0.0) * _STEP, extent * _FINE)
+        turn = (tolerance or 0.0) * _TURN / max(reach, 1e-300)
+        bits = min(16, max(6, math.ceil(-math.log2(turn)))) if turn > 0 else 16
+        return Grid(low, step, math.floor(math.log2(step)), bits)
+
+    def counts(self, rest: NDArray[Any]) -> NDArray[np.uint16]:
+        counts = np.rint((rest - self.low) / self.step)
+        return np.clip(counts, 0, 65535).astype(np.uint16)
+
+    def round(self, rig: Rig) -> Rig:
+        """Rig whose arrays are those that a reader of the file decodes."""
+        unit = 2.0**self.exponent
+        turns: NDArray[Any] = rig.rotations
+        for _ in range(_SETTLES):  # rounding may change which component is the largest
+            before, turns = turns, decoded_quaternions(encoded_quaternions(turns, self.bits))
+            if np.array_equal(before, turns):
+                break
+        sign = np.where((turns * rig.rotations).sum(axis=-1, keepdims=True) < 0, -1, 1)
+        return dataclasses.replace(
+            rig,
+            rest=(self.low + self.step * self.counts(rig.rest)).astype(np.float32),
+            rotations=(sign * turns).astype(np.float32),
+            translations=(np.rint(rig.translations / unit) * unit).astype(np.float32),
+            scales=None
+            if rig.scales is None
+            else (np.rint(rig.scales / 2.0**-14) * 2.0**-14).astype(np.float32),
+        )
+
+
+def coarse_rig(
+    model: Skinning, tolerance: float | None, levels: list[Skinning], **options: Any
+) -> tuple[Rig, Grid]:
+    """Rig with as few keys and as coarse numbers as the tolerance allows.
+
+    Parameters
+    ----------
+    model : Skinning
+    tolerance : float or None
+        Largest distance of a vertex in any frame from its place in the model; None keeps all keys
+        and 16 bits.
+    levels : list of Skinning
+        Coarser levels of detail, which get the same grid.
+    **options
+        As for :func:`~ssdr.io.rig.build_rig`.
+
+    Raises
+    ------
+    InputError
+        If the numbers that a file can hold are too coarse for the tolerance.
+    """
+    rig = build_rig(model, **options)
+    arm = np.linalg.norm(rig.rest[:, None] - rig.centers[rig.indices], axis=2)
+    reach = float(arm[rig.weights > 0].max(initial=0.0))
+    grid = Grid.of([rig.rest, *(level.rest for level in levels)], reach, tolerance)
+    whole = grid.round(rig)
+    if tolerance is None or whole.n_frames == 1:
+        return whole, grid
+    least = whole.error(model)[1] or 0.0
+    if least > tolerance:
+        raise InputError(
+            "tolerance", f"at least the error of rounding, {least:.3g}, or finer weights", tolerance
+        )
+    offsets = np.array([0, *(clip.stop for clip in model.clips)])
+    tracks = Tracks(model, offsets)
+    low, high, best = 1e-12 * tolerance**2, 1e3 * tolerance**2 * model.n_vertices, whole
+    for _ in range(_PRICES):
+        price = math.sqrt(low * high)
+        trial = grid.round(build_rig(tracks.play(tracks.choose(price)[0]), **options))
+        if (trial.error(model)[1] or 0.0) <= tolerance:
+            low, best = price, trial
+        else:
+            high = price
+    return best, grid
+
+
+def encoded_quaternions(turns: NDArray[Any], bits: int) -> NDArray[np.int16]:
+    """Quaternions (..., 4) as the filter QUATERNION stores them: the three smaller components."""
+    largest = np.abs(turns).argmax(axis=-1)[..., None]
+    order = (largest + 1 + np.arange(4)) % 4
+    sorted_ = np.take_along_axis(turns / np.linalg.norm(turns, axis=-1, keepdims=True), order, -1)
+    sign = np.where(sorted_[..., 3:] < 0, -1.0, 1.0)
+    one = (1 << (bits - 1)) - 1
+    out = np.rint(np.clip(sorted_ * sign * math.sqrt(2), -1, 1) * one)
+    out[..., 3:] = (one & ~3) | largest
+    return np.asarray(out, dtype=np.int16)
+
+
+def decoded_quaternions(stored: NDArray[np.int16]) -> NDArray[np.float64]:
+    """Quaternions that a reader decodes from those of :func:`encoded_quaternions`."""
+    largest, one = stored[..., 3:].astype(int) & 3, stored[..., 3:].astype(int) | 3
+    small = stored[..., :3] / (one * math.sqrt(2))
+    w = np.sqrt(np.maximum(0.0, 1 - (small**2).sum(axis=-1, keepdims=True)))
+    place = (np.arange(4) - largest - 1) % 4
+    turns = np.take_along_axis(np.concatenate([small, w], axis=-1), place, -1)
+    return np.asarray(np.rint(turns * 32767) / 32767)
+
+
+def fetch_order(corners: Corners, groups: NDArray[np.integer]) -> tuple[Corners, NDArray[Any]]:
+    """Copy of a mesh whose triangles, and then vertices, come in the order that packs best.
+
+    `groups` (T,) numbers the material of each triangle; it is returned in the new order.
+    """
+    library = require("meshoptimizer", "meshopt", "compression by meshopt")
+    n, parts, order = len(corners.vertex), [], []
+    for group in np.unique(groups):
+        flat = corners.faces[groups == group].reshape(-1).astype(np.uint32)
+        best = np.empty_like(flat)
+        library.optimize_vertex_cache_strip(best, flat, len(flat), n)
+        parts.append(best)
+        order.append(np.full(len(flat) // 3, group))
+    faces = np.concatenate(parts) if parts else np.zeros(0, dtype=np.uint32)
+    # vertices come in the order in which triangles need them; those of no triangle are last
+    first = np.full(n, len(faces))
+    np.minimum.at(first, faces, np.arange(len(faces)))
+    take = np.argsort(first, kind="stable")
+    place = np.argsort(take).astype(np.int32)
+    moved = dataclasses.replace(
+        corners,
+        vertex=corners.vertex[take],
+        faces=place[faces].reshape(-1, 3),
+        uv=None if corners.uv is None else corners.uv[take],
+        normals=None if corners.normals is None else corners.normals[take],
+    )
+    return moved, np.concatenate(order) if order else groups
+
+
+def steady_slots(rig: Rig, vertex: NDArray[np.integer]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Indices and weights (N, K) of the vertices `vertex`, sorted so that their bytes repeat.
+
+    A bone keeps its place from one vertex to the next.
+    """
+    indices, weights = rig.indices[vertex].tolist(), rig.weights[vertex].tolist()
+    last: list[int] = [-1] * rig.indices.shape[1]
+    for i, (bones, shares) in enumerate(zip(indices, weights, strict=True)):
+        left = {b: w for b, w in zip(bones, shares, strict=True) if w > 0}
+        row = [(b, left.pop(b)) if b in left else None for b in last]
+        others = iter(left.items())
+        row = [slot or next(others, None) for slot in row]
+        indices[i] = [slot[0] if slot else 0 for slot in row]
+        weights[i] = [slot[1] if slot else 0 for slot in row]
+        last = [slot[0] if slot else b for slot, b in zip(row, last, strict=True)]
+    return np.array(indices, dtype=np.int32), np.array(weights, dtype=rig.weights.dtype)
+
+
+@dataclasses.dataclass
+class _Stream:
+    """Arrays of one kind, which share a buffer view."""
+
+    view: int
+    stride: int
+    filter: str
+    target: int | None
+    blocks: list[NDArray[Any]] = dataclasses.field(default_factory=list)
+    count: int = 0
+
+
+class Packed(Builder):
+    """A glTF document whose arrays are quantized, and compressed if `meshopt` is true."""
+
+    def __init__(self, grid: Grid, *, meshopt: bool) -> None:
+        super().__init__()
+        self.grid, self.meshopt = grid, meshopt
+        self._streams: dict[Any, _Stream] = {}
+        self.require("KHR_mesh_quantization")
+        if meshopt:
+            self.require(MESHOPT[0])
+
+    def place(
+        self, array: NDArray[Any], kind: str, target: int | None, use: str
+    ) -> tuple[dict[str, Any], NDArray[Any]]:
+        """Put an array, stored as suits its use, into the buffer view of its kind."""
+        array, filter_, decoded = self._stored(array, use)
+        key: Any = use, kind, array.dtype.name, array.shape[1:]
+        if target == ELEMENTS:
+            key = len(self._streams)
+        if key not in self._streams:
+            stride = array.dtype.itemsize * math.prod(array.shape[1:])
+            self._streams[key] = _Stream(self.view(b""), stride, filter_, target)
+        stream = self._streams[key]
+        item = {"bufferView": stream.view}
+        if stream.count:
+            item["byteOffset"] = stream.count * stream.stride
+        item["componentType"] = CODES[decoded or array.dtype.name]
+        stream.blocks.append(array)
+        stream.count += len(array)
+        return item, array
+
+    def _stored(self, array: NDArray[Any], use: str) -> tuple[NDArray[Any], str, str | None]:
+        """Array as stored, its filter, and the type that a reader decodes if it is another."""
+        if use == "POSITION":
+            return np.pad(self.grid.counts(array), ((0, 0), (0, 1))), "NONE", None
+        if use == "NORMAL":
+            if self.meshopt:
+                return _octahedral(array), "OCTAHEDRAL", None
+            return np.pad(np.rint(array * 127).astype(np.int8), ((0, 0), (0, 1))), "NONE", None
+        if use == "rotation":
+            stored = encoded_quaternions(array, self.grid.bits)
+            if self.meshopt:
+                return stored, "QUATERNION", None
+            return np.rint(decoded_quaternions(stored) * 32767).astype(np.int16), "NONE", None
+        if use in ("translation", "scale") and self.meshopt:
+            exponent = -14 if use == "scale" else self.grid.exponent
+            mantissa = np.rint(array / 2.0**exponent).astype(np.int32)
+            if np.abs(mantissa).max(initial=0) < 1 << 23:
+                return (mantissa & 0xFFFFFF) | (exponent << 24), "EXPONENTIAL", "float32"
+        if use == "inverse":
+            # the inverse bind matrices take stored positions to those of the rest pose
+            turn = array.reshape(-1, 4, 4).astype(np.float64)
+            whole = np.diag([*[self.grid.step] * 3, 1.0])
+            whole[3, :3] = self.grid.low
+            return (whole @ turn).astype(np.float32).reshape(-1, 16), "NONE", None
+        return array, "NONE", None
+
+    def save(self, path: Path) -> int:
+        """Write the file as :meth:`Builder.save` does."""
+        for stream in self._streams.values():
+            whole = np.ascontiguousarray(np.concatenate(stream.blocks))
+            view = self.json["bufferViews"][stream.view]
+            if stream.target is not None:
+                view["target"] = stream.target
+            if stream.target == ARRAY:
+                view["byteStride"] = stream.stride
+            self.blocks[view["buffer"]] = whole.tobytes()
+            if self.meshopt and (stream.stride % 4 == 0 or stream.target == ELEMENTS):
+                self._compress(view, stream, whole)
+        return super().save(path)
+
+    def _compress(self, view: dict[str, Any], stream: _Stream, whole: NDArray[Any]) -> None:
+        library = require("meshoptimizer", "meshopt", "compression by meshopt")
+        mode = "ATTRIBUTES"
+        if stream.target == ELEMENTS:
+            mode = "TRIANGLES"
+            flat = whole.astype(np.uint32)
+            data = library.encode_index_buffer(flat, len(flat), int(flat.max()) + 1)
+        else:
+            library.encode_vertex_version(0)
+            raw = np.frombuffer(whole.tobytes(), dtype=np.uint8).reshape(-1, stream.stride)
+            data = library.encode_vertex_buffer(raw, stream.count, stream.stride)
+        packed: dict[str, Any] = {"byteStride": stream.stride, "count": stream.count, "mode": mode}
+        if stream.filter != "NONE":
+            packed["filter"] = stream.filter
+        view["extensions"] = {MESHOPT[0]: packed}
+        self.blocks[view["buffer"]] = bytes(data)
+
+
+def _octahedral(normals: NDArray[Any]) -> NDArray[np.int8]:
+    """Unit vectors (N, 3) as the filter OCTAHEDRAL stores them in four bytes."""
+    flat = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-30)
+    x, y = flat[:, 0], flat[:, 1]
+    down = flat[:, 2] < 0
+    u = np.where(down, (1 - np.abs(y)) * np.where(x >= 0, 1, -1), x)
+    v = np.where(down, (1 - np.abs(x)) * np.where(y >= 0, 1, -1), y)
+    out = np.zeros((len(normals), 4), dtype=np.int8)
+    out[:, 0], out[:, 1], out[:, 2] = np.rint(u * 127), np.rint(v * 127), 127
+    return out

@@ -1,0 +1,115 @@
+"""Conversion of sequences and skinnings from one unit and up axis to another."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..sequence import MeshSequence
+from ..space import UNKNOWN, Space
+
+Thing = TypeVar("Thing", bound=Any)  # MeshSequence or Skinning
+
+# a quarter turn about x, which carries z up to y up
+_Y_FROM_Z = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def in_space(thing: Thing, space: Space) -> Thing:
+    """Sequence or skinning in another unit and with another up axis.
+
+    Parameters
+    ----------
+    thing : MeshSequence or Skinning
+    space : Space
+        What is not known of it, or of that of `thing`, stays as it is.
+
+    Returns
+    -------
+    MeshSequence or Skinning
+        Scaled if both units are known, and turned about x if both up axes are known.
+
+    Examples
+    --------
+    >>> points = np.array([[[0.0, 0.0, 180.0]]])
+    >>> tall = ssdr.MeshSequence(points, space=ssdr.Space(0.01, "z"))
+    >>> ssdr.io.in_space(tall, ssdr.Space(1.0, "y")).vertices.tolist()
+    [[[0.0, 1.8, 0.0]]]
+    """
+    old: Space = thing.space
+    new = old.but(Space(old.units and space.units, old.up and space.up))
+    factor = old.units / new.units if old.units and new.units else 1.0
+    turn = np.eye(3)
+    if old.up and old.up != new.up:
+        turn = _Y_FROM_Z if new.up == "y" else _Y_FROM_Z.T
+    return with_space(transformed(thing, factor, turn), new)
+
+
+def transformed(thing: Thing, factor: float, turn: Any = np.eye(3)) -> Thing:  # noqa: B008
+    """Sequence or skinning whose points x are at `factor` Q x, with the rotation Q = `turn`.
+
+    Bone transforms [R | T] become [Q R Qᵀ | `factor` Q T].
+    """
+    turned = not np.array_equal(turn, np.eye(3))
+    if factor == 1 and not turned:
+        return thing
+
+    def at(points: Any) -> Any:
+        return points @ (factor * turn.T).astype(points.dtype)
+
+    surface = thing.surface
+    if turned and surface is not None and surface.normals is not None:
+        normals = surface.normals @ turn.T.astype(surface.normals.dtype)
+        surface = dataclasses.replace(surface, normals=normals)
+    if isinstance(thing, MeshSequence):
+        vertices = np.concatenate([at(block) for _, block in thing.chunks()])
+        return dataclasses.replace(thing, vertices=vertices, surface=surface)
+    m = np.asarray(thing.transforms, dtype=np.float64)
+    moved = np.concatenate([turn @ m[..., :3] @ turn.T, at(m[..., 3])[..., None]], axis=-1)
+    joints = thing.joint_positions
+    return dataclasses.replace(
+        thing,
+        rest=at(thing.rest),
+        joint_positions=None if joints is None else at(joints),
+        transforms=moved.astype(thing.transforms.dtype),
+        surface=surface,
+    )
+
+
+def scaled(thing: Thing, factor: float, space: Space) -> Thing:
+    """Sequence or skinning `factor` times as large; what is known of `space` is then its own.
+
+    Its unit is not known after any factor but 1: whoever scales may mean another unit or another
+    size.
+    """
+    stated = thing.space if factor == 1 else Space(None, thing.space.up)
+    return with_space(transformed(thing, factor), stated.but(space))
+
+
+def with_space(thing: Thing, space: Space) -> Thing:
+    """Sequence or skinning with the same numbers, stated to be in another space."""
+    unread = {"validate": False} if isinstance(thing, MeshSequence) else {}
+    return thing if space == thing.space else dataclasses.replace(thing, space=space, **unread)
+
+
+def ready_to_write(thing: Thing, title: str, space: Space | None) -> tuple[Thing, str]:
+    """Sequence or skinning in the space of a file, and in words what was done for it.
+
+    Parameters
+    ----------
+    thing : MeshSequence or Skinning
+    title : str
+        Name of the file's format.
+    space : Space or None
+        Space that the file must have; None if it can state none.
+    """
+    own: Space = thing.space
+    if space is None:
+        return thing, f"{title} does not state {own}" if own != UNKNOWN else ""
+    taken = space.but(own)
+    notes = [f"{own}: taken for {taken}"] if taken != own else []
+    ready = in_space(with_space(thing, taken), space)
+    if ready.space != taken:
+        notes.append(f"converted from {taken} to {ready.space}")
+    return ready, "; ".join(notes)

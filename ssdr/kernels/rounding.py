@@ -1,0 +1,103 @@
+"""Moves of units of weight between the bones of one vertex at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .policy import kernel
+from .vertices import place, read_influences, store
+
+
+@kernel
+def move_units(y, x2, pairs, rest, indices, weights, error, locked, move_rest, steps):
+    """Move units of weight from bone to bone of each vertex while its error falls.
+
+    y             (V, 4, B)    float64  Σ_t M_j^tᵀ v_i^t, in
+    x2            (V,)         float64  Σ_t |v_i^t|², in
+    pairs         (B, B, 10)   float64  coefficients of p̃ᵀ G_jk p̃, in
+    rest          (V, 3)       float64  rest positions, updated where `move_rest`
+    indices       (V, K)       int32    bone of each influence, updated
+    weights       (V, K)       float64  weights, whole units of 1/steps, descending, updated
+    error         (V,)         float64  squared error, out
+    locked        (V,)         bool     vertices whose weights are not changed, in
+    move_rest     bool                  whether each move is judged at its best rest position
+    steps         int                   units of a vertex
+
+    Of all moves of one unit from an influence to any bone, that of lowest error is made, and so on;
+    a vertex never has more than K influences.
+    """
+    n_bones = pairs.shape[0]
+    size = indices.shape[1]
+    ids = np.empty(size, dtype=np.uint32)
+    slot = np.empty(n_bones, dtype=np.int64)
+    units = np.empty(size)
+    w = np.empty(size)
+    form = np.empty(10)
+    m = np.empty(10)
+    g = np.empty(4)
+    a = np.empty((3, 3))
+    b = np.empty(3)
+    p = np.empty(3)
+    for i in range(len(rest)):
+        n = read_influences(indices[i], weights[i], ids, w)
+        for q in range(n):
+            units[q] = np.rint(w[q] * steps)
+            w[q] = units[q] / steps
+        e = place(x2[i], y[i], pairs, ids, w, n, move_rest, rest[i], form, g, m, a, b)
+        better = not locked[i]
+        while better:
+            least = e - 1e-9 * abs(e)
+            bone = down = -1
+            for j in range(n_bones):
+                slot[j] = -1
+            for q in range(n):
+                slot[ids[q]] = q
+            for s in range(n):
+                gone = ids[s]
+                w[s] = (units[s] - 1.0) / steps
+                for j in range(n_bones):
+                    # a new bone needs a free place, or that of a bone which gives its last unit
+                    q = slot[j] if slot[j] >= 0 else (s if units[s] == 1.0 else n)
+                    if j == gone or q == size:
+                        continue
+                    if slot[j] < 0:
+                        ids[q] = j
+                        w[q] = 1.0 / steps
+                    else:
+                        w[q] = (units[q] + 1.0) / steps
+                    count = n + 1 if q == n else n
+                    for c in range(3):
+                        p[c] = rest[i, c]
+                    trial = place(x2[i], y[i], pairs, ids, w, count, move_rest, p, form, g, m, a, b)
+                    if q == s:
+                        ids[s] = gone
+                        w[s] = 0.0
+                    elif q < n:
+                        w[q] = units[q] / steps
+                    if trial < least:
+                        least, bone, down = trial, j, s
+                w[s] = units[s] / steps
+            better = bone >= 0
+            if better:
+                units[down] -= 1.0
+                up = slot[bone]
+                if up < 0:
+                    up = n
+                    if units[down] == 0.0:
+                        up = down
+                    else:
+                        n += 1
+                    ids[up] = bone
+                    units[up] = 0.0
+                units[up] += 1.0
+                left = 0
+                for q in range(n):
+                    if units[q] > 0.0:
+                        ids[left] = ids[q]
+                        units[left] = units[q]
+                        w[left] = units[q] / steps
+                        left += 1
+                n = left
+                e = place(x2[i], y[i], pairs, ids, w, n, move_rest, rest[i], form, g, m, a, b)
+        error[i] = e
+        store(ids, w, n, indices[i], weights[i])

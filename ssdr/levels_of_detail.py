@@ -1,0 +1,203 @@
+"""``ssdr.levels``: models of several numbers of bones on one skeleton, for levels of detail."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .checks import check_rng, check_whole, names_arguments
+from .decomposition import decompose
+from .drivers.efforts import Effort
+from .errors import Cancelled, InputError
+from .frames.error import rmse
+from .result import Decomposition
+from .search.nested import nested_models
+from .search.progress import Callback, Progress
+from .sequence import MeshSequence, as_sequences
+from .skinning import Skinning
+from .solver.model import Model
+from .solver.trajectories import gather
+from .solver.vertex_newton import optimise_vertices
+
+__all__ = ["LevelsOfDetail", "levels"]
+
+_TRIALS: dict[Effort, int] = {"fast": 4, "balanced": 48, "best": 160}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LevelsOfDetail(Decomposition):
+    """Models of several numbers of bones; the first bones of a model are those of the next.
+
+    All else is as in :class:`Decomposition`, whose `skinning` and `rmse` are those of the finest
+    level.
+
+    Attributes
+    ----------
+    levels : tuple of Skinning
+        Models, the finest first.  A model of B bones has the first B bones of the finest, with the
+        same transforms and names, but weights and a rest pose of its own.
+    errors : tuple of float
+        Root mean square error of each level.
+    alone : tuple of float
+        Root mean square error of a decomposition of its own with as many bones.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.levels(dancer, bones=(8, 4), effort="fast")
+    >>> fine, coarse = result.levels
+    >>> np.array_equal(fine.transforms[:, :4], coarse.transforms)
+    True
+    """
+
+    levels: tuple[Skinning, ...] = ()
+    errors: tuple[float, ...] = ()
+    alone: tuple[float, ...] = ()
+
+
+@names_arguments
+def levels(
+    sequence: MeshSequence | Any,
+    faces: Any = None,
+    *,
+    bones: Sequence[int],
+    influences: int = 4,
+    effort: Effort = "balanced",
+    rng: int | np.random.Generator = 0,
+    callback: Callback | None = None,
+) -> LevelsOfDetail:
+    """Find models of several numbers of rigid bones whose bones are some of one skeleton.
+
+    The mesh is decomposed once for each number of bones, to know what is within reach.  From the
+    finest model the bones that the error needs least are removed one by one.  Then the bones of
+    all levels, which are the same ones, are moved together, so that the error of each level is
+    about the same multiple of that of its own decomposition.
+
+    Parameters
+    ----------
+    sequence, faces, influences, effort, rng
+        As in :func:`decompose`.
+    bones : sequence of int
+        Numbers of bones, each smaller than the one before.
+    callback : callable, optional
+        As in :func:`decompose`; if it stops the run, there is no result.
+
+    Returns
+    -------
+    LevelsOfDetail
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable, before anything is computed.
+    Cancelled
+        If the callback stopped the run.
+
+    References
+    ----------
+    Steps on all bones: variable projection, Golub and Pereyra 1973.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> result = ssdr.levels(dancer, bones=(8, 4), effort="fast")
+    >>> [level.n_bones for level in result.levels]
+    [8, 4]
+    >>> max(result.errors) < 0.05 * dancer.diagonal()
+    True
+    """
+    sequences, counts = as_sequences(sequence, faces), _check_counts(bones)
+    rng = check_rng(rng)
+    n = len(counts) + 1
+
+    def part(done: int) -> Callback:
+        def follow(progress: Progress) -> None:
+            left = progress.elapsed  # of each part; that of the parts to come is not known
+            fraction = (done + progress.fraction) / n
+            if callback is not None and callback(
+                dataclasses.replace(progress, fraction=fraction, time_left=left)
+            ):
+                raise Cancelled("stopped by the callback before the levels were found")
+
+        return follow
+
+    alone = [
+        decompose(
+            sequences,
+            bones=count,
+            influences=influences,
+            effort=effort,
+            rng=rng,
+            callback=part(done),
+        )
+        for done, count in enumerate(counts)
+    ]
+    return _nest(sequences, alone, influences, effort, rng, part(len(counts)))
+
+
+def _nest(
+    sequences: list[MeshSequence],
+    alone: list[Decomposition],
+    influences: int,
+    effort: Effort,
+    rng: np.random.Generator,
+    follow: Callback,
+) -> LevelsOfDetail:
+    """Levels made from the decompositions `alone`, the finest of which comes first."""
+    best = alone[0]
+    counts = [one.skinning.n_bones for one in alone]
+    data = gather(sequences, bones=counts[0])
+    rest, transforms = data.from_world(best.skinning.rest, best.skinning.transforms)
+    skin = best.skinning.indices, np.asarray(best.skinning.weights, dtype=np.float64)
+    finest = Model.with_weights(transforms, rest, *skin, min(influences, counts[0]))
+    optimise_vertices(data, finest)
+
+    def report(fraction: float) -> None:
+        follow(Progress("levels", 0, 0.0, best.rmse, fraction, 0.0))
+
+    unit = data.n_frames * data.n_vertices / data.scale**2
+    models = nested_models(
+        data,
+        finest,
+        counts,
+        np.array([max(one.rmse**2 * unit, 1e-12) for one in alone]),
+        influences=influences,
+        trials=_TRIALS[effort],
+        rng=rng,
+        report=report,
+    )
+    found, errors = [], []
+    _, transforms = data.to_world(models[0].rest, models[0].transforms)
+    for model in models:
+        padded = model.with_influences(influences)
+        level = dataclasses.replace(
+            best.skinning,
+            rest=data.points_to_world(model.rest),
+            indices=padded.indices,
+            weights=padded.weights,
+            transforms=transforms[:, : model.n_bones].copy(),
+        )
+        found.append(level)
+        arrays = level.rest, level.indices, level.weights, level.transforms
+        errors.append(rmse(sequences, *arrays))
+    same = {f.name: getattr(best, f.name) for f in dataclasses.fields(Decomposition)}
+    return LevelsOfDetail(
+        **same | {"skinning": found[0], "rmse": errors[0]},
+        levels=tuple(found),
+        errors=tuple(errors),
+        alone=tuple(one.rmse for one in alone),
+    )
+
+
+def _check_counts(bones: Any) -> list[int]:
+    """Numbers of bones, after checking that they fall."""
+    if isinstance(bones, (str, bytes)) or not np.iterable(bones):
+        raise InputError("bones", "several numbers of bones, as (60, 30, 12)", repr(bones))
+    counts = [check_whole(count, "bones", 1) for count in bones]
+    if len(counts) < 2 or any(a <= b for a, b in itertools.pairwise(counts)):
+        raise InputError("bones", "two or more numbers, each smaller than the last", counts)
+    return counts

@@ -1,0 +1,62 @@
+"""Skin weights as files store them: integers that sum to their largest value at every vertex."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import check_choice
+
+__all__ = ["WeightStorage", "is_stored", "quantise", "weight_values"]
+
+WeightStorage = Literal["float32", "uint16", "uint8"]
+
+_OFF = 1e-2  # of a step: more than float32 rounds the weights of 16 bits
+
+
+def quantise(
+    indices: NDArray[np.int32], weights: NDArray[np.float64], storage: WeightStorage
+) -> tuple[NDArray[np.int32], NDArray[Any]]:
+    """Weights as a file stores them, rounded so that those of a vertex sum to exactly 1.
+
+    Returns
+    -------
+    indices : (V, K) int32
+        As given, but 0 where the stored weight is 0, as glTF requires.
+    stored : (V, K) float32, uint16 or uint8
+
+    Raises
+    ------
+    InputError
+        If `storage` is unknown.
+    """
+    check_choice(storage, "weights", WeightStorage)
+    stored: NDArray[Any] = weights.astype(np.float32)
+    if storage == "float32":
+        stored[:, 0] = 1.0 - stored[:, 1:].sum(axis=1, dtype=np.float64)
+    else:
+        steps = np.iinfo(storage).max
+        scaled = weights * steps
+        whole = np.floor(scaled)
+        # The largest remainders are rounded up: rows keep their sum with the least error.
+        order = np.argsort(-np.where(weights > 0, scaled - whole, -1.0), axis=1, kind="stable")
+        rank = np.argsort(order, axis=1, kind="stable")
+        whole += rank < np.rint(steps - whole.sum(axis=1))[:, None]
+        stored = whole.astype(storage)
+    return np.where(stored > 0, indices, 0).astype(np.int32), stored
+
+
+def weight_values(stored: NDArray[Any]) -> NDArray[np.float64]:
+    """Weights in float64 from stored weights; integers are divided by the maximum of their type."""
+    steps = np.iinfo(stored.dtype).max if stored.dtype.kind == "u" else 1
+    return np.asarray(stored / np.float64(steps))
+
+
+def is_stored(weights: NDArray[np.floating], storage: WeightStorage) -> bool:
+    """Whether weights (V, K) are what `storage` holds, up to the rounding of float32."""
+    if storage == "float32":
+        return True
+    units = weights.astype(np.float64) * np.iinfo(storage).max
+    return bool(np.abs(units - np.rint(units)).max() < _OFF)

@@ -1,0 +1,89 @@
+"""``ssdr.round_weights``: skin weights of 8 or 16 bits, and a model refitted to them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import numpy as np
+
+from .drivers import in_memory
+from .drivers.problem import check_problem
+from .errors import InputError, check_choice
+from .result import Decomposition
+from .search.stages import Compress
+from .search.starts import StartFromModel
+from .sequence import MeshSequence
+from .skinning import Skinning
+from .solver.warmup import compile_kernels
+from .start import Skeleton
+
+__all__ = ["round_weights"]
+
+_CHANGED = ("rest", "indices", "weights", "transforms", "joint_positions")
+_RIGID = 1e-4  # largest gap of a joint in the mesh's sizes: of single precision
+
+
+def round_weights(
+    sequence: MeshSequence | Any,
+    skinning: Skinning,
+    *,
+    storage: Literal["uint8", "uint16"] = "uint8",
+) -> Decomposition:
+    """A model with weights as a file stores them, and all else solved again for these.
+
+    What :func:`decompose` does at last for ``influences=(K, storage)``, for a model that is there.
+    Weights become whole multiples of 1/255 ("uint8") or 1/65535 ("uint16") that sum to 1, which
+    writers keep exactly; then rest pose, bones and, unit by unit, weights are solved in turns.
+
+    Parameters
+    ----------
+    sequence : MeshSequence, list of them, or (F, V, 3) array
+        What the model should follow, with as many frames as it has.  Held in memory.
+    skinning : Skinning
+        Bones, hierarchy and names stay, every frame becomes a key.
+    storage : {"uint8", "uint16"}
+
+    Returns
+    -------
+    Decomposition
+
+    Raises
+    ------
+    InputError
+        If an argument is not usable.
+
+    Examples
+    --------
+    >>> dancer = ssdr.samples.load("dancer_small")
+    >>> model = ssdr.decompose(dancer, bones=8, effort="fast").skinning
+    >>> units = 255 * ssdr.round_weights(dancer, model).skinning.weights
+    >>> np.allclose(units, units.round())
+    True
+    """
+    if not isinstance(skinning, Skinning):
+        raise InputError("skinning", "a Skinning", type(skinning).__name__)
+    check_choice(storage, "storage", Literal["uint8", "uint16"])
+    rig = None
+    if skinning.parents is not None:
+        size = float(np.ptp(skinning.rest, axis=0).max() or 1.0)
+        rigid = bool(skinning.joint_gaps().max() <= _RIGID * size)
+        rig = Skeleton(skinning, joints="rigid" if rigid else "loose")
+    problem = check_problem(
+        sequence,
+        None,
+        influences=(skinning.n_influences, storage),
+        bones=None,
+        effort="best",
+        bone_model=skinning.bone_model,
+        rig=rig,
+        start=skinning,
+        rng=0,
+    )
+    compile_seconds = compile_kernels()
+    outcome = in_memory.solve(problem, (StartFromModel(), Compress()))
+    found = {name: getattr(outcome.skinning, name) for name in _CHANGED}
+    rounded = dataclasses.replace(skinning, **found, keyframes=None)
+    return dataclasses.replace(
+        outcome, skinning=rounded, compile_seconds=compile_seconds, warnings=()
+    )
