@@ -10,6 +10,7 @@ SIGGRAPH 2022.
 ``garmentnet.training``    batches, losses, the loop, runs, ensembles
 ``garmentnet.evaluation``  errors beside baselines and bounds, reports, pictures
 ``garmentnet.prediction``  a checkpoint's garment for a motion, and files of it
+``garmentnet.runtime``     the garment frame by frame without torch, and as ONNX
 ``garmentnet.configs``     settings of a run
 ``garmentnet.io``          files and TOML tables
 ``garmentnet.cli``         the command

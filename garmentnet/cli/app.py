@@ -17,8 +17,12 @@ from ssdr.cli.streams import safe_streams
 from ssdr.errors import FormatError, InputError, MissingDependencyError, SsdrError, error_text
 from ssdr.signals import interrupt_on_signals
 
-from .learning import demo, evaluate, predict, train
+from .exporting import export
+from .importing import import_clips
+from .learning import demo, evaluate, predict, reproduce, train
+from .models import models
 from .simulating import dataset, simulate
+from .viewing import view
 
 __all__ = ["app", "main"]
 
@@ -31,8 +35,12 @@ app = typer.Typer(
 )
 
 
-for _command in (simulate, dataset, train, evaluate, predict, demo):
+_COMMANDS = (
+    simulate, dataset, train, evaluate, predict, view, export, reproduce, demo, models
+)  # fmt: skip
+for _command in _COMMANDS:
     app.command()(_command)
+app.command("import")(import_clips)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -35,15 +35,8 @@ def run(
     frames = sum(s.motion.frames for s in scenes)
     console.print(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {output}")
     with progress_bar() as show:
-        show("simulating", 0.0, None)
-
-        def update(now: dataset.Progress) -> None:
-            text = f"clip {now.clips}/{now.clips_total}, frame {now.frames}/{now.frames_total}"
-            show(text, now.frames / max(now.frames_total, 1), now.time_left)
-            if not now.accepted:
-                print(f"rejected {now.clip}: {now.reason}", file=sys.stderr)
-
-        store = dataset.make_data_set(data_set, output, workers=workers, progress=update)
+        show("simulating", 0.0)
+        store = dataset.make_data_set(data_set, output, workers=workers, progress=show)
     console.print(quality_table(store))
     for clip in store.clips(accepted=False, perturbed=None):
         console.print(f"rejected {clip.name}: {clip.quality['reason']}")

@@ -1,30 +1,101 @@
-"""The demo: simulate, decompose, train, predict and draw, all small."""
+"""The demo: the dress that ships on a dance; or every step that leads to a dress, all small."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..configs.config import load_config
-from ..data.virtual_bones import virtual_bones
-from ..evaluation.baselines import MeanShape, Ridge
-from ..evaluation.methods import Network
-from ..evaluation.pictures import draw_clip
-from ..evaluation.scores import evaluate
-from ..evaluation.tables import score_table
-from ..networks.checkpoint import load_checkpoint
+from ssdr.errors import InputError
+
+from ..data.motion import Motion
+from ..data.parameters import SimulationParameters
+from ..data.subject import Subject
 from ..prediction.output import save_prediction
-from ..prediction.prediction import predict
-from ..training.run import choose_clips, train
+from ..prediction.prediction import predict_live
+from ..prediction.rigged import rigged, save_rigged
+from ..runtime import load_live
+from ..scenes.body import default_body
+from ..scenes.dance.choreography import dance
+from .progress import Show
 
-__all__ = ["run_demo"]
+__all__ = ["made_dance", "run_demo", "run_pipeline"]
+
+_DANCE = ("sway", "spin", "kick", "walk")
+_SEED, _SECONDS = 7, 4.0
 
 
-def run_demo(
-    folder: Path | str, *, progress: Callable[[str, float, float | None], None] | None = None
-) -> dict[str, Any]:
+def made_dance(
+    subject: Subject,
+    *,
+    seed: int = _SEED,
+    seconds: float = _SECONDS,
+    classes: Sequence[str] | None = _DANCE,
+) -> Motion:
+    """A generated dance for a body with the joints of the one that ships.
+
+    Raises
+    ------
+    InputError
+        If it has others.
+    """
+    names = default_body().skeleton.names
+    if subject.skeleton.names != names:
+        raise InputError(
+            "motion", "a file, for a body of these joints", list(subject.skeleton.names)
+        )
+    return dance(
+        subject.skeleton,
+        seed=seed,
+        frames=round(seconds * subject.fps),
+        fps=subject.fps,
+        classes=classes,
+        repertoire="wide",
+    )
+
+
+def run_demo(folder: Path | str, *, progress: Show | None = None) -> dict[str, Any]:
+    """Dress a dance with the garment that ships; needs neither simulation, training nor torch.
+
+    Parameters
+    ----------
+    folder : path
+        For pictures and meshes.
+    progress : callable, optional
+        Called with the current step and the fraction of it that is done.
+
+    Returns
+    -------
+    dict
+        ``seconds`` of every step and the ``files``.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    show = progress or (lambda text, done: None)
+    times = [time.perf_counter()]
+    show("predicting", 0.0)
+    garment = load_live("dress")
+    joints = made_dance(garment.subject).joints
+    result = predict_live(garment, joints, SimulationParameters(), name="dress")
+    save_rigged(rigged(result, garment.subject.skeleton), folder / "dress.glb")
+    times.append(time.perf_counter())
+    files = [folder / f"dress.{suffix}" for suffix in ("png", "npz", "mp4")]
+    for path in files:
+        save_prediction(
+            result, path, size=360, every=2, progress=lambda done: show("drawing", done)
+        )
+    times.append(time.perf_counter())
+    return {
+        "seconds": {
+            "predict": round(times[1] - times[0], 1),
+            "draw": round(times[2] - times[1], 1),
+        },
+        "files": [str(path) for path in (*files, folder / "dress.glb")],
+    }
+
+
+def run_pipeline(folder: Path | str, *, progress: Show | None = None) -> dict[str, Any]:
     """Run every step on the data set ``tiny``; an interrupted run continues.
 
     Parameters
@@ -32,17 +103,25 @@ def run_demo(
     folder : path
         For clips, networks and pictures.
     progress : callable, optional
-        Called with the current step, the fraction of it that is done and the seconds left, or
-        None if unknown.
+        Called with the current step and the fraction of it that is done.
 
     Returns
     -------
     dict
         ``seconds`` of every step, the ``table`` of errors and the ``files``.
     """
-    # Imported here: the simulator is another extra, and of these commands only the demo needs it.
+    from ..configs.config import load_config
+    from ..data.virtual_bones import virtual_bones
+    from ..evaluation.baselines import MeanShape, Ridge
+    from ..evaluation.methods import Network
+    from ..evaluation.pictures import draw_clip
+    from ..evaluation.scores import evaluate
+    from ..evaluation.tables import score_table
+    from ..networks.checkpoint import load_checkpoint
+    from ..prediction.prediction import predict
     from ..scenes.dataset import make_data_set
     from ..scenes.scene_file import load_data_set
+    from ..training.run import choose_clips, train
 
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -52,19 +131,8 @@ def run_demo(
     def lap(name: str) -> None:
         seconds[name] = round(time.perf_counter() - began - sum(seconds.values()), 1)
 
-    def show(text: str, done: float, left: float | None = None) -> None:
-        if progress:
-            progress(text, done, left)
-
-    store = make_data_set(
-        load_data_set("tiny"),
-        folder / "tiny.clips",
-        progress=lambda p: show(
-            f"simulating, {p.clips} of {p.clips_total} clips",
-            p.frames / max(p.frames_total, 1),
-            p.time_left,
-        ),
-    )
+    show = progress or (lambda text, done: None)
+    store = make_data_set(load_data_set("tiny"), folder / "tiny.clips", progress=show)
     lap("simulate")
     config = load_config("tiny")
     bones = virtual_bones(store, config.bones, progress=show)
@@ -74,7 +142,7 @@ def run_demo(
         config,
         folder / "run",
         progress=show,
-        callback=lambda p: show(f"training {p.phase}, epoch {p.epoch}", p.fraction, p.time_left),
+        callback=lambda p: show(f"training {p.phase}, epoch {p.epoch}", p.fraction),
     )
     lap("train")
     names, base = choose_clips(store, config)

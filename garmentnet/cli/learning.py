@@ -1,4 +1,4 @@
-"""The commands ``garmentnet train, evaluate, predict, demo``."""
+"""The commands ``garmentnet train, evaluate, predict, reproduce, demo``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,23 @@ from ssdr.errors import InputError
 
 from .progress import progress_bar
 
-__all__ = ["demo", "evaluate", "output_folder", "predict", "train"]
+__all__ = [
+    "demo",
+    "entered_parameters",
+    "evaluate",
+    "output_folder",
+    "predict",
+    "reproduce",
+    "train",
+]
+
+
+def entered_parameters(
+    bending: float | None, density: float | None, time_scale: float | None
+) -> dict[str, float]:
+    """Simulation parameters by name, of those options that were given."""
+    options = {"bending": bending, "density": density, "time_scale": time_scale}
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def output_folder() -> Path:
@@ -69,8 +85,8 @@ def train(
                 chosen,
                 folder,
                 base=load_checkpoint(start) if start else None,
-                callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction, p.time_left),
-                progress=lambda text, done: show(text, done, None),
+                callback=lambda name, p: show(f"{name}, {_epoch(p)}", p.fraction),
+                progress=show,
             )
         else:
             path = train_network(
@@ -78,8 +94,8 @@ def train(
                 chosen,
                 folder,
                 start=load_checkpoint(start) if start else None,
-                callback=lambda p: show(_epoch(p), p.fraction, p.time_left),
-                progress=lambda text, done: show(text, done, None),
+                callback=lambda p: show(_epoch(p), p.fraction),
+                progress=show,
             )
     typer.echo(str(path))
 
@@ -122,7 +138,7 @@ def evaluate(
             clips=clips or (),
             against=against,
             push_out=push_out,
-            progress=lambda name, done: show(name, done, None),
+            progress=show,
         )
     typer.echo(text)
     typer.echo(str(folder))
@@ -133,7 +149,7 @@ def predict(
     motion: Annotated[Path, typer.Argument(metavar="MOTION", help=".bvh, .npz or a clip.")],
     output: Annotated[
         list[Path],
-        typer.Option("--output", "-o", help="out.{mp4,gif,png,glb,usda,pc2,npz}; repeatable."),
+        typer.Option("--output", "-o", help="out.{html,mp4,gif,png,glb,usda,pc2,npz}; repeatable."),
     ],
     bending: Annotated[float | None, typer.Option(help="Bending stiffness.")] = None,
     density: Annotated[float | None, typer.Option(help="kg/m².")] = None,
@@ -153,43 +169,36 @@ def predict(
 
     from ssdr.errors import SsdrWarning
 
-    from ..data.parameters import SimulationParameters
+    from ..collision.push_out import is_closed
     from ..networks.checkpoint import load_checkpoint
     from ..prediction.motion_file import read_clip, read_joints
     from ..prediction.output import check_output, save_prediction
+    from ..prediction.prediction import chosen_parameters
     from ..prediction.prediction import predict as run
 
     for path in output:
         check_output(path)
     model = load_checkpoint(checkpoint)
-    options = {"bending": bending, "density": density, "time_scale": time_scale}
-    entered = {k: v for k, v in options.items() if v is not None}
-    several = model.kernel is not None or model.networks[0].condition
-    trained_on = None if several else model.parameters[0]
-    usual = {k: getattr(trained_on, k) for k in options} if trained_on else {}
-    parameters = SimulationParameters(**(usual | entered)) if entered or several else None
+    entered = entered_parameters(bending, density, time_scale)
+    parameters = chosen_parameters(model, entered)
     joints = read_joints(motion, model)
     clip = read_clip(motion, model) if truth else None
     began = time.perf_counter()
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_: typer.echo(f"warning: {message}", err=True)
         warnings.simplefilter("always", SsdrWarning)
         result = run(model, joints, parameters, detail=detail, push_out=push_out, name=motion.stem)
-    for warning in caught:
-        if issubclass(warning.category, SsdrWarning):
-            typer.echo(f"warning: {warning.message}", err=True)
-        else:
-            warnings.warn_explicit(
-                warning.message, warning.category, warning.filename, warning.lineno
-            )
     seconds = time.perf_counter() - began
     rate = 1e3 * seconds / len(joints)
-    shown = parameters or trained_on
+    shown = parameters or model.parameters[0]
     of = f" of {shown}" if shown else ""
     typer.echo(f"{len(joints)} frames{of} in {seconds:.1f} s, {rate:.1f} ms a frame", err=True)
     if clip is not None and shown is not None and clip.parameters != shown:
         typer.echo(f"the clip's cloth is not shown: it is of {clip.parameters}", err=True)
         clip = None
-    if push_out:
+    if push_out and not is_closed(model.subject.body.faces):
+        typer.echo("nothing is pushed out: the body has no closed mesh", err=True)
+    elif push_out:
         typer.echo(
             f"pushed out of the body: {100 * result.moved:.2f} % of the vertices moved, "
             f"at most {1e3 * result.farthest:.1f} mm",
@@ -203,21 +212,68 @@ def predict(
                 truth=clip,
                 error=error,
                 every=every,
-                progress=lambda done: show("drawing", done, None),
+                progress=lambda done: show("drawing", done),
             )
         typer.echo(f"{path}: {text}")
+
+
+def reproduce(
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for trainings and tables.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option("--data", help="Where the data sets lie, or are simulated.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", help="curve, table2, table3, table4, bones, capture; repeatable."),
+    ] = None,
+    motion: Annotated[
+        Path | None, typer.Option("--motion", help="BVH files, which the dress dances, too.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="SECTION.NAME=VALUE", help="Change a setting; repeatable."),
+    ] = None,
+) -> None:
+    """The paper's tables on data sets of our own; what is there is not trained again."""
+    from ..evaluation.reproduce import TABLES, Reproduction
+    from ..scenes.dataset import make_data_set, recorded_motions
+    from ..scenes.scene_file import load_data_set
+
+    def simulate(name: str, path: Path) -> None:
+        data_set = load_data_set(name)
+        if motion is not None and name == "dress":
+            data_set = data_set.with_motions(recorded_motions(motion, data_set))
+        make_data_set(data_set, path)
+
+    folder = output or output_folder() / "reproduction"
+    with progress_bar() as show:
+        run = Reproduction(
+            data or output_folder(),
+            folder,
+            simulate=simulate,
+            settings=settings or (),
+            progress=show,
+        )
+        found = [f"# {name}\n\n{run.table(name)}" for name in only or TABLES]
+    typer.echo("\n\n".join(found))
 
 
 def demo(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder; ./out/demo by default.")
     ] = None,
+    train: Annotated[
+        bool, typer.Option("--train", help="Simulate, decompose and train first, all small.")
+    ] = False,
 ) -> None:
-    """Simulate, decompose, train for a moment, predict and draw, in a few minutes."""
-    from .demo import run_demo
+    """The dress that ships on a dance, as pictures, film and meshes, within a minute."""
+    from .demo import run_demo, run_pipeline
 
+    folder, run = output or output_folder() / "demo", run_pipeline if train else run_demo
     with progress_bar() as show:
-        done = run_demo(output or output_folder() / "demo", progress=show)
+        done = run(folder, progress=show)
     typer.echo(json.dumps(done, indent=1))
 
 

@@ -11,8 +11,8 @@ from ssdr.cli import progress
 
 __all__ = ["Show", "progress_bar"]
 
-# Called with what is being done, the fraction that is done and the seconds left, if known.
-Show = Callable[[str, float, float | None], None]
+# Called with what is being done and the fraction of it that is done.
+Show = Callable[[str, float], None]
 _EVERY = 5.0  # seconds between lines
 
 
@@ -23,20 +23,28 @@ def progress_bar() -> Iterator[Show]:
         yield _seldom()
         return
     with progress.progress_bar() as show:
-        yield lambda text, fraction, _: show(text, fraction, "")
+        yield lambda text, fraction: show(text, fraction, "")
 
 
 def _seldom() -> Show:
-    """Print a line, but not more often than every few seconds."""
-    began = time.monotonic()
-    last = began - _EVERY
+    """Print a line, but not more often than every few seconds.
 
-    def show(text: str, fraction: float, left: float | None) -> None:
-        nonlocal last
+    The seconds left follow from the pace since the fraction last fell, as it does with new work.
+    """
+    began = time.monotonic()
+    last, since, first, before = began - _EVERY, began, 0.0, 1.0
+
+    def show(text: str, fraction: float) -> None:
+        nonlocal last, since, first, before
         now = time.monotonic()
+        if fraction < before:
+            since, first = now, fraction
+        before = fraction
         if now - last >= _EVERY:
-            last = now
-            times = f"{now - began:.0f} s" + ("" if left is None else f", {left:.0f} s left")
+            last, times = now, f"{now - began:.0f} s"
+            if fraction > first:
+                left = (now - since) * (1 - fraction) / (fraction - first)
+                times += f", {left:.0f} s left"
             print(f"{100 * fraction:3.0f} %  {text}  {times}", file=sys.stderr, flush=True)
 
     return show

@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ssdr import Skinning, skin
-from ssdr.errors import InputError, is_real, is_whole
+from ssdr.checks import check_faces, check_mask, check_whole
+from ssdr.errors import InputError, is_real
 from ssdr.kernels.closest import fit_boxes, tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
 from .kernels import gather_corners, push_frame, signed_distances
 
-__all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "push_out"]
+__all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
 
 # Metres below the skin from which a vertex counts as inside, as for simulated clips.
 INSIDE = 5e-4
@@ -123,24 +124,15 @@ class PushOut:
     ) -> None:
         if not is_real(margin) or margin <= 0:
             raise InputError("margin", "a positive number of metres", repr(margin))
-        if not is_whole(sweeps) or sweeps < 0:
-            raise InputError("sweeps", "an integer >= 0", repr(sweeps))
-        triangles = np.asarray(faces)
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-            raise InputError("faces", "integers of shape (T, 3)", f"shape {triangles.shape}")
-        self.n_vertices = int(triangles.max(initial=-1)) + 1 if n_vertices is None else n_vertices
-        if triangles.min(initial=0) < 0 or triangles.max(initial=-1) >= self.n_vertices:
-            expected = f"indices from 0 to {self.n_vertices - 1}"
-            raise InputError("faces", expected, f"{triangles.min()} to {triangles.max()}")
-        self.fixed = np.zeros(self.n_vertices, bool)
-        if pinned is not None:
-            mask = np.asarray(pinned)
-            if mask.shape != (self.n_vertices,) or mask.dtype != bool:
-                expected = f"bool of shape ({self.n_vertices},)"
-                raise InputError("pinned", expected, f"{mask.dtype} of shape {mask.shape}")
-            self.fixed = mask.copy()
-        _check_closed(np.asarray(body.faces))
-        self.body, self.margin, self.sweeps = body, float(margin), int(sweeps)
+        count = int(np.max(faces, initial=-1)) + 1 if n_vertices is None else n_vertices
+        triangles = check_faces(faces, count)
+        fixed = check_mask(pinned, "pinned", count)
+        self.n_vertices, self.fixed = count, np.zeros(count, bool) if fixed is None else fixed
+        if not is_closed(body.faces):
+            expected = "a closed mesh with triangles that face one way"
+            raise InputError("body", expected, "an open one")
+        self.body, self.margin = body, float(margin)
+        self.sweeps = check_whole(sweeps, "sweeps", 0)
         self._starts, self._neighbours = _neighbours(triangles, self.n_vertices)
         rest = np.asarray(body.rest, np.float64)
         self._depth = max(0, math.ceil(math.log2(max(1, len(body.faces)) / _LEAF)))
@@ -252,35 +244,6 @@ class PushOut:
         return corners, self._depth, boxes
 
 
-def push_out(
-    vertices: ArrayLike,
-    joints: ArrayLike,
-    body: Skinning,
-    faces: ArrayLike,
-    *,
-    margin: float = MARGIN,
-    pinned: ArrayLike | None = None,
-) -> PushedOut:
-    """Move the vertices of a garment out of the body, once; see :class:`PushOut`.
-
-    Parameters
-    ----------
-    vertices : (F, V, 3) array
-    joints : (F, J, 3, 4) array
-    body, faces, margin, pinned
-        As for :class:`PushOut`.
-
-    Raises
-    ------
-    InputError
-        If an argument is not usable.
-    """
-    shape = np.shape(vertices)
-    count = int(shape[1]) if len(shape) == 3 else None
-    push = PushOut(body, faces, margin=margin, pinned=pinned, n_vertices=count)
-    return push(vertices, joints)
-
-
 def _neighbours(
     triangles: NDArray[np.integer], count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -290,11 +253,19 @@ def _neighbours(
     return starts, np.ascontiguousarray(pairs[:, 1], dtype=np.int32)
 
 
-def _check_closed(faces: NDArray[np.integer]) -> None:
-    """Each edge runs once in each direction for every triangle at it: a ray counts the winding."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+def is_closed(faces: ArrayLike) -> bool:
+    """Whether triangles ``(T, 3)`` close a body, as :class:`PushOut` needs.
+
+    Each edge then runs once in each direction for every triangle at it: a ray counts the winding.
+
+    Examples
+    --------
+    >>> is_closed([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), is_closed([[0, 1, 2]])
+    (True, False)
+    """
+    f = np.asarray(faces)
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
     there, back = (
         np.sort(e[:, 0].astype(np.int64) << 32 | e[:, 1]) for e in (edges, edges[:, ::-1])
     )
-    if not len(faces) or not np.array_equal(there, back):
-        raise InputError("body", "a closed mesh with triangles that face one way", "an open one")
+    return len(f) > 0 and np.array_equal(there, back)

@@ -91,6 +91,7 @@ class HighOptions:
     kind: Literal["vertices", "basis"] = "vertices"
     hidden: int = 600
     source: Literal["bones", "body"] = "bones"
+    target: Literal["detail", "rest"] = "rest"
     rank: int = 64
     local: bool = True
     global_features: int = 10
@@ -204,7 +205,7 @@ class Config:
 
 
 # Integers that may be 0; all others are at least 1.
-_ZERO = ("seed", "threads", "pivots")
+_ZERO = ("seed", "threads", "pivots", "high_epochs")
 
 
 def preset_names() -> list[str]:

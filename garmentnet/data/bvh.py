@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import reading
+from ssdr.io.registry import check, reading
 
 __all__ = ["Bvh", "find_bvh", "read_bvh"]
 
@@ -114,12 +114,10 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
         opener = gzip.open if source.suffix.lower() == ".gz" else open
         with opener(source, "rb") as file:
             data = file.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise FormatError(f"more than {_MAX_BYTES} bytes")
+        check(len(data) <= _MAX_BYTES, f"more than {_MAX_BYTES} bytes")
         text = data.decode("utf-8-sig")
         head, separator, tail = text.partition("MOTION")
-        if not separator:
-            raise FormatError("no section MOTION")
+        check(separator, "no section MOTION")
         names, parents, offsets, channels = _hierarchy(iter(head.split()))
         lines = tail.split("\n")
         words = " ".join(lines[:4]).split()
@@ -135,8 +133,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Bvh:
             raise FormatError(
                 f"expected {frames} frames of {width} numbers, got {len(values)} numbers"
             )
-        if not np.isfinite(values).all():
-            raise FormatError("NaN or Inf among the channels")
+        check(np.isfinite(values).all(), "NaN or Inf among the channels")
         values = values.reshape(frames, width)
         root = np.zeros((frames, 3))
         rotations = np.broadcast_to(np.eye(3), (frames, len(names), 3, 3)).copy()
@@ -161,8 +158,7 @@ def _hierarchy(
     words: Iterator[str],
 ) -> tuple[tuple[str, ...], list[int], Float, list[list[str]]]:
     try:
-        if next(words) != "HIERARCHY":
-            raise FormatError("does not begin with HIERARCHY")
+        check(next(words) == "HIERARCHY", "does not begin with HIERARCHY")
         names: list[str] = []
         parents: list[int] = []
         offsets: list[list[float]] = []
@@ -171,28 +167,24 @@ def _hierarchy(
         end = False  # inside an End Site, whose offset no joint has
         for word in words:
             if word in ("ROOT", "JOINT"):
-                if (word == "ROOT") != (not names):
-                    raise FormatError("more than one ROOT, or none before a JOINT")
+                check((word == "ROOT") == (not names), "more than one ROOT, or none before a JOINT")
                 names.append(next(words))
                 parents.append(stack[-1] if stack else -1)
                 offsets.append([0.0, 0.0, 0.0])
                 channels.append([])
-                if len(names) > _MAX_JOINTS:
-                    raise FormatError(f"more than {_MAX_JOINTS} joints")
+                check(len(names) <= _MAX_JOINTS, f"more than {_MAX_JOINTS} joints")
             elif word == "End":
                 next(words)
                 end = True
             elif word == "{":
                 stack.append(-2 if end else len(names) - 1)
-                if len(stack) > _MAX_DEPTH:
-                    raise FormatError(f"joints nested deeper than {_MAX_DEPTH}")
+                check(len(stack) <= _MAX_DEPTH, f"joints nested deeper than {_MAX_DEPTH}")
             elif word == "}":
                 end = False
                 stack.pop()
             elif word == "OFFSET":
                 values = [float(next(words)) for _ in range(3)]
-                if not np.isfinite(values).all():
-                    raise FormatError("an OFFSET that is not finite")
+                check(np.isfinite(values).all(), "an OFFSET that is not finite")
                 if stack[-1] >= 0:
                     offsets[stack[-1]] = values
             elif word == "CHANNELS":
@@ -205,8 +197,7 @@ def _hierarchy(
                 channels[stack[-1]] = chosen
             else:
                 raise FormatError(f"{word!r} in the hierarchy")
-        if stack or not names:
-            raise FormatError("a hierarchy without end")
+        check(names and not stack, "a hierarchy without end")
     except (StopIteration, IndexError) as error:
         raise FormatError("a hierarchy that is cut off") from error
     return tuple(names), parents, np.array(offsets), channels

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from .outfit import Outfit
 from .parameters import SimulationParameters
 from .skeleton import mirror_transforms
 
-__all__ = ["MIRRORED", "Clip"]
+__all__ = ["MIRRORED", "Clip", "spread"]
 
 # Suffix of a mirrored clip's name; no name on disk may hold it.
 MIRRORED = "~mirrored"
@@ -131,3 +132,19 @@ class Clip:
             raise InputError("clip", "a clip of a symmetric garment", self.name)
         name = self.name.removesuffix(MIRRORED) + ("" if self.is_mirrored else MIRRORED)
         return dataclasses.replace(self, name=name, is_mirrored=not self.is_mirrored)
+
+
+def spread(lengths: Sequence[int], count: int) -> list[NDArray[np.int64]]:
+    """For clips of these lengths the frames of each, `count` or all together, evenly spread.
+
+    Examples
+    --------
+    >>> [f.tolist() for f in spread([3, 1, 4], 3)]
+    [[0], [0], [3]]
+    """
+    total = sum(lengths)
+    chosen = np.unique(np.linspace(0, total - 1, min(total, count)).astype(np.int64))
+    ends = np.cumsum(lengths)
+    cuts = np.searchsorted(chosen, ends)[:-1]
+    starts = ends - np.asarray(lengths)
+    return [c - s for c, s in zip(np.split(chosen, cuts), starts, strict=True)]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import free_name, remove
-from ssdr.io.registry import reading
+from ssdr.io.registry import check, reading
 
 from ..io.packages import require
 
@@ -153,8 +153,7 @@ def read_metadata(path: Path) -> dict[str, Any]:
         missing = [k for k in _REQUIRED if k not in metadata]
         if missing:
             raise FormatError(f"no attribute {missing[0]}")
-        if metadata["split"] not in get_args(Split):
-            raise FormatError(f"split {metadata['split']!r}")
+        check(metadata["split"] in get_args(Split), f"split {metadata['split']!r}")
         if not isinstance(metadata["quality"].get("accepted"), bool):
             raise FormatError("quality does not state whether the clip was accepted")
         return metadata

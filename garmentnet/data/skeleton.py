@@ -75,13 +75,10 @@ class Skeleton:
         return self.names.index(name)
 
     def mirror(self) -> NDArray[np.int32]:
-        """The joint ``(J,)`` on the other side of each; in the middle the joint itself."""
-        other = {"_l": "_r", "_r": "_l"}
+        """The joint ``(J,)`` on the other side of each; where there is none, the joint itself."""
+        other, number = {"_l": "_r", "_r": "_l"}, {n: j for j, n in enumerate(self.names)}
         return np.array(
-            [
-                self.index(n[:-2] + other[n[-2:]]) if n[-2:] in other else j
-                for j, n in enumerate(self.names)
-            ],
+            [number.get(n[:-2] + other.get(n[-2:], n[-2:]), j) for n, j in number.items()],
             dtype=np.int32,
         )
 

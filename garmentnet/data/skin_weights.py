@@ -8,6 +8,7 @@ needs no other statement.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -64,6 +65,8 @@ def find_body_bound(
 ) -> BodyBound | None:
     """The vertices that skinning the body reproduces within 0.1 mm; None if there are none.
 
+    Where stored vertices are rounded, their rounding is added.
+
     Parameters
     ----------
     store : ClipStore
@@ -72,17 +75,12 @@ def find_body_bound(
     smoother : LaplacianSmoother
         On the store's rest pose.
     """
-    clips = [store.clip(n) for n in names]
-    lengths = np.array([c.n_frames for c in clips])
-    total = int(lengths.sum())
-    chosen = np.unique(np.linspace(0, total - 1, min(total, _FRAMES)).astype(int))
-    first = np.concatenate([[0], np.cumsum(lengths)])
-    vertices, joints = [], []
-    for k, clip in enumerate(clips):
-        here = chosen[(chosen >= first[k]) & (chosen < first[k + 1])] - first[k]
-        if len(here):
-            vertices.append(clip.sequence.frames(here))
-            joints.append(clip.joints[here])
+    vertices, joints, close = [], [], _CLOSE
+    for clip, here in store.sample(names, _FRAMES):
+        # Stored vertices lie in a cube of steps: half of its diagonal is rounding.
+        close = max(close, _CLOSE + math.sqrt(3) / 2 * clip.step)
+        vertices.append(clip.sequence.frames(here))
+        joints.append(clip.joints[here])
     truth, moved = np.concatenate(vertices), np.concatenate(joints).astype(np.float64)
     rest = np.asarray(store.rest, np.float64)
     one = np.zeros((len(rest), 1), dtype=np.int32)  # weights to start from, which play no part
@@ -90,7 +88,7 @@ def find_body_bound(
     influences = min(_INFLUENCES, moved.shape[1])
     fit = ssdr.fit_weights(truth, body, influences=influences).skinning
     gap = np.linalg.norm(ssdr.skin(rest, fit.indices, fit.weights, moved) - truth, axis=2)
-    index = np.flatnonzero(gap.max(axis=0) < _CLOSE).astype(np.int32)
+    index = np.flatnonzero(gap.max(axis=0) < close).astype(np.int32)
     if not len(index):
         return None
     smooth = np.asarray(smoother.smooth(rest[None]))[0]

@@ -11,7 +11,8 @@ import dataclasses
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -21,11 +22,11 @@ from numpy.typing import ArrayLike, NDArray
 import ssdr
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import free_name, remove
-from ssdr.io.registry import reading
+from ssdr.io.registry import check, reading
 from ssdr.sequence import MeshSequence
 from ssdr.skinning import Skinning
 
-from .clip import MIRRORED, Clip
+from .clip import MIRRORED, Clip, spread
 from .clip_files import Split, check_finite, compressors, read_metadata, write_clip, zarr
 from .motion import CLASSES
 from .outfit import Outfit
@@ -41,9 +42,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]*\Z")
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ClipStore(Outfit):
-    """A folder of clips of one garment on one body.
-
-    Made by :meth:`create`, opened by :meth:`open`.
+    """A folder of clips of one garment on one body, from :meth:`create` or :meth:`open`.
 
     Attributes
     ----------
@@ -185,10 +184,8 @@ class ClipStore(Outfit):
             If it is not a store of clips or a part of it is missing or damaged.
         """
         target = Path(path)
-        if not target.is_dir():
-            raise FormatError(f"{target}: no such folder")
-        if not (target / "zarr.json").is_file():
-            raise FormatError(f"{target}: not a store of clips (no zarr.json)")
+        check(target.is_dir(), f"{target}: no such folder")
+        check((target / "zarr.json").is_file(), f"{target}: not a store of clips (no zarr.json)")
         with reading(target):
             group = zarr().open_group(str(target), mode="r")
             attributes = dict(group.attrs)
@@ -237,7 +234,7 @@ class ClipStore(Outfit):
             raise InputError("split", f"one of {get_args(Split)}", repr(split))
         chosen = []
         for name in self._present():
-            metadata = self._metadata(name)
+            metadata = read_metadata(self.path / "clips" / name)
             if split is not None and metadata["split"] != split:
                 continue
             if parameters is not None and metadata["parameters"] != dataclasses.asdict(parameters):
@@ -263,7 +260,7 @@ class ClipStore(Outfit):
             return self.clip(name.removesuffix(MIRRORED)).mirrored()
         if name not in self:
             raise InputError("name", f"a clip of {self.path}", repr(name))
-        metadata = self._metadata(name)
+        metadata = read_metadata(self.path / "clips" / name)
         path = self.path / "clips" / name
         with reading(path):
             return Clip(
@@ -286,11 +283,15 @@ class ClipStore(Outfit):
         """The clips that :meth:`names` chooses."""
         return (self.clip(name) for name in self.names(*args, **kwargs))
 
+    def sample(self, names: Sequence[str], count: int) -> Iterator[tuple[Clip, NDArray[np.int64]]]:
+        """Clips and frames of each, `count` or all together, evenly spread."""
+        clips = [self.clip(n) for n in names]
+        chosen = spread([c.n_frames for c in clips], count)
+        return ((c, f) for c, f in zip(clips, chosen, strict=True) if len(f))
+
     def parameters(self) -> tuple[SimulationParameters, ...]:
         """The parameter sets of accepted clips, those with most clips first."""
-        count: dict[SimulationParameters, int] = {}
-        for clip in self.clips():
-            count[clip.parameters] = count.get(clip.parameters, 0) + 1
+        count = Counter(clip.parameters for clip in self.clips())
         return tuple(sorted(count, key=lambda p: (-count[p], dataclasses.astuple(p))))
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -298,7 +299,7 @@ class ClipStore(Outfit):
         named = []
         for twin in self.clips(perturbed=True):
             original = str(twin.provenance.get("repeat_of", ""))
-            if original in self and self._metadata(original)["quality"]["accepted"]:
+            if original in self and self.clip(original).accepted:
                 named.append((original, twin.name))
         return tuple(named)
 
@@ -391,19 +392,15 @@ class ClipStore(Outfit):
 
         Only while nobody writes to the store.
         """
-        left = [p for p in (self.path / "clips").iterdir() if p.name.startswith(".")]
+        left = list((self.path / "clips").glob(".*"))
         for path in left:
             remove(path)
         return len(left)
 
     def _present(self) -> list[str]:
         folder = self.path / "clips"
-        if not folder.is_dir():
-            raise FormatError(f"{self.path}: no folder clips")
+        check(folder.is_dir(), f"{self.path}: no folder clips")
         return sorted(p.name for p in folder.iterdir() if p.name in self)
-
-    def _metadata(self, name: str) -> dict[str, Any]:
-        return read_metadata(self.path / "clips" / name)
 
 
 def _checked_mirror(mirror: ArrayLike, garment: MeshSequence) -> NDArray[np.int32]:

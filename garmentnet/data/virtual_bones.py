@@ -10,11 +10,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import io
 import json
 import logging
 import time
-import zlib
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -30,8 +28,8 @@ from ssdr.io.registry import reading
 from ssdr.laplacian import LaplacianSmoother
 
 from ..configs.config import BoneOptions
-from ..io.files import map_array, write_file, writing
-from .clip import MIRRORED, Clip
+from ..io.files import kept, write_file, writing
+from .clip import Clip
 from .parameters import SimulationParameters
 from .skin_weights import BodyBound, find_body_bound
 from .store import ClipStore
@@ -71,36 +69,32 @@ class ClipBones:
 
     Attributes
     ----------
-    low, high : (F, V, 3) float32, in world coordinates
-        Memory maps of the clip that is not mirrored; see :meth:`read`.
+    clip : Clip
+    smoother : LaplacianSmoother
+        Splits the clip's frames as they are read.
     fit : callable
         Gives `transforms` and `rmse`, at the first call by fitting: losses need neither.
-    permutation : (V,) int32 or None
-        The vertex on the other side of each: :meth:`read` reflects the clip.
     """
 
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
+    clip: Clip
+    smoother: LaplacianSmoother
     fit: Callable[[], tuple[NDArray[np.float32], float]]
-    permutation: NDArray[np.int32] | None = None
 
     @property
     def transforms(self) -> NDArray[np.float32]:
-        """Of the virtual bones ``(F, B, 3, 4)``, fitted to `low`; likewise not mirrored."""
+        """Of the virtual bones ``(F, B, 3, 4)``, fitted to the low frequencies; not mirrored."""
         return self.fit()[0]
 
     @property
     def rmse(self) -> float:
-        """Of LBS against `low`, metres."""
+        """Of LBS against the low frequencies, metres."""
         return self.fit()[1]
 
-    def read(self, part: str, frames: Any = slice(None)) -> NDArray[np.float32]:
-        """Frames of "low" or "high" in memory, reflected if the clip is mirrored."""
-        block = np.array(getattr(self, part)[frames])  # a copy: the map cannot be written to
-        if self.permutation is not None:
-            # Smoothing commutes with the reflection, because the rest pose is symmetric.
-            block = block[:, self.permutation] * np.array([-1, 1, 1], np.float32)
-        return block
+    def split(self, frames: Any = slice(None)) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Low and high frequencies of frames, each ``(f, V, 3)``, in world coordinates."""
+        whole = np.asarray(self.clip.sequence.frames(frames), np.float32)
+        low = np.asarray(self.smoother.smooth(whole), np.float32)
+        return low, whole - low
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -134,35 +128,16 @@ class VirtualBones:
         identity = mesh_identity(store.rest, store.faces)
         return Subject(self.skinning, store.body, store.skeleton, store.fps, identity, self.bound)
 
+    @functools.cached_property
     def smoother(self) -> LaplacianSmoother:
         """The Laplacian smoother that splits low from high frequencies, on the rest pose."""
         return LaplacianSmoother(self.store.rest, self.store.faces, self.options.length)
 
     def clip(self, name: str) -> ClipBones:
-        """The parts of a clip, computed at the first call.
-
-        Raises
-        ------
-        FormatError
-            If a file is damaged or of another garment.
-        """
+        """A clip's frequencies and bones; each is computed when it is asked for."""
         clip = self.store.clip(name)
-        original = clip if not clip.is_mirrored else self.store.clip(str(clip.mirrored_of))
-        base, v = self.folder / "clips", self.store.n_vertices
-        files = {k: base / f"{original.name}.{k}.npy" for k in ("low", "high")}
-        statement = base / f"{original.name}.json"
-        if not all(f.is_file() for f in (*files.values(), statement)):
-            self._split(original, files, statement)
-        record = self._record(statement, original.name, "high_rms")
-        parts = {
-            k: map_array(f, (original.n_frames, v, 3), record.get("checksums", {}).get(k))
-            for k, f in files.items()
-        }
-        return ClipBones(
-            **parts,
-            fit=functools.partial(self._fitted, original),
-            permutation=self.store.mirror_vertices if clip.is_mirrored else None,
-        )
+        original = self.store.clip(str(clip.mirrored_of)) if clip.is_mirrored else clip
+        return ClipBones(clip, self.smoother, functools.partial(self._fitted, original))
 
     def fit(
         self, low: NDArray[np.float32], *, tolerance: float = _TOLERANCE
@@ -174,83 +149,28 @@ class VirtualBones:
         found = ssdr.fit_bones(low, self.skinning, tolerance=tolerance, max_sweeps=_SWEEPS)
         return np.asarray(found.skinning.transforms, np.float32), found.rmse
 
-    def _fitted(self, clip: Clip) -> tuple[NDArray[np.float32], float]:
-        base = self.folder / "clips"
-        file, statement = base / f"{clip.name}.transforms.npy", base / f"{clip.name}.fit.json"
-        if not (file.is_file() and statement.is_file()):
-            found, rmse = self.fit(np.asarray(self.clip(clip.name).low))
-            sums = {"transforms": _write_array(file, found)}
-            self._state(statement, clip, {"rmse": rmse, "checksums": sums})
-        record = self._record(statement, clip.name, "rmse")
-        shape = (clip.n_frames, self.skinning.n_bones, 3, 4)
-        transforms = map_array(file, shape, record.get("checksums", {}).get("transforms"))
-        return transforms, float(record["rmse"])
+    def kept(self, folder: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Arrays of a clip in a folder beside the bones, made where they are not there yet.
 
-    def _record(self, statement: Path, clip: str, number: str) -> dict[str, Any]:
-        record = _document(statement, (number,))
-        if record.get("source", "") not in ("", _digest(self.store, [clip])):
-            raise InputError(
-                "store",
-                f"the clip {clip} that its bones were fitted to (remove {self.folder} to fit them "
-                "again)",
-                "another of that name",
-            )
-        return record
-
-    def _split(self, clip: Clip, files: dict[str, Path], statement: Path) -> None:
-        vertices = np.asarray(clip.sequence.frames(slice(None)), np.float32)
-        low = np.asarray(self.smoother().smooth(vertices), np.float32)
-        high = vertices - low
-        sums = {k: _write_array(files[k], x) for k, x in (("low", low), ("high", high))}
-        rms = float(np.sqrt((high.astype(np.float64) ** 2).sum(-1).mean()))
-        self._state(statement, clip, {"high_rms": rms, "checksums": sums})
-
-    def _state(self, statement: Path, clip: Clip, record: dict[str, Any]) -> None:
-        record["source"] = _digest(self.store, [clip.name])
-        write_file(statement, json.dumps(record).encode())
-
-    def prepare(
-        self, names: Sequence[str], progress: Progress | None = None, *, fit: bool = False
-    ) -> dict[str, Any]:
-        """Compute the parts of the named clips where they are missing.
-
-        Parameters
-        ----------
-        names : sequence of str
-        progress : callable, optional
-        fit : bool
-            Whether the bones are fitted, too, which takes much longer than the split.
-
-        Returns
-        -------
-        dict
-            Pooled over them: ``high_rms``, with `fit` the bones' ``rmse``, metres, and the number
-            of ``frames``.
+        They are made anew for another clip of the same name.
         """
-        squares = {"high_rms": 0.0} | ({"rmse": 0.0} if fit else {})
-        frames = 0
-        for k, name in enumerate(names):
-            plain = name.removesuffix(MIRRORED)
-            parts = self.clip(plain)
-            count = len(parts.low)
-            frames += count
-            record = self._record(self.folder / "clips" / f"{plain}.json", plain, "high_rms")
-            squares["high_rms"] += count * float(record["high_rms"]) ** 2
-            if fit:
-                squares["rmse"] += count * parts.rmse**2
-            if progress:
-                progress("splitting the clips", (k + 1) / len(names))
-        return {"frames": frames} | {
-            key: float(np.sqrt(total / max(frames, 1))) for key, total in squares.items()
-        }
+        return kept(self.folder / folder / f"{name}-{_digest(self.store, [name])}.npz", make)
+
+    def _fitted(self, clip: Clip) -> tuple[NDArray[np.float32], float]:
+        def make() -> dict[str, Any]:
+            transforms, rmse = self.fit(self.clip(clip.name).split()[0])
+            return {"transforms": transforms, "rmse": rmse}
+
+        found = self.kept("clips", clip.name, make)
+        return found["transforms"], float(found["rmse"])
 
 
 def virtual_bones(
     store: ClipStore,
     options: BoneOptions,
     *,
+    subject: Subject | None = None,
     folder: Path | str | None = None,
-    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> VirtualBones:
     """The virtual bones of a store; read if they were computed before.
@@ -259,96 +179,89 @@ def virtual_bones(
     ----------
     store : ClipStore
     options : BoneOptions
+    subject : Subject, optional
+        Of a trained network, whose bones are taken.
     folder : path, optional
         ``<store>.bones`` beside the store by default, with one folder inside for each set of
         options and training clips.
-    time_limit : float, optional
-        Seconds that the decomposition may take.
     progress : callable, optional
         Called with a description of the current step and the fraction that is done.
 
     Raises
     ------
     InputError
-        If the store has no training clips.
+        If the store has no training clips, or `subject` wears another garment.
     """
+    garment = mesh_identity(store.rest, store.faces)
+    if subject is not None and subject.garment_id != garment:
+        raise InputError("subject", f"the garment of {store.path}", "another")
+    if subject is not None:
+        options = dataclasses.replace(options, count=subject.garment.n_bones)
     roles = parameter_roles(store)
     names = [
         c.name
         for c in store.clips("train")
         if roles[c.parameters] == "train"
-        and (not options.motions or fnmatchcase(c.motion, options.motions))
+        and any(fnmatchcase(n, options.motions or "*") for n in (c.motion, c.name))
     ]
     if not names:
         of = f" of motions {options.motions}" if options.motions else ""
         raise InputError("store", f"training clips{of} of a training set", str(store.path))
     record = dataclasses.asdict(options) | {
-        "garment": mesh_identity(store.rest, store.faces),
+        "garment": garment,
         "clips": names,
+        "source": _digest(store, names),
     }
+    if subject is not None:
+        record["bones"] = mesh_identity(subject.garment.rest, subject.garment.indices)
     key = hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()[:12]
     home = Path(folder) if folder else store.path.with_name(store.path.name + ".bones")
     place = home / key
-    (place / "clips").mkdir(parents=True, exist_ok=True)
+    place.mkdir(parents=True, exist_ok=True)
     skinning_file, report_file = place / "bones.npz", place / "bones.json"
     if not (skinning_file.is_file() and report_file.is_file()):
-        skinning, report = _decompose(store, names, options, time_limit, progress)
+        found: dict[str, Any] = {}
+        if subject is not None:
+            skinning = subject.garment
+        else:
+            skinning, found = _decompose(store, names, options, progress)
         with writing(skinning_file):
             ssdr.save(skinning, skinning_file)
-        made = record | report | {"source": _digest(store, names)}
-        write_file(report_file, json.dumps(made, indent=1).encode())
+        write_file(report_file, json.dumps(record | found, indent=1).encode())
     skinning = ssdr.load_skinning(skinning_file)
     if skinning.n_vertices != store.n_vertices or skinning.n_bones != options.count:
         raise FormatError(f"{skinning_file}: bones of another garment, {skinning!r}")
-    known = _document(report_file, ("rmse", "high_rms"))
-    if known.get("source", "") not in ("", _digest(store, names)):
-        raise InputError(
-            "store",
-            f"the clips that its virtual bones were made from (remove {place} to make them again)",
-            "others of the same names",
-        )
+    with reading(report_file):
+        known: dict[str, Any] = json.loads(report_file.read_text("utf-8"))
     bones = VirtualBones(place, store, skinning, options, known)
-    return dataclasses.replace(bones, bound=_body_bound(bones, names))
+    bound = _body_bound(bones, names) if subject is None else subject.bound
+    return dataclasses.replace(bones, bound=bound)
 
 
 def _body_bound(bones: VirtualBones, names: Sequence[str]) -> BodyBound | None:
-    file = bones.folder / "bound.npz"
     fields = [f.name for f in dataclasses.fields(BodyBound)]
-    if not file.is_file():
-        found = find_body_bound(bones.store, names, bones.smoother())
-        packed = io.BytesIO()
-        none = dict.fromkeys(fields, np.zeros(0))
-        np.savez(packed, **(none if found is None else {k: getattr(found, k) for k in fields}))
-        write_file(file, packed.getvalue())
-    with reading(file), np.load(file, allow_pickle=False) as arrays:
-        bound = BodyBound(**{k: arrays[k] for k in fields})
-        if not len(bound.index):
-            return None
-        if bound.rest.shape != (len(bound.index), 3) or bound.index.max() >= bones.store.n_vertices:
-            raise FormatError("vertices of another garment")
-    return bound
+
+    def make() -> dict[str, Any]:
+        found = find_body_bound(bones.store, names, bones.smoother)
+        return {k: np.zeros(0) if found is None else getattr(found, k) for k in fields}
+
+    found = kept(bones.folder / "bound.npz", make)
+    return BodyBound(**found) if len(found["index"]) else None
 
 
 def _decompose(
     store: ClipStore,
     names: Sequence[str],
     options: BoneOptions,
-    time_limit: float | None,
     progress: Progress | None,
 ) -> tuple[Skinning, dict[str, Any]]:
     began = time.perf_counter()
-    clips = [store.clip(n) for n in names]
-    total = sum(c.n_frames for c in clips)
-    chosen = np.unique(np.linspace(0, total - 1, min(total, options.frames)).astype(int))
     smoother = LaplacianSmoother(store.rest, store.faces, options.length)
-    parts, squares, first = [], 0.0, 0
-    for clip in clips:
-        here = chosen[(chosen >= first) & (chosen < first + clip.n_frames)] - first
-        first += clip.n_frames
-        if len(here):
-            block = clip.sequence.frames(here)
-            parts.append(np.asarray(smoother.smooth(block), np.float32))
-            squares += float(((block - parts[-1]).astype(np.float64) ** 2).sum())
+    parts, squares = [], 0.0
+    for clip, here in store.sample(names, options.frames):
+        block = clip.sequence.frames(here)
+        parts.append(np.asarray(smoother.smooth(block), np.float32))
+        squares += float(((block - parts[-1]).astype(np.float64) ** 2).sum())
     frames = np.concatenate(parts)
 
     def follow(p: Any) -> None:
@@ -361,7 +274,6 @@ def _decompose(
         influences=options.influences,
         effort=options.effort,
         rng=options.seed,
-        time_limit=time_limit,
         callback=follow,
     )
     s = result.skinning
@@ -376,25 +288,6 @@ def _decompose(
     }
     _logger.info("%d bones, RMSE %.3g m on %d frames", s.n_bones, result.rmse, len(frames))
     return skinning, report
-
-
-def _write_array(file: Path, values: NDArray[np.float32]) -> int:
-    """Write a ``.npy`` file; its CRC-32."""
-    packed = io.BytesIO()
-    np.save(packed, values, allow_pickle=False)
-    write_file(file, packed.getvalue())
-    return zlib.crc32(packed.getbuffer())
-
-
-def _document(path: Path, keys: Sequence[str]) -> dict[str, Any]:
-    with reading(path):
-        try:
-            document = json.loads(path.read_text("utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise FormatError(f"{path}: missing or not text ({error})") from error
-        for key in keys:
-            document[key] = float(document[key])
-        return dict(document)
 
 
 def _digest(store: ClipStore, names: Sequence[str]) -> str:

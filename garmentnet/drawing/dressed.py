@@ -12,9 +12,9 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter1d
 
 from ssdr import MeshSequence
-from ssdr.errors import InputError
 from ssdr.render import FABRIC, SKIN, Part, contact_sheet
 
+from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.outfit import Outfit
 
@@ -24,7 +24,6 @@ __all__ = [
     "caption",
     "dressed",
     "facing_the_camera",
-    "free_vertices",
     "outfit_parts",
     "outfit_regions",
     "outfit_sheet",
@@ -60,44 +59,16 @@ def outfit_parts(body: int, cloth: int) -> tuple[Part, Part]:
     )
 
 
-def outfit_regions(body: int, cloth: int, free: ArrayLike | None) -> dict[str, NDArray[np.bool_]]:
+def outfit_regions(outfit: Outfit) -> dict[str, NDArray[np.bool_]]:
     """Vertices of a :func:`dressed` mesh over which errors are stated.
 
-    Parameters
-    ----------
-    body, cloth : int
-        Numbers of vertices.
-    free : (V,) bool array or None
-        Vertices of the cloth that do not follow the body.
-
-    Returns
-    -------
-    dict
-        ``all`` of the cloth and, with a mask that leaves some out, ``free``.
-
-    Raises
-    ------
-    InputError
-        If `free` is no mask of the cloth, or empty.
+    ``all`` are those of the cloth, and ``free`` those that are not pinned, if some are.
     """
-    regions = {"all": np.arange(body + cloth) >= body}
-    if free is None:
-        return regions
-    mask = np.asarray(free)
-    if mask.dtype != bool or mask.shape != (cloth,):
-        raise InputError(
-            "free", f"a mask of the cloth's {cloth} vertices", f"{mask.dtype} of {mask.shape}"
-        )
-    if not mask.any():
-        raise InputError("free", "at least one vertex", "none")
-    if not mask.all():
-        regions["free"] = np.concatenate([np.zeros(body, bool), mask])
+    body = np.zeros(outfit.body.n_vertices, bool)
+    regions = {"all": np.append(body, ~np.zeros_like(outfit.pinned))}
+    if outfit.pinned.any() and not outfit.pinned.all():
+        regions["free"] = np.append(body, ~outfit.pinned)
     return regions
-
-
-def free_vertices(outfit: Outfit) -> NDArray[np.bool_] | None:
-    """Vertices of a garment that are not pinned to the body; None if all are free."""
-    return None if not outfit.pinned.any() else ~outfit.pinned
 
 
 def camera_track(root: ArrayLike, fps: float) -> NDArray[np.float64]:
@@ -138,14 +109,11 @@ def facing_the_camera(vertices: Any, root: ArrayLike, joints: Any) -> NDArray[np
 def outfit_sheet(
     body: MeshSequence,
     cloth: MeshSequence,
-    truth: ArrayLike | None,
     joints: Any,
     root: ArrayLike,
     *,
-    frames: Sequence[int],
-    captions: Sequence[str],
-    title: str,
-    free: ArrayLike | None = None,
+    truth: Clip | None = None,
+    frames: int = 5,
 ) -> Image.Image:
     """A picture of some frames side by side, each seen from beside the body's front.
 
@@ -155,23 +123,14 @@ def outfit_sheet(
     Parameters
     ----------
     body, cloth : MeshSequence
-        The cloth is the prediction.
-    truth : (F, V, 3) array or None
-        The simulated cloth.
+        The cloth is the prediction; its name is the title.
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Places of the root joint.
-    frames : sequence of int
-    captions : sequence of str
-        One for each of `frames`.
-    title : str
-    free : (V,) bool array, optional
-        Vertices that have a figure of their own.
-
-    Raises
-    ------
-    InputError
-        If `free` is no mask of the cloth.
+    truth : Clip, optional
+        The simulated clip of the same motion.
+    frames : int
+        How many, evenly spread.
     """
 
     def facing(vertices: Any) -> MeshSequence:
@@ -180,22 +139,23 @@ def outfit_sheet(
         turned = facing_the_camera(scene.vertices, root, joints)
         return dataclasses.replace(scene, vertices=turned)
 
-    sizes = body.n_vertices, cloth.n_vertices
+    chosen = spread_frames(frames, cloth.n_frames)
+    classes = None if truth is None else truth.classes
     options: dict[str, Any] = {
-        "frames": list(frames),
-        "parts": outfit_parts(*sizes),
-        "captions": list(captions),
-        "title": title,
+        "frames": chosen,
+        "parts": outfit_parts(body.n_vertices, cloth.n_vertices),
+        "captions": [caption(t, cloth.fps, classes, "\n") for t in chosen],
+        "title": cloth.name,
         "azimuth": _AZIMUTH,
     }
     if truth is None:
         return contact_sheet(facing(cloth.vertices), row_names=("prediction",), **options)
     return contact_sheet(
         facing(cloth.vertices),
-        reference=facing(truth),
+        reference=facing(truth.sequence.frames(slice(None))),
         styles=["plain", "error"],
         row_names=("truth", "prediction", "error"),
-        regions=outfit_regions(*sizes, free),
+        regions=outfit_regions(truth.outfit),
         unit=MILLIMETRES,
         **options,
     )

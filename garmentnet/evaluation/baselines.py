@@ -34,6 +34,8 @@ _CLOSEST = 1e-4
 _PENALTIES = 10.0 ** np.arange(-6, 2)
 # Training frames of the ridge, about, of clips that are evenly spread: 200 for each of its inputs.
 _FRAMES = 24000
+# Training frames of the mean, evenly spread.
+_MEAN_FRAMES = 4000
 # Pose features of one frame, without memory.
 _STATIC = FeatureOptions(
     rotation="sixd", heading_free=True, translation=False, floor=0.01, clamp=5.0, frame="heading"
@@ -54,14 +56,14 @@ class MeanShape(Method):
 
     def __init__(self, bones: VirtualBones, names: Sequence[str]) -> None:
         self.features = PoseFeatures(bones.store.skeleton, _STATIC, bones.store.fps)
-        total, high, frames = np.zeros((bones.store.n_vertices, 3)), 0.0, 0
-        for name in names:
-            clip, fitted = bones.store.clip(name), bones.clip(name)
-            _, frame, _ = self.features(clip.joints)
-            low = fitted.read("low").astype(np.float64) - frame[:, None, :, 3]
-            total += (low @ frame[..., :3]).sum(axis=0)
-            high = high + (fitted.read("high") @ frame[..., :3]).sum(axis=0)
-            frames += len(low)
+        total, high = (np.zeros((bones.store.n_vertices, 3)) for _ in range(2))
+        frames = 0
+        for clip, some in bones.store.sample(names, _MEAN_FRAMES):
+            frame = self.features(clip.joints)[1][some]
+            low, detail = bones.clip(clip.name).split(some)
+            total += ((low - frame[:, None, :, 3]) @ frame[..., :3]).sum(axis=0)
+            high += (detail @ frame[..., :3]).sum(axis=0)
+            frames += len(some)
         self.high: NDArray[np.float64] = np.asarray(high / frames)
         self.shape: NDArray[np.float64] = total / frames + self.high
 
@@ -84,7 +86,8 @@ def body_skinning(store: ClipStore, *, neighbours: int = 8) -> Skinning:
         Body vertices.
     """
     body = store.body
-    distance, index = cKDTree(body.rest).query(store.rest, k=neighbours)
+    count = min(neighbours, body.n_vertices)
+    distance, index = cKDTree(body.rest).query(store.rest, k=np.arange(1, count + 1))
     near = 1 / np.maximum(distance, _CLOSEST) ** 2
     near /= near.sum(axis=1, keepdims=True)
     weights = np.einsum("vk,vkj->vj", near, body.dense_weights()[index])

@@ -44,7 +44,7 @@ def chaos_floor(
     keys = ("low", "overall", "low_free", "overall_free")
     free = ~np.asarray(bones.store.pinned, bool)
     sums: dict[str, NDArray[np.float64]] = {}
-    smoother = bones.smoother()
+    smoother = bones.smoother
     for first, second in bones.store.pairs() if pairs is None else pairs:
         a, b = bones.store.clip(first), bones.store.clip(second)
         frames = min(a.n_frames, b.n_frames)

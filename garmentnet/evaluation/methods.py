@@ -46,7 +46,7 @@ class Method(ABC):
         vertices = self.predict(clip)
         if bones.bound is not None:
             vertices = bones.bound.place(vertices, clip.joints)
-        low = np.asarray(bones.smoother().smooth(vertices), np.float32)
+        low = np.asarray(bones.smoother.smooth(vertices), np.float32)
         return low, vertices - low
 
 
@@ -113,10 +113,11 @@ class BonesThemselves(Method):
         """The skinned bones and the clip's own high part."""
         s, fitted = bones.skinning, bones.clip(clip.name)
         low = np.asarray(ssdr.skin(s.rest, s.indices, s.weights, fitted.transforms), np.float32)
+        true_low, high = fitted.split()
         if bones.bound is not None:
             # Where a network has them, too.
-            low[:, bones.bound.index] = fitted.read("low")[:, bones.bound.index]
-        return low, fitted.read("high")
+            low[:, bones.bound.index] = true_low[:, bones.bound.index]
+        return low, high
 
 
 def _detail(motion: Motion) -> Array:

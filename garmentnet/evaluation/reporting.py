@@ -24,15 +24,16 @@ from ..training.run import choose_clips, with_mirrored
 from .baselines import BodySkinned, MeanShape, Ridge
 from .bounds import by_looseness, chaos_floor, looseness
 from .methods import BonesThemselves, Method, Network, PushedMethod
-from .pictures import draw_clip, draw_moments
-from .santesteban import Santesteban, train_santesteban
+from .pictures import draw_clip
+from .published import SANTESTEBAN
+from .regression import train_regression
 from .scores import VERTICES, Scores, evaluate, pool
 from .tables import class_table, interval_table, intervals, markdown, score_table
 
 __all__ = ["fit_baselines", "group_of", "report"]
 
 _NUMBER = re.compile(r"[-_]\d+\Z")
-_RECORDED = "recorded"
+RECORDED = "recorded"
 # Below so many clips, an interval of the bootstrap is mostly too narrow.
 _FEW_CLIPS = 8
 Progress = Callable[[str, float], None]
@@ -44,7 +45,6 @@ def report(
     folder: Path | str,
     *,
     baselines: bool = True,
-    recurrent: Config | None = None,
     pictures: int = 1,
     clips: Sequence[str] = (),
     against: str | None = None,
@@ -62,9 +62,6 @@ def report(
         For ``report.md``, ``report.json``, pictures, and in ``baselines`` the trained baseline.
     baselines : bool
         Whether to fit and score them.
-    recurrent : Config, optional
-        Settings of the recurrent baseline, of which it takes width, dropout and training; those of
-        the first checkpoint by default.
     pictures : int
         Test clips to draw for every checkpoint.
     clips : sequence of str
@@ -96,13 +93,13 @@ def report(
         network.checkpoint.check_fits(store)
     first = networks[0].checkpoint
     config, base = first.networks[0].config, _base(first, store)
-    reading = [n for n in networks if _reads_parameters(n.checkpoint)]
+    reading = [n for n in networks if n.checkpoint.reads_parameters]
     parts = _test_clips(store, base, bool(reading), clips)
     shown: list[Method] = [PushedMethod(n, store) for n in networks] if push_out else [*networks]
-    fitted = (MeanShape, BodySkinned, Ridge, Santesteban) if baselines else ()
+    fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
     names = [m.name for m in (BonesThemselves, *networks, *fitted)]
     names += [m.name for m in shown if m.name not in names]
-    against = against or (Santesteban.name if baselines else networks[0].name)
+    against = against or (SANTESTEBAN.name if baselines else networks[0].name)
     if against not in names:
         raise InputError("against", f"one of {', '.join(names)}", repr(against))
 
@@ -110,17 +107,17 @@ def report(
     bound = BonesThemselves(bones)
     methods: list[Method] = [bound, *networks, *(shown if push_out else [])]
     if baselines:
-        methods += fit_baselines(bones, recurrent or config, base, folder / "baselines", progress)
+        methods += fit_baselines(bones, config, base, folder / "baselines", progress)
     document: dict[str, Any] = {
         "parameters": dataclasses.asdict(base),
-        "bones": bones.report | {"test": bones.prepare(parts["unseen_motions"], fit=True)},
+        "bones": bones.report,
         "groups": {},
     }
     lines = ["RMSE and Hausdorff distance in mm, intervals of 95 % (paired bootstrap over clips)"]
     others = [n for n in parts["unseen_motions"] if store.clip(n).split != "test"]
     if others:
         lines += ["", f"Of other splits than test: {', '.join(others)}"]
-    rows = []
+    rows: list[Scores] = []
     for key, chosen in parts.items():
         if not chosen:
             continue
@@ -137,15 +134,16 @@ def report(
         for name in chosen:
             groups.setdefault(group_of(store.clip(name)), []).append(name)
         for group, members in groups.items():
-            part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in rows]
+            part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in found]
             lines += _section(f"unseen motions, {group}", part, against, document)
     lines += _chaos(bones, base, document)
     if rows:
-        chosen = parts["unseen_motions"]
-        lines += _by_looseness(bones, chosen, rows)
-        for network, method in zip(networks, shown, strict=True) if pictures else ():
-            drawn = _draw(store, method, chosen[:pictures], chosen, folder / network.name)
-            document.setdefault("moments", {})[network.name] = drawn
+        lines += _by_looseness(bones, parts["unseen_motions"], rows)
+    for network, method in zip(networks, shown, strict=True):
+        for name in parts["unseen_motions"][:pictures]:
+            clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
+            with writing(file):
+                draw_clip(clip, method.predict(clip), file)
     text = "\n".join(lines) + "\n"
     write_file(folder / "report.json", json.dumps(document).encode())
     write_file(folder / "report.md", text.encode())
@@ -185,15 +183,14 @@ def fit_baselines(
 
     def after_epoch(p: Any) -> None:
         if progress:
-            progress(f"training {Santesteban.name}", p.fraction)
+            progress(f"training {SANTESTEBAN.name}", p.fraction)
 
-    bones.prepare([*names, *held])
     learned = with_mirrored(store, config, names)
     return [
         MeanShape(bones, names),
         BodySkinned(store),
         Ridge(bones, names, held),
-        train_santesteban(bones, config, learned, held, folder, callback=after_epoch),
+        train_regression(SANTESTEBAN, bones, config, learned, held, folder, callback=after_epoch),
     ]
 
 
@@ -208,8 +205,8 @@ def group_of(clip: Clip) -> str:
     """
     source = clip.provenance.get("motion")
     file = source.get("file") if isinstance(source, Mapping) else None
-    if file or (clip.classes == CLASSES.index(_RECORDED)).all():
-        return _RECORDED
+    if file or (clip.classes == CLASSES.index(RECORDED)).all():
+        return RECORDED
     return _NUMBER.sub("", clip.motion)
 
 
@@ -286,24 +283,6 @@ def _by_looseness(bones: VirtualBones, names: Sequence[str], rows: Sequence[Scor
     head += [f"{distance:.0f} mm" for distance, _ in quarters[rows[0].name]]
     lines = [[name, *(f"{e:.1f}" for _, e in found)] for name, found in quarters.items()]
     return ["", markdown(head, lines)]
-
-
-def _draw(
-    store: ClipStore, method: Method, clips: Sequence[str], names: Sequence[str], stem: Path
-) -> list[tuple[str, str, int]]:
-    """Draw `clips` and the hardest frames of `names`; returns those frames."""
-    for name in clips:
-        clip = store.clip(name)
-        file = stem.with_name(f"{stem.name}-{name}.png")
-        with writing(file):
-            draw_clip(clip, method.predict(clip), file)
-    file = stem.with_name(f"{stem.name}-moments.png")
-    with writing(file):
-        return draw_moments(store, method.predict, names, file)
-
-
-def _reads_parameters(model: Checkpoint) -> bool:
-    return model.kernel is not None or bool(model.networks[0].condition)
 
 
 def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ssdr.errors import InputError
 from ssdr.metrics import hausdorff, sted
 
-from ..collision.push_out import PushOut
+from ..collision.push_out import PushOut, is_closed
 from ..data.clip import Clip
 from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
@@ -80,7 +80,7 @@ class Scores:
     per_class : dict of ClassError
         By class of motion.
     inside, inside_free : float
-        Fraction of the vertices inside the body, over all frames.
+        Fraction of the vertices inside the body, over all frames; NaN if its mesh is not closed.
     per_vertex : (V,) float64
         Mean overall error, mm.
     clips : tuple of Scores
@@ -193,7 +193,9 @@ class _Scorer:
     def __init__(self, bones: VirtualBones) -> None:
         store = bones.store
         self.bones = bones
-        self.skin = PushOut(store.body, store.faces, n_vertices=store.n_vertices)
+        self.skin = None
+        if is_closed(store.body.faces):
+            self.skin = PushOut(store.body, store.faces, n_vertices=store.n_vertices)
         self.free = ~np.asarray(store.pinned, bool)
         inner = store.faces[self.free[store.faces].all(axis=1)]
         if len(inner) == 0:
@@ -205,8 +207,8 @@ class _Scorer:
         """Predict a clip and compare the prediction with it."""
         low, high = method.split(clip, self.bones)
         fitted = self.bones.clip(clip.name)
-        true_low = fitted.read("low")
-        truth, predicted = true_low + fitted.read("high"), low + high
+        true_low, true_high = fitted.split()
+        truth, predicted = true_low + true_high, low + high
         pairs = {
             "low": (true_low, low),
             "high": (truth, true_low + high),
@@ -219,7 +221,9 @@ class _Scorer:
             s = square[clip.classes == label]
             errors = (_MM * float(np.sqrt(x.mean())) for x in (s, s[:, self.free]))
             per_class[CLASSES[int(label)]] = ClassError(len(s), *errors)
-        inside = self.skin.signed_distance(predicted, clip.joints) < -_INSIDE
+        inside = np.full(predicted.shape[:2], np.nan)
+        if self.skin is not None:
+            inside = self.skin.signed_distance(predicted, clip.joints) < -_INSIDE
         return Scores(
             clip.name,
             clip.n_frames,

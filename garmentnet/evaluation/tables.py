@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from .scores import PARTS, VERTICES, Scores
-from .statistics import Interval, paired_ratio, pooled_error
+from .statistics import Interval, paired_ratio
 
 __all__ = ["class_table", "interval_table", "intervals", "markdown", "score_table"]
 
@@ -85,7 +85,8 @@ def intervals(rows: Sequence[Scores], reference: str) -> dict[str, Any]:
     methods: dict[str, Any] = {}
     for row in rows:
         for vertices, part in itertools.product(VERTICES, PARTS):
-            error = pooled_error(figures(row, vertices, part, "rmse"), frames=frames)
+            errors = figures(row, vertices, part, "rmse")
+            error = paired_ratio(errors, [1.0] * len(errors), frames=frames)
             found = {"error": _plain(error)}
             for figure, power in _POWERS.items():
                 own, other = (figures(r, vertices, part, figure) for r in (row, against))

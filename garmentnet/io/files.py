@@ -1,24 +1,23 @@
-"""Errors of writing that name the file, and arrays on disk that are checked as they are opened."""
+"""Errors of writing that name the file, and arrays that are kept on disk."""
 
 from __future__ import annotations
 
 import contextlib
-import functools
+import io
 import os
 import shutil
-import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ssdr.errors import FormatError, SsdrError
-from ssdr.io.arrays.archive import read_array
+from ssdr.errors import SsdrError
 from ssdr.io.atomic import write_bytes
+from ssdr.io.registry import reading
 
-__all__ = ["map_array", "write_file", "writing"]
+__all__ = ["kept", "write_file", "writing"]
 
 
 @contextlib.contextmanager
@@ -49,35 +48,21 @@ def write_file(path: Path, data: bytes) -> None:
         write_bytes(path, data)
 
 
-def map_array(path: Path, shape: tuple[int, ...], checksum: int | None) -> NDArray[np.float32]:
-    """A float32 array in a ``.npy`` file, memory-mapped.
-
-    Parameters
-    ----------
-    path : Path
-    shape : tuple of int
-        The shape that it must have.
-    checksum : int or None
-        CRC-32 of the file; None: unknown, not checked.
+def kept(path: Path, make: Callable[[], dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """Arrays of an ``.npz`` file, which is made and written first where it is missing.
 
     Raises
     ------
     FormatError
-        If the file is damaged or is another array.
+        If the file is damaged; without it, it is made again.
     """
-    status = path.stat()
-    if checksum not in (None, _checksum(path, status.st_size, status.st_mtime_ns)):
-        raise FormatError(f"{path}: damaged (its checksum differs); without it, it is made again")
-    array: NDArray[Any] = read_array(path, mmap=True)
-    if array.shape != shape or array.dtype != np.float32:
-        raise FormatError(f"{path}: expected float32 {shape}, got {array.dtype} {array.shape}")
-    return array
-
-
-@functools.lru_cache(maxsize=4096)
-def _checksum(path: Path, size: int, changed: int) -> int:
-    # Computed once for each state of a file; states differ in size or time of change.
-    return zlib.crc32(path.read_bytes())
+    if not path.is_file():
+        packed = io.BytesIO()
+        np.savez(packed, **make())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, packed.getvalue())
+    with reading(path), np.load(path, allow_pickle=False) as arrays:
+        return {k: arrays[k] for k in arrays.files}
 
 
 def _free_space(path: Path) -> str:

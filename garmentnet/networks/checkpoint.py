@@ -8,6 +8,7 @@ kernel.  It names no Python module, so it does not depend on where the code lies
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ssdr import Skinning
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import reading
+from ssdr.io.registry import check, reading
 
 from ..configs.config import Config
 from ..data.parameters import SimulationParameters
-from ..data.skeleton import Skeleton
-from ..data.skin_weights import BodyBound
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
+from .document import BOUND, FORMAT, MESH, VERSION, read_subject
 from .ensemble import Ensemble, Kernel
 from .features import Normaliser
 from .network import Motion, MotionNetwork
@@ -38,12 +37,8 @@ __all__ = [
     "save_checkpoint",
 ]
 
-_FORMAT, _VERSION = "garmentnet checkpoint", 3
-_MESH = ("rest", "indices", "weights", "faces")
-_BOUND = tuple(f.name for f in dataclasses.fields(BodyBound))
-# Bytes of the dense skinning matrix beyond which a file counts as hostile: 3 million vertices and
-# 80 bones in float32.
-_MAX_SKINNING = 4 << 30
+# Numbers of a tensor from which on half precision saves anything.
+_MANY = 10_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,21 +53,23 @@ class Checkpoint:
         network that reads them.
     kernel : Kernel or None
         Of an ensemble.
-    common : MotionNetwork or None
-        Of an ensemble: a network that reads the parameters, mixed with the pivots.
-    share : float
-        Its weight.
+    errors : mapping of str to float
+        RMSE by what it is of, metres; what ``garmentnet models`` shows.
     """
 
     networks: tuple[MotionNetwork, ...]
     parameters: tuple[SimulationParameters | None, ...]
     kernel: Kernel | None
-    common: MotionNetwork | None = None
-    share: float = 0.0
+    errors: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def subject(self) -> Subject:
         return self.networks[0].subject
+
+    @property
+    def reads_parameters(self) -> bool:
+        """Whether a prediction needs simulation parameters."""
+        return self.kernel is not None or self.networks[0].config.data.condition
 
     @property
     def ensemble(self) -> Ensemble:
@@ -86,7 +83,7 @@ class Checkpoint:
         if self.kernel is None:
             raise InputError("checkpoint", "an ensemble", "a single network")
         rows = np.stack([p.normalised() for p in self.parameters if p is not None])
-        return Ensemble(self.networks, rows, self.kernel, self.common, self.share)
+        return Ensemble(self.networks, rows, self.kernel)
 
     def motions(
         self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
@@ -107,7 +104,7 @@ class Checkpoint:
         """
         model = self.networks[0] if self.kernel is None else self.ensemble
         theta = None
-        if self.kernel is not None or self.networks[0].condition:
+        if self.reads_parameters:
             if parameters is None:
                 raise InputError("parameters", "bending, density and time scale", None)
             theta = parameters.normalised()
@@ -134,23 +131,24 @@ class Checkpoint:
                 raise InputError("checkpoint", wanted, f"another ({got})")
 
 
-def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
-    """Write a checkpoint under a temporary name; the file is renamed when it is complete."""
+def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = False) -> Path:
+    """Write a checkpoint under a temporary name; the file is renamed when it is complete.
+
+    With `half` the weights of the networks are in half precision, for half the file.
+    """
     subject, kernel = checkpoint.subject, checkpoint.kernel
     arrays: dict[str, Any] = {
         "skeleton.rest": subject.skeleton.rest,
         "skeleton.parents": subject.skeleton.parents,
     }
-    arrays |= {f"garment.{k}": getattr(subject.garment, k) for k in _MESH}
-    arrays |= {f"body.{k}": getattr(subject.body, k) for k in _MESH}
+    arrays |= {f"garment.{k}": getattr(subject.garment, k) for k in MESH}
+    arrays |= {f"body.{k}": getattr(subject.body, k) for k in MESH}
     if subject.bound is not None:
-        arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in _BOUND}
+        arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in BOUND}
     tensors: dict[str, Tensor] = {}
     record: list[dict[str, Any]] = []
-    networks, parameters = list(checkpoint.networks), list(checkpoint.parameters)
-    if checkpoint.common is not None:
-        networks, parameters = [*networks, checkpoint.common], [*parameters, None]
-    for k, (network, trained_on) in enumerate(zip(networks, parameters, strict=True)):
+    pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
+    for k, (network, trained_on) in enumerate(pairs):
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
@@ -162,30 +160,32 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str) -> Path:
                 "clamp": network.normaliser.clamp,
             }
         )
-        tensors |= {f"network.{k}.{key}": v for key, v in network.state_dict().items()}
+        for key, v in network.state_dict().items():
+            small = half and v.is_floating_point() and v.numel() >= _MANY
+            tensors[f"network.{k}.{key}"] = v.half() if small else v
         arrays[f"network.{k}.features.mean"] = network.normaliser.mean
         arrays[f"network.{k}.features.deviation"] = network.normaliser.deviation
     if kernel is not None:
         tensors |= {f"kernel.{k}": v for k, v in kernel.state_dict().items()}
     tensors |= {k: torch.from_numpy(np.array(v)) for k, v in arrays.items()}
     document = {
-        "format": _FORMAT,
-        "version": _VERSION,
+        "format": FORMAT,
+        "version": VERSION,
         "fps": subject.fps,
         "garment_id": subject.garment_id,
         "body_id": subject.body_id,
         "joint_names": list(subject.skeleton.names),
         "networks": record,
+        "errors": dict(checkpoint.errors),
         "kernel": None
         if kernel is None
         else {"sizes": kernel.sizes, "sigma": kernel.sigma, "shape": kernel.shape},
-        "common": None if checkpoint.common is None else checkpoint.share,
     }
     return save_tensors(Path(path), tensors, {"checkpoint": document})
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:
-    """Read a checkpoint.
+    """Read a checkpoint: a file, or by its name one that ships with the package, ``dress``.
 
     Raises
     ------
@@ -195,48 +195,25 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     file = Path(path)
     tensors, documents = load_tensors(file, ("checkpoint",))
     with reading(file):
-        d = documents["checkpoint"]
-        if not isinstance(d, dict) or d.get("format") != _FORMAT:
-            raise FormatError("not a checkpoint of garmentnet")
-        if d.get("version") != _VERSION:
-            raise FormatError(f"version {d.get('version')}, this reads {_VERSION}")
-        arrays = {k: v.numpy() for k, v in tensors.items() if not k.startswith("network.")}
-        names = tuple(str(n) for n in d["joint_names"])
-        skeleton = Skeleton(names, arrays["skeleton.parents"], arrays["skeleton.rest"])
-        bones = len(tensors["network.0.low.code.centres"])
-        subject = Subject(
-            _skinning(arrays, "garment", bones, None),
-            _skinning(arrays, "body", skeleton.n_joints, names),
-            skeleton,
-            float(d["fps"]),
-            str(d["garment_id"]),
-            _bound(arrays, skeleton.n_joints),
-        )
-        if subject.body_id != d["body_id"]:
-            raise FormatError("the body is not the one that the file names")
+        d, subject = read_subject({k: v.numpy() for k, v in tensors.items()}, documents)
         networks, parameters = [], []
         for k, record in enumerate(d["networks"]):
             networks.append(_network(subject, record, part_of(tensors, f"network.{k}.")))
             trained_on = record["parameters"]
             parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
-        kernel, common, share = None, None, 0.0
-        if d.get("common") is not None:
-            if d["kernel"] is None or parameters.pop() is not None:
-                raise FormatError("a common network without a kernel, or with parameters")
-            common, share = networks.pop(), float(d["common"])
+        kernel = None
         if d["kernel"] is not None:
-            if any(p is None for p in parameters):
-                raise FormatError("pivots without parameters")
+            check(all(p is not None for p in parameters), "pivots without parameters")
             inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
             shape, sigma = d["kernel"]["shape"], d["kernel"]["sigma"]
-            if shape not in ("gaussian", "exponential"):
-                raise FormatError(f"a kernel of shape {shape!r}")
+            check(shape in ("gaussian", "exponential"), f"a kernel of shape {shape!r}")
             with torch.device("meta"):
                 kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=sigma, shape=shape)
             kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
         elif len(networks) != 1:
             raise FormatError(f"{len(networks)} networks without a kernel")
-        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, common, share)
+        errors = {str(k): float(v) for k, v in d.get("errors", {}).items()}
+        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, errors)
         if kernel is not None:
             _ = checkpoint.ensemble
         return checkpoint
@@ -266,42 +243,6 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     except RuntimeError as error:
         raise InputError("start", "a network of the same configuration", str(error)) from error
     network.normaliser = source.normaliser
-
-
-def _skinning(
-    arrays: dict[str, Any], name: str, bones: int, names: tuple[str, ...] | None
-) -> Skinning:
-    rest, indices = arrays[f"{name}.rest"], arrays[f"{name}.indices"]
-    if len(rest) * bones * 16 > _MAX_SKINNING:
-        raise FormatError(f"{name}: {len(rest)} vertices and {bones} bones")
-    return Skinning(
-        rest,
-        indices,
-        arrays[f"{name}.weights"],
-        np.tile(np.eye(3, 4), (1, bones, 1, 1)),
-        faces=arrays[f"{name}.faces"],
-        bone_names=names,
-    )
-
-
-def _bound(arrays: dict[str, Any], joints: int) -> BodyBound | None:
-    if "bound.index" not in arrays:
-        return None
-    bound = BodyBound(**{k: arrays[f"bound.{k}"] for k in _BOUND})
-    count, vertices = len(bound.index), len(arrays["garment.rest"])
-    fits = (
-        0 < count <= vertices
-        and bound.rest.shape == bound.smooth.shape == (count, 3)
-        and bound.indices.shape == bound.weights.shape == (count, bound.weights.shape[1])
-        and (np.diff(bound.index) > 0).all()
-        and bound.index[0] >= 0
-        and bound.index[-1] < vertices
-        and bound.indices.min() >= 0
-        and bound.indices.max() < joints
-    )
-    if not fits:
-        raise FormatError("bound: vertices or joints that do not exist")
-    return bound
 
 
 def _network(subject: Subject, record: dict[str, Any], part: dict[str, Tensor]) -> MotionNetwork:

@@ -87,48 +87,34 @@ class Kernel(nn.Module):
 class Ensemble(Predictor):
     """Pivot networks and the kernel that mixes them.
 
-    A pivot that reads the simulation parameters reads its own, whatever is asked for.
-
     Attributes
     ----------
     networks : tuple of MotionNetwork
     parameters : (K, P) float64
         Normalised parameters of the pivots.
     kernel : Kernel
-    common : MotionNetwork or None
-        A network that reads the parameters asked for, mixed with the pivots.
-    share : float
-        Its weight, 0 to 1; the pivots have the rest.
 
     Raises
     ------
     InputError
-        If the networks differ in rest pose, skin weights or moving frame, or the share is not
-        from 0 to 1.
+        If the networks differ in rest pose, skin weights or moving frame.
     """
 
     networks: tuple[MotionNetwork, ...]
     parameters: Array
     kernel: Kernel
-    common: MotionNetwork | None = None
-    share: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.networks or len(self.networks) != len(self.parameters):
             raise InputError("networks", "as many as parameters", len(self.networks))
-        if not 0 <= self.share <= 1 or (self.share > 0 and self.common is None):
-            raise InputError("share", "0 to 1, and 0 without a common network", self.share)
         first = self.networks[0]
-        for other in self._all()[1:]:
+        for other in self.networks[1:]:
             a, b = first.subject.garment, other.subject.garment
             same = all(
                 np.array_equal(getattr(a, k), getattr(b, k)) for k in ("rest", "indices", "weights")
             )
             if not same or first.config.features.frame != other.config.features.frame:
                 raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
-
-    def _all(self) -> tuple[MotionNetwork, ...]:
-        return self.networks if self.common is None else (*self.networks, self.common)
 
     def weights(self, theta: Any) -> Array:
         """Ψ̄ ``(K,)`` of the pivots at normalised parameters; sums to 1."""
@@ -145,23 +131,15 @@ class Ensemble(Predictor):
         frames: Any = None,
     ) -> tuple[Motion, tuple[NetworkState, ...]]:
         """As :meth:`MotionNetwork.run`, at normalised parameters; equation 3 of the paper."""
-        theta, networks = np.asarray(parameters, float), self._all()
-        weights = np.append((1 - self.share) * self.weights(theta), self.share)
-        own = [*self.parameters, theta]
-        states = list(state or (NetworkState(),) * len(networks))
+        weights = self.weights(np.asarray(parameters, float))
+        states = list(state or (NetworkState(),) * len(self.networks))
         transforms: Any = 0.0
         high: Any = 0.0
         frame: Any = None
-        for k, network in enumerate(networks):
+        for k, network in enumerate(self.networks):
             if weights[k] == 0:  # not run; of the pivots at least one has some
                 continue
-            motion, states[k] = network.run(
-                joints,
-                states[k],
-                parameters=own[k] if network.condition else None,
-                detail=detail,
-                frames=frames,
-            )
+            motion, states[k] = network.run(joints, states[k], detail=detail, frames=frames)
             w, frame = float(weights[k]), motion.frame
             transforms = transforms + w * motion.transforms
             high = None if high is None or motion.high is None else high + w * motion.high

@@ -7,11 +7,14 @@ numbers all at once, in parts and frame by frame.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from ssdr.errors import InputError
 from ssdr.rigid import sixd_from_matrix
@@ -19,7 +22,7 @@ from ssdr.rigid import sixd_from_matrix
 from ..configs.config import FeatureOptions
 from ..data.skeleton import Skeleton, check_joints
 
-__all__ = ["Normaliser", "PoseFeatures", "PoseState", "transforms_in_frame"]
+__all__ = ["Normaliser", "PoseFeatures", "PoseReader", "PoseState", "transforms_in_frame"]
 
 Array = NDArray[np.float64]
 # Length of the twist's sine and cosine, at most 2, below which the body is upside down.
@@ -157,15 +160,23 @@ class Normaliser:
     clamp: float
 
     @classmethod
-    def fit(cls, features: list[Array], *, floor: float, clamp: float) -> Normaliser:
+    def fit(cls, features: Iterable[Array], *, floor: float, clamp: float) -> Normaliser:
         """Mean and deviation over all frames; a deviation below `floor` counts as `floor`.
 
         A feature that hardly changes in training would otherwise become huge on a motion where
         it does.
         """
-        count = sum(len(f) for f in features)
-        mean = sum(f.sum(axis=0) for f in features) / count
-        square = sum(((f - mean) ** 2).sum(axis=0) for f in features) / count
+        count = 0
+        first: Any = 0.0
+        total: Any = 0.0
+        square: Any = 0.0
+        for f in features:
+            # Relative to the first frame: the difference of large sums would lose digits.
+            first = f[0] if count == 0 else first
+            count, total = count + len(f), total + (f - first).sum(axis=0)
+            square = square + ((f - first) ** 2).sum(axis=0)
+        mean = total / count
+        square, mean = square / count - mean**2, first + mean
         deviation = np.sqrt(np.maximum(square, 0.0))
         deviation = np.maximum(deviation, floor)
         return cls(mean, np.where(deviation > 0, deviation, 1.0), clamp)
@@ -173,6 +184,48 @@ class Normaliser:
     def __call__(self, features: Array) -> NDArray[np.float32]:
         z = (features - self.mean) / self.deviation
         return (z if self.clamp <= 0 else z.clip(-self.clamp, self.clamp)).astype(np.float32)
+
+
+class PoseReader:
+    """The input of a network: pose features, normalised, with the simulation's parameters if asked.
+
+    Parameters
+    ----------
+    features : PoseFeatures
+    normaliser : Normaliser
+    condition : int
+        Simulation parameters that the network reads; 0: none.
+    """
+
+    def __init__(self, features: PoseFeatures, normaliser: Normaliser, condition: int = 0) -> None:
+        self.features, self.normaliser, self.condition = features, normaliser, condition
+
+    @property
+    def size(self) -> int:
+        """Numbers in a frame."""
+        return self.features.size + self.condition
+
+    def inputs(self, features: Array, parameters: Any = None) -> Tensor:
+        """Normalised features ``(F, D)``, with the parameters for a network that reads them.
+
+        Parameters
+        ----------
+        features : (F, D)
+        parameters : (3,) array, optional
+            Normalised simulation parameters.
+
+        Raises
+        ------
+        InputError
+            If the network reads parameters and there are none.
+        """
+        x = torch.from_numpy(self.normaliser(features))
+        if self.condition:
+            if parameters is None:
+                raise InputError("parameters", "the simulation's, which this network reads", None)
+            row = torch.as_tensor(np.asarray(parameters, np.float32))
+            x = torch.cat([x, row.expand(len(x), -1)], dim=1)
+        return x
 
 
 def transforms_in_frame(transforms: Any, frame: Array) -> Array:

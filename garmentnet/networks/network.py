@@ -10,12 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ssdr.errors import InputError
-
 from ..configs.config import Config
 from ..data.subject import Subject
 from .detail_basis import DetailBasis, SurfaceTurns
-from .features import Normaliser, PoseFeatures, PoseState, transforms_in_frame
+from .features import Normaliser, PoseFeatures, PoseReader, PoseState, transforms_in_frame
 from .high_frequency import HighFrequency
 from .low_frequency import BoneCode, LowFrequency
 from .skinning import TorchSkinning, apply_frame
@@ -121,7 +119,7 @@ class Predictor:
         return state, motion.vertices()[0]
 
 
-class MotionNetwork(nn.Module, Predictor):
+class MotionNetwork(nn.Module, PoseReader, Predictor):
     """D: low- and high-frequency module on one set of virtual bones, G = G_LF + G_HF.
 
     Parameters
@@ -154,15 +152,14 @@ class MotionNetwork(nn.Module, Predictor):
     bound: Tensor
 
     def __init__(self, config: Config, subject: Subject, normaliser: Normaliser) -> None:
-        super().__init__()
-        self.config, self.subject, self.normaliser = config, subject, normaliser
-        self.features = PoseFeatures(subject.skeleton, config.features, subject.fps)
-        self.condition = 3 if config.data.condition else 0
+        nn.Module.__init__(self)
+        features = PoseFeatures(subject.skeleton, config.features, subject.fps)
+        PoseReader.__init__(self, features, normaliser, 3 if config.data.condition else 0)
+        self.config, self.subject = config, subject
         garment = subject.garment
         self.lbs = TorchSkinning.of(garment)
         code = BoneCode(garment.centroids(), config.low.rotation)
-        inputs = self.features.size + self.condition
-        self.low = LowFrequency(inputs, config.low.hidden, code)
+        self.low = LowFrequency(self.size, config.low.hidden, code)
         self.high: HighFrequency | DetailBasis | None = None
         bound = subject.bound
         n = garment.n_vertices
@@ -210,28 +207,6 @@ class MotionNetwork(nn.Module, Predictor):
     @property
     def device(self) -> torch.device:
         return next(self.low.parameters()).device
-
-    def inputs(self, features: NDArray[np.float64], parameters: Any = None) -> Tensor:
-        """Normalised features ``(F, D)``, with the parameters for a network that reads them.
-
-        Parameters
-        ----------
-        features : (F, D)
-        parameters : (3,) array, optional
-            Normalised simulation parameters.
-
-        Raises
-        ------
-        InputError
-            If the network reads parameters and there are none.
-        """
-        x = torch.from_numpy(self.normaliser(features))
-        if self.condition:
-            if parameters is None:
-                raise InputError("parameters", "the simulation's, which this network reads", None)
-            row = torch.as_tensor(np.asarray(parameters, np.float32))
-            x = torch.cat([x, row.expand(len(x), -1)], dim=1)
-        return x
 
     def mesh(self, z: Tensor) -> Tensor:
         """Skinned mesh ``(..., V, 3)`` of normalised bone motion, in the moving frame.

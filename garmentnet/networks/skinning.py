@@ -129,8 +129,8 @@ def apply_frame(frame: Tensor, points: Tensor) -> Tensor:
     return points @ frame[..., :3].transpose(-1, -2) + frame[..., None, :, 3]
 
 
-def remove_frame(frame: Tensor, points: Tensor) -> Tensor:
-    """Points ``(..., V, 3)`` from the world to a moving frame ``(..., 3, 4)``.
+def remove_frame(frame: Any, points: Any) -> Any:
+    """Points ``(..., V, 3)`` from the world to a moving frame ``(..., 3, 4)``; tensors or arrays.
 
     Examples
     --------

@@ -10,12 +10,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import atomic_path
-from ssdr.io.registry import reading
 
 from ..io.files import writing
 from ..io.packages import require
+from ..io.tensors import load_arrays
 
 __all__ = ["load_tensors", "part_of", "save_tensors"]
 
@@ -42,30 +41,7 @@ def part_of(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def load_tensors(path: Path, wanted: Sequence[str]) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and JSON documents of a safetensors file.
-
-    Raises
-    ------
-    InputError
-        If there is no such file.
-    FormatError
-        If the file is of another format, lacks a document or holds NaN or Inf.
-    """
-    safetensors = require("safetensors", "garmentnet", "a checkpoint")
-    if not path.is_file():
-        raise InputError("checkpoint", "a file", str(path))
-    with reading(path):
-        with safetensors.safe_open(str(path), framework="pt") as file:
-            text = (file.metadata() or {}).get("garmentnet")
-            if text is None:
-                raise FormatError("safetensors, but not of garmentnet")
-            # Copies lie at aligned addresses; products of others differ in their last bits.
-            tensors = {k: file.get_tensor(k).clone() for k in file.keys()}  # noqa: SIM118
-        documents = json.loads(text)
-        missing = [k for k in wanted if k not in documents]
-        if missing:
-            raise FormatError(f"no document {missing[0]!r}")
-        for key, value in tensors.items():
-            if value.is_floating_point() and not bool(torch.isfinite(value).all()):
-                raise FormatError(f"NaN or Inf in {key}")
-    return tensors, documents
+    """Tensors and JSON documents of a safetensors file; errors as :func:`load_arrays`."""
+    arrays, documents = load_arrays(path, wanted)
+    # Copies lie at aligned addresses; products of others differ in their last bits.
+    return {k: torch.from_numpy(v).clone() for k, v in arrays.items()}, documents

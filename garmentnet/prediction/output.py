@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 import ssdr
 from ssdr import MeshSequence, Skinning
@@ -26,22 +25,21 @@ from ..drawing.dressed import (
     camera_track,
     caption,
     dressed,
-    free_vertices,
     outfit_parts,
     outfit_regions,
     outfit_sheet,
-    spread_frames,
 )
 from ..io.files import writing
 from ..io.packages import require
 from .prediction import Prediction
 
-__all__ = ["check_output", "save_prediction"]
+__all__ = ["check_output", "rigid", "save_prediction"]
 
 _ELEVATION = 12.0  # degrees of the camera above the horizon
 _FILMS = (".mp4", ".gif", ".webp")
 _PICTURES = (".png", ".jpg", ".jpeg")
 _BONES = (".glb", ".gltf", ".fbx")
+_PAGE = ".html"
 
 
 def check_output(path: Path | str) -> None:
@@ -59,7 +57,7 @@ def check_output(path: Path | str) -> None:
         raise InputError("output", "a file in a folder that exists", str(file))
     suffix = file.suffix.lower()
     meshes = [s for s, f in FORMATS.items() if f.write_sequence] + list(_BONES)
-    known = sorted({*_FILMS, *_PICTURES, *meshes})
+    known = sorted({*_FILMS, *_PICTURES, *meshes, _PAGE})
     if suffix not in known:
         raise InputError("output", f"a suffix of {', '.join(known)}", str(file))
     if suffix == ".mp4":
@@ -79,7 +77,6 @@ def save_prediction(
     size: int = 640,
     frames: int = 5,
     truth: Clip | None = None,
-    free: NDArray[np.bool_] | None = None,
     error: bool = False,
     every: int = 1,
     progress: Callable[[float], None] | None = None,
@@ -88,8 +85,9 @@ def save_prediction(
 
     ``.mp4``, ``.gif`` and ``.webp`` are films and ``.png`` and ``.jpg`` sheets of pictures, with
     the body and, where it is known, the truth beside the prediction; ``.glb``, ``.gltf`` and
-    ``.fbx`` hold the virtual bones, without the high-frequency part; all other formats hold the
-    vertices.
+    ``.fbx`` hold the virtual bones, without the high-frequency part; ``.html`` is a page of the
+    cloth beside the truth or, where it is not known, of the virtual bones beside the cloth; all
+    other formats hold the vertices.
 
     Parameters
     ----------
@@ -102,9 +100,6 @@ def save_prediction(
     truth : Clip, optional
         The simulated clip of the same motion: films show it beside the prediction, sheets with
         the error, and the RMSE over the cloth is stated.
-    free : (V,) bool array, optional
-        Vertices that have a figure of their own; by default those of the clip's garment that are
-        not pinned.
     error : bool
         Whether a film with the truth has the error as a third panel.
     every : int
@@ -120,8 +115,7 @@ def save_prediction(
     Raises
     ------
     InputError
-        If the clip is not of the prediction's frames and vertices, `free` is no mask of them, or
-        `every` is below 1.
+        If the clip is not of the prediction's frames and vertices, or `every` is below 1.
     SsdrError
         If the file cannot be written.
     """
@@ -132,14 +126,12 @@ def save_prediction(
         if expected != found:
             text = "a clip of {} frames and {} vertices".format
             raise InputError("truth", text(*expected), text(*found))
-        free = free_vertices(truth.outfit) if free is None else free
-    outfit_regions(p.body.n_vertices, p.cloth.n_vertices, free)  # refuses a mask that does not fit
     if every < 1:
         raise InputError("every", "1 or more", every)
     suffix = file.suffix.lower()
     with writing(file):
         if suffix in _FILMS:
-            film = _film(p, truth, size, error, every, free)
+            film = _film(p, truth, size, error, every)
             if suffix == ".mp4":
                 _write_mp4(film, file, progress)
             else:
@@ -147,27 +139,29 @@ def save_prediction(
             beside = " of truth and prediction" if truth is not None else ""
             return f"a film{beside}, {len(film.order)} frames"
         if suffix in _PICTURES:
-            chosen = spread_frames(frames, p.cloth.n_frames)
-            classes = None if truth is None else truth.classes
-            sheet = outfit_sheet(
-                p.body,
-                p.cloth,
-                None if truth is None else truth.sequence.frames(slice(None)),
-                p.joints,
-                p.root,
-                frames=chosen,
-                captions=[caption(t, p.cloth.fps, classes, "\n") for t in chosen],
-                title=p.cloth.name,
-                free=free,
-            )
+            sheet = outfit_sheet(p.body, p.cloth, p.joints, p.root, truth=truth, frames=frames)
             write_picture(sheet, file)
-            return f"{len(chosen)} frames"
+            return f"{min(frames, p.cloth.n_frames)} frames"
+        if suffix == _PAGE:
+            return _write_page(p, file, truth)
         return _save(prediction, file)
 
 
-def _film(
-    p: Prediction, truth: Clip | None, size: int, error: bool, every: int, free: ArrayLike | None
-) -> Film:
+def _write_page(p: Prediction, file: Path, truth: Clip | None) -> str:
+    beside = "the simulation" if truth is not None else "the prediction with all its detail"
+    page = ssdr.view(
+        p.skinning if truth is None else p.cloth,
+        p.cloth if truth is None else truth.sequence,
+        file,
+        title=f"{p.cloth.name}: {'virtual bones' if truth is None else 'prediction'}",
+        reference_name=beside,
+    )
+    shown = "the virtual bones" if truth is None else "the prediction"
+    notes = "".join(f"; {note}" for note in page.notes)
+    return f"a page of {shown} beside {beside}, {page.frames} frames{notes}"
+
+
+def _film(p: Prediction, truth: Clip | None, size: int, error: bool, every: int) -> Film:
     """The camera walks along; the body turns before it."""
 
     def scene(cloth: Any) -> MeshSequence:
@@ -175,11 +169,10 @@ def _film(
             p.body.vertices, cloth, p.body.faces, p.cloth.faces, p.cloth.fps, p.cloth.name
         )
 
-    sizes = p.body.n_vertices, p.cloth.n_vertices
     side = size - size % 2
     order = range(0, p.cloth.n_frames, every)
     options: dict[str, Any] = {
-        "parts": outfit_parts(*sizes),
+        "parts": outfit_parts(p.body.n_vertices, p.cloth.n_vertices),
         "track": camera_track(p.root, p.cloth.fps),
         "frames": order,
         "fps": p.cloth.fps / every,
@@ -196,7 +189,7 @@ def _film(
         size=(width - width % 2, side),
         titles=("truth", "prediction", "error")[: 3 if error else 2],
         captions=[caption(t, p.cloth.fps, truth.classes) for t in order],
-        regions=outfit_regions(*sizes, free),
+        regions=outfit_regions(truth.outfit),
         unit=MILLIMETRES,
         **options,
     )
@@ -204,7 +197,7 @@ def _film(
 
 def _save(prediction: Prediction, file: Path) -> str:
     if file.suffix.lower() in _BONES:
-        ssdr.save(_rigid(prediction.skinning), file)
+        ssdr.save(rigid(prediction.skinning), file)
         gap = prediction.cloth.vertices - prediction.skinning.skin(dtype=np.float32)
         rms = 1e3 * float(np.sqrt((gap.astype(np.float64) ** 2).sum(-1).mean()))
         return f"the virtual bones alone; {rms:.2f} mm of the prediction are not in it"
@@ -214,9 +207,12 @@ def _save(prediction: Prediction, file: Path) -> str:
     )
 
 
-def _rigid(skinning: Skinning) -> Skinning:
-    # An ensemble mixes rotations to affine transforms, which engines cannot play.  They are
-    # replaced by the closest rotations about the centroids of the vertices that each bone moves.
+def rigid(skinning: Skinning) -> Skinning:
+    """A copy that engines can play: an ensemble mixes rotations to affine transforms.
+
+    They are replaced by the closest rotations about the centroids of the vertices that each bone
+    moves.
+    """
     if skinning.bone_model == "rigid":
         return skinning
     m = np.asarray(skinning.transforms, np.float64)

@@ -1,10 +1,11 @@
-"""The garment that a checkpoint predicts for a motion."""
+"""The garment that a checkpoint predicts for a motion, with torch or without."""
 
 from __future__ import annotations
 
 import dataclasses
 import warnings
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,15 @@ from ssdr import MeshSequence, Skinning
 from ssdr.errors import InputError, SsdrWarning
 from ssdr.skinning import BoneModel
 
-from ..collision.push_out import PushOut
+from ..collision.push_out import PushOut, is_closed
 from ..data.parameters import RANGES, SimulationParameters
 from ..data.subject import Subject
-from ..networks.checkpoint import Checkpoint
+from ..runtime.garment import LiveGarment
 
-__all__ = ["Prediction", "predict", "trained_range"]
+if TYPE_CHECKING:  # torch takes seconds to import, and a live garment needs none
+    from ..networks.checkpoint import Checkpoint
+
+__all__ = ["Prediction", "chosen_parameters", "predict", "predict_live"]
 
 # Relative; parameters that are read from a file may be rounded.
 _ROUNDING = 1e-9
@@ -59,6 +63,20 @@ class Prediction:
     farthest: float = 0.0
 
 
+def chosen_parameters(
+    checkpoint: Checkpoint, entered: Mapping[str, float]
+) -> SimulationParameters | None:
+    """Parameters for :func:`predict`: those entered, the others as trained or as usual.
+
+    None if none is entered and the checkpoint needs none.
+    """
+    reads = checkpoint.reads_parameters
+    if not entered and not reads:
+        return None
+    trained_on = None if reads else checkpoint.parameters[0]
+    return dataclasses.replace(trained_on or SimulationParameters(), **entered)
+
+
 def predict(
     checkpoint: Checkpoint,
     joints: Any,
@@ -82,7 +100,8 @@ def predict(
         Whether to run the high-frequency module.
     push_out : bool
         Whether to move vertices that lie inside the body out of it; see
-        :class:`~garmentnet.collision.push_out.PushOut`.
+        :class:`~garmentnet.collision.push_out.PushOut`.  Without a closed mesh of the body none is
+        moved.
 
     Raises
     ------
@@ -95,7 +114,7 @@ def predict(
     SsdrWarning
         If the parameters lie outside the trained range.
     """
-    several = checkpoint.kernel is not None or checkpoint.networks[0].condition
+    several = checkpoint.reads_parameters
     trained_on = checkpoint.parameters[0]
     if not several and None not in (parameters, trained_on) and parameters != trained_on:
         expected = f"those of this single network, {trained_on} (an ensemble takes any)"
@@ -107,12 +126,57 @@ def predict(
             text = "; ".join(beyond)
             warnings.warn(f"extrapolated: {text}", SsdrWarning, stacklevel=2)
     motions = checkpoint.motions(joints, parameters, detail=detail)
-    subject, m = checkpoint.subject, np.asarray(joints, np.float64)
-    garment, rig = subject.garment, subject.body
     cloth = np.concatenate([part.vertices() for part in motions])
     transforms = np.concatenate([part.world_transforms() for part in motions])
+    bones: BoneModel = "rigid" if checkpoint.kernel is None else "affine"
+    return _prediction(checkpoint.subject, cloth, transforms, joints, bones, push_out, name, beyond)
+
+
+def predict_live(
+    garment: LiveGarment,
+    joints: Any,
+    parameters: SimulationParameters | None = None,
+    *,
+    push_out: bool = True,
+    name: str = "prediction",
+) -> Prediction:
+    """The same of a live garment, frame by frame, without torch.
+
+    Parameters
+    ----------
+    garment : LiveGarment
+    joints, parameters, push_out, name
+        As in :func:`predict`.
+
+    Raises
+    ------
+    InputError
+        If a pose does not fit the body or is not rigid, or the parameters are missing.
+    """
+    m = np.asarray(joints, np.float64)
+    subject, state = garment.subject, None
+    cloth = np.empty((len(m), subject.garment.n_vertices, 3), np.float32)
+    transforms = np.empty((len(m), subject.garment.n_bones, 3, 4))
+    for f, pose in enumerate(m):
+        state, cloth[f] = garment.step(state, pose, parameters)
+        transforms[f] = garment.transforms(state, pose)
+    bones: BoneModel = "rigid" if garment.mixture is None else "affine"
+    return _prediction(subject, cloth, transforms, m, bones, push_out, name, ())
+
+
+def _prediction(
+    subject: Subject,
+    cloth: NDArray[np.float32],
+    transforms: NDArray[np.float64],
+    joints: Any,
+    bones: BoneModel,
+    push_out: bool,
+    name: str,
+    beyond: tuple[str, ...],
+) -> Prediction:
+    garment, rig, m = subject.garment, subject.body, np.asarray(joints, np.float64)
     moved, farthest = 0.0, 0.0
-    if push_out:
+    if push_out and is_closed(rig.faces):
         held = np.zeros(garment.n_vertices, bool)
         if subject.bound is not None:
             held[subject.bound.index] = True
@@ -123,7 +187,7 @@ def predict(
     return Prediction(
         cloth=MeshSequence(cloth, garment.faces, subject.fps, name=name),
         body=MeshSequence(body, rig.faces, subject.fps, name="body"),
-        skinning=_skinning(subject, transforms, m, "affine" if several else "rigid", name),
+        skinning=_skinning(subject, transforms, m, bones, name),
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
         extrapolated=beyond,
@@ -168,24 +232,14 @@ def _skinning(
     )
 
 
-def trained_range(checkpoint: Checkpoint) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of every parameter among the networks; empty if unknown."""
-    known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
-    if not known:
-        return {}
-    return {k: (min(p[k] for p in known), max(p[k] for p in known)) for k in known[0]}
-
-
 def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
-    limits = trained_range(checkpoint)
+    # A network that reads parameters does not know its training sets.
+    known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
     messages = []
-    if not limits:  # a network that reads parameters does not know its training sets
-        for key in parameters.outside():
-            low, high = RANGES[key]
-            messages.append(f"{key} {getattr(parameters, key):g}, meant for {low:g} to {high:g}")
-        return tuple(messages)
     for key, value in dataclasses.asdict(parameters).items():
-        low, high = limits[key]
+        seen = [p[key] for p in known] or RANGES[key]
+        low, high = min(seen), max(seen)
         if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
-            messages.append(f"{key} {value:g}, trained from {low:g} to {high:g}")
+            range_ = "trained from" if known else "meant for"
+            messages.append(f"{key} {value:g}, {range_} {low:g} to {high:g}")
     return tuple(messages)

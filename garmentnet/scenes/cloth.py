@@ -29,6 +29,8 @@ _DENSITY = 0.2
 _LARGEST = 1e8
 # Triangles in a leaf of the body's tree, about.
 _LEAF = 4
+# Joints of one side that carry the trunk.
+_TRUNK = ("collar_l", "collar_r")
 # Substeps for which the pairs of the self-contact are kept.
 _PAIR_STEPS = 4
 
@@ -186,6 +188,7 @@ class Cloth:
         free, pinned = np.flatnonzero(~g.pinned), np.flatnonzero(g.pinned)
         return ClothArrays(
             rest=g.rest.astype(REAL),
+            sides=np.zeros(g.n_vertices, np.int8) if g.sides is None else g.sides,
             free=free,
             pinned=pinned,
             pins=_skin(g.rest[pinned], g.indices[pinned], g.weights[pinned]),
@@ -220,8 +223,22 @@ def _body_arrays(body: Body) -> BodyArrays:
         skin=_skin(rig.rest, rig.indices, rig.weights),
         triangles=triangles,
         beside=np.array(beside, np.int32),
+        sides=_sides(body)[order],
         depth=depth,
     )
+
+
+def _sides(body: Body) -> NDArray[np.int8]:
+    """1 for the triangles of the left arm and leg, -1 for the right ones, 0 for the others."""
+    dense = body.skinning.dense_weights()
+    names = body.skinning.names()
+    limbs = [
+        (dense[:, [n.endswith(end) and n not in _TRUNK for n in names]].sum(axis=1) > 0.5)[
+            body.skinning.faces
+        ].all(axis=1)
+        for end in ("_l", "_r")
+    ]
+    return np.asarray(limbs[0].astype(np.int8) - limbs[1].astype(np.int8))
 
 
 def _vertex_areas(rest: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:

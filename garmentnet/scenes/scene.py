@@ -7,6 +7,7 @@ expands to one :class:`Scene` for each clip, in a fixed order and with fixed nam
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,24 @@ from ..data.parameters import SimulationParameters
 from ..data.retarget import retarget
 from .body import Body, default_body, load_body
 from .cloth import Solver
+from .cut import Cut, cut_garment
 from .dance.choreography import DANCE_CLASSES, Repertoire, dance
-from .garments import Dress, Garment, cut_dress, garment_from_mesh
+from .garments import Garment, garment_from_mesh
 from .quality import Gate
 from .simulator import VERSION
 
-__all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene"]
+__all__ = ["DataSet", "MeshGarment", "MotionSource", "ParameterSet", "Scene", "check_integers"]
 
 # Suffix of the name of a perturbed clip.
 _PERTURBED = "-moved"
+
+
+def check_integers(values: Any, positive: Sequence[str] = ()) -> None:
+    """Refuse integers of a dataclass that are negative or, of those named, 0."""
+    for field in dataclasses.fields(values):
+        value, least = getattr(values, field.name), int(field.name in positive)
+        if field.type == "int" and value < least:
+            raise InputError(field.name, f"an integer >= {least}", value)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,9 +90,7 @@ class MotionSource:
         for c in self.classes:
             if c not in DANCE_CLASSES:
                 raise InputError("classes", f"some of {', '.join(DANCE_CLASSES)}", c)
-        for name, least in (("frames", 1), ("start", 0), ("seed", 0), ("whole", 0)):
-            if getattr(self, name) < least:
-                raise InputError(name, f"an integer >= {least}", getattr(self, name))
+        check_integers(self, positive=("frames",))
 
     def make(self, body: Body, fps: float) -> Motion:
         """Generate or read the motion."""
@@ -155,7 +163,8 @@ class Scene:
         motion["file"] = Path(self.motion.file).name
         return {
             "data_set": self.data_set.name,
-            "garment": dataclasses.asdict(self.data_set.garment),
+            # Without what it does not have, so that older stores stay known.
+            "garment": {k: v for k, v in dataclasses.asdict(self.data_set.garment).items() if v},
             "solver": dataclasses.asdict(self.data_set.solver),
             "motion": motion,
             "parameter_set": self.parameters.name,
@@ -190,7 +199,7 @@ class DataSet:
     name : str
     fps : float
     seed : int
-    garment : Dress or MeshGarment
+    garment : Cut or MeshGarment
     body : str
         Path of a body file; empty: the one that ships.
     solver : Solver
@@ -218,7 +227,7 @@ class DataSet:
     name: str
     fps: float
     seed: int
-    garment: Dress | MeshGarment
+    garment: Cut | MeshGarment
     body: str
     solver: Solver
     gate: Gate
@@ -245,8 +254,8 @@ class DataSet:
         return load_body(self.body) if self.body else default_body()
 
     def make_garment(self, body: Body) -> Garment:
-        if isinstance(self.garment, Dress):
-            return cut_dress(body, self.garment)
+        if isinstance(self.garment, Cut):
+            return cut_garment(body, self.garment)
         return garment_from_mesh(body, self.garment.mesh, pinned_above=self.garment.pinned_above)
 
     def _scene(self, parameters: ParameterSet, motion: MotionSource) -> Scene:

@@ -12,10 +12,10 @@ from ..data.clip_files import Split
 from ..data.parameters import SimulationParameters
 from ..io.tables import from_table, read_toml
 from .cloth import Solver
+from .cut import Cut
 from .dance.choreography import Repertoire
-from .garments import Dress
 from .quality import Gate
-from .scene import DataSet, MeshGarment, MotionSource, ParameterSet
+from .scene import DataSet, MeshGarment, MotionSource, ParameterSet, check_integers
 
 __all__ = ["load_data_set", "presets"]
 
@@ -30,14 +30,16 @@ def presets() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> presets()
-    ('large', 'medium', 'small', 'tiny')
+    >>> "trousers" in presets()
+    True
     """
     return tuple(sorted(p.stem for p in _PRESETS.glob("*.toml")))
 
 
 def load_data_set(source: str | Path) -> DataSet:
     """Read a data set or a scene: the name of a preset or a file.
+
+    A file that is ``like`` a preset holds what differs from it; a list replaces the preset's.
 
     Raises
     ------
@@ -57,9 +59,24 @@ def load_data_set(source: str | Path) -> DataSet:
     if not path.is_file():
         raise FormatError(f"{path}: no such file, nor a preset ({', '.join(presets())})")
     try:
-        return _data_set(from_table(_File, read_toml(path), file=str(path)), path)
+        return _data_set(from_table(_File, _table(path), file=str(path)), path)
     except InputError as error:
         raise FormatError(str(error)) from error
+
+
+def _table(path: Path) -> dict[str, Any]:
+    """The tables of a file, with those of the preset that it is like."""
+    table = read_toml(path)
+    like = table.pop("like", None)
+    if like is None:
+        return table
+    if like not in presets() or like == path.stem:
+        raise FormatError(f"{path}: like: expected one of {', '.join(presets())}, got {like!r}")
+    base = _table(_PRESETS / f"{like}.toml") | {"name": ""}
+    for key, value in table.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        base[key] = base[key] | value if both else value
+    return base
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,17 +93,15 @@ class _Motions:
     train_frames: int = 0
     # For the other parameter sets: how many of each split, the first of them, and how long.
     set_train: int = 0
+    set_validation: int = 0
     set_test: int = 0
     set_frames: int = 0
     # Training sets get so many dances of their own instead of the first ones of the base.
     set_own: int = 0
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            least = 1 if field.name in ("train", "frames") else 0
-            if field.type == "int" and getattr(self, field.name) < least:
-                raise InputError(field.name, f"an integer >= {least}", getattr(self, field.name))
-        for split in ("train", "test"):
+        check_integers(self, positive=("train", "frames"))
+        for split in get_args(Split):
             count, most = getattr(self, f"set_{split}"), getattr(self, split)
             if count > most:
                 raise InputError(f"set_{split}", f"at most {most}, as {split}", count)
@@ -104,43 +119,27 @@ class _Further:
     repertoire: Repertoire = "basic"
 
     def __post_init__(self) -> None:
-        for name, least in (("count", 1), ("frames", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise InputError(name, f"an integer >= {least}", getattr(self, name))
+        check_integers(self, positive=("count", "frames"))
         if not self.name.isidentifier() or self.name == "dance":
             raise InputError("name", 'letters, digits and _, not "dance"', self.name)
 
     def sources(self) -> list[MotionSource]:
-        return [
-            MotionSource(
-                f"{self.name}-{s:04d}", self.split, s, self.frames, repertoire=self.repertoire
-            )
-            for s in range(self.seed, self.seed + self.count)
-        ]
+        seeds = range(self.seed, self.seed + self.count)
+        return _dances(self.name, self.split, seeds, self.frames, self.repertoire)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Set:
+class _Set(SimulationParameters):
     """``[[set]]``: one of the further parameter sets."""
 
     name: str = ""
     split: Split = "train"
-    bending: float = SimulationParameters.bending
-    density: float = SimulationParameters.density
-    time_scale: float = SimulationParameters.time_scale
 
     def __post_init__(self) -> None:
         self.parameters()
 
     def parameters(self) -> SimulationParameters:
         return SimulationParameters(self.bending, self.density, self.time_scale)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Body:
-    """``[body]``: a body of one's own; the one that ships by default."""
-
-    file: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -153,7 +152,7 @@ class _File:
     perturbation: float = 0.0
     perturb_sets: bool = True
     garment: dict[str, Any] = dataclasses.field(default_factory=dict)
-    body: _Body = _Body()
+    body: str = ""  # file of a body of one's own; the one that ships by default
     solver: Solver = dataclasses.field(default_factory=Solver)
     gate: Gate = dataclasses.field(default_factory=Gate)
     base: SimulationParameters = dataclasses.field(default_factory=SimulationParameters)
@@ -167,19 +166,18 @@ class _File:
             raise InputError("fps", "1 to 120", self.fps)
         if not 0 <= self.perturbation <= 0.1:
             raise InputError("perturbation", "0 to 0.1", self.perturbation)
-        if self.seed < 0:
-            raise InputError("seed", "an integer >= 0", self.seed)
+        check_integers(self)
         if (self.motions is None) == (self.motion is None):
             raise InputError("motion, motions", "one of the two", "both" if self.motion else "none")
 
 
 def _data_set(content: _File, path: Path) -> DataSet:
-    garment: Dress | MeshGarment
+    garment: Cut | MeshGarment
     if "mesh" in content.garment:
         read = from_table(MeshGarment, content.garment, file=str(path), name="garment")
         garment = dataclasses.replace(read, mesh=str(path.parent / read.mesh))
     else:
-        garment = from_table(Dress, content.garment, file=str(path), name="garment")
+        garment = from_table(Cut, content.garment, file=str(path), name="garment")
     sets = tuple(
         ParameterSet(s.name or f"set{k + 1:02d}", s.split, s.parameters())
         for k, s in enumerate(content.set)
@@ -191,7 +189,7 @@ def _data_set(content: _File, path: Path) -> DataSet:
         fps=content.fps,
         seed=content.seed,
         garment=garment,
-        body=str(path.parent / content.body.file) if content.body.file else "",
+        body=str(path.parent / content.body) if content.body else "",
         solver=content.solver,
         gate=content.gate,
         base=ParameterSet("base", "train", content.base),
@@ -212,16 +210,12 @@ def _base_motions(content: _File, path: Path) -> list[MotionSource]:
         return [dataclasses.replace(one, name=one.name or stem, file=file)]
     assert content.motions is not None
     g = content.motions
-    counts: dict[Split, tuple[int, int]] = {
-        "train": (g.train, g.train_frames or g.frames),
-        "validation": (g.validation, g.frames),
-        "test": (g.test, g.frames),
-    }
-    return [
-        MotionSource(f"dance-{s:04d}", split, s, frames, repertoire=g.repertoire)
-        for k, (split, (count, frames)) in enumerate(counts.items())
-        for s in _seeds(g, content.seed, k, count)
-    ]
+    motions: list[MotionSource] = []
+    for k, split in enumerate(get_args(Split)):
+        seeds = _seeds(g, content.seed, k, getattr(g, split))
+        frames = (split == "train" and g.train_frames) or g.frames
+        motions += _dances("dance", split, seeds, frames, g.repertoire)
+    return motions
 
 
 def _set_motions(
@@ -231,19 +225,23 @@ def _set_motions(
     g = content.motions
     if g is None:
         return ()
-    train = [m for m in motions if m.split == "train"][: g.set_train]
-    test = [m for m in motions if m.split == "test"][: g.set_test]
+    train, validation, test = (
+        [m for m in motions if m.split == s][: getattr(g, f"set_{s}")] for s in get_args(Split)
+    )
     if g.set_own and split == "train":
-        frames = g.train_frames or g.frames
-        train = [
-            MotionSource(f"dance-{s:04d}", "train", s, frames, repertoire=g.repertoire)
-            for s in _seeds(g, content.seed, len(get_args(Split)) + k, g.set_own)
-        ]
+        seeds = _seeds(g, content.seed, len(get_args(Split)) + k, g.set_own)
+        train = _dances("dance", "train", seeds, g.train_frames or g.frames, g.repertoire)
     most = g.set_frames or max(g.frames, g.train_frames)
     return tuple(
         dataclasses.replace(m, frames=most, whole=m.frames) if m.frames > most else m
-        for m in train + test
+        for m in train + validation + test
     )
+
+
+def _dances(
+    name: str, split: Split, seeds: range, frames: int, repertoire: Repertoire
+) -> list[MotionSource]:
+    return [MotionSource(f"{name}-{s:04d}", split, s, frames, repertoire=repertoire) for s in seeds]
 
 
 def _seeds(g: _Motions, seed: int, block: int, count: int) -> range:

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..data.clip import Clip
-from ..data.virtual_bones import ClipBones, VirtualBones
-from ..networks.features import transforms_in_frame
-from ..networks.network import MotionNetwork
+from ..data.virtual_bones import VirtualBones
+from ..networks.features import PoseReader, transforms_in_frame
 from ..networks.skinning import remove_frame
 
-__all__ = ["Batch", "Track", "Window", "batches", "load_tracks", "spread"]
+__all__ = ["Batch", "Track", "Window", "batches", "load_tracks"]
 
 # Frames of vertices in memory at once.
 _FRAMES_AT_ONCE = 64
@@ -25,21 +24,21 @@ _FRAMES_AT_ONCE = 64
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Track:
-    """One clip with the inputs of a network in memory and its targets on disk.
+    """One clip with the inputs of a network in memory and its vertices on disk.
 
     Attributes
     ----------
-    clip : Clip
-    bones : ClipBones
+    name : str
+    bones : VirtualBones
     inputs : (F, D) float32 tensor
     frame : (F, 3, 4) float64
         From the moving frame, in which the network predicts, to the world.
-    extra : (F, ...) float32 tensor
+    extra : (F, ...) tensor
         What an objective computed beforehand for every frame.
     """
 
-    clip: Clip
-    bones: ClipBones
+    name: str
+    bones: VirtualBones
     inputs: Tensor
     frame: NDArray[np.float64]
     extra: Tensor = dataclasses.field(default_factory=lambda: torch.empty(0))
@@ -48,18 +47,25 @@ class Track:
     def n_frames(self) -> int:
         return len(self.inputs)
 
+    @property
+    def clip(self) -> Clip:
+        return self.bones.store.clip(self.name)
+
     def parts(self) -> list[slice]:
         """All frames, 64 at a time."""
         starts = range(0, self.n_frames, _FRAMES_AT_ONCE)
         return [slice(i, min(i + _FRAMES_AT_ONCE, self.n_frames)) for i in starts]
 
-    def target(self, part: str, frames: Any = slice(None)) -> Tensor:
-        """Frames of "low" or "high" in the moving frame, ``(f, V, 3)`` float32."""
-        world = torch.from_numpy(self.bones.read(part, frames))
-        frame = torch.from_numpy(self.frame[frames])
-        if part == "high":  # a difference of positions: only rotated
-            return world @ frame[..., :3].float()
-        return remove_frame(frame, world.double()).float()
+    def mesh(self, frames: Any = slice(None)) -> Tensor:
+        """The garment in the moving frame, ``(f, V, 3)`` float32."""
+        local = remove_frame(self.frame[frames], self.clip.sequence.frames(frames))
+        return torch.from_numpy(local.astype(np.float32))
+
+    def detail(self, frames: Any = slice(None)) -> Tensor:
+        """Its high frequencies in the moving frame, ``(f, V, 3)`` float32."""
+        # A difference of positions is only rotated.
+        high = self.bones.clip(self.name).split(frames)[1]
+        return torch.from_numpy((high @ self.frame[frames][..., :3]).astype(np.float32))
 
     def joints(self, frames: Any = slice(None)) -> Tensor:
         """Joint transforms in the moving frame, ``(f, J, 3, 4)`` float32."""
@@ -67,14 +73,14 @@ class Track:
         return torch.from_numpy(moved.astype(np.float32))
 
 
-def load_tracks(network: MotionNetwork, bones: VirtualBones, names: Sequence[str]) -> list[Track]:
-    """Tracks of the named clips, for the inputs of a network."""
+def load_tracks(reader: PoseReader, bones: VirtualBones, names: Sequence[str]) -> list[Track]:
+    """Tracks of the named clips, with the inputs of a network."""
     tracks = []
     for name in names:
         clip = bones.store.clip(name)
-        features, frame, _ = network.features(clip.joints)
-        theta = clip.parameters.normalised() if network.condition else None
-        tracks.append(Track(clip, bones.clip(name), network.inputs(features, theta), frame))
+        features, frame, _ = reader.features(clip.joints)
+        theta = clip.parameters.normalised() if reader.condition else None
+        tracks.append(Track(name, bones, reader.inputs(features, theta), frame))
     return tracks
 
 
@@ -112,9 +118,12 @@ class Batch:
         """``(N, T, D)``, zero where there is no frame."""
         return self.stack([w and w.track.inputs[w.frames] for w in self.windows])
 
-    def extra(self) -> Tensor:
-        """What the objective computed for the frames that exist, one lane after the other."""
-        return torch.cat([w.track.extra[w.frames] for w in self.windows if w])
+    def extra(self, every: slice = slice(None)) -> Tensor:
+        """What the objective computed for the frames that exist, one lane after the other.
+
+        `every` chooses frames of each window.
+        """
+        return torch.cat([w.track.extra[w.frames][every] for w in self.windows if w])
 
     def some_frames(
         self, count: int, rng: np.random.Generator
@@ -196,19 +205,3 @@ def batches(
                 mask[lane, : w.stop - w.start] = True
                 fresh[lane] = w.start == 0
         yield Batch(windows, mask, fresh)
-
-
-def spread(lengths: Sequence[int], count: int) -> list[NDArray[np.int64]]:
-    """For clips of these lengths the frames of each, `count` or all together, evenly spread.
-
-    Examples
-    --------
-    >>> [f.tolist() for f in spread([3, 1, 4], 3)]
-    [[0], [0], [3]]
-    """
-    total = sum(lengths)
-    chosen = np.unique(np.linspace(0, total - 1, min(total, count)).astype(np.int64))
-    ends = np.cumsum(lengths)
-    cuts = np.searchsorted(chosen, ends)[:-1]
-    starts = ends - np.asarray(lengths)
-    return [c - s for c, s in zip(np.split(chosen, cuts), starts, strict=True)]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ssdr.errors import InputError
 
 from ..configs.config import Config
+from ..data.clip import spread
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.virtual_bones import parameter_roles
@@ -27,7 +28,6 @@ from ..io.files import write_file
 from ..networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from ..networks.ensemble import Kernel
 from ..networks.network import MotionNetwork
-from .batches import spread
 from .loop import Progress
 from .pivots import (
     error_of,
@@ -50,8 +50,6 @@ Mixer = Callable[[Array, Any], Array]
 Compared = tuple[Array, Array]
 # Clips of a parameter set on which networks are compared, at most: predicting is the cost.
 _CLIPS = 4
-# Shares of the common network that are tried.
-_SHARES = tuple(k / 10 for k in range(11))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,10 +69,7 @@ class Sweep:
         pivots: one validation set alone says little.
     test_mm : dict
         Errors of ``rbf``, ``inverse distance`` and ``nearest`` on the test sets, for training
-        motions (``train``) and test motions (``test``); with a common network of ``mixed`` and
-        ``common``.
-    share : float
-        Of the common network in ``mixed``.
+        motions (``train``) and test motions (``test``).
     """
 
     pivots: list[int]
@@ -82,7 +77,6 @@ class Sweep:
     validation_mm: float | None
     score_mm: float
     test_mm: dict[str, dict[str, float]]
-    share: float
 
     def record(self) -> dict[str, Any]:
         """The entry in ``ensemble.json``."""
@@ -96,15 +90,13 @@ def train_ensemble(
     folder: Path | str,
     *,
     base: Checkpoint | None = None,
-    bones_folder: Path | str | None = None,
     callback: Callable[[str, Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
     """Train a network for every training set, and the kernel.
 
-    Without ``data.condition`` the first is the base network, from which the others start if the
-    configuration says so; with it all start from the network that reads the parameters.  Called
-    again, it continues.
+    The first is the base network, from which the others start if the configuration says so.
+    Called again, it continues.
 
     Parameters
     ----------
@@ -115,7 +107,7 @@ def train_ensemble(
         sweep over K.
     base : Checkpoint, optional
         The network from which the others start, if it is trained already.
-    bones_folder, progress
+    progress
         As in :func:`~garmentnet.training.run.train`.
     callback : callable, optional
         Called with the network's name and its progress; returning True stops.
@@ -151,7 +143,6 @@ def train_ensemble(
             folder / name,
             start=start,
             validated=validated,
-            bones_folder=bones_folder,
             callback=after_epoch,
             progress=progress,
         )
@@ -159,18 +150,16 @@ def train_ensemble(
             raise InputError("callback", "an ensemble to be finished", f"stopped in {name}")
         return load_checkpoint(path)
 
-    condition, o = config.data.condition, config.ensemble
+    o = config.ensemble
+    if config.data.condition:
+        raise InputError(
+            "data.condition", "false for pivots, which have parameters of their own", True
+        )
     if base is not None:
         base.check_fits(store)
-        fits = base.networks[0].condition if condition else base.parameters[0] == sets[0]
-        if base.kernel is not None or not fits:
-            of = "all training sets" if condition else str(sets[0])
-            raise InputError("base", f"a network of {of}", base.parameters)
-    common: Checkpoint | None = None
-    if condition:
-        everything = dataclasses.replace(config.data, parameters="")
-        common = base or run("common", dataclasses.replace(config, data=everything), None)
-    checkpoints = [base] if base is not None and not condition else []
+        if base.kernel is not None or base.parameters[0] != sets[0]:
+            raise InputError("base", f"a network of {sets[0]}", base.parameters)
+    checkpoints = [base] if base is not None else []
     shorter = dataclasses.replace(
         config.train,
         epochs=o.epochs,
@@ -182,11 +171,9 @@ def train_ensemble(
         first, values = not checkpoints, dataclasses.astuple(parameters)
         # Named by its parameters, because numbers would change as the store grows.
         name = "set-" + "-".join(f"{v:g}" for v in values)
-        if first and common is None:
+        if first:
             name = "base"
-        start = common
-        if common is None and not first and o.start_from_base:
-            start = checkpoints[0]
+        start = checkpoints[0] if o.start_from_base and not first else None
         own = dataclasses.replace(config.data, parameters=",".join(map(repr, values)))
         settings = dataclasses.replace(config, data=own)
         if start is not None:
@@ -195,8 +182,7 @@ def train_ensemble(
         checkpoints.append(run(name, settings, start, validated=first))
 
     networks = tuple(c.networks[0] for c in checkpoints)
-    shared = None if common is None else common.networks[0]
-    sweep = sweep_pivots(store, networks, sets, config, common=shared, progress=progress)
+    sweep = sweep_pivots(store, networks, sets, config, progress=progress)
     count = o.pivots or smallest_good([s.score_mm for s in sweep])
     chosen = sweep[min(count, len(sweep)) - 1]
     report = {
@@ -208,7 +194,7 @@ def train_ensemble(
     write_file(folder / "ensemble.json", json.dumps(report, indent=1).encode())
     pivots = tuple(networks[i] for i in chosen.pivots)
     trained_on = tuple(sets[i] for i in chosen.pivots)
-    whole = Checkpoint(pivots, trained_on, chosen.kernel, shared, chosen.share)
+    whole = Checkpoint(pivots, trained_on, chosen.kernel)
     return save_checkpoint(whole, folder / "ensemble.safetensors")
 
 
@@ -218,13 +204,11 @@ def sweep_pivots(
     sets: Sequence[SimulationParameters],
     config: Config,
     *,
-    common: MotionNetwork | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Sweep]:
     """Pivots and kernel for K from 1 to all training sets, and their errors.
 
-    Bandwidth, training step and the common network's share are chosen on the validation sets,
-    never on the test sets.
+    Bandwidth and training step are chosen on the validation sets, never on the test sets.
 
     Returns
     -------
@@ -239,9 +223,7 @@ def sweep_pivots(
     def grams(of: Sequence[SimulationParameters], split: str) -> list[Compared]:
         out = []
         for k, p in enumerate(of):
-            every = [*networks] if common is None else [*networks, common]
-            own = [*sets] if common is None else [*sets, p]
-            out.append((compare_networks(store, every, own, p, split, o.frames), p.normalised()))
+            out.append((compare_networks(store, networks, p, split, o.frames), p.normalised()))
             if progress:
                 progress(f"comparing networks, {split} motions", (k + 1) / len(of))
         return out
@@ -254,9 +236,7 @@ def sweep_pivots(
     def errors(of: Sequence[Compared], mix: Mixer, pivots: list[int]) -> list[float]:
         found = []
         for q, at in of:
-            w = mix(theta[pivots], at)
-            mixed = [*pivots, len(sets)][: len(w)]  # the common network comes last
-            found.append(error_of(q[np.ix_(mixed, mixed)], w))
+            found.append(error_of(q[np.ix_(pivots, pivots)], mix(theta[pivots], at)))
         return found
 
     sweep = []
@@ -284,32 +264,19 @@ def sweep_pivots(
             "nearest": nearest,
         }
         seen = left_out_errors(kernel, train_grams, theta, pivots) + errors(held_out, rbf, pivots)
-        share = 0.0
-        if common is not None:
-            if held_out:
-                share = min(
-                    _SHARES, key=lambda s: sum(errors(held_out, _with_share(rbf, s), pivots))
-                )
-            mixers |= {"mixed": _with_share(rbf, share), "common": _with_share(rbf, 1.0)}
         test_mm = {
             name: {k: 1e3 * float(np.mean(errors(q, mix, pivots))) for k, q in tests.items() if q}
             for name, mix in mixers.items()
         }
         validation_mm = None if math.isnan(validation) else 1e3 * validation
         score_mm = 1e3 * float(np.mean(seen))
-        sweep.append(Sweep(pivots, kernel, validation_mm, score_mm, test_mm, share))
+        sweep.append(Sweep(pivots, kernel, validation_mm, score_mm, test_mm))
     return sweep
-
-
-def _with_share(mix: Mixer, share: float) -> Mixer:
-    """The mixture of pivots, and the common network with a share of it."""
-    return lambda pivots, at: np.append((1 - share) * mix(pivots, at), share)
 
 
 def compare_networks(
     store: ClipStore,
     networks: Sequence[MotionNetwork],
-    own: Sequence[SimulationParameters],
     parameters: SimulationParameters,
     split: str,
     frames: int,
@@ -317,7 +284,7 @@ def compare_networks(
     """Gram matrix ``(S, S)`` of all networks' residuals on one set's clips of a split.
 
     Networks predict at most four clips from their first frame; `frames` evenly spread frames are
-    compared.  A network that reads parameters reads its `own`.
+    compared.
 
     Raises
     ------
@@ -336,10 +303,7 @@ def compare_networks(
             continue
         clip = store.clip(name)
         upto = clip.joints[: here[-1] + 1]
-        answers = [
-            n.predict(upto, frames=here, parameters=p.normalised() if n.condition else None)
-            for n, p in zip(networks, own, strict=True)
-        ]
+        answers = [n.predict(upto, frames=here) for n in networks]
         total += gram(answers, clip.sequence.frames(here)) * len(here)
         used += len(here)
     return total / used

@@ -10,17 +10,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..data.clip import spread
 from ..networks.detail_basis import DetailBasis
 from ..networks.gru import dropout_mask
 from ..networks.high_frequency import HighFrequency
-from ..networks.losses import EXACT, BodyShape, collision_depth, frame_norm
+from ..networks.losses import BodyShape, collision_depth, frame_norm
 from ..networks.network import MotionNetwork
-from .batches import Batch, Track, spread
+from .batches import Batch, Track
+from .coefficients import CoefficientObjective
 from .loop import Objective
 from .precision import mixed_precision
 
@@ -36,6 +39,17 @@ _FRAMES = 1500
 def _bone_motion(network: MotionNetwork, track: Track) -> Tensor:
     """Normalised bone motion ``(F, B, C)`` that the low-frequency module predicts."""
     return network.low(track.inputs[None].to(network.device))[0][0]
+
+
+@torch.no_grad()
+def _target(network: MotionNetwork, track: Track, z: Tensor, frames: Any = slice(None)) -> Tensor:
+    """Ĝ_HF ``(f, V, 3)`` of frames whose predicted bone motion is `z` ``(f, B, C)``.
+
+    The split's high frequencies, or what the predicted low-frequency mesh leaves.
+    """
+    if network.config.high.target == "detail":
+        return track.detail(frames)
+    return track.mesh(frames) - network.mesh(z).cpu()
 
 
 class HighFrequencyObjective(Objective):
@@ -57,10 +71,19 @@ class HighFrequencyObjective(Objective):
         self.network, self.module, self.free = network, network.high, network.free
         self.tracks = [self._with_motion(t) for t in tracks]
         self.validation = [self._with_motion(t) for t in validation]
+        self._known: dict[str, tuple[Tensor, Tensor]] = {}
         self.body = BodyShape(network.subject.body).to(network.device)
 
     def _with_motion(self, track: Track) -> Track:
         return dataclasses.replace(track, extra=_bone_motion(self.network, track).cpu())
+
+    def _read(self, track: Track) -> tuple[Tensor, Tensor]:
+        """Targets ``(F, V, 3)`` and joints ``(F, J, 3, 4)`` of a clip, read once."""
+        if track.name not in self._known:
+            parts = track.parts()
+            found = [_target(self.network, track, track.extra[p], p).half() for p in parts]
+            self._known[track.name] = torch.cat(found), track.joints()
+        return self._known[track.name]
 
     def loss(
         self, batch: Batch, state: Tensor | None, rng: np.random.Generator
@@ -69,7 +92,8 @@ class HighFrequencyObjective(Objective):
         device, options = self.network.device, self.network.config.high
         lanes, frames, chosen = batch.some_frames(options.frames, rng)
         z = batch.stack([w and w.track.extra[w.frames] for w in batch.windows]).to(device)
-        own = torch.stack([t.joints(f) for t, f in frames])
+        known = [(*self._read(t), torch.from_numpy(f)) for t, f in frames]
+        own = torch.stack([joints[f] for _, joints, f in known])
         joints = torch.zeros(len(chosen), *own.shape[1:])
         joints[lanes] = own
         pick, joints = torch.from_numpy(chosen).to(device), joints.to(device)
@@ -81,7 +105,7 @@ class HighFrequencyObjective(Objective):
         with mixed_precision(self.network.config.train, device):
             high, state = self.module(x, low, state, pick, mask, dropped)
         high = high.float()
-        truth = torch.stack([t.target("high", f) for t, f in frames]).to(device)
+        truth = torch.stack([goal[f] for goal, _, f in known]).float().to(device)
         loss = frame_norm((high[lanes] - truth)[:, :, self.free])
         if options.collision:
             body, normals = self.body(joints[lanes].flatten(0, 1))
@@ -101,10 +125,11 @@ class HighFrequencyObjective(Objective):
         """
         state, found, device = None, [], self.network.device
         for part in track.parts():
-            z, joints = (a[None].to(device) for a in (track.extra[part], track.joints(part)))
+            goal, joints = (a[part] for a in self._read(track))
+            z, joints = (a[None].to(device) for a in (track.extra[part], joints))
             x = self.network.high_inputs(track.inputs[None, part].to(device), z)
             high, state = self.module(x, self._low(z, joints), state)
-            gap = (high[0].cpu() - track.target("high", part))[:, self.free]
+            gap = (high[0].cpu() - goal)[:, self.free]
             found.append(gap.double().square().sum(-1).mean(-1))
         return torch.cat(found)
 
@@ -112,7 +137,7 @@ class HighFrequencyObjective(Objective):
         """Set the mean detail of every vertex and one deviation, over the training clips."""
         total, square, frames = torch.zeros(()), 0.0, 0
         for track in self.tracks:
-            high = track.target("high").double()
+            high = self._read(track)[0].double()
             total = total + high.sum(0)
             square += float(high[:, self.free].square().sum())
             frames += len(high)
@@ -124,7 +149,7 @@ class HighFrequencyObjective(Objective):
         self.module.centre.copy_(low[0].mean(0))
 
 
-class DetailObjective(Objective):
+class DetailObjective(CoefficientObjective):
     """‖Ĝ_HF − G_HF‖ of principal components, without the mesh.
 
     The components are orthonormal and the surface's frames are rotations, so that the norm over
@@ -148,7 +173,7 @@ class DetailObjective(Objective):
         start: bool = False,
     ) -> None:
         assert isinstance(network.high, DetailBasis)
-        self.network, self.module = network, network.high
+        self.network = network
         if not start:
             chosen = zip(tracks, spread([t.n_frames for t in tracks], _FRAMES), strict=True)
             parts = [
@@ -156,49 +181,30 @@ class DetailObjective(Objective):
                 for t, frames in chosen
                 if len(frames)
             ]
-            self.module.fit(torch.cat(parts))
-        self.tracks = [self._with_targets(t) for t in tracks]
-        self.validation = [self._with_targets(t) for t in validation]
+            network.high.fit(torch.cat(parts))
+        super().__init__(
+            network.high,
+            network.config.train,
+            len(network.free),
+            hidden=network.config.high.hidden,
+            dropout=network.config.high.dropout,
+            tracks=[self._with_targets(t) for t in tracks],
+            validation=[self._with_targets(t) for t in validation],
+        )
 
     @torch.no_grad()
     def _local(self, track: Track, z: Tensor, frames: object) -> Tensor:
         """True detail ``(f, n, 3)`` in the predicted surface's frame."""
-        detail = track.target("high", frames)[:, self.network.free].to(z.device)
+        detail = _target(self.network, track, z, frames)[:, self.network.free].to(z.device)
         turns = self.network.turns(self.network.low.code(z))
         return (turns.transpose(-1, -2) @ detail[..., None])[..., 0]
 
     @torch.no_grad()
     def _with_targets(self, track: Track) -> Track:
         z, rows = _bone_motion(self.network, track), []
+        assert isinstance(self.network.high, DetailBasis)
         for part in track.parts():
-            numbers, rest = self.module.code(self._local(track, z[part], part))
-            rows.append(torch.cat([z[part].flatten(1), numbers, rest[:, None]], dim=1).cpu())
-        return dataclasses.replace(track, extra=torch.cat(rows))
-
-    def _motion(self, rows: Tensor) -> Tensor:
-        """Bone motion ``(..., B, C)`` of rows of `extra`."""
-        return rows[..., : -len(self.module.basis) - 1].unflatten(-1, self.network.low.code.shape)
-
-    def _squares(self, got: Tensor, rows: Tensor) -> Tensor:
-        """Mean squared distance of the vertices in each frame, from weights and rows of `extra`."""
-        numbers, rest = rows[..., -len(self.module.basis) - 1 : -1], rows[..., -1]
-        return ((got - numbers).square().sum(-1) + rest) / len(self.network.free)
-
-    def loss(
-        self, batch: Batch, state: Tensor | None, rng: np.random.Generator
-    ) -> tuple[Tensor, Tensor]:
-        """‖Ĝ_HF − G_HF‖ of a batch, the mean over its frames, and the GRU's new state."""
-        device, options = self.network.device, self.network.config.high
-        rows = batch.stack([w and w.track.extra[w.frames] for w in batch.windows]).to(device)
-        mask = dropout_mask(rng, (*rows.shape[:2], options.hidden), options.dropout, device)
-        x = self.network.high_inputs(batch.inputs().to(device), self._motion(rows))
-        with mixed_precision(self.network.config.train, device):
-            got, state = self.module(x, state, mask)
-        squares = self._squares(got.float(), rows)[batch.mask.to(device)]
-        return (squares + EXACT).sqrt().mean(), state
-
-    def squared_error(self, track: Track) -> Tensor:
-        """Mean squared distance ``(F,)`` of the detail, metres²."""
-        rows = track.extra[None].to(self.network.device)
-        x = self.network.high_inputs(track.inputs[None].to(rows), self._motion(rows))
-        return self._squares(self.module(x)[0], rows)[0]
+            numbers, rest = self.network.high.code(self._local(track, z[part], part))
+            rows.append(torch.cat([numbers, rest[:, None]], dim=1).cpu())
+        inputs = self.network.high_inputs(track.inputs.to(z.device), z).cpu()
+        return dataclasses.replace(track, inputs=inputs, extra=torch.cat(rows))

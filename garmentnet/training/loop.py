@@ -25,6 +25,8 @@ from .batches import Batch, Track, batches
 __all__ = ["Objective", "Progress", "fit"]
 
 _logger = logging.getLogger(__name__)
+# Training clips, about, on which the error is stated.
+_TRAINED = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,8 +45,6 @@ class Progress:
         Best validation error so far, metres; inf before there is one.
     fraction : float
         Part of the epochs that is over.
-    time_left : float
-        Seconds.
     """
 
     phase: str
@@ -52,7 +52,6 @@ class Progress:
     loss: float
     rmse: float
     fraction: float
-    time_left: float
 
 
 class Objective(Protocol):
@@ -80,7 +79,14 @@ class Objective(Protocol):
 
     def validate(self) -> float:
         """RMSE on the validation clips, metres; NaN where there are none."""
-        found = [self.squared_error(t).double() for t in self.validation]
+        return self._rmse(self.validation)
+
+    def trained(self) -> float:
+        """RMSE on some training clips, without dropout, metres."""
+        return self._rmse(self.tracks[:: max(1, len(self.tracks) // _TRAINED)])
+
+    def _rmse(self, tracks: list[Track]) -> float:
+        found = [self.squared_error(t).double() for t in tracks]
         return float(torch.cat(found).mean().sqrt()) if found else math.nan
 
 
@@ -117,7 +123,8 @@ def fit(
     -------
     list of dict
         For every epoch its number ``epoch``, from 1, the mean ``loss``, the validation error
-        ``rmse`` in metres (None where there was no validation), ``learning_rate`` and ``seconds``.
+        ``rmse`` and that of some training clips ``trained``, without dropout, in metres (None where
+        there was no validation), ``learning_rate`` and ``seconds``.
 
     Raises
     ------
@@ -155,11 +162,11 @@ def fit(
             if not math.isfinite(value):
                 raise InputError("learning_rate", "a rate at which training stays finite", rate)
 
-            number, rmse = len(history) + 1, None
+            number, rmse, trained = len(history) + 1, None, None
             if number % options.validate_every == 0 or number == epochs:
                 module.eval()
                 with torch.no_grad():
-                    rmse = objective.validate()
+                    rmse, trained = objective.validate(), objective.trained()
                 waited += 1
                 # Without validation clips the last weights are kept.
                 if math.isnan(rmse) or rmse < best:
@@ -168,14 +175,14 @@ def fit(
                     rmse = None
                 else:
                     best = min(best, rmse)
-            epoch = {"epoch": number, "loss": value, "rmse": rmse, "learning_rate": rate}
+            epoch = {"epoch": number, "loss": value, "rmse": rmse, "trained": trained}
+            epoch["learning_rate"] = rate
             history.append(epoch | {"seconds": time.perf_counter() - began})
             saved = {"history": history, "best": best, "waited": waited}
             _save(state_file, module, optimiser, rng, best_weights, saved)
             writer(number, {"loss": value, "rate": rate, "rmse": rmse})
             _logger.info("%s %d: loss %.5g, rmse %s", name, number, value, rmse)
-            left = (epochs - number) * sum(e["seconds"] for e in history) / number
-            progress = Progress(name, number, value, best, number / epochs, left)
+            progress = Progress(name, number, value, best, number / epochs)
             if callback and callback(progress):
                 break
     module.load_state_dict(best_weights)

@@ -13,92 +13,102 @@ import dataclasses
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from ..networks.gru import dropout_mask
-from ..networks.losses import EXACT, BodyShape, collision_depth, mesh_laplacian
+from ..networks.losses import EXACT, BodyShape, collision_depth
 from ..networks.network import MotionNetwork
 from .batches import Batch, Track
 from .loop import Objective
 from .precision import mixed_precision
+from .targets import LowTargets
 
 __all__ = ["LowFrequencyObjective"]
 
+# The loss looks at every third frame, which takes a third of its time.
+_EVERY = 3
 
-class _SkinnedNorm:
-    """‖A M − G‖² of many frames, exact and without the vertices.
+
+class _SkinnedNorm(nn.Module):
+    """‖A M − G‖² of many frames for G = m + Σ c_k P_k, without the vertices.
 
     With the thin QR factorisation A = Q R it is ‖R M − Qᵀ G‖² + ‖G − Q Qᵀ G‖².  R has 4B rows, A
-    has V.  Qᵀ G and the last term do not depend on M and are computed once for every frame.
+    has V.  Both terms are quadratic in (1, c), whose matrices are computed once.
 
     Parameters
     ----------
     matrix : (V, 4B) array
         Rest pose and weights as one matrix, or an operator on vertices times that.
+    shapes : (1 + r, V, 3) array
+        m and P_k, or the operator times these.
     """
 
-    def __init__(self, matrix: NDArray[np.float64], device: torch.device) -> None:
-        self._q, r = np.linalg.qr(matrix)
-        self._r = torch.from_numpy(r).float().to(device)
-        self.size = 3 * len(r) + 1
+    r: Tensor
+    inner: Tensor
+    outer: Tensor
 
-    def code(self, targets: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Qᵀ G and ‖G − Q Qᵀ G‖² of frames ``(F, V, 3)``, as rows ``(F, size)``."""
-        flat = targets.transpose(1, 0, 2).reshape(targets.shape[1], -1)
-        inner = self._q.T @ flat
-        # Pythagoras; in double precision what the difference of squares loses is far below 1 µm.
-        rest = (flat**2).sum(axis=0) - (inner**2).sum(axis=0)
-        rest = np.maximum(rest, 0.0).reshape(-1, 3).sum(axis=1)
-        inner = inner.reshape(len(inner), -1, 3).transpose(1, 0, 2)
-        return np.concatenate([inner.reshape(len(targets), -1), rest[:, None]], axis=1)
+    def __init__(self, matrix: NDArray[np.float64], shapes: NDArray[np.float64]) -> None:
+        super().__init__()
+        q, r = np.linalg.qr(matrix)
+        inner = np.einsum("va,kvd->kad", q, shapes, optimize=True)
+        rest = (shapes - np.einsum("va,kad->kvd", q, inner, optimize=True)).reshape(len(shapes), -1)
+        values, vectors = np.linalg.eigh(rest @ rest.T)
+        arrays = r, inner.reshape(len(shapes), -1), vectors * np.sqrt(values.clip(0))
+        for name, array in zip(("r", "inner", "outer"), arrays, strict=True):
+            self.register_buffer(name, torch.from_numpy(array).float())
 
-    def __call__(self, transforms: Tensor, code: Tensor) -> Tensor:
-        """Squared norms ``(N,)`` for transforms ``(N, B, 3, 4)``."""
+    def forward(self, transforms: Tensor, shape: Tensor) -> Tensor:
+        """Squared norms ``(N,)`` for transforms ``(N, B, 3, 4)`` and (1, c) ``(N, 1 + r)``."""
         n = len(transforms)
-        m = transforms.permute(1, 3, 0, 2).reshape(self._r.shape[1], 3 * n)
-        gap = (self._r @ m).view(-1, n, 3) - code[:, :-1].view(n, -1, 3).transpose(0, 1)
-        return gap.square().sum((0, 2)) + code[:, -1]
+        m = transforms.permute(1, 3, 0, 2).reshape(len(self.r), 3 * n)
+        target = (shape @ self.inner).view(n, -1, 3).transpose(0, 1)
+        gap = (self.r @ m).view(-1, n, 3) - target
+        return gap.square().sum((0, 2)) + (shape @ self.outer).square().sum(1)
 
 
 class LowFrequencyObjective(Objective):
     """L_LF over the vertices that the module predicts.
 
-    Those that the body carries are exact, and so is their part of Δ.
+    Those that the body carries are exact, and so is their part of Δ.  Targets are coefficients of
+    principal components; the norms of what these leave are added.
 
     Parameters
     ----------
     network : MotionNetwork
+    targets : LowTargets
     tracks, validation : list of Track
     """
 
     def __init__(
-        self, network: MotionNetwork, tracks: list[Track], validation: list[Track]
+        self,
+        network: MotionNetwork,
+        targets: LowTargets,
+        tracks: list[Track],
+        validation: list[Track],
     ) -> None:
         self.network, self.module, self.free = network, network.low, network.free
-        garment = network.subject.garment
+        basis, laplacian = targets.basis, targets.laplacian
         skinned = network.lbs.matrix.double().cpu().numpy()[self.free]
-        laplacian = mesh_laplacian(garment.faces, garment.n_vertices)
-        self._laplacian = laplacian[self.free][:, self.free]
-        self._position = _SkinnedNorm(skinned, network.device)
-        self._bending = _SkinnedNorm(self._laplacian @ skinned, network.device)
+        shapes = np.concatenate([basis.mean[None], basis.components])[:, self.free].astype(float)
+        bent = laplacian @ shapes.transpose(1, 0, 2).reshape(len(self.free), -1)
+        bent = bent.reshape(len(self.free), -1, 3).transpose(1, 0, 2)
+        self._position = _SkinnedNorm(skinned, shapes).to(network.device)
+        self._bending = _SkinnedNorm(laplacian @ skinned, bent).to(network.device)
         self.body = BodyShape(network.subject.body).to(network.device)
-        self.tracks = [self._with_targets(t) for t in tracks]
-        self.validation = [self._with_targets(t) for t in validation]
 
-    def _with_targets(self, track: Track) -> Track:
-        codes = []
-        for part in track.parts():
-            g = track.target("low", part).double().numpy()[:, self.free]
-            bent = np.stack([self._laplacian @ frame for frame in g])
-            codes.append(np.hstack([self._position.code(g), self._bending.code(bent)]))
-        return dataclasses.replace(track, extra=torch.from_numpy(np.concatenate(codes)).float())
+        def prepared(track: Track) -> Track:
+            return dataclasses.replace(track, extra=torch.from_numpy(targets.rows(track.name)))
 
-    def _squares(self, z: Tensor, code: Tensor) -> tuple[Tensor, Tensor]:
+        self.tracks = [prepared(t) for t in tracks]
+        self.validation = [prepared(t) for t in validation]
+
+    def _squares(self, z: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """Mean squared distance of vertices, and of their Laplacians, for each frame."""
         transforms = self.network.low.code(z)
-        terms = (self._position, self._bending)
-        codes = code.to(self.network.device).split([t.size for t in terms], dim=1)
-        position, bending = (t(transforms, c) for t, c in zip(terms, codes, strict=True))
+        rows = rows.to(self.network.device).float()
+        shape = torch.cat([torch.ones_like(rows[:, :1]), rows[:, :-2]], dim=1)
+        position, bending = (t(transforms, shape) for t in (self._position, self._bending))
+        position, bending = position + rows[:, -2] ** 2, bending + rows[:, -1] ** 2
         return position / len(self.free), bending / len(self.free)
 
     def loss(
@@ -111,7 +121,11 @@ class LowFrequencyObjective(Objective):
         with mixed_precision(config.train, device):
             z, state = self.module(x, state, mask)
         z = z.float()
-        position, bending = self._squares(z[batch.mask.to(device)], batch.extra())
+        # Frames that follow each other are alike; the GRU reads all of them.
+        longest = int(batch.mask.sum(1).max())
+        every = slice(int(rng.integers(min(_EVERY, longest))), None, _EVERY)
+        chosen = z[:, every][batch.mask[:, every].to(device)]
+        position, bending = self._squares(chosen, batch.extra(every))
         loss = (position + EXACT).sqrt().mean()
         loss = loss + config.low.laplacian * (bending + EXACT).sqrt().mean()
         if config.low.collision:

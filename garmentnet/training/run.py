@@ -25,17 +25,20 @@ from ..data.store import ClipStore
 from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
 from ..networks.checkpoint import Checkpoint, load_weights, save_checkpoint
 from ..networks.detail_basis import DetailBasis
-from ..networks.features import Normaliser, PoseFeatures, transforms_in_frame
+from ..networks.features import Normaliser, PoseFeatures, PoseReader, transforms_in_frame
 from ..networks.network import MotionNetwork
-from .batches import Track, load_tracks, spread
+from .batches import Track, load_tracks
 from .high_frequency import DetailObjective, HighFrequencyObjective
 from .loop import Objective, Progress, fit
 from .low_frequency import LowFrequencyObjective
+from .targets import LowTargets
 
-__all__ = ["build_network", "choose_clips", "train", "with_mirrored"]
+__all__ = ["build_network", "choose_clips", "pose_reader", "train", "with_mirrored"]
 
 # Frames from which the statistics of the bones' motion are found.
 _STATISTICS = 400
+# Frames, mirrored ones too, from which on the high-frequency module learns from some of the clips.
+_DETAIL_FRAMES = 130_000
 
 
 def choose_clips(
@@ -109,25 +112,26 @@ def _matches(clip: Clip, pattern: str) -> bool:
     return not pattern or fnmatchcase(clip.motion, pattern)
 
 
+def pose_reader(config: Config, bones: VirtualBones, names: Sequence[str]) -> PoseReader:
+    """The input of a network, with the statistics of the named clips."""
+    subject, o = bones.subject, config.features
+    features = PoseFeatures(subject.skeleton, o, subject.fps)
+    inputs = (features(bones.store.clip(name).joints)[0] for name in names)
+    normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)
+    return PoseReader(features, normaliser, 3 if config.data.condition else 0)
+
+
 def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> MotionNetwork:
     """A network with random weights and the statistics of the named clips."""
-    subject = bones.subject
-    features = PoseFeatures(subject.skeleton, config.features, subject.fps)
+    reader = pose_reader(config, bones, names)
+    network = MotionNetwork(config, bones.subject, reader.normaliser)
     # Evenly spread frames are enough for the mean and deviation of the bones' motion.
     plain = [n for n in names if not n.endswith(MIRRORED)]
-    chosen = spread([bones.store.clip(n).n_frames for n in plain], _STATISTICS)
-    some = dict(zip(plain, chosen, strict=True))
-    inputs, low, frames = [], [], []
-    for name in names:
-        x, frame, _ = features(bones.store.clip(name).joints)
-        inputs.append(x)
-        if name in some:
-            low.append(bones.clip(name).read("low", some[name]))
-            frames.append(frame[some[name]])
+    low, frames = [], []
+    for clip, some in bones.store.sample(plain, _STATISTICS):
+        low.append(bones.clip(clip.name).split(some)[0])
+        frames.append(reader.features(clip.joints)[1][some])
     transforms = bones.fit(np.concatenate(low), tolerance=1e-3)[0]
-    o = config.features
-    normaliser = Normaliser.fit(inputs, floor=o.floor, clamp=o.clamp)
-    network = MotionNetwork(config, subject, normaliser)
     network.low.code.fit(transforms_in_frame(transforms, np.concatenate(frames)))
     return network
 
@@ -139,11 +143,12 @@ def train(
     *,
     start: Checkpoint | None = None,
     validated: bool = True,
-    bones_folder: Path | str | None = None,
     callback: Callable[[Progress], bool | None] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> Path:
-    """Train both modules of a network; called again, it continues.
+    """Train both modules of a network, or the low-frequency one where `high_epochs` is 0.
+
+    Called again, it continues.
 
     Parameters
     ----------
@@ -153,12 +158,11 @@ def train(
         Of the run: ``checkpoint.safetensors`` and ``history.json`` when it is finished, states and
         curves before.
     start : Checkpoint, optional
-        Start from its weights instead of random ones, as pivots do from the base network.
+        Start from its weights and bones instead of random and new ones, as pivots do from the base
+        network.
     validated : bool
         Whether validation clips are needed where nothing is started from.  Without them a run goes
         through all epochs and ends with the last weights.
-    bones_folder : path, optional
-        As in :func:`~garmentnet.data.virtual_bones.virtual_bones`.
     callback : callable, optional
         Called with a :class:`~garmentnet.training.loop.Progress` after every epoch; returning True
         stops, to continue later.
@@ -187,8 +191,12 @@ def train(
     if o.threads:
         torch.set_num_threads(o.threads)
     device = o.device if o.device != "auto" else "cuda" if torch.cuda.is_available() else "cpu"
-    bones = virtual_bones(store, config.bones, folder=bones_folder, progress=progress)
-    bones.prepare([*names, *held], progress)
+    bones = virtual_bones(
+        store,
+        config.bones,
+        subject=None if start is None else start.subject,
+        progress=progress,
+    )
     # The initial weights depend on the seed alone, not on what ran before.
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(o.seed)
@@ -216,18 +224,23 @@ def train(
             callback=after_epoch,
         )
 
-    learn(LowFrequencyObjective(network, tracks, validation), "low", o.epochs, o.learning_rate)
-    if not stopped:
+    targets = LowTargets(bones, network.features, learned)
+    objective: Objective = LowFrequencyObjective(network, targets, tracks, validation)
+    learn(objective, "low", o.epochs, o.learning_rate)
+    if not stopped and o.high_epochs:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(o.seed + 1)
             network.add_high()
         network.to(device)
         begun = start if start is not None and start.networks[0].high is not None else None
-        objective = _high_objective(network, tracks, validation, begun)
+        every = max(1, sum(t.n_frames for t in tracks) // _DETAIL_FRAMES)
+        objective = _high_objective(network, tracks[::every], validation, begun)
         learn(objective, "high", o.high_epochs, o.high_learning_rate)
     write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
+    found = {k: [e["rmse"] for e in h if e["rmse"] is not None] for k, h in history.items()}
+    errors = {f"{k}, validation": min(v) for k, v in found.items() if v}
     return save_checkpoint(
-        Checkpoint((network,), (parameters,), None), folder / "checkpoint.safetensors"
+        Checkpoint((network,), (parameters,), None, errors), folder / "checkpoint.safetensors"
     )
 
 

@@ -100,14 +100,15 @@ def _distance(px, py, pz, points, triangles, t):
 
 
 @kernel
-def _find_nearest(px, py, pz, limit, hint, points, triangles, depth, boxes, nodes, gaps):
+def _find_nearest(px, py, pz, limit, hint, side, tree, nodes, gaps):
     """The triangle nearest to a point; -1 if none is nearer than `limit` (squared).
 
-    The search begins with the triangle `hint`, if it is not -1.
+    The search begins with the triangle `hint`, if it is not -1; none is of the other side.
     """
+    points, triangles, sides, depth, boxes = tree
     count, base = len(triangles), (1 << depth) - 1
     best, which = limit, -1
-    if hint >= 0:
+    if hint >= 0 and sides[hint] * side >= 0:
         d = _distance(px, py, pz, points, triangles, hint)
         if d < best:
             best, which = d, hint
@@ -120,6 +121,8 @@ def _find_nearest(px, py, pz, limit, hint, points, triangles, depth, boxes, node
         if node >= base:
             j = node - base
             for t in range((count * j) >> depth, (count * (j + 1)) >> depth):
+                if sides[t] * side < 0:
+                    continue
                 d = _distance(px, py, pz, points, triangles, t)
                 if d < best:
                     best, which = d, t
@@ -139,32 +142,25 @@ def _find_nearest(px, py, pz, limit, hint, points, triangles, depth, boxes, node
 
 @kernel
 def find_contacts(
-    x: Any,
-    free: Any,
-    reach: Any,
-    points: Any,
-    triangles: Any,
-    depth: int,
-    boxes: Any,
-    nearest: Any,
-    close: Any,
+    x: Any, free: Any, own: Any, reach: Any, tree: Any, nearest: Any, close: Any
 ) -> int:
     """Search the nearest triangle of every free vertex; the number of vertices near the skin.
 
     x        (3 V,)  float32  positions of the cloth
     free             int64    vertices that are searched for
+    own      (V,)    int8     1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
     reach            float32  metres from the skin
-    points   (3 n,)  float32  of the skin
+    tree             tuple    of the skin: points (3 n,) float32, triangles (T, 3) int32, sides (T,)
+                              int8 like `own`, depth, boxes
     nearest  (V,)    int32    triangle of each vertex, updated; -1: none within reach
     close    (V,)    int32    vertices within reach, the first of them; out
     """
-    nodes, gaps = np.empty(2 * depth + 4, np.int64), np.empty(2 * depth + 4, x.dtype)
+    size, limit = 2 * tree[3] + 4, reach * reach
+    nodes, gaps = np.empty(size, np.int64), np.empty(size, x.dtype)
     count = 0
     for i in free:
         px, py, pz = x[3 * i], x[3 * i + 1], x[3 * i + 2]
-        nearest[i] = _find_nearest(
-            px, py, pz, reach * reach, nearest[i], points, triangles, depth, boxes, nodes, gaps
-        )
+        nearest[i] = _find_nearest(px, py, pz, limit, nearest[i], own[i], tree, nodes, gaps)
         if nearest[i] >= 0:
             close[count] = i
             count += 1

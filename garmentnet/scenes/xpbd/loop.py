@@ -27,6 +27,7 @@ class BodyArrays(NamedTuple):
     skin: tuple[Any, ...]  # see skin_points
     triangles: NDArray[np.int32]  # (T, 3) in the tree's order
     beside: NDArray[np.int32]  # (T, 3) triangle beyond the edges 01, 12, 20; -1: none
+    sides: NDArray[np.int8]  # (T,) 1 on the left limbs, -1 on the right ones, 0 elsewhere
     depth: int
 
 
@@ -34,6 +35,7 @@ class ClothArrays(NamedTuple):
     """The garment and its constraints."""
 
     rest: NDArray[np.float32]  # (V, 3)
+    sides: NDArray[np.int8]  # (V,) 1 on a left sleeve or leg, -1 on a right one, 0 elsewhere
     free: NDArray[np.int64]
     pinned: NDArray[np.int64]
     pins: tuple[Any, ...]  # see skin_points, of the pinned vertices
@@ -117,9 +119,8 @@ def simulate_frames(
             end = (frame - 1) * step.blocks + block + 1
             _pose(body, cloth, joints[end], origin, transforms, skin1, pins1)
             fit_boxes(skin0.reshape(-1, 3), body.triangles, body.depth, boxes)
-            n_close = find_contacts(
-                x, free, step.reach, skin0, body.triangles, body.depth, boxes, nearest, close
-            )
+            tree = (skin0, body.triangles, body.sides, body.depth, boxes)
+            n_close = find_contacts(x, free, cloth.sides, step.reach, tree, nearest, close)
             for substep in range(per_block):
                 fraction = REAL((substep + 1.0) / per_block)
                 _predict(x, previous, v, cloth, step.h, pins0, pins1, fraction)

@@ -1,0 +1,97 @@
+"""The command ``garmentnet import``."""
+
+from __future__ import annotations
+
+import glob
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ssdr.errors import InputError
+from ssdr.space import Up
+
+__all__ = ["import_clips"]
+
+
+def import_clips(
+    cloth: Annotated[
+        list[str],
+        typer.Option("--cloth", "-c", help="Animated mesh, as .abc, .usd or .glb; repeatable."),
+    ],
+    rig: Annotated[
+        list[str],
+        typer.Option("--rig", "-r", help="Its skeleton, as .fbx, .glb or .usd; one per cloth."),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Store of clips, new or not.")],
+    fps: Annotated[float | None, typer.Option(help="Frames a second of the store.")] = None,
+    parameters: Annotated[
+        str, typer.Option(help="Of the simulation: bending=0.5,density=0.2,time_scale=1.")
+    ] = "",
+    test: Annotated[
+        list[str] | None,
+        typer.Option(help="Clip for testing; else the last tenth of each. Repeatable."),
+    ] = None,
+    validation: Annotated[
+        list[str] | None,
+        typer.Option(help="Clip for validation; else a tenth of each. Repeatable."),
+    ] = None,
+    rest: Annotated[
+        Path | None, typer.Option(help="Garment as it was cut, on the body in its bind pose.")
+    ] = None,
+    offset: Annotated[
+        float, typer.Option(help="Seconds from the rig's first frame to the cloth's.")
+    ] = 0.0,
+    mesh: Annotated[str, typer.Option(help="Name of the cloth in its file; else all.")] = "",
+    body: Annotated[str, typer.Option(help="Name of the body in the rig's file; else all.")] = "",
+    cloth_scale: Annotated[float, typer.Option(help="Factor of the cloth's lengths.")] = 1.0,
+    rig_scale: Annotated[float, typer.Option(help="Factor of the rig's lengths.")] = 1.0,
+    cloth_up: Annotated[
+        Up | None, typer.Option(help="Axis of the cloth that points up, y or z; else as stated.")
+    ] = None,
+    rig_up: Annotated[Up | None, typer.Option(help="Likewise of the rig.")] = None,
+) -> None:
+    """Make a store of your own simulations: of each an animated mesh and the skeleton under it."""
+    from ..data.parameters import SimulationParameters
+    from ..importing.importing import ImportOptions, import_clips
+    from ..importing.scene_files import Source
+    from ..io.tables import from_table, parse_toml
+
+    cloths, rigs = _files("--cloth", cloth), _files("--rig", rig)
+    if len(rigs) == 1:  # one file with a clip for every cloth
+        rigs *= len(cloths)
+    if len(cloths) != len(rigs):
+        raise InputError("--rig", f"one file, or as many as cloths: {len(cloths)}", len(rigs))
+    table = parse_toml(parameters.replace(",", "\n"), "--parameters")
+    options = ImportOptions(
+        fps=fps,
+        offset=offset,
+        cloth=Source(mesh, cloth_scale, cloth_up),
+        rig=Source(body, rig_scale, rig_up),
+        parameters=from_table(SimulationParameters, table, file="--parameters"),
+        test=test or (),
+        validation=validation or (),
+    )
+    store = import_clips(
+        list(zip(cloths, rigs, strict=True)),
+        output,
+        options,
+        rest=rest,
+        say=lambda text: typer.echo(text, err=True),
+    )
+    typer.echo(str(store.path))
+
+
+def _files(option: str, words: list[str]) -> list[Path]:
+    """Files by name or, in quotes, by pattern, sorted; numbered meshes are one cloth."""
+    found: list[Path] = []
+    for word in words:
+        numbered = Path(word).suffix.lower() in (".obj", ".ply", ".off", ".stl")
+        if Path(word).exists() or numbered or not glob.has_magic(word):
+            found.append(Path(word))
+            continue
+        here = [Path(name) for name in sorted(glob.glob(word))]
+        if not here:
+            raise InputError(option, "a pattern of files that exist", word)
+        found += here
+    return found

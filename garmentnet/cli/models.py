@@ -1,0 +1,56 @@
+"""The command ``garmentnet models``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ssdr.errors import FormatError, InputError
+
+__all__ = ["models"]
+
+_HEAD = ("name", "vertices", "bones", "reads", "MB", "error")
+
+
+def models(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="Searched for checkpoints, too.")
+    ] = None,
+) -> None:
+    """List the garments that ship, and those in a folder and the folders below it."""
+    from ..io.tensors import SHIPPED
+
+    files = {path.stem: path for path in sorted(SHIPPED.glob("*.safetensors"))}
+    if folder is not None:
+        if not folder.is_dir():
+            raise InputError("folder", "a folder", str(folder))
+        there = (p for p in sorted(folder.rglob("*.safetensors")) if ".state" not in p.suffixes)
+        files |= {str(path): path for path in there}
+    rows = [_HEAD, *((name, *_row(path)) for name, path in files.items())]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        typer.echo("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)).rstrip())
+
+
+def _row(path: Path) -> tuple[str, ...]:
+    from ssdr.io.registry import reading
+
+    from ..io.tensors import load_arrays
+    from ..networks.document import read_subject
+
+    size = f"{path.stat().st_size / 1e6:.1f}"
+    try:
+        arrays, documents = load_arrays(path, ("checkpoint",))
+        with reading(path):
+            d, subject = read_subject(arrays, documents)
+            network = d["networks"][0]["config"]
+            reads = ["pose"] + ["parameters"] * (
+                d["kernel"] is not None or network["data"]["condition"]
+            )
+            errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.get("errors", {}).items()]
+    except FormatError as error:
+        return "", "", "", size, str(error).removeprefix(f"{path}: ")
+    g = subject.garment
+    return str(g.n_vertices), str(g.n_bones), ", ".join(reads), size, ", ".join(errors) or "unknown"

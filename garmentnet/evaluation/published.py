@@ -1,0 +1,134 @@
+"""The baselines of the paper's tables 2 and 3, as published and strengthened.
+
+Where a publication depends on data that is not here (body shapes, styles, images) that part is left
+out: all clips are of one body and one garment.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from ssdr.io.atomic import write_bytes
+
+from ..networks.checkpoint import Checkpoint
+from ..networks.detail_basis import DetailBasis
+from ..training.batches import Track
+from ..training.high_frequency import DetailObjective
+from ..training.loop import Progress, fit
+from .methods import Network
+from .regression import FrameMLP, InFrame, Variant, WindowMLP
+
+__all__ = ["BASELINES", "SANTESTEBAN", "TransformerDetail", "train_chen"]
+
+# Santesteban, Otaduy & Casas 2019, "Learning-based animation of clothing for virtual try-on": a GRU
+# from the body's pose to offsets of the rest pose.  Here it reads what the network at hand reads.
+SANTESTEBAN = Variant("Santesteban 2019")
+BASELINES = (
+    # Patel, Liao & Pons-Moll 2020: layers that see the pose of one frame, for the smoothed garment
+    # and for its detail.  With one body and one style its mixture has one part.
+    Variant(
+        "TailorNet",
+        parts=("low", "high"),
+        network=FrameMLP,
+        features="rooted",
+        changes=("features.velocities=false", "features.root_motion=false"),
+    ),
+    # Zhang, Wang, Ceylan & Mitra 2021, "Dynamic Neural Garments", its coarse garment alone, in its
+    # spirit: layers that see the last frames of the body's motion, without skinning.
+    Variant("DNG, coarse", parts=("low",), network=WindowMLP, space=InFrame, features="rooted"),
+    # As published it reads rotations alone, not where the body goes.
+    Variant(
+        "Santesteban 2019, as published",
+        parts=("low",),
+        features="faithful",
+        changes=("features.translation=false",),
+    ),
+    Variant("Santesteban 2019, features of faithful", parts=("low",), features="faithful"),
+    Variant("Santesteban 2019, features of rooted", parts=("low",), features="rooted"),
+)
+
+
+class TransformerDetail(DetailBasis):
+    """Detail by a transformer over windows of the bones' motion.
+
+    After Chen, Gao, Wen, Wang & Yuan 2021, "Deep deformation detail synthesis for thin shell
+    models", whose transformer reads deformation features of a coarse cloth.
+
+    Parameters
+    ----------
+    inputs, n_vertices, hidden, rank
+        As of :class:`~garmentnet.networks.detail_basis.DetailBasis`.
+    frames : int
+        Of a window; the last one of a motion may be shorter.
+    """
+
+    def __init__(
+        self, inputs: int, n_vertices: int, *, hidden: int, rank: int, frames: int = 30
+    ) -> None:
+        super().__init__(inputs, n_vertices, hidden=8, rank=rank)
+        self.frames = frames
+        self.enter = nn.Linear(inputs, hidden)
+        self.place = nn.Parameter(torch.zeros(frames, hidden))
+        layer = nn.TransformerEncoderLayer(hidden, 4, 2 * hidden, dropout=0.1, batch_first=True)
+        self.encoder = nn.TransformerEncoder(layer, 2, enable_nested_tensor=False)
+        self.leave = nn.Linear(hidden, rank)
+
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        windows = x.split(self.frames, dim=1)
+        coded = [self.encoder(self.enter(w) + self.place[: w.shape[1]]) for w in windows]
+        out = self.leave(torch.cat(coded, dim=1)) * self.deviation
+        return out, x.new_zeros(1, len(x), 1)
+
+
+def train_chen(
+    model: Checkpoint,
+    tracks: list[Track],
+    validation: list[Track],
+    folder: Path,
+    *,
+    hidden: int = 256,
+    callback: Callable[[Progress], bool | None] | None = None,
+) -> Network:
+    """Trained copy of a network in which a transformer predicts the detail.
+
+    Parameters
+    ----------
+    model : Checkpoint
+        A trained network with detail in a basis.
+    tracks, validation : list of Track
+        With the inputs of that network.
+    folder : Path
+        For the state: an interrupted training continues, a finished one is read.
+    hidden : int
+        Width of the transformer, a multiple of 4.
+    callback : callable, optional
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    network = copy.deepcopy(model.networks[0])
+    o = network.config
+    inputs = network.low.code.mean.numel() + network.condition
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(o.train.seed)
+        network.high = TransformerDetail(
+            inputs, len(network.free), hidden=hidden, rank=o.high.rank
+        ).to(network.device)
+    history = fit(
+        DetailObjective(network, tracks, validation),
+        o.train,
+        name="high",
+        epochs=o.train.high_epochs,
+        # A transformer does not bear a GRU's.
+        learning_rate=o.train.high_learning_rate / 10,
+        folder=folder,
+        callback=callback,
+    )
+    write_bytes(folder / "history.json", json.dumps({"high": history}, indent=1).encode())
+    return Network("Chen 2021", Checkpoint((network,), model.parameters, None))

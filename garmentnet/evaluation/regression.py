@@ -1,0 +1,330 @@
+"""Baselines of the paper's table 2 that regress offsets or positions of the vertices.
+
+They differ in three things: what the network reads, which network it is, and relative to what it
+predicts.  The last layer gives coefficients of principal components of the training frames, some
+two hundred numbers in place of 3 V, which changes no figure but the time of training.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+import ssdr
+from ssdr.io.atomic import write_bytes
+
+from ..configs.config import Config, load_config, override
+from ..data.clip import MIRRORED, Clip
+from ..data.virtual_bones import VirtualBones
+from ..networks.features import PoseReader, transforms_in_frame
+from ..networks.gru import GRULinear
+from ..networks.skinning import remove_frame
+from ..training.batches import Track, load_tracks
+from ..training.coefficients import CoefficientObjective
+from ..training.loop import Progress, fit
+from ..training.run import pose_reader
+from ..training.shapes import ShapeBasis
+from .baselines import body_skinning
+from .methods import Array, Method
+
+__all__ = [
+    "FrameMLP",
+    "InFrame",
+    "Regression",
+    "Unposed",
+    "Variant",
+    "WindowMLP",
+    "train_regression",
+]
+
+Part = Literal["whole", "low", "high"]
+# Components, and training frames from which they are found.
+_RANK, _FRAMES = 192, 1500
+# Against blends of rotations that are close to singular; the rotations' own AᵀA is the identity.
+_RIDGE = 1e-3
+
+
+class Space(ABC):
+    """Relative to what a baseline predicts."""
+
+    @abstractmethod
+    def remove(self, mesh: Any, joints: Any, part: Part) -> Array:
+        """What the network shall predict ``(F, V, 3)`` for a mesh or its detail ``(F, V, 3)``.
+
+        Both and the joints ``(F, J, 3, 4)`` are in the moving frame.
+        """
+
+    @abstractmethod
+    def add(self, predicted: Any, joints: Any, part: Part) -> Array:
+        """The mesh or its detail of what was predicted."""
+
+
+class InFrame(Space):
+    """Positions in the moving frame."""
+
+    def __init__(self, bones: VirtualBones | None = None) -> None:
+        """Of any bones."""
+
+    def remove(self, mesh: Any, joints: Any, part: Part) -> Array:
+        return np.asarray(mesh, np.float32)
+
+    def add(self, predicted: Any, joints: Any, part: Part) -> Array:
+        return np.asarray(predicted, np.float32)
+
+
+class Unposed(Space):
+    """Offsets o of the rest pose, which the body's joints skin: v = Σ_j w_ij M_j (p_i + o_i).
+
+    Detail is unposed by the blended rotations alone.
+    """
+
+    def __init__(self, bones: VirtualBones) -> None:
+        self.skinning = body_skinning(bones.store)
+        self._weights = self.skinning.dense_weights()
+
+    def remove(self, mesh: Any, joints: Any, part: Part) -> Array:
+        m = np.einsum("vj,fjab->fvab", self._weights, joints, optimize=True)
+        a = m[..., :3]
+        if part != "high":
+            mesh = mesh - m[..., 3] - (a @ np.asarray(self.skinning.rest)[..., None])[..., 0]
+        gram = a.swapaxes(-1, -2) @ a + _RIDGE * np.eye(3)
+        found = np.linalg.solve(gram, a.swapaxes(-1, -2) @ mesh[..., None])[..., 0]
+        return np.asarray(found, np.float32)
+
+    def add(self, predicted: Any, joints: Any, part: Part) -> Array:
+        s = self.skinning
+        if part == "high":
+            m = np.einsum("vj,fjab->fvab", self._weights, joints[..., :3], optimize=True)
+            return np.asarray((m @ predicted[..., None])[..., 0], np.float32)
+        rest = np.asarray(s.rest) + predicted
+        frames = (ssdr.skin(r, s.indices, s.weights, m) for r, m in zip(rest, joints, strict=True))
+        return np.asarray(list(frames), np.float32)
+
+
+class FrameMLP(nn.Module):
+    """Three layers that read one frame, as TailorNet's."""
+
+    def __init__(self, inputs: int, hidden: int, outputs: int) -> None:
+        super().__init__()
+        self.first, self.second = nn.Linear(inputs, hidden), nn.Linear(hidden, hidden)
+        self.out = nn.Linear(hidden, outputs)
+
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        h = torch.relu(self.second(torch.relu(self.first(x))))
+        return self.out(h if mask is None else h * mask), x.new_zeros(1, len(x), 1)
+
+
+class WindowMLP(FrameMLP):
+    """The same for a frame and those before it, which are the state."""
+
+    def __init__(self, inputs: int, hidden: int, outputs: int, frames: int = 8) -> None:
+        super().__init__(inputs * frames, hidden, outputs)
+        self.frames = frames
+
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        n, before = self.frames - 1, state
+        if before is None:
+            before = x.new_zeros(1, len(x), n * x.shape[-1])
+        whole = torch.cat([before[0].view(len(x), n, -1), x], dim=1)
+        windows = whole.unfold(1, self.frames, 1).transpose(-1, -2).flatten(-2)
+        return super().forward(windows, None, mask)[0], whole[:, -n:].flatten(1)[None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """A baseline.
+
+    Attributes
+    ----------
+    name : str
+    parts : tuple of {"whole", "low", "high"}
+        What is predicted: by one network for each.
+    network : callable
+        Makes a network from the numbers of inputs, hidden units and outputs.
+    space : callable
+        Makes a :class:`Space` from the virtual bones.
+    features : str
+        Configuration whose pose features the networks read; "": those of the configuration at hand.
+    changes : tuple of str
+        Settings that differ, as ``features.root_motion=false``.
+    """
+
+    name: str
+    parts: tuple[Part, ...] = ("whole",)
+    network: Callable[[int, int, int], nn.Module] = GRULinear
+    space: Callable[[VirtualBones], Space] = Unposed
+    features: str = ""
+    changes: tuple[str, ...] = ()
+
+
+class _Scaled(nn.Module):
+    """A network whose outputs are coefficients in units of their deviations."""
+
+    deviation: Tensor
+
+    def __init__(self, net: nn.Module, basis: ShapeBasis) -> None:
+        super().__init__()
+        self.net = net
+        self.register_buffer("deviation", torch.from_numpy(basis.deviation.copy()))
+
+    def forward(
+        self, x: Tensor, state: Tensor | None = None, mask: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        out, state = self.net(x, state, mask)
+        return out * self.deviation, state
+
+
+class Regression(Method):
+    """A trained baseline."""
+
+    def __init__(
+        self,
+        variant: Variant,
+        reader: PoseReader,
+        space: Space,
+        nets: dict[Part, tuple[nn.Module, ShapeBasis]],
+    ) -> None:
+        self.name, self.variant, self.reader, self.space = variant.name, variant, reader, space
+        self.nets = nets
+
+    @torch.no_grad()
+    def _parts(self, clip: Clip) -> dict[Part, Array]:
+        features, frame, _ = self.reader.features(clip.joints)
+        x = self.reader.inputs(features, None)[None]
+        joints = transforms_in_frame(clip.joints, frame)
+        out: dict[Part, Array] = {}
+        for part, (net, basis) in self.nets.items():
+            local = self.space.add(basis.decode(net(x)[0][0].numpy()), joints, part)
+            moved = local @ frame[..., :3].swapaxes(-1, -2)
+            if part != "high":
+                moved = moved + frame[:, None, :, 3]
+            out[part] = np.asarray(moved, np.float32)
+        return out
+
+    def predict(self, clip: Clip) -> Array:
+        return np.asarray(sum(self._parts(clip).values()), np.float32)
+
+    def split(self, clip: Clip, bones: VirtualBones) -> tuple[Array, Array]:
+        """The parts that are predicted; one network for the whole is split like the data."""
+        parts = self._parts(clip)
+        if "whole" in parts:
+            return super().split(clip, bones)
+        some = next(iter(parts.values()))
+        return parts.get("low", np.zeros_like(some)), parts.get("high", np.zeros_like(some))
+
+
+def train_regression(
+    variant: Variant,
+    bones: VirtualBones,
+    config: Config,
+    names: Sequence[str],
+    validation: Sequence[str],
+    folder: Path,
+    *,
+    callback: Callable[[Progress], bool | None] | None = None,
+) -> Regression:
+    """Train a baseline with the loop, width and limits of a configuration.
+
+    Parameters
+    ----------
+    variant : Variant
+    bones : VirtualBones
+    config : Config
+    names, validation : sequence of str
+        Clips; mirrored ones too.
+    folder : Path
+        For the state: an interrupted training continues, a finished one is read.
+    callback : callable, optional
+        Called with a :class:`~garmentnet.training.loop.Progress` after every epoch.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    features = config.features
+    if variant.features:
+        features = load_config(variant.features).features
+        # A preset that reads some joints names those of our own body.
+        joints = config.features.joints if features.joints else ()
+        features = dataclasses.replace(features, joints=joints)
+    data = dataclasses.replace(config.data, condition=False)
+    own = override(dataclasses.replace(config, features=features, data=data), variant.changes)
+    reader = pose_reader(own, bones, names)
+    space = variant.space(bones)
+    tracks, held = (load_tracks(reader, bones, n) for n in (names, validation))
+    nets: dict[Part, tuple[nn.Module, ShapeBasis]] = {}
+    history = {}
+    for part in variant.parts:
+        target = _Target(bones, reader, space, part)
+        basis = target.basis(names)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.train.seed)
+            net = _Scaled(variant.network(reader.size, config.low.hidden, basis.rank), basis)
+        objective = CoefficientObjective(
+            net,
+            config.train,
+            bones.store.n_vertices,
+            hidden=config.low.hidden,
+            dropout=config.low.dropout,
+            tracks=[target.track(t, basis) for t in tracks],
+            validation=[target.track(t, basis) for t in held],
+        )
+        history[part] = fit(
+            objective,
+            config.train,
+            name=part,
+            epochs=config.train.epochs,
+            learning_rate=config.train.learning_rate,
+            folder=folder,
+            callback=callback,
+        )
+        nets[part] = net, basis
+    write_bytes(folder / "history.json", json.dumps(history, indent=1).encode())
+    return Regression(variant, reader, space, nets)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Target:
+    """What a network of a baseline shall predict."""
+
+    bones: VirtualBones
+    reader: PoseReader
+    space: Space
+    part: Part
+
+    def basis(self, names: Sequence[str]) -> ShapeBasis:
+        plain = [n for n in names if not n.endswith(MIRRORED)]
+        clips = self.bones.store.sample(plain, _FRAMES)
+        return ShapeBasis.fit(
+            np.concatenate([self._local(c.name, some) for c, some in clips]), _RANK
+        )
+
+    def track(self, track: Track, basis: ShapeBasis) -> Track:
+        rows: list[NDArray[np.float32]] = []
+        for frames in track.parts():
+            local = self._local(track.name, frames)
+            numbers = basis.encode(local)
+            rest = ((local - basis.decode(numbers)) ** 2).sum(axis=(1, 2))
+            rows.append(np.column_stack([numbers, rest]).astype(np.float32))
+        return dataclasses.replace(track, extra=torch.from_numpy(np.concatenate(rows)))
+
+    def _local(self, name: str, frames: Any) -> Array:
+        clip = self.bones.store.clip(name)
+        frame = self.reader.features(clip.joints)[1][frames]
+        joints = transforms_in_frame(clip.joints[frames], frame)
+        if self.part == "whole":
+            mesh = remove_frame(frame, clip.sequence.frames(frames))
+        else:
+            low, high = self.bones.clip(name).split(frames)
+            mesh = remove_frame(frame, low) if self.part == "low" else high @ frame[..., :3]
+        return np.asarray(self.space.remove(mesh, joints, self.part), np.float32)

@@ -1,0 +1,377 @@
+"""The paper's tables (Pan et al. 2022, section 6) on data sets of our own.
+
+Every training has a folder of its own and every table a file; what is there is not done again, so
+that a run that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssdr.errors import InputError
+
+from ..configs.config import Config, load_config, override
+from ..data.store import ClipStore
+from ..data.virtual_bones import VirtualBones, parameter_roles, virtual_bones
+from ..io.files import write_file
+from ..networks.checkpoint import Checkpoint, load_checkpoint
+from ..training.batches import load_tracks
+from ..training.ensemble import train_ensemble
+from ..training.run import choose_clips, train, with_mirrored
+from .baselines import BodySkinned, MeanShape
+from .methods import BonesThemselves, Method, Network
+from .published import BASELINES, SANTESTEBAN, train_chen
+from .regression import Variant, train_regression
+from .reporting import RECORDED, group_of
+from .scores import Scores, evaluate
+from .tables import intervals, markdown
+
+__all__ = ["TABLES", "Reproduction"]
+
+Progress = Callable[[str, float], None]
+# One dance is like another for the bones, and so they stay while a data set grows.
+_FEW = "bones.motions=dance-20[01]*"
+_DRESSES = ("dress", "gown", "a_line")
+_TIGHT = ("t_shirt", "skirt", "trousers")
+_SIZES = (8000, 16000, 32000, 64000, 128000, 256000, 512000, 1024000)
+_BONES = (20, 40, 80, 160, 320, 500)
+# Motions of the test clips.
+_TESTED = "dance-"
+# Equal data for all methods of a table: the paper's 40,000 frames.
+_EQUAL = "data.frames=40000"
+# Few recordings: a short training from the weights of a network that has seen none of them.
+_TUNED = ("train.learning_rate=3e-4", "train.epochs=12", "train.high_epochs=4")
+
+
+class Reproduction:
+    """Data sets, trainings and tables in two folders.
+
+    Parameters
+    ----------
+    data : path
+        Where the stores lie, or are simulated: ``<data>/<preset>.clips``.
+    folder : path
+        For trainings, tables and ``hours.json``.
+    simulate : callable, optional
+        Makes the store of a preset, from its name and path.
+    settings : sequence of str
+        Changes of every configuration, as ``train.epochs=2``.
+    progress : callable, optional
+        Called with a description and the fraction that is done.
+    """
+
+    def __init__(
+        self,
+        data: Path | str,
+        folder: Path | str,
+        *,
+        simulate: Callable[[str, Path], Any] | None = None,
+        settings: Sequence[str] = (),
+        progress: Progress | None = None,
+    ) -> None:
+        self.simulate = simulate or (lambda name, path: None)
+        self.data, self.folder = Path(data), Path(folder)
+        self.settings, self.progress = tuple(settings), progress
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def table(self, name: str) -> str:
+        """A table as Markdown, trained and scored where it is not there yet.
+
+        Raises
+        ------
+        InputError
+            If there is no such table.
+        """
+        if name not in TABLES:
+            raise InputError("only", f"of {', '.join(TABLES)}", repr(name))
+        file = self.folder / f"{name}.md"
+        if not file.is_file():
+            write_file(file, TABLES[name](self).encode())
+        return file.read_text("utf-8")
+
+    def store(self, name: str) -> ClipStore:
+        """The store of a preset, simulated first where it is not there."""
+        path = self.data / f"{name}.clips"
+        if not path.exists():
+            self.timed(f"{name}/simulation", lambda: self.simulate(name, path))
+        return ClipStore.open(path)
+
+    def config(self, preset: str, *changes: str) -> Config:
+        return override(load_config(preset), [_FEW, *changes, *self.settings])
+
+    def bones(self, store: str, config: Config) -> VirtualBones:
+        return virtual_bones(self.store(store), config.bones, progress=self.progress)
+
+    def network(
+        self, store: str, label: str, config: Config, start: Checkpoint | None = None
+    ) -> Checkpoint:
+        """A trained network; one that is there is read."""
+        folder = self.folder / store / label
+        if not (folder / "history.json").is_file():
+            self.timed(
+                f"{store}/{label}",
+                lambda: train(
+                    self.store(store),
+                    config,
+                    folder,
+                    start=start,
+                    validated=not config.data.leave_out,
+                    callback=self._epoch(label),
+                ),
+            )
+        return load_checkpoint(folder / "checkpoint.safetensors")
+
+    def method(self, store: str, name: str, config: Config) -> Callable[[], Method]:
+        """A network, trained when it is called."""
+        return lambda: Network(name, self.network(store, name, config))
+
+    def bound(self, store: str, config: Config) -> Callable[[], Method]:
+        """LBS with fitted transforms."""
+        return lambda: BonesThemselves(self.bones(store, config))
+
+    def clips(self, store: str, config: Config) -> tuple[list[str], list[str], list[str]]:
+        """Names of the clips for training, with mirrored ones, for validation and for testing."""
+        clips = self.store(store)
+        names, base = choose_clips(clips, config)
+        held, _ = choose_clips(clips, config, "validation", needed=not config.data.leave_out)
+        test = [n for n in clips.names("test", base) if clips.clip(n).motion.startswith(_TESTED)]
+        return with_mirrored(clips, config, names), held, test
+
+    def scores(
+        self,
+        store: str,
+        key: str,
+        config: Config,
+        methods: Iterable[Callable[[], Method]],
+        test: Sequence[str] | None = None,
+    ) -> dict[str, Any]:
+        """Scores of methods on the test dances or named clips, with intervals against the first."""
+        file = self.folder / store / f"{key}.json"
+        if not file.is_file():
+            bones = self.bones(store, config)
+            test = self.clips(store, config)[2] if test is None else test
+            rows = evaluate(bones, [make() for make in methods], test, progress=self.progress)
+            record = {"rows": [_row(r) for r in rows], **intervals(rows, rows[0].name)}
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_file(file, json.dumps(record, indent=1).encode())
+        return dict(json.loads(file.read_text("utf-8")))
+
+    def baselines(
+        self,
+        store: str,
+        config: Config,
+        variants: Sequence[Variant] = BASELINES,
+        suffix: str = "",
+    ) -> list[Callable[[], Method]]:
+        """The published baselines, trained when they are called."""
+        learned, held, _ = self.clips(store, config)
+
+        def made(variant: Variant) -> Callable[[], Method]:
+            label = variant.name.lower().replace(", ", "-").replace(" ", "-") + suffix
+            folder = self.folder / store / label
+            return lambda: self.timed(
+                f"{store}/{label}",
+                lambda: train_regression(
+                    variant,
+                    self.bones(store, config),
+                    config,
+                    learned,
+                    held,
+                    folder,
+                    callback=self._epoch(variant.name),
+                ),
+            )
+
+        return [made(v) for v in variants]
+
+    def _epoch(self, label: str) -> Callable[[Any], None]:
+        def show(p: Any) -> None:
+            if self.progress:
+                self.progress(f"{label}: {p.phase}, epoch {p.epoch}", p.fraction)
+
+        return show
+
+    def timed(self, name: str, work: Callable[[], Any]) -> Any:
+        """Run work and add its time to ``hours.json``."""
+        began, cpu = time.perf_counter(), time.process_time()
+        try:
+            return work()
+        finally:
+            file = self.folder / "hours.json"
+            hours = json.loads(file.read_text("utf-8")) if file.is_file() else {}
+            wall, used = hours.get(name, (0.0, 0.0))
+            wall += (time.perf_counter() - began) / 3600
+            used += (time.process_time() - cpu) / 3600
+            write_file(file, json.dumps(hours | {name: (wall, used)}, indent=1).encode())
+
+
+def _row(scores: Scores) -> dict[str, Any]:
+    table = scores.as_dict()
+    del table["clips"]
+    return table
+
+
+def _text(record: dict[str, Any], part: str) -> str:
+    """RMSE, Hausdorff and STED of a part, beside the ratio of RMSE to the first method's."""
+    lines = []
+    for row in record["rows"]:
+        s = row["all"][part]
+        ratio, low, high = record["methods"][row["name"]]["all"][part]["rmse"]
+        cells = [f"{s['rmse']:.2f}", f"{s['hausdorff']:.1f}", f"{s['sted']:.4f}"]
+        shown = "-" if ratio is None else f"{ratio:.3f} [{low:.3f}, {high:.3f}]"
+        lines.append([row["name"], *cells, shown])
+    return markdown([part, "RMSE, mm", "Hausdorff", "STED", "RMSE ratio"], lines)
+
+
+def _table2(run: Reproduction) -> str:
+    """Low and high frequencies of three dresses (the paper's table 2)."""
+    return "\n\n".join(_dress(run, name) for name in _DRESSES) + "\n"
+
+
+def _dress(run: Reproduction, store: str) -> str:
+    rooted, paper = run.config("rooted", _EQUAL), run.config("faithful", _EQUAL)
+    learned, held, _ = run.clips(store, rooted)
+
+    def chen() -> Method:
+        ours, bones = run.network(store, "rooted", rooted), run.bones(store, rooted)
+        tracks, others = (load_tracks(ours.networks[0], bones, n) for n in (learned, held))
+        folder = run.folder / store / "chen"
+        return run.timed(f"{store}/chen", lambda: train_chen(ours, tracks, others, folder))
+
+    methods = [
+        run.method(store, "rooted", rooted),
+        *run.baselines(store, rooted),
+        chen,
+        run.method(store, "faithful", paper),
+        run.method(store, "body motion", override(rooted, ["high.source=body"])),
+        run.method(store, "no local stream", override(paper, ["high.local=false"])),
+        lambda: MeanShape(run.bones(store, rooted), learned),
+        run.bound(store, rooted),
+    ]
+    record = run.scores(store, "table2", rooted, methods)
+    return "\n\n".join([f"## {store}", *(_text(record, p) for p in ("low", "high", "overall"))])
+
+
+def _table3(run: Reproduction) -> str:
+    """Tight garments (the paper's table 3)."""
+    return "\n\n".join(_tight(run, name) for name in _TIGHT) + "\n"
+
+
+def _tight(run: Reproduction, store: str) -> str:
+    config = run.config("rooted", _EQUAL)
+    tailor, whole = BASELINES[0], SANTESTEBAN
+    methods = [
+        run.method(store, "rooted", config),
+        *run.baselines(store, config, (tailor, whole)),
+        lambda: BodySkinned(run.store(store)),
+    ]
+    return f"## {store}\n\n" + _text(run.scores(store, "table3", config, methods), "overall")
+
+
+def _table4(run: Reproduction) -> str:
+    """Unseen simulation parameters (the paper's table 4), pivots with equal data."""
+    store, folder = run.store("parameters"), run.folder / "parameters"
+    paper = run.config("faithful", "ensemble.start_from_base=false", "ensemble.pivots=8")
+    if not (folder / "ensemble" / "ensemble.json").is_file():
+        run.timed("parameters/ensemble", lambda: train_ensemble(store, paper, folder / "ensemble"))
+    sweep = json.loads((folder / "ensemble" / "ensemble.json").read_text("utf-8"))["sweep"]
+    reading = run.config("faithful", "data.condition=true")
+    large = run.network("parameters", "large", reading)
+    roles = parameter_roles(store)
+    test = [c.name for c in store.clips("test") if roles[c.parameters] == "test"]
+    bones = run.bones("parameters", paper)
+    (row,) = evaluate(bones, [Network("large", large)], test, progress=run.progress)
+    errors = sweep[-1]["test_mm"]["test"] | {"large": row.all.overall.rmse}
+    lines = [[name, f"{error:.2f}"] for name, error in errors.items()]
+    return markdown(["unseen parameters", "RMSE, mm"], lines) + "\n"
+
+
+def _curve(run: Reproduction) -> str:
+    """Error by number of training frames, with the exponent of the law that fits it."""
+    everything = run.clips("large", run.config("rooted"))[0]
+    total = sum(run.store("large").clip(n).n_frames for n in everything) / 2
+    rows = []
+    for size in (s for s in _SIZES if s < 1.1 * total):
+        # Steps grow with the square root of the frames.
+        epochs = max(3, round(12 * math.sqrt(64000 / size)))
+        config = run.config("rooted", f"data.frames={size}", f"train.epochs={epochs}")
+        config = override(config, ["train.high_epochs=0", "train.patience=1000"])
+        name = f"curve-{size}"
+        record = run.scores("large", f"scores-{size}", config, [run.method("large", name, config)])
+        history = json.loads((run.folder / "large" / name / "history.json").read_text("utf-8"))
+        last = history["low"][-1]
+        low = record["rows"][0]["all"]["low"]["rmse"]
+        rows.append((size, epochs, 1e3 * last["trained"], 1e3 * last["rmse"], low))
+    slope = np.polyfit(np.log([r[0] for r in rows]), np.log([r[4] for r in rows]), 1)[0]
+    head = ["frames", "epochs", "training", "validation", "test"]
+    lines = [[f"{r[0]:,}", f"{r[1]}", *(f"{x:.2f}" for x in r[2:])] for r in rows]
+    return f"{markdown(head, lines)}\n\nRMSE ~ frames^{slope:.3f}\n"
+
+
+def _bones(run: Reproduction) -> str:
+    """Error by number of virtual bones."""
+    rows = []
+    for count in _BONES:
+        config = run.config("rooted", _EQUAL, f"bones.count={count}")
+        name = f"bones-{count}"
+        methods = [run.method("large", name, config), run.bound("large", config)]
+        network, bound = (r["all"] for r in run.scores("large", name, config, methods)["rows"])
+        figures = [network["low"]["rmse"], network["high"]["rmse"], bound["low"]["rmse"]]
+        rows.append([str(count), *(f"{x:.2f}" for x in figures)])
+    return markdown(["bones", "low RMSE", "high RMSE", "LBS itself"], rows) + "\n"
+
+
+def _capture(run: Reproduction) -> str:
+    """Motion capture: every recording in turn is left out of training and tested on."""
+    clips = [c for c in run.store("dress").clips() if group_of(c) == RECORDED]
+    recordings = sorted({c.motion[:-3] for c in clips})
+    if len(recordings) < 2:
+        raise InputError("motion", "a folder with two or more BVH files", recordings)
+    # What their names have in common selects them all.
+    recorded = os.path.commonprefix(recordings) + "*"  # noqa: RUF071
+    found: dict[str, list[float]] = {}
+    for name in recordings:
+        test = [c.name for c in clips if c.motion.startswith(name)]
+        for row in _left_out(run, name, recorded, test)["rows"]:
+            found.setdefault(row["name"], []).append(row["all"]["overall"]["rmse"])
+    rows = [[m, *(f"{e:.1f}" for e in [*r, sum(r) / len(r)])] for m, r in found.items()]
+    return markdown(["left out, RMSE in mm", *recordings, "mean"], rows) + "\n"
+
+
+def _left_out(run: Reproduction, name: str, recorded: str, test: list[str]) -> dict[str, Any]:
+    """Scores on one recording of methods that learned from the dances and the other recordings."""
+    store = "dress"
+    config = run.config("rooted", f"data.leave_out={name}*")
+
+    def shipped() -> Method:
+        start = load_checkpoint("dress")
+        few = (f"data.motions={recorded}", f"data.leave_out={name}*", *_TUNED)
+        tuned = override(start.networks[0].config, [*run.settings, *few])
+        trained = run.network(store, f"tuned-{name}", tuned, start)
+        return Network("the dress that ships, fine-tuned", trained)
+
+    methods = [
+        shipped,
+        lambda: Network("rooted", run.network(store, f"rooted-{name}", config)),
+        *run.baselines(store, config, (BASELINES[2],), f"-{name}"),
+        lambda: MeanShape(run.bones(store, config), run.clips(store, config)[0]),
+    ]
+    return run.scores(store, f"capture-{name}", config, methods, test)
+
+
+TABLES: dict[str, Callable[[Reproduction], str]] = {
+    "curve": _curve,
+    "table2": _table2,
+    "table3": _table3,
+    "table4": _table4,
+    "bones": _bones,
+    "capture": _capture,
+}

@@ -1,0 +1,245 @@
+"""Clips of a user's own simulations: an animated cloth and the rig that drove it, file by file."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr import MeshSequence
+from ssdr.errors import InputError
+from ssdr.hierarchy.transforms import rest_diagonal
+
+from ..collision.push_out import is_closed
+from ..data.clip_files import Split
+from ..data.motion import CLASSES
+from ..data.parameters import SimulationParameters
+from ..data.store import ClipStore
+from .checks import check_place, doubt
+from .rig import Rig, rig_of
+from .scene_files import Say, Source, read_cloth, read_rig
+
+__all__ = ["ImportOptions", "import_clips"]
+
+_SHORTEST = 20  # frames of a clip that is cut
+_BIND_POSE = 2e-3  # radians, mean over joints, up to which a pose is the bind pose
+PathLike = str | os.PathLike[str]
+
+
+@dataclasses.dataclass(frozen=True)
+class ImportOptions:
+    """How files are read and to which split clips go.
+
+    Parameters
+    ----------
+    fps : float, optional
+        Frames a second of a new store; by default those of the first cloth or, as Alembic states
+        none, of its rig.
+    offset : float
+        Seconds from the first frame of a rig to the first of its cloth.
+    cloth, rig : Source, optional
+        Mesh, unit and axes of the cloths' and the rigs' files.
+    parameters : SimulationParameters, optional
+        With which the cloths were simulated; the usual ones by default.
+    test, validation : sequence of str
+        Names of the clips of these splits.  Without any for testing, the last tenth of every clip
+        is; without any for validation, the last tenth but that.
+    """
+
+    fps: float | None = None
+    offset: float = 0.0
+    cloth: Source = dataclasses.field(default_factory=Source)
+    rig: Source = dataclasses.field(default_factory=Source)
+    parameters: SimulationParameters | None = None
+    test: Sequence[str] = ()
+    validation: Sequence[str] = ()
+
+
+def import_clips(
+    pairs: Sequence[tuple[PathLike, PathLike]],
+    path: PathLike,
+    options: ImportOptions | None = None,
+    *,
+    rest: PathLike | None = None,
+    say: Say = lambda _: None,
+) -> ClipStore:
+    """Add simulated cloths and their rigs to a store, which is made if it does not exist.
+
+    Clips are named after the cloths' files.  A clip that is in the store already is not added
+    again, so that a call that was interrupted can be repeated.
+
+    Parameters
+    ----------
+    pairs : sequence of (path, path)
+        Of a cloth, as :func:`ssdr.load` reads it, and of its rig, as :func:`ssdr.load_skinning`
+        does.
+    path : path
+        Of the store.
+    options : ImportOptions, optional
+    rest : path, optional
+        Of a new store, the garment as it was cut, on the body in its bind pose.  By default it is
+        the cloth of the first clip in the frame whose pose is closest to the bind pose, carried
+        along by the root.
+    say : callable, optional
+        Called with a sentence for whatever the user should know.
+
+    Raises
+    ------
+    InputError
+        If a rig has no skeleton or another than the first, a cloth has other triangles, the two
+        have no common frames or are apart, or the store has a clip of that name from other files.
+    SsdrError
+        If a file cannot be read.
+    """
+    o, target = options or ImportOptions(), Path(path)
+    names = [re.sub(r"[^A-Za-z0-9_.\-]|^[_.\-]+", "", Path(cloth).stem) for cloth, _ in pairs]
+    if not names or len(set(names)) < len(names):
+        raise InputError("cloth", "one file or more, of different names", ", ".join(names))
+    for name in (*o.test, *o.validation):
+        if name not in names:
+            raise InputError("test, validation", f"some of {', '.join(names)}", name)
+    store = ClipStore.open(target) if target.exists() else None
+    if store is not None:
+        store.sweep()
+        if o.fps not in (None, store.fps):
+            raise InputError("fps", f"{store.fps:g}, as the store has", o.fps)
+    for (cloth_file, rig_file), name in zip(pairs, names, strict=True):
+        files = Path(cloth_file), Path(rig_file)
+        try:
+            cloth, rig = _read(*files, o, o.fps if store is None else store.fps, name, say)
+            if store is not None:
+                _check_faces(cloth, store.faces)
+                rig = rig.matched(store.skeleton, store.body)
+            vertices = np.asarray(cloth.vertices, np.float32)
+            check_place(vertices, rig)
+        except InputError as error:
+            raise InputError(error.argument, error.expected, f"{error.got} ({name})") from error
+        doubtful = doubt(vertices, rig)
+        if doubtful:
+            say(f"warning: {name}: {doubtful}")
+        if store is None:
+            store = _create(target, cloth, rig, o, rest, say)
+        _add(store, name, vertices, rig.joints, o, files, say)
+    assert store is not None  # there is one pair at least
+    return store
+
+
+def _read(
+    cloth_file: Path, rig_file: Path, o: ImportOptions, rate: float | None, name: str, say: Say
+) -> tuple[MeshSequence, Rig]:
+    """Cloth and rig at one rate, cut to the frames that both have."""
+    model = read_rig(rig_file, o.rig, rate, name, say)
+    if rate is None and cloth_file.suffix.lower() == ".abc":
+        rate = model.fps
+    cloth = read_cloth(cloth_file, o.cloth, rate, say)
+    if rate is None and model.fps != cloth.fps:
+        model = read_rig(rig_file, o.rig, cloth.fps, name, say)
+    rig, start = rig_of(model), round(o.offset * cloth.fps)
+    first, stop = max(0, -start), min(cloth.n_frames, len(rig.joints) - start)
+    counts = f"{cloth.n_frames} frames of cloth, {len(rig.joints)} of the rig"
+    if stop - first < 2:
+        expected = "a time that cloth and rig have in common"
+        raise InputError("offset", expected, f"{counts}, the first of the cloth at {start}")
+    if (first, stop - first) != (0, max(cloth.n_frames, len(rig.joints))):
+        say(f"{name}: {stop - first} frames in common of {counts}")
+    cut = MeshSequence(cloth.vertices[first:stop], cloth.faces, cloth.fps, name=name)
+    return cut, dataclasses.replace(rig, joints=rig.joints[first + start : stop + start])
+
+
+def _check_faces(cloth: MeshSequence, faces: NDArray[np.int32]) -> None:
+    if not np.array_equal(cloth.faces, faces):
+        expected = f"the {len(faces)} triangles of the first clip"
+        raise InputError("cloth", expected, f"{len(cloth.faces)} or others")
+
+
+def _create(
+    path: Path, cloth: MeshSequence, rig: Rig, o: ImportOptions, rest_file: Any, say: Say
+) -> ClipStore:
+    if rest_file is not None:
+        mesh = read_cloth(Path(rest_file), o.cloth, None, say)
+        _check_faces(mesh, cloth.faces)
+        rest = np.asarray(mesh.vertices[0])
+    else:
+        root = rig.joints[:, 0]
+        turn = root[:, None, :, :3].swapaxes(-1, -2) @ rig.joints[..., :3]
+        cosine = (np.trace(turn, axis1=-2, axis2=-1) - 1) / 2
+        angle = np.arccos(cosine.clip(-1, 1)).mean(axis=1)
+        t = int((angle <= angle.min() + _BIND_POSE).argmax())
+        rest = (np.asarray(cloth.vertices[t]) - root[t, :, 3]) @ root[t, :, :3]
+        off = f", off by {np.degrees(angle[t]):.0f}° a joint: better give a rest"
+        say(
+            f"the cloth at rest is that of frame {t}, whose pose is closest to the bind pose"
+            f"{off if angle[t] > _BIND_POSE else ''}"
+        )
+    if not is_closed(rig.body.faces):
+        mesh_of = "a mesh of the body that is not closed" if len(rig.body.faces) else "no body"
+        say(f"the rig has {mesh_of}: nothing can be pushed out of it")
+    size = rest_diagonal(rig.skeleton.rest)
+    if rig.is_lying() or not 0.2 < size < 20:
+        say(f"warning: the skeleton is {size:.3g} m large; it should be in metres, with y up")
+    return ClipStore.create(
+        path,
+        rest=rest,
+        faces=cloth.faces,
+        body=rig.body,
+        skeleton=rig.skeleton,
+        fps=cloth.fps,
+        attributes={"data_set": "imported"},
+    )
+
+
+def _parts(name: str, count: int, o: ImportOptions) -> list[tuple[str, Split, slice]]:
+    """Name, split and frames of the parts into which a clip of `count` frames is cut."""
+    named: dict[Split, Sequence[str]] = {"test": o.test, "validation": o.validation}
+    for split, names in named.items():
+        if name in names:
+            return [(name, split, slice(0, count))]
+    cut = [split for split, names in named.items() if not names]
+    if cut and count < _SHORTEST:
+        raise InputError("cloth", f"{_SHORTEST} frames or more", f"{count} in {name}")
+    ends = [count - k * (count // 10) for k in range(len(cut) + 1)]
+    last = [(f"{name}-{s}", s, slice(b, a)) for s, a, b in zip(cut, ends, ends[1:], strict=False)]
+    return [(f"{name}-train" if cut else name, "train", slice(0, ends[-1])), *last]
+
+
+def _add(
+    store: ClipStore,
+    name: str,
+    vertices: NDArray[np.float32],
+    joints: NDArray[np.float64],
+    o: ImportOptions,
+    files: tuple[Path, Path],
+    say: Say,
+) -> None:
+    parameters = o.parameters or SimulationParameters()
+    made = {"cloth": files[0].name, "rig": files[1].name, "parameter_set": "imported"}
+    parts = _parts(name, len(vertices), o)
+    for part, split, frames in parts:
+        v, m = vertices[frames], joints[frames].astype(np.float32)
+        provenance = made | {"sha256": hashlib.sha256(v.tobytes() + m.tobytes()).hexdigest()}
+        if part in store:
+            there = store.clip(part)
+            if (there.provenance, there.parameters) != (provenance, parameters):
+                raise InputError("path", f"a store whose clip {part} is of {files[0]}", store.path)
+            continue
+        store.add(
+            part,
+            vertices=v,
+            joints=m,
+            classes=np.full(len(v), CLASSES.index("recorded")),
+            split=split,
+            motion=name,
+            parameters=parameters,
+            seed=0,
+            quality={"accepted": True, "reason": ""},
+            provenance=provenance,
+        )
+    text = ", ".join(f"{f.stop - f.start} {split}" for _, split, f in parts)
+    say(f"{name}: {vertices.shape[1]} vertices, {joints.shape[1]} joints; frames: {text}")

@@ -1,0 +1,171 @@
+"""A rig as a store knows it: skeleton, body at rest and joint transforms of every frame."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr import Skinning, kabsch
+from ssdr.errors import InputError
+from ssdr.hierarchy.transforms import parents_first, rest_diagonal
+from ssdr.rigid import nearest_rotation
+
+from ..data.skeleton import Skeleton
+
+__all__ = ["Rig", "rig_of"]
+
+# Largest difference of an entry from the nearest rotation's that counts as rounding.
+_ROUNDING = 0.02
+# Of the skeleton's size: joints at rest that are closer are in one place.
+_SAME_PLACE = 2e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rig:
+    """A skeleton that moves, and the body that it carries.
+
+    Attributes
+    ----------
+    skeleton : Skeleton
+    body : Skinning
+        One frame, at rest, with the skeleton's joints as bones.  Without a mesh in the file it has
+        a vertex at every joint and no faces.
+    joints : (F, J, 3, 4) float64
+        World transforms from the rest pose.
+    fps : float
+    """
+
+    skeleton: Skeleton
+    body: Skinning
+    joints: NDArray[np.float64]
+    fps: float
+
+    def is_lying(self) -> bool:
+        """Whether the skeleton at rest is longest along z, as if that were up."""
+        x, y, z = np.ptp(self.skeleton.rest, axis=0)
+        return bool(z > 1.2 * max(x, y))
+
+    def matched(self, skeleton: Skeleton, body: Skinning) -> Rig:
+        """The motion carried over to a skeleton with the same joints in any order, and its body.
+
+        The rest poses may stand in different places and face different ways.
+
+        Raises
+        ------
+        InputError
+            If joints, parents or rest pose differ.
+        """
+        own = self.skeleton
+        theirs, ours = (_parents(s) for s in (skeleton, own))
+        if theirs != ours:
+            text = ", ".join(sorted({joint for joint, _ in theirs.items() ^ ours.items()}))
+            raise InputError("rig", "the joints and parents of the first clip", f"others: {text}")
+        order = [own.index(name) for name in skeleton.names]
+        rest, near = own.rest[order], _SAME_PLACE * rest_diagonal(skeleton.rest)
+        turn = np.eye(3, 4)
+        if np.abs(rest - skeleton.rest).max() > near:
+            turn = kabsch(skeleton.rest, rest)
+        gap = np.linalg.norm(skeleton.rest @ turn[:, :3].T + turn[:, 3] - rest, axis=1)
+        if gap.max() > near:
+            text = f"{skeleton.names[int(gap.argmax())]} {gap.max():.3g} m from its place"
+            raise InputError("rig", "the bind pose of the first clip", text)
+        m = self.joints[:, order]
+        shift = m[..., :3] @ turn[:, 3] + m[..., 3]
+        moved = np.concatenate([m[..., :3] @ turn[:, :3], shift[..., None]], axis=-1)
+        return Rig(skeleton, body, moved, self.fps)
+
+
+def rig_of(model: Skinning) -> Rig:
+    """Skeleton, body and motion of a skinning.
+
+    The skeleton is the largest tree of bones; other trees hang from its root.  A mesh without a
+    skin and a bone that is alone and carries nothing are left out.
+
+    Raises
+    ------
+    InputError
+        If there is no skeleton, or a joint is scaled or sheared.
+    """
+    if model.parents is None:
+        text = f"{', '.join(model.names()[:5])} without parents"
+        raise InputError("rig", "a skeleton: joints with parents", text)
+    parents = np.array(model.parents)
+    moves = model.sparse_weights().toarray() > 0  # (V, B)
+    root = np.arange(model.n_bones)
+    while (parents[root] >= 0).any():
+        root = np.where(parents[root] >= 0, parents[root], root)
+    size = np.bincount(root, minlength=model.n_bones)
+    main = int(size.argmax())
+    shared = (moves & (moves.sum(axis=1) > 1)[:, None]).any(axis=0)
+    alone = (size == 1) & (root == np.arange(model.n_bones)) & ~shared
+    hung = (parents < 0) & (np.arange(model.n_bones) != main)
+    parents[hung] = main
+    order = np.array([b for b in parents_first(parents) if not alone[b]])
+    place = np.zeros(model.n_bones, dtype=np.int32)
+    place[order] = np.arange(len(order))
+    rest = np.asarray(model.joint_positions, np.float64)[order]
+    names = tuple(np.array(model.names(), dtype=object)[order])
+    above = np.where(parents[order] >= 0, place[parents[order]], -1)
+    transforms = np.asarray(model.transforms, np.float64)[:, order]
+    return Rig(
+        Skeleton(names, above, rest),
+        _body(model, np.flatnonzero(moves[:, alone].any(axis=1)), place, rest, names),
+        _rigid(transforms, rest, names),
+        model.fps,
+    )
+
+
+def _body(
+    model: Skinning,
+    dropped: NDArray[np.int64],
+    place: NDArray[np.int32],
+    joints: NDArray[np.float64],
+    names: tuple[str, ...],
+) -> Skinning:
+    """All but the dropped vertices, those merged that lie in one place and move alike."""
+    still = np.eye(3, 4)[None, None].repeat(len(names), axis=1)
+    faces = model.faces[~np.isin(model.faces, dropped).any(axis=1)]
+    if not len(faces):
+        each = np.arange(len(names))[:, None]
+        return Skinning(joints, each, np.ones(each.shape), still, bone_names=names, name="body")
+    rest = np.asarray(model.rest, np.float32)
+    key = np.concatenate([rest, model.dense_weights().round(3)], axis=1)
+    _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    triangles = merged.reshape(-1)[faces]
+    solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    used, triangles = np.unique(triangles[solid], return_inverse=True)
+    chosen, triangles = first[used], triangles.reshape(-1, 3)
+    a, b, c = rest[chosen][triangles].swapaxes(0, 1)
+    if np.einsum("tc,tc->", a, np.cross(b, c)) < 0:  # six times the volume
+        triangles = triangles[:, ::-1]
+    indices = np.where(model.weights > 0, place[model.indices], 0)
+    return Skinning(
+        rest[chosen],
+        indices[chosen],
+        model.weights[chosen],
+        still,
+        faces=triangles,
+        bone_names=names,
+        name="body",
+    )
+
+
+def _rigid(
+    transforms: NDArray[np.float64], rest: NDArray[np.float64], names: tuple[str, ...]
+) -> NDArray[np.float64]:
+    """Transforms whose rounded rotations are exact, with the joints where they were."""
+    linear = transforms[..., :3]
+    rotation = nearest_rotation(linear)
+    off = np.abs(rotation - linear).max(axis=(2, 3))
+    if off.max() > _ROUNDING:
+        t, j = (int(k) for k in np.unravel_index(int(off.argmax()), off.shape))
+        raise InputError("rig", "joints that turn and move", f"{names[j]} scaled in frame {t}")
+    shift = transforms[..., 3] + np.einsum("fjab,jb->fja", linear - rotation, rest)
+    return np.concatenate([rotation, shift[..., None]], axis=-1)
+
+
+def _parents(skeleton: Skeleton) -> dict[str, str]:
+    names = skeleton.names
+    return {n: names[p] if p >= 0 else "" for n, p in zip(names, skeleton.parents, strict=True)}

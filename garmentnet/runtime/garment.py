@@ -1,0 +1,278 @@
+"""A trained garment that is run frame by frame, without torch.
+
+The same numbers as :class:`~garmentnet.networks.network.MotionNetwork` frame by frame, but what a
+vertex needs is done in one pass: at most K bones are blended, and the blend turns the detail too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ssdr.errors import FormatError, InputError
+from ssdr.io.registry import check, reading
+
+from ..configs.config import Config, FeatureOptions
+from ..data.parameters import SimulationParameters
+from ..data.skeleton import check_joints
+from ..data.subject import Subject
+from ..io.tensors import load_arrays
+from ..networks.document import read_subject
+from .kernels import add_bones, all_rigid, moving_frame, place, pose_features, skin
+from .pivot import Mixture, Pivot, read_pivot
+
+__all__ = ["LiveGarment", "LiveState", "load_live"]
+
+Single = NDArray[np.float32]
+_FRAMES = ("world", "root", "heading")
+# Pivots of less weight are not run: even where they are 0.1 m apart it is 0.01 mm.
+_NO_WEIGHT = 1e-4
+_INFLUENCES = 8  # bones a vertex that the kernel blends
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LiveState:
+    """What a garment remembers of a frame.  It is not changed: one may go back to it.
+
+    Attributes
+    ----------
+    pose : (18 + P,) float64
+        See :mod:`garmentnet.runtime.kernels`.
+    hidden : tuple of (low (H,), high (H,)) float32
+        The GRUs' states, of every pivot.
+    bones : (B, 12) float32
+        Rows of the bones' transforms in the moving frame.
+    detail : tuple of (1 + rank,) float32
+        Weights of mean detail and components, of every pivot; empty: none.
+    """
+
+    pose: NDArray[np.float64]
+    hidden: tuple[tuple[Single, Single], ...]
+    bones: Single
+    detail: tuple[Single, ...]
+
+
+class LiveGarment:
+    """A garment's networks, ready to run.
+
+    Parameters
+    ----------
+    subject : Subject
+    features : FeatureOptions
+    pivots : sequence of Pivot
+        One, or those of an ensemble.
+    mixture : Mixture or None
+        Of an ensemble.
+
+    Raises
+    ------
+    InputError
+        If the features name a joint that the body has not.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        features: FeatureOptions,
+        pivots: tuple[Pivot, ...],
+        mixture: Mixture | None = None,
+    ) -> None:
+        self.subject, self.features, self.pivots, self.mixture = subject, features, pivots, mixture
+        names, o = subject.skeleton.names, features
+        missing = [j for j in o.joints if j not in names]
+        if missing:
+            raise InputError("features.joints", f"joints of {', '.join(names)}", missing)
+        read = {names.index(j) for j in o.joints}
+        self.read = np.array(sorted({0, *read}) if read else range(len(names)), np.int64)
+        self._options = (
+            o.rotation == "sixd", o.heading_free, o.translation, o.velocities, o.root_motion
+        )  # fmt: skip
+        self._code = len(self.read) * (6 if o.rotation == "sixd" else 3)
+        self.n_features = self._code * (1 + o.velocities) + 3 * o.translation + 12 * o.root_motion
+        self._frame = _FRAMES.index(o.frame)
+        self._parents = subject.skeleton.parents.astype(np.int64)
+        self._parts = _parts(subject, pivots[0].high is not None)
+        self._sizes = [tuple(map(len, p.start)) for p in pivots]
+        self._weights = functools.lru_cache(maxsize=1)(self._weigh)
+
+    @property
+    def reads_parameters(self) -> bool:
+        """Whether a frame needs simulation parameters."""
+        return self.mixture is not None or self.pivots[0].condition
+
+    def step(
+        self,
+        state: LiveState | None,
+        pose: Any,
+        parameters: SimulationParameters | None = None,
+    ) -> tuple[LiveState, Single]:
+        """The next frame, at the garment's frame rate.
+
+        Parameters
+        ----------
+        state : LiveState or None
+            Of the frame before; None: the motion starts here, from rest.
+        pose : (J, 3, 4) array
+            World transforms of the body's joints from its rest pose, metres.
+        parameters : SimulationParameters, optional
+            For a garment that reads them.
+
+        Returns
+        -------
+        state : LiveState
+        vertices : (V, 3) float32
+            In the world, metres.
+
+        Raises
+        ------
+        InputError
+            If the pose is not one of this body, not finite or not rigid, the state is another
+            garment's, or parameters are missing.
+        """
+        m = self.checked(pose)
+        state = self.advance(state, m, parameters)
+        return state, self.vertices(state, m)
+
+    def checked(self, pose: Any) -> NDArray[np.float64]:
+        """A pose as float64; InputError if it is not one of this body, finite and rigid."""
+        try:
+            m = np.ascontiguousarray(pose, np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError("pose", "numbers", str(error)) from error
+        shape = (self.subject.skeleton.n_joints, 3, 4)
+        if m.shape != shape:
+            raise InputError("pose", f"shape {shape}", m.shape)
+        if not all_rigid(m):
+            check_joints(m[None], len(m))  # names the joint
+        return m
+
+    def advance(
+        self,
+        state: LiveState | None,
+        pose: NDArray[np.float64],
+        parameters: SimulationParameters | None = None,
+    ) -> LiveState:
+        """The state after the next frame, without its vertices; arguments as :meth:`step`."""
+        if parameters is not None and not isinstance(parameters, SimulationParameters):
+            raise InputError("parameters", "SimulationParameters", type(parameters).__name__)
+        if state is not None and not self._owns(state):
+            raise InputError("state", "one of this garment", "another garment's")
+        weights, theta = self._weights(parameters)
+        x, row = np.empty(self.n_features), np.empty(18 + self._code)
+        s, begins = self.subject, state is None
+        before = row if state is None else state.pose
+        pose_features(
+            pose, s.skeleton.rest, self._parents, self.read, self._options, s.fps, begins,
+            before, row, x,
+        )  # fmt: skip
+        bones = np.zeros((s.garment.n_bones, 12), np.float32)
+        hidden, detail = [], []
+        for k, pivot in enumerate(self.pivots):
+            past = pivot.start if state is None else state.hidden[k]
+            numbers = pivot.nothing
+            if weights[k] > 0:
+                moved, numbers, past = pivot(x, theta, past)
+                add_bones(moved, pivot.centres, weights[k], bones)
+            hidden.append(past)
+            detail.append(weights[k] * numbers)
+        return LiveState(row, tuple(hidden), bones, tuple(detail))
+
+    def _owns(self, state: LiveState) -> bool:
+        sizes = [(len(low), len(high)) for low, high in state.hidden]
+        return len(state.pose) == 18 + self._code and sizes == self._sizes
+
+    def vertices(self, state: LiveState, pose: NDArray[np.float64]) -> Single:
+        """World positions ``(V, 3)`` of a state's garment on a pose of the body."""
+        frame, s = np.empty((3, 4)), self.subject
+        moving_frame(pose, s.skeleton.rest, self._frame, frame)
+        transforms = np.empty((s.garment.n_bones + len(pose), 12), np.float32)
+        place(state.bones, pose, frame, transforms)
+        some = zip(self.pivots, state.detail, strict=True)
+        detail = [n @ p.basis for p, n in some if p.basis is not None and n[0] > 0]
+        out = np.empty((s.garment.n_vertices, 3), np.float32)
+        for k, (rest, indices, weights, where, none) in enumerate(self._parts):
+            added = sum(detail[1:], detail[0]).reshape(3, -1) if detail and k == 0 else none
+            skin(transforms, frame, rest, indices, weights, where, added, out)
+        return out
+
+    def transforms(self, state: LiveState, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """World transforms ``(B, 3, 4)`` of a state's virtual bones."""
+        frame = np.empty((3, 4))
+        moving_frame(pose, self.subject.skeleton.rest, self._frame, frame)
+        moved = frame[:, :3] @ state.bones.reshape(-1, 3, 4)
+        moved[..., 3] += frame[:, 3]
+        return np.asarray(moved, np.float64)
+
+    def _weigh(self, parameters: SimulationParameters | None) -> tuple[Single, Single]:
+        if not self.reads_parameters:
+            return np.ones(1, np.float32), np.zeros(0, np.float32)
+        if parameters is None:
+            raise InputError("parameters", "bending, density and time scale", None)
+        theta = parameters.normalised()
+        if self.mixture is None:
+            return np.ones(1, np.float32), theta.astype(np.float32)
+        weights = self.mixture(theta)
+        weights[weights < _NO_WEIGHT] = 0.0
+        return (weights / weights.sum()).astype(np.float32), np.zeros(0, np.float32)
+
+
+def _parts(subject: Subject, detailed: bool) -> list[tuple[NDArray[Any], ...]]:
+    # What skin reads of the predicted vertices, and of those that the body carries.
+    g, bound, n = subject.garment, subject.bound, subject.garment.n_vertices
+    free = np.arange(n) if bound is None else bound.free(n)
+    parts = [_part(g.rest[free], g.indices[free], g.weights[free], free)]
+    if bound is not None:
+        rest, joints = bound.rest if detailed else bound.smooth, g.n_bones + bound.indices
+        parts.append(_part(rest, joints, bound.weights, bound.index))
+    return parts
+
+
+def _part(rest: Any, indices: Any, weights: Any, where: Any) -> tuple[NDArray[Any], ...]:
+    missing = _INFLUENCES - indices.shape[1]
+    check(missing >= 0, f"{indices.shape[1]} influences a vertex, at most {_INFLUENCES} are run")
+    pad = ((0, 0), (0, missing))
+    rest = np.ascontiguousarray(rest.T, np.float32)
+    bones = np.pad(indices, pad).astype(np.int64)
+    return rest, bones, np.pad(weights, pad).astype(np.float32), where.astype(np.int64), 0 * rest
+
+
+def load_live(path: Path | str) -> LiveGarment:
+    """Read a checkpoint: a single network, one that reads the parameters, or an ensemble.
+
+    Parameters
+    ----------
+    path : path
+        ``.safetensors``, as ``garmentnet train`` writes it.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    FormatError
+        If the file is something else or damaged, or its networks are of a kind that is not run
+        here: bones in Euler angles, or detail that is not a basis.
+    """
+    file = Path(path)
+    arrays, documents = load_arrays(file, ("checkpoint",))
+    with reading(file):
+        d, subject = read_subject(arrays, documents)
+        configs = [Config.of(r["config"], "configuration") for r in d["networks"]]
+        if not configs or (len(configs) > 1) != (d["kernel"] is not None):
+            raise FormatError(f"{len(configs)} networks, kernel {d['kernel']}")
+        kinds = [(c.features, r["high"]) for c, r in zip(configs, d["networks"], strict=True)]
+        check(all(kind == kinds[0] for kind in kinds), "pivots that differ in features or modules")
+        mixture = Mixture.read(arrays, d) if d["kernel"] is not None else None
+        pivots = tuple(
+            read_pivot(arrays, k, c, r, subject)
+            for k, (c, r) in enumerate(zip(configs, d["networks"], strict=True))
+        )
+        garment = LiveGarment(subject, configs[0].features, pivots, mixture)
+        for pivot in pivots:
+            if len(pivot.mean) != garment.n_features:
+                raise FormatError(f"{len(pivot.mean)} features, not {garment.n_features}")
+        return garment

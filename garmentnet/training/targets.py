@@ -1,0 +1,99 @@
+"""Low frequencies of clips as coefficients of principal components, kept on disk.
+
+A million frames of vertices fit neither into memory nor through a matrix product in every epoch;
+their coefficients take 400 bytes a frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.clip import MIRRORED
+from ..data.virtual_bones import VirtualBones
+from ..io.files import kept
+from ..networks.features import PoseFeatures
+from ..networks.losses import mesh_laplacian
+from ..networks.skinning import remove_frame
+from .shapes import ShapeBasis
+
+__all__ = ["LowTargets"]
+
+# Components: 192 leave 1 to 2 mm of a loose dress where a network errs by 15 to 20 mm.
+_RANK = 192
+# Training frames from which the components are found, evenly spread.
+_FRAMES = 2000
+
+
+class LowTargets:
+    """Coefficients of the low-frequency meshes of clips, in the moving frame of a network.
+
+    Parameters
+    ----------
+    bones : VirtualBones
+        In whose folder the coefficients lie, one file a clip.
+    features : PoseFeatures
+        Which give the moving frame.
+    names : sequence of str
+        Training clips from which the components are found where the folder has none.
+
+    Attributes
+    ----------
+    basis : ShapeBasis
+    free : (n,) int array
+        Vertices that a network predicts.
+    laplacian : (n, n) sparse array
+        Δ between these.
+    """
+
+    def __init__(self, bones: VirtualBones, features: PoseFeatures, names: list[str]) -> None:
+        self.bones, self.features = bones, features
+        self._folder = f"low-{features.options.frame}"
+        store, n = bones.store, bones.store.n_vertices
+        self.free = np.arange(n) if bones.bound is None else bones.bound.free(n)
+        laplacian = mesh_laplacian(store.faces, n)
+        self.laplacian = laplacian[self.free][:, self.free]
+        found = kept(
+            bones.folder / self._folder / "basis.npz",
+            lambda: dataclasses.asdict(self._fit(names)),
+        )
+        self.basis = ShapeBasis(**found)
+
+    def rows(self, name: str) -> NDArray[np.float16]:
+        """For every frame of a clip the coefficients and what they leave, ``(F, r + 2)``.
+
+        The last two are norms over the vertices that a network predicts: of the mesh and of its
+        Laplacian, minus what the components give; metres.
+        """
+        plain = name.removesuffix(MIRRORED)
+        rows: NDArray[np.float16] = self.bones.kept(
+            self._folder, plain, lambda: {"rows": self._encode(plain)}
+        )["rows"]
+        if name != plain:
+            rows[:, :-2] *= self.basis.sign.astype(np.float16)
+        return rows
+
+    def _fit(self, names: list[str]) -> ShapeBasis:
+        plain = [n for n in names if not n.endswith(MIRRORED)]
+        sample = self.bones.store.sample(plain, _FRAMES)
+        meshes = [self._local(clip.name, frames) for clip, frames in sample]
+        return ShapeBasis.fit(np.concatenate(meshes), _RANK, self.bones.store.mirror_vertices)
+
+    def _local(self, name: str, frames: NDArray[np.int64] | slice) -> NDArray[np.float64]:
+        """Low-frequency meshes in the moving frame."""
+        frame = self.features(self.bones.store.clip(name).joints)[1][frames]
+        local: NDArray[np.float64] = remove_frame(frame, self.bones.clip(name).split(frames)[0])
+        return local
+
+    def _encode(self, name: str) -> NDArray[np.float16]:
+        mesh = self._local(name, slice(None))
+        rows = self.basis.encode(mesh)
+        rest = (mesh - self.basis.decode(rows))[:, self.free]
+        bent = self.laplacian @ rest.transpose(1, 0, 2).reshape(len(self.free), -1)
+        norms = [
+            np.sqrt((x**2).sum(axis=axes))
+            for x, axes in ((rest, (1, 2)), (bent.reshape(len(self.free), -1, 3), (0, 2)))
+        ]
+        return np.column_stack([rows, *norms]).astype(np.float16)

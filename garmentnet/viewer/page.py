@@ -1,0 +1,324 @@
+"""A trained garment, its body and some motions as one HTML file.
+
+The page holds networks and poses, no cloth: the browser runs what
+:class:`~garmentnet.runtime.LiveGarment` does, and the graphics card skins.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Sequence
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from ssdr import Skinning
+from ssdr.errors import InputError
+from ssdr.hierarchy.bone_ends import limb_ends
+from ssdr.render import FABRIC, SKIN
+from ssdr.render.palette import bone_colors, srgb_from_linear
+from ssdr.surface import Material, Surface
+from ssdr.viewer.blocks import Blocks
+from ssdr.viewer.motion import Outermost
+from ssdr.viewer.page import PARTS, WEB, assembled
+from ssdr.viewer.payload import difference_entry, heat_scales, weight_entries
+from ssdr.viewer.surface import surface_entries
+
+from ..data.parameters import RANGES, SimulationParameters
+from ..data.skeleton import check_joints
+from ..io.files import write_file
+from ..runtime.garment import LiveGarment
+from ..runtime.pivot import Recurrent
+
+__all__ = ["Take", "write_page"]
+
+_WEB = files(__package__) / "web"
+_SCRIPTS = tuple(_WEB / f"{name}.js" for name in ("network", "garment", "dress", "main"))
+_STYLES = (WEB / "page.css", _WEB / "page.css")
+_MARGIN = 0.1  # metres of flesh about the joints
+# Metres: nothing is pushed out of the body, but skin so little above the cloth is not seen.
+_BEHIND = 0.03
+_STEP = 2.5e-4  # metres to which the truth is rounded; in 16 bits, it may be coarser
+_SMOOTH = 1.0  # seconds over which the camera's way is averaged
+Float = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Take:
+    """A motion of a page.
+
+    Attributes
+    ----------
+    name : str
+    joints : (F, J, 3, 4) array
+        World transforms from the body's rest pose, at the garment's frame rate.
+    truth : (F, V, 3) array-like or None
+        The simulated garment, where it is known; shown beside the prediction.
+    """
+
+    name: str
+    joints: Any
+    truth: Any = None
+
+
+def write_page(
+    garment: LiveGarment,
+    takes: Sequence[Take],
+    path: Path | str,
+    *,
+    parameters: SimulationParameters | None = None,
+    title: str = "Garment",
+    max_bytes: int = 12_000_000,
+) -> int:
+    """Write a page that needs no network and return its size in bytes.
+
+    Parameters
+    ----------
+    garment : LiveGarment
+    takes : sequence of Take
+        One or more; the page opens with the first.
+    path : path
+    parameters : SimulationParameters, optional
+        With which a garment that reads them starts, and those of the truth.
+    title : str
+    max_bytes : int
+        Networks are rounded to half precision for a page that would be larger, then the truth is
+        left out.
+
+    Raises
+    ------
+    InputError
+        If the garment is an ensemble, a motion is not one of its body or its truth does not fit,
+        or the page would be larger even so.
+    """
+    if len(garment.pivots) > 1:
+        raise InputError("model", "one network, such as reads the parameters", "an ensemble")
+    if not takes:
+        raise InputError("takes", "one or more motions", "none")
+    bare = [dataclasses.replace(take, truth=None) for take in takes]
+    smaller = "To keep the page small, its networks are in half precision"
+    for half, some, notes in (
+        (False, takes, []),
+        (True, takes, [f"{smaller}."]),
+        (True, bare, [f"{smaller}, and the simulation is left out."]),
+    ):
+        start = parameters or SimulationParameters()
+        data = _page_text(garment, some, start, title, half, notes).encode()
+        if len(data) <= max_bytes:
+            break
+    else:
+        frames = sum(len(take.joints) for take in takes)
+        expected = f"a network and motions that fit into {max_bytes:,} bytes"
+        raise InputError("max_bytes", expected, f"{len(data):,} with {frames:,} frames")
+    write_file(Path(path), data)
+    return len(data)
+
+
+def _page_text(
+    garment: LiveGarment,
+    takes: Sequence[Take],
+    parameters: SimulationParameters,
+    title: str,
+    half: bool,
+    notes: list[str],
+) -> str:
+    blocks = Blocks()
+    count = garment.subject.skeleton.n_joints
+    joints = [check_joints(take.joints, count) for take in takes]
+    ends = np.cumsum([0, *map(len, joints)]).tolist()
+    paths, rooms = _ways(garment, joints)
+    document = {
+        "title": title,
+        "unit": " mm",
+        **_figure(garment, blocks),
+        "step": 1,
+        "frames": ends[-1],
+        "clips": [
+            {
+                "name": take.name,
+                "start": start,
+                "stop": stop,
+                "first": 0,
+                "fps": garment.subject.fps,
+                "truth": take.truth is not None,
+                "room": room,
+            }
+            for take, (start, stop), room in zip(takes, pairwise(ends), rooms, strict=True)
+        ],
+        "transforms": blocks.fixed(np.concatenate(joints)),
+        "path": blocks.array(np.concatenate(paths).astype(np.float32)),
+        **_truth(garment, takes, joints, parameters, blocks),
+        "garment": _network(garment, parameters, half, blocks),
+        "notes": notes,
+    }
+    scripts = (*PARTS, *_SCRIPTS)
+    panel = _WEB / "panel.html"
+    return assembled(document, blocks.data, scripts, styles=_STYLES, panel=panel)
+
+
+def _figure(garment: LiveGarment, blocks: Blocks) -> dict[str, Any]:
+    """The garment and behind it the body as one mesh; its bones are joints, then virtual bones."""
+    s = garment.subject
+    g, body, count = s.garment, s.body, s.skeleton.n_joints
+    rest, indices, weights = (np.array(x) for x in (g.rest, g.indices + count, g.weights))
+    parts = [x for x in (g, body, s.bound) if x is not None]
+    most = max(part.indices.shape[1] for part in parts)
+
+    def wide(x: NDArray[Any]) -> NDArray[Any]:
+        return np.pad(x, ((0, 0), (0, most - x.shape[1])))
+
+    indices, weights = wide(indices), wide(weights)
+    if s.bound is not None:
+        at = s.bound.index
+        rest[at] = s.bound.smooth if garment.pivots[0].high is None else s.bound.rest
+        indices[at], weights[at] = wide(s.bound.indices), wide(s.bound.weights)
+    faces = np.concatenate([g.faces, body.faces + g.n_vertices])
+    model = Skinning(
+        np.concatenate([rest, body.rest]),
+        np.concatenate([indices, wide(body.indices)]),
+        np.concatenate([weights, wide(body.weights)]),
+        np.tile(np.eye(3, 4), (1, count + g.n_bones, 1, 1)),
+        faces=faces,
+    )
+    colors = Surface(
+        material_index=np.repeat(np.arange(2, dtype=np.int32), [len(g.faces), len(body.faces)]),
+        materials=tuple(Material(base_color=(*color, 1.0)) for color in (FABRIC, SKIN)),
+    )
+    surface = surface_entries(faces, colors, model.n_vertices, blocks, [])
+    surface["parts"][-1]["behind"] = _BEHIND
+    heads = s.skeleton.rest
+    tails = limb_ends(heads, s.skeleton.parents, body.rest, body.indices, body.weights)
+    hidden = [p.size for p in (garment.pivots[0].low, garment.pivots[0].high) if p is not None]
+    return {
+        "summary": f"{g.n_vertices:,} vertices on {g.n_bones} virtual bones, predicted here by "
+        f"recurrent networks of {' and '.join(map(str, hidden))}",
+        "vertices": model.n_vertices,
+        "cloth": g.n_vertices,
+        "bones": count,
+        "virtual": g.n_bones,
+        "basis": np.eye(3).ravel().tolist(),
+        "center": [0, 0, 0],
+        "scale": 1,
+        "heat": heat_scales(),
+        "rest": blocks.array(model.rest.astype(np.float32)),
+        **weight_entries(model, blocks),
+        **surface,
+        "rig": {
+            "names": list(s.skeleton.names),
+            "parents": s.skeleton.parents.tolist(),
+            "rigid": True,
+            "heads": heads.tolist(),
+            "ends": tails.tolist(),
+            "colors": (255 * srgb_from_linear(bone_colors(heads))).round().astype(int).tolist(),
+        },
+    }
+
+
+def _ways(garment: LiveGarment, joints: list[Float]) -> tuple[list[Float], list[Any]]:
+    """Of every motion the camera's way across the ground, and 26 points around the body on it."""
+    skeleton = garment.subject.skeleton
+    size = max(1, round(_SMOOTH * garment.subject.fps))
+    paths, rooms = [], []
+    for m in joints:
+        heads, room = skeleton.positions(m), Outermost()
+        path = uniform_filter1d(heads[:, 0], size, axis=0, mode="nearest") * [1.0, 0.0, 1.0]
+        room.add((heads - path[:, None]).reshape(-1, 3))
+        paths.append(path)
+        rooms.append((room.points + _MARGIN * room.ways).round(3).tolist())
+    return paths, rooms
+
+
+def _truth(
+    garment: LiveGarment,
+    takes: Sequence[Take],
+    joints: list[Float],
+    parameters: SimulationParameters,
+    blocks: Blocks,
+) -> dict[str, Any]:
+    """Differences of the truth from the prediction, and errors in millimetres."""
+    if all(take.truth is None for take in takes):
+        return {"error": None, "input": None}
+    n, body = garment.subject.garment.n_vertices, garment.subject.body.n_vertices
+    off: list[Single] = []
+    for take, m in zip(takes, joints, strict=True):
+        if take.truth is None:
+            off += [np.zeros((n + body, 3), np.float32)] * len(m)
+            continue
+        truth, state = np.asarray(take.truth, np.float32), None
+        if truth.shape != (len(m), n, 3):
+            raise InputError("truth", f"shape {(len(m), n, 3)}", truth.shape)
+        for pose, true in zip(m, truth, strict=True):
+            state, vertices = garment.step(state, pose, parameters)
+            off.append(np.pad(true - vertices, ((0, body), (0, 0))))
+    size = 1e3 * np.stack([np.linalg.norm(one[:n], axis=1) for one in off])
+    reach = max(32767 * _STEP, *(float(np.abs(one).max()) for one in off))
+    box = np.ptp(garment.subject.garment.rest, axis=0)
+    return {
+        "error": {
+            "mean": size.mean(axis=1).round(4).tolist(),
+            "largest": size.max(axis=1).round(4).tolist(),
+            "top": max(float(np.quantile(size, 0.995, axis=1).max()), 1e-3),
+            "max": float(size.max()),
+            "diagonal": 1e3 * float(np.linalg.norm(box)),
+        },
+        "input": difference_entry(off.__getitem__, len(off), n + body, reach, 1.0, blocks),
+    }
+
+
+def _network(
+    garment: LiveGarment, parameters: SimulationParameters, half: bool, blocks: Blocks
+) -> dict[str, Any]:
+    """What ``garment.js`` runs."""
+    p, s, o = garment.pivots[0], garment.subject, garment.features
+
+    def packed(x: Any) -> dict[str, Any]:
+        values = np.asarray(x, np.float32)
+        # Rounded numbers end in zeros, which are compressed.
+        return blocks.array(values.astype(np.float16).astype(np.float32) if half else values)
+
+    def recurrent(r: Recurrent) -> dict[str, Any]:
+        return {f.name: packed(getattr(r, f.name)) for f in dataclasses.fields(r)}
+
+    basis = still = None
+    if p.basis is not None:
+        free = np.arange(s.garment.n_vertices)
+        free = free if s.bound is None else s.bound.free(len(free))
+        whole = np.zeros((len(p.basis), s.garment.n_vertices, 3), np.float32)
+        whole[:, free] = p.basis.reshape(len(p.basis), 3, -1).swapaxes(1, 2)
+        mean, *components = whole.reshape(len(whole), -1)
+        still, basis = packed(mean), packed(np.transpose(components))
+    fields = dataclasses.asdict(parameters)
+    return {
+        "fps": s.fps,
+        "read": garment.read.tolist(),
+        "sixd": o.rotation == "sixd",
+        "headingFree": o.heading_free,
+        "translation": o.translation,
+        "velocities": o.velocities,
+        "rootMotion": o.root_motion,
+        "frame": o.frame,
+        "mean": p.mean.tolist(),
+        "deviation": p.deviation.tolist(),
+        "clamp": p.clamp,
+        "readsBody": p.reads_body,
+        "parameters": [
+            {"name": k, "low": low, "high": high, "value": fields[k]}
+            for k, (low, high) in RANGES.items()
+            if p.condition
+        ],
+        "product": base64.b64encode((_WEB / "affine.wasm").read_bytes()).decode(),
+        "low": recurrent(p.low),
+        "high": None if p.high is None else recurrent(p.high),
+        "scale": blocks.array(p.scale),
+        "shift": blocks.array(p.shift),
+        "centres": blocks.array(p.centres),
+        "basis": basis,
+        "still": still,
+    }
