@@ -14,8 +14,8 @@ LAYERS = (
     ("configs",),
     ("data",),
     ("networks", "scenes/dance", "scenes/xpbd", "drawing", "collision"),
-    ("training", "scenes"),
-    ("evaluation", "prediction"),
+    ("training", "scenes", "importing", "runtime"),
+    ("evaluation", "prediction", "viewer"),
     ("cli",),
     ("",),
 )

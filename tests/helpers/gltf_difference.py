@@ -19,6 +19,7 @@ NEW_SKIN = re.compile(
     r"|.*/mesh/primitives/\d+/[+-]?targets$"
     r"|.*/mesh/primitives/\d+/attributes/[+-]?(POSITION|NORMAL|TANGENT|(JOINTS|WEIGHTS)_\d)(/.*)?$"
     r"|.*/mesh/extras/-targetNames$"
+    r"|drawn/[^/]+/-(translation|rotation|scale|matrix)$"  # a skin stands at the top of its scene
     r"|[+-]?skins$"
 )
 
@@ -56,14 +57,17 @@ def tree(path):
         }
         return item
 
-    places = {}
+    places, drawn = {}, {}
+    below = {"children", "camera"}
 
     def node(number, above):
         item = dict(json["nodes"][number])
         place = f"{above}/{item.get('name', number)}"
         places[number] = place
         if "mesh" in item:
-            item["mesh"] = mesh(item["mesh"])
+            moved = () if item.keys() & below else ("translation", "rotation", "scale", "matrix")
+            keys = {"mesh", "skin", "weights", *moved} & item.keys()
+            drawn[str(item.get("name", number))] = {key: item.pop(key) for key in keys}
         if "camera" in item:
             item["camera"] = json["cameras"][item["camera"]]
         if "children" in item:
@@ -71,7 +75,10 @@ def tree(path):
         return item
 
     def nodes(numbers, above):
-        return {str(json["nodes"][k].get("name", k)): node(k, above) for k in numbers}
+        found = {str(json["nodes"][k].get("name", k)): node(k, above) for k in numbers}
+        return {
+            name: item for name, item in found.items() if name not in drawn or below & item.keys()
+        }
 
     result = {k: v for k, v in json.items() if k not in ("accessors", "bufferViews", "nodes")}
     result.pop("buffers", None)
@@ -79,8 +86,9 @@ def tree(path):
         str(k): {**s, "nodes": nodes(s.get("nodes", []), "")}
         for k, s in enumerate(json.get("scenes", []))
     }
-    # By their nodes; a mesh may have become two.
+    # By their nodes, wherever these stand; a mesh may have become two.
     result.pop("meshes", None)
+    result["drawn"] = {n: {**one, "mesh": mesh(one["mesh"])} for n, one in drawn.items()}
     skins = [
         {
             **s,

@@ -65,7 +65,6 @@ class Tiny:
         )
         assert self.data.q is None
         inner, start = self.data.from_world(rest, truth)
-        assert start is not None
         start[..., 3] += 0.05 * rng.standard_normal(start[..., 3].shape)
         self.model = Model.with_weights(start, inner, indices, weights, self.k)
         model_of = "rigid" if tree else kind

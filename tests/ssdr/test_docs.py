@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import inspect
-import io
 import math
 import os
 import posixpath
 import re
-import shlex
 import subprocess
 import sys
-import warnings
 import zlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import ssdr
+from docs import snippets
 from ssdr import render
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,14 +30,12 @@ SITE = sorted(
     ]
 )
 PAGES = sorted({*ROOT.glob("*.md"), *SITE})
-_FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 _NUMBER = re.compile(r"\d+\.\d+(?:e[-+]?\d+)?")
 _TABLE = re.compile(r"(?:^\|.*\n)+", re.MULTILINE)
-_NEEDS = "# needs: "
 # Every figure of these is what a command beside it prints.  Where the processor rounds differently
 # a search may end elsewhere: only `make docs`, run where the pages are written, wants them exact.
-FIRST_PAGES = [ROOT / "README.md", DOCS / "getting-started.md"]
+FIRST_PAGES = [ROOT / "README.md", DOCS / "getting-started.md", *snippets.GALLERY]
 EXACT = bool(os.environ.get("SSDR_EXACT_DOCS"))
 
 
@@ -54,7 +48,7 @@ def _text(page: Path) -> str:
 
 
 def _prose(page: Path) -> str:
-    return _FENCE.sub("", _text(page))
+    return snippets.FENCE.sub("", _text(page))
 
 
 def _links(page: Path) -> list[str]:
@@ -90,7 +84,7 @@ def _entries(page: Path) -> list[str]:
     folder = posixpath.dirname(_name(page))
     return [
         posixpath.normpath(posixpath.join(folder, line))
-        for language, text in _FENCE.findall(_text(page))
+        for language, text in snippets.FENCE.findall(_text(page))
         if language == "{toctree}"
         for line in text.split("\n\n", 1)[1].split()
     ]
@@ -161,52 +155,28 @@ def test_every_figure_is_an_output_or_in_a_table_that_names_its_revision(page: P
     assert _NUMBER.findall(_TABLE.sub("", text)) == []
 
 
-def _runs(page: Path) -> bool:
-    return any(
-        (language == "python" and not text.startswith(_NEEDS))
-        or (language == "sh" and re.search(r"^ssdr ", text, re.MULTILINE))
-        for language, text in _FENCE.findall(_text(page))
-    )
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [p for p in PAGES if _runs(p)], ids=_name)
+@pytest.mark.parametrize("page", [p for p in PAGES if snippets.runs(p)], ids=_name)
 def test_snippets_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Python blocks share their names, from top to bottom; lines that call ``ssdr`` run as well.
 
     A text block is what the block before it prints.
     """
     monkeypatch.chdir(tmp_path)
-    sample = ssdr.samples.load("dancer_small")
-    ssdr.save(sample, "dance.npz")
-    np.save("dance.npy", sample.vertices)
-    np.save("faces.npy", sample.faces)
-    (tmp_path / "clips").mkdir()
-    for k, part in enumerate((slice(0, 12), slice(12, 24))):
-        np.save(f"clips/{k}.npy", sample.vertices[part])
-    names: dict[str, object] = {"__name__": "__main__"}
-    printed = ""
-    try:
-        for language, text in _FENCE.findall(_text(page)):
-            if language == "python" and not text.startswith(_NEEDS):
-                out = io.StringIO()
-                with warnings.catch_warnings(), contextlib.redirect_stdout(out):
-                    warnings.simplefilter("error")
-                    exec(compile(text, page.name, "exec"), names)
-                printed = out.getvalue()
-            elif language == "text":
-                tolerance = 0.02 if EXACT and page in FIRST_PAGES else 0.5
-                assert _same_output(text, printed, tolerance), f"{text}\nis now\n{printed}"
-            elif language == "sh":
-                printed = "".join(map(_run, text.replace("\\\n", " ").splitlines()))
-    finally:
-        ssdr.set_threads(None)
+    snippets.prepare(page, tmp_path)
+    for said, printed in snippets.run(page):
+        tolerance = 0.02 if EXACT and page in FIRST_PAGES else 0.5
+        assert _same_output(said, printed, tolerance), f"{said}\nis now\n{printed}"
+    if page in snippets.GALLERY:
+        shown = snippets.STILL.search(_text(page))
+        assert shown is not None
+        assert (tmp_path / f"{shown['name']}.html").exists()
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md"], ids=_name)
 def test_no_command_stops_on_a_file_that_python_has_just_written(page: Path) -> None:
     saved, written = set(), set()
-    for language, text in _FENCE.findall(_text(page)):
+    for language, text in snippets.FENCE.findall(_text(page)):
         if language == "python":
             saved |= set(re.findall(r"save\([^\"]*\"([^\"]+)\"", text))
         else:
@@ -214,23 +184,6 @@ def test_no_command_stops_on_a_file_that_python_has_just_written(page: Path) -> 
     assert saved
     assert written
     assert not saved & written
-
-
-def _run(line: str) -> str:
-    """What a line prints that calls ``ssdr``; others are not run."""
-    words = shlex.split(line, comments=True)
-    if words[:1] != ["ssdr"]:
-        return ""
-    done = subprocess.run(
-        [sys.executable, "-m", *words],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
-    return done.stdout
 
 
 MODULES = [render, *(m for n in ssdr.__all__ if inspect.ismodule(m := getattr(ssdr, n)))]
@@ -284,7 +237,7 @@ def test_the_site_builds_without_a_warning_and_holds_all_that_it_needs(tmp_path:
         pytest.importorskip(package, reason=f'{package} is missing: pip install ".[docs]"')
     done = subprocess.run(
         [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-c", "docs",
-         "-d", str(tmp_path / "cache"), ".", str(tmp_path / "site")],
+         "-D", "live_pages=0", "-d", str(tmp_path / "cache"), ".", str(tmp_path / "site")],
         cwd=ROOT, capture_output=True, text=True, check=False, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import importlib
 import inspect
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ _RESULTS = (
     ("ssdr.search.progress", "Record"),
     ("ssdr.fit.fit", "Fit"),
     ("ssdr.fit.bones", "BoneFit"),
+    ("ssdr.viewer.page", "Page"),
 )
 
 
@@ -62,7 +64,8 @@ def test_has_an_example(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(_THINGS))
-def test_example_runs(name: str) -> None:
+def test_example_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # where examples write
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
     for test in _examples(name):
         runner.run(test)

@@ -85,6 +85,14 @@ def test_public_names_resolve_and_are_listed_once_and_sorted() -> None:
     assert dir(ssdr) == ssdr.__all__
 
 
+def test_the_readme_and_the_page_on_installing_name_the_extras() -> None:
+    extras = set(_project()["optional-dependencies"])
+    page, readme = ((ROOT / name).read_text() for name in ("docs/install.md", "README.md"))
+    assert {name for name in extras if f"| `{name}` |" in page} == extras
+    for_users = extras - {"bench", "docs", "dev"}
+    assert {name for name in for_users if f"`{name}`" in readme} == for_users
+
+
 def test_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = ssdr.no_such_name

@@ -23,6 +23,14 @@ def far(size: float) -> np.ndarray:
     return np.tile(np.c_[np.eye(3), np.full(3, size)], (15, 2, 1, 1))
 
 
+@pytest.mark.parametrize("function", [ssdr.decompose, ssdr.smallest])
+def test_a_mistyped_keyword_is_refused_with_the_one_that_was_meant(function: Any) -> None:
+    with pytest.raises(ssdr.InputError, match=r"^bone: expected bones, got an argument that"):
+        function(SHOT, bone=3)
+    with pytest.raises(ssdr.InputError, match=r"^xyz: expected sequence, faces, .*bones"):
+        function(SHOT, xyz=3)
+
+
 REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
     "no bones": ("bones", {"bones": 0}),
     "bones of no number": ("bones", {"bones": None}),

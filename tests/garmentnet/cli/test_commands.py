@@ -227,3 +227,32 @@ def test_limit_of_a_file_while_training(toy_store, tmp_path):
     assert done.returncode == 1, done.stderr
     assert re.search(r"low\.state\.safetensors: could not be written", done.stderr)
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["run.json"]
+
+
+def test_models_are_listed_with_what_is_wrong(toy_run, tmp_path, capfd):
+    path = tmp_path / "below" / "mine.safetensors"
+    path.parent.mkdir()
+    save_checkpoint(load_checkpoint(toy_run / "checkpoint.safetensors"), path)
+    (tmp_path / "cut.safetensors").write_bytes(path.read_bytes()[:900])
+    rows = call("models", tmp_path).splitlines()
+    assert re.fullmatch(r"dress +\d+ +\d+ +pose.* \d\.\d +unseen dances \d.* mm", rows[1])
+    assert re.fullmatch(r"\S+cut.safetensors +0.0 +.+", rows[3])
+    assert re.fullmatch(
+        r"\S+mine.safetensors +112 +\d+ +pose +\d\.\d +.*low, validation \d.* mm", rows[2]
+    )
+    assert len(call("models", toy_run).splitlines()) == 3  # states of the training are none
+    assert said(capfd, "models", tmp_path / "none")[0] == 2
+
+
+def test_a_garment_is_exported_with_its_joints(toy_run, toy_store, tmp_path, capfd):
+    checkpoint, target = toy_run / "checkpoint.safetensors", tmp_path / "dress.glb"
+    clip = toy_store.path / "clips" / "base-test-0"
+    out = call("export", checkpoint, "-o", target, "--motion", clip, "--shapes", 2)
+    assert re.search(r"13 joints, 2 morph targets, 90 frames", out)
+    assert target.read_bytes()[:4] == b"glTF"
+    # A made dance is for the body that ships.
+    code, line = said(capfd, "export", checkpoint, "-o", tmp_path / "x.glb")
+    assert code == 2
+    assert "motion: expected a file" in line
+    assert said(capfd, "export", checkpoint, "-o", tmp_path / "x.obj")[0] == 2
+    assert not (tmp_path / "x.glb").exists()

@@ -1,8 +1,12 @@
 # ruff: noqa: E402
-"""The demo: simulate, decompose, train, evaluate, draw."""
+"""The demo: the garment that ships; and simulate, decompose, train, evaluate, draw."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -13,16 +17,35 @@ from garmentnet.cli import demo
 
 
 @pytest.mark.slow
+def test_the_dress_that_ships_needs_no_torch(tmp_path):
+    code = (
+        "import sys; from garmentnet.cli import main; "
+        f"assert main(['demo', '-o', {str(tmp_path)!r}]) == 0; assert 'torch' not in sys.modules"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    sheet, vertices, film, _ = map(Path, json.loads(run.stdout)["files"])
+    with Image.open(sheet) as picture:
+        assert len(picture.getcolors(1 << 24)) > 4096
+    with np.load(vertices) as archive:
+        moved = archive["vertices"]
+    assert moved.shape == (120, 2100, 3)
+    size = np.ptp(moved, axis=1)
+    assert ((size > 0.3) & (size < 1.5)).all()  # a dress in every frame
+    assert np.ptp(size, axis=0).max() > 0.1  # that swings
+    assert film.stat().st_size > 20_000
+
+
+@pytest.mark.slow
 def test_an_interrupted_demo_continues_and_gives_scores_and_pictures(tmp_path):
-    def stop(step, fraction, left):
+    def stop(step, fraction):
         if step.startswith("training low, epoch 5"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        demo.run_demo(tmp_path / "demo", progress=stop)
+        demo.run_pipeline(tmp_path / "demo", progress=stop)
     steps = []
-    summary = demo.run_demo(tmp_path / "demo", progress=lambda step, *_: steps.append(step))
-    assert not any(step.startswith("simulating, 0") for step in steps)
+    summary = demo.run_pipeline(tmp_path / "demo", progress=lambda step, *_: steps.append(step))
+    assert not any(step.startswith("simulated") for step in steps)
     assert not any(step == "training low, epoch 1" for step in steps)
     names = [cell.strip() for cell in summary["table"][0].split("|")]
     rows = [[cell.strip() for cell in line.split("|")] for line in summary["table"][2:]]

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import ssdr
-from garmentnet.collision.push_out import INSIDE, PushOut, push_out
+from garmentnet.collision.push_out import INSIDE, PushOut
 from ssdr import Skinning
 from ssdr.errors import InputError
 
@@ -150,7 +150,7 @@ def test_pinned_vertices_stay():
     pinned = np.zeros(25, bool)
     pinned[[0, 12]] = True
     joints = np.eye(3, 4)[None, None]
-    out = push_out(cloth[None], joints, rigid(v, f), faces, margin=0.01, pinned=pinned)
+    out = PushOut(rigid(v, f), faces, margin=0.01, pinned=pinned)(cloth[None], joints)
     assert np.array_equal(out.vertices[0, pinned], cloth[pinned])
     assert (out.distance[0, ~pinned] > 0).all()
 

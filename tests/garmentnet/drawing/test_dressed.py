@@ -9,19 +9,15 @@ pytest.importorskip("zarr")
 pytest.importorskip("torch")
 
 
-from garmentnet.data.motion import CLASSES
 from garmentnet.drawing.dressed import (
     camera_track,
     caption,
     dressed,
     facing_the_camera,
-    free_vertices,
     outfit_parts,
     outfit_regions,
     spread_frames,
 )
-from garmentnet.evaluation.pictures import moments
-from ssdr.errors import InputError
 from ssdr.render.scene import Scene
 
 
@@ -33,31 +29,20 @@ def test_the_exact_body_is_not_in_the_figure(toy_store):
     truth = dressed(body, cloth, *faces, 30.0)
     off = dressed(body, cloth + np.float32([0, 0.03, 0]), *faces, 30.0)
     n, v = toy_store.body.n_vertices, toy_store.n_vertices
-    free = np.arange(v) >= v // 2
-    scene = Scene.of(off, truth, outfit_parts(n, v), outfit_regions(n, v, free))
+    outfit = dataclasses.replace(toy_store, pinned=np.arange(v) < v // 2)
+    scene = Scene.of(off, truth, outfit_parts(n, v), outfit_regions(outfit))
     assert scene.rmse() == pytest.approx(0.03, rel=1e-5)
     assert scene.figures(None, ("mm", 1000.0)) == "all 30.0 mm, free 30.0 mm"
     assert scene.measured.sum() == v
     assert truth.faces.max() == n + v - 1
 
 
-def test_masks_that_do_not_fit_are_named():
-    assert list(outfit_regions(3, 4, None)) == ["all"]
-    assert list(outfit_regions(3, 4, np.ones(4, bool))) == ["all"]
-    regions = outfit_regions(3, 4, np.array([True, False, False, True]))
-    assert np.flatnonzero(regions["free"]).tolist() == [3, 6]
-    for wrong in (np.ones(7, bool), np.ones(4), np.zeros(4, bool), [0, 1]):
-        with pytest.raises(InputError) as caught:
-            outfit_regions(3, 4, wrong)
-        assert caught.value.argument == "free"
-
-
 def test_pinned_vertices_are_not_free(toy_store):
-
-    assert free_vertices(toy_store) is None
-    pinned = np.arange(toy_store.n_vertices) < 16
-    outfit = dataclasses.replace(toy_store, pinned=pinned)
-    np.testing.assert_array_equal(free_vertices(outfit), ~pinned)
+    n, v = toy_store.body.n_vertices, toy_store.n_vertices
+    assert list(outfit_regions(toy_store)) == ["all"]
+    pinned = np.arange(v) < 16
+    regions = outfit_regions(dataclasses.replace(toy_store, pinned=pinned))
+    np.testing.assert_array_equal(np.flatnonzero(regions["free"]), np.arange(n + 16, n + v))
 
 
 def test_the_camera_walks_smoothly_and_stays_level():
@@ -100,11 +85,3 @@ def test_captions_and_frames():
     assert caption(30, 30.0, np.full(40, 3)) == "spin  ·  1.00 s"
     assert spread_frames(5, 3) == [0, 1, 2]
     assert spread_frames(2, 100) == [25, 75]
-
-
-def test_moments_are_frames_of_their_class(toy_store):
-
-    found = moments(toy_store, ["base-test-0", "base-test-1"], ("walk", "sway", "spin"))
-    assert [label for label, _, _ in found] == ["walk", "sway", "spin"]
-    for label, name, frame in found:
-        assert toy_store.clip(name).classes[frame] == CLASSES.index(label)

@@ -1,5 +1,7 @@
 """Sheets of truth, prediction and error."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,6 @@ pytest.importorskip("zarr")
 from PIL import Image
 
 from garmentnet.evaluation import pictures
-from ssdr.errors import InputError
 from ssdr.render import figures
 
 
@@ -37,11 +38,10 @@ def texts(monkeypatch):
     return seen
 
 
-def test_rows_are_named_and_the_exact_body_does_not_count(toy_store, texts, tmp_path, monkeypatch):
-    clip = toy_store.clip("base-test-0")
-    free = np.arange(toy_store.n_vertices) >= 16
-    monkeypatch.setattr(pictures, "_FRAMES", 2)
-    path = pictures.draw_clip(clip, off_by_30_mm(clip), tmp_path / "a.png", free=free)
+def test_rows_are_named_and_the_exact_body_does_not_count(toy_store, texts, tmp_path):
+    outfit = dataclasses.replace(toy_store, pinned=np.arange(toy_store.n_vertices) < 16)
+    clip = dataclasses.replace(toy_store.clip("base-test-0"), outfit=outfit)
+    path = pictures.draw_clip(clip, off_by_30_mm(clip), tmp_path / "a.png")
     with Image.open(path) as sheet:
         assert sheet.mode == "RGB"
         assert len(sheet.getcolors(1 << 24)) > 4096
@@ -49,19 +49,5 @@ def test_rows_are_named_and_the_exact_body_does_not_count(toy_store, texts, tmp_
         *("truth", "truth", "prediction", "prediction", "error", "error")
     ]
     assert any(t.endswith("RMSE: all 30.0 mm, free 30.0 mm") for t in texts)
-    assert texts.count("all 30.0 mm, free 30.0 mm") == 2
-    assert "0.73 s" in texts
-    with pytest.raises(InputError) as caught:
-        pictures.draw_clip(clip, off_by_30_mm(clip), tmp_path / "b.png", free=np.ones(5, bool))
-    assert caught.value.argument == "free"
-    assert not (tmp_path / "b.png").exists()
-
-
-def test_moments_are_columns(toy_store, texts, tmp_path, monkeypatch):
-    monkeypatch.setattr(pictures.moments, "__defaults__", (("walk", "spin"),))
-    found = pictures.draw_moments(toy_store, off_by_30_mm, ["base-test-0"], tmp_path / "m.png")
-    assert [label for label, _, _ in found] == ["walk", "spin"]
-    assert "walk, spin" in texts
-    for label, name, frame in found:
-        assert label in texts
-        assert f"{name}, {frame / 30:.2f} s" in texts
+    assert texts.count("all 30.0 mm, free 30.0 mm") == 5
+    assert "0.30 s" in texts

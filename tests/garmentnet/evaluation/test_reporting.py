@@ -33,7 +33,7 @@ def test_a_report_has_scores_the_chaos_floor_and_pictures(checkpoint, toy_store,
     assert ", pushed out " in text
     assert "| chaos floor, mm " in text
     assert (tmp_path / "report.md").read_text("utf-8") == text
-    assert len(list(tmp_path.glob("*.png"))) == 2  # a clip, and the hard moments
+    assert len(list(tmp_path.glob("*.png"))) == 1
 
 
 def test_ratios_and_clips(checkpoint, toy_store, tmp_path):

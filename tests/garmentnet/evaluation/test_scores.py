@@ -47,7 +47,7 @@ class Plain(Method):
 def truth_method(bones, *, low=0.0, high=0.0):
     def parts(clip):
         kept = bones.clip(clip.name)
-        return kept.read("low") + np.float32(low), kept.read("high") + np.float32(high)
+        return kept.split()[0] + np.float32(low), kept.split()[1] + np.float32(high)
 
     return Split(parts, "truth")
 
@@ -74,18 +74,18 @@ def test_known_errors(toy_bones):
 def test_low_and_high_add_up_to_the_clip(toy_bones, toy_store):
     clip, kept = toy_store.clip(CLIP), toy_bones.clip(CLIP)
     whole = clip.sequence.frames(slice(None))
-    assert np.abs(kept.read("low") + kept.read("high") - whole).max() < 1e-6
-    expected = toy_bones.smoother().smooth(whole)
-    assert np.abs(kept.read("low") - expected).max() < 1e-6
+    assert np.abs(kept.split()[0] + kept.split()[1] - whole).max() < 1e-6
+    expected = toy_bones.smoother.smooth(whole)
+    assert np.abs(kept.split()[0] - expected).max() < 1e-6
 
 
 def test_mirrored_parts_are_those_of_the_mirrored_clip(toy_bones, toy_store):
     mirrored = toy_store.clip(CLIP).mirrored()
     kept = toy_bones.clip(mirrored.name)
     whole = mirrored.sequence.frames(slice(None))
-    expected = toy_bones.smoother().smooth(whole)
-    assert np.abs(kept.read("low") - expected).max() < 1e-5
-    assert np.abs(kept.read("high", slice(3, 9)) - (whole - expected)[3:9]).max() < 1e-5
+    expected = toy_bones.smoother.smooth(whole)
+    assert np.abs(kept.split()[0] - expected).max() < 1e-5
+    assert np.abs(kept.split(slice(3, 9))[1] - (whole - expected)[3:9]).max() < 1e-5
 
 
 def test_bones_are_a_bound(toy_bones, toy_network):
@@ -94,7 +94,7 @@ def test_bones_are_a_bound(toy_bones, toy_network):
     assert bones.all.high.rmse < 1e-3
     # What the body carries is exact; the others are where the fitted bones put them.
     s, fitted = toy_bones.skinning, toy_bones.clip(CLIP)
-    gap = ssdr.skin(s.rest, s.indices, s.weights, fitted.transforms) - fitted.read("low")
+    gap = ssdr.skin(s.rest, s.indices, s.weights, fitted.transforms) - fitted.split()[0]
     whole = np.sqrt((gap.astype(float) ** 2).sum(-1).mean())
     assert np.isclose(whole, fitted.rmse, rtol=1e-3)
     gap[:, toy_bones.bound.index] = 0
@@ -155,7 +155,7 @@ def exact_where_pinned(bones, offset=3e-3):
     def parts(clip):
         kept = bones.clip(clip.name)
         off = np.where(free, np.float32(offset), np.float32(0))
-        return kept.read("low") + off, kept.read("high")
+        return kept.split()[0] + off, kept.split()[1]
 
     return Split(parts)
 
@@ -181,7 +181,7 @@ def test_free_shapes_are_those_of_the_free_triangles(toy_bones, toy_network):
     inner = faces[(faces >= 16).all(axis=1)]
     used, numbered = np.unique(inner, return_inverse=True)
     kept = toy_bones.clip(CLIP)
-    truth = (kept.read("low") + kept.read("high"))[:, used]
+    truth = (kept.split()[0] + kept.split()[1])[:, used]
     other = method.predict(toy_bones.store.clip(CLIP))[:, used]
     c = compare(truth, other, numbered.reshape(-1, 3))
     assert np.isclose(row.free.overall.hausdorff, 1e3 * c.hausdorff.vertex_mean, rtol=1e-5)
@@ -213,9 +213,9 @@ def test_pushed_out_nothing_is_left_inside(toy_store, toy_bones):
 
     def narrow(clip):
         fitted = toy_bones.clip(clip.name)
-        low = fitted.read("low")
+        low = fitted.split()[0]
         axis = low.mean(axis=1, keepdims=True) * [1, 0, 1] + low * [0, 1, 0]
-        return np.float32(0.2 * low + 0.8 * axis), fitted.read("high")
+        return np.float32(0.2 * low + 0.8 * axis), fitted.split()[1]
 
     clip, method = toy_store.clip(CLIP), Split(narrow)
     pushed = PushedMethod(method, toy_store)

@@ -16,6 +16,7 @@ from safetensors.torch import save_file
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.data.skeleton import Skeleton
 from garmentnet.data.store import ClipStore
+from garmentnet.networks import checkpoint
 from garmentnet.networks.checkpoint import (
     Checkpoint,
     load_checkpoint,
@@ -48,6 +49,28 @@ def test_round_trip(file, toy_network, toy_store, tmp_path):
     assert np.array_equal(load_checkpoint(again).predict(joints), toy_network.predict(joints))
     assert toy_network.parameters == (toy.BASE,)
     toy_network.check_fits(toy_store)
+
+
+def test_half_precision(file, toy_network, toy_store, tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoint, "_MANY", 1000)
+    small = save_checkpoint(toy_network, tmp_path / "small.safetensors", half=True)
+    assert small.stat().st_size < 0.75 * file.stat().st_size
+    joints = toy_store.clip("base-test-1").joints
+    gap = load_checkpoint(small).predict(joints) - toy_network.predict(joints)
+    assert 0 < np.linalg.norm(gap, axis=-1).max() < 2e-3
+
+
+def test_the_dress_that_ships():
+    """It hangs from a body that stands still: edges as they were cut, the hem at the knee."""
+    model = load_checkpoint("dress")
+    still = np.tile(np.eye(3, 4), (60, model.subject.skeleton.n_joints, 1, 1))
+    before, hanging = model.predict(still, SimulationParameters())[-2:]
+    i, j = model.subject.garment.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).T
+    edges = np.linalg.norm(hanging[i] - hanging[j], axis=1)
+    assert edges.min() > 0.015
+    assert edges.max() < 0.045
+    assert hanging[:, 1].min() == pytest.approx(0.4, abs=0.1)
+    assert np.abs(hanging - before).max() < 1e-3
 
 
 def test_it_holds_no_path_of_this_machine(file, toy_store):

@@ -10,10 +10,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 
-from garmentnet.data.parameters import SimulationParameters as P
-from garmentnet.networks.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from garmentnet.networks.ensemble import Ensemble, Kernel
-from garmentnet.training.run import train
 from ssdr.errors import InputError
 
 
@@ -63,48 +60,6 @@ def test_mixed_bones_are_mixed_meshes(toy_network, toy_store):
         state, vertices = ensemble.step(state, pose, parameters=[0.3, 0, 0])
         steps.append(vertices)
     assert np.abs(np.stack(steps) - whole).max() < 3e-6
-
-
-@pytest.fixture(scope="module")
-def reading(toy_store, toy_config, tmp_path_factory):
-    """A network that reads the parameters."""
-
-    config = toy_config(epochs=6, high_epochs=2)
-    config = dataclasses.replace(config, data=dataclasses.replace(config.data, condition=True))
-    path = train(toy_store, config, tmp_path_factory.mktemp("reading"))
-    return load_checkpoint(path).networks[0]
-
-
-def test_a_common_network_has_its_share(reading, toy_store, tmp_path):
-
-    sets = (P(0.2, 0.2, 1.0), P(2.0, 0.2, 1.0))
-    asked = P(0.6, 0.2, 1.0)
-    theta = np.stack([p.normalised() for p in sets])
-    joints = toy_store.clip("base-test-0").joints[:12]
-    ensemble = Ensemble((reading, reading), theta, Kernel(), reading, 0.3)
-    w = ensemble.weights(asked.normalised())
-    own = [reading.predict(joints, parameters=t) for t in theta]
-    common = reading.predict(joints, parameters=asked.normalised())
-    expected = 0.7 * (w[0] * own[0] + w[1] * own[1]) + 0.3 * common
-    assert np.abs(own[0] - own[1]).max() > 1e-3  # the parameters do something
-    got = ensemble.predict(joints, parameters=asked.normalised())
-    assert np.abs(got - expected).max() < 3e-6
-    alone = Ensemble((reading, reading), theta, Kernel(), reading, 1.0)
-    assert np.abs(alone.predict(joints, parameters=asked.normalised()) - common).max() < 1e-6
-    file = save_checkpoint(
-        Checkpoint((reading, reading), sets, Kernel(shape="exponential"), reading, 0.3),
-        tmp_path / "both.safetensors",
-    )
-    loaded = load_checkpoint(file)
-    assert (loaded.share, len(loaded.networks), loaded.kernel.shape) == (0.3, 2, "exponential")
-    assert np.isfinite(loaded.predict(joints, asked)).all()
-
-
-@pytest.mark.parametrize("share", [-0.1, 1.1, 0.5])
-def test_bad_shares(toy_network, share):
-    common = None if share == 0.5 else toy_network.networks[0]
-    with pytest.raises(InputError, match="share"):
-        Ensemble(toy_network.networks, np.zeros((1, 3)), Kernel(), common, share)
 
 
 def test_exponential_kernel():

@@ -17,6 +17,7 @@ import ssdr
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.prediction.output import save_prediction
 from garmentnet.prediction.prediction import predict
+from helpers.page import Held
 
 
 @pytest.mark.parametrize("suffix", ["npz", "pc2", "obj", "usda"])
@@ -42,6 +43,31 @@ def test_glb_holds_rigid_bones(kind, request, joints, tmp_path):
     gap = float(np.sqrt(((read.skin() - low) ** 2).sum(-1).mean()))
     # The mixture of two networks is not rigid; what comes close is written.
     assert gap < (1e-4 if kind == "toy_network" else 2e-2)
+
+
+def test_a_page_of_the_bones_beside_the_prediction(pair, joints, tmp_path):
+    p = predict(pair, joints, SimulationParameters(bending=1.0))
+    text = save_prediction(p, tmp_path / "a.html")
+    assert text == (
+        "a page of the virtual bones beside the prediction with all its detail, 12 frames"
+    )
+    page = Held((tmp_path / "a.html").read_text(encoding="utf-8"))
+    assert page.document["rig"]["names"] == list(p.skinning.names())
+    np.testing.assert_allclose(page.vertices(), p.skinning.skin(), atol=1e-5)
+    np.testing.assert_allclose(page.input(), p.cloth.vertices, atol=1e-4)
+
+
+def test_a_page_of_the_prediction_beside_the_simulation(toy_network, toy_store, tmp_path):
+    clip = toy_store.clip("base-test-0")
+    p = predict(toy_network, clip.joints)
+    text = save_prediction(p, tmp_path / "a.html", truth=clip)
+    assert text == "a page of the prediction beside the simulation, 90 frames"
+    page = Held((tmp_path / "a.html").read_text(encoding="utf-8"))
+    truth = clip.sequence.frames(slice(None))
+    np.testing.assert_allclose(page.vertices(), p.cloth.vertices, atol=1e-5)
+    np.testing.assert_allclose(page.input(), truth, atol=1e-4)
+    largest = np.linalg.norm(p.cloth.vertices - truth, axis=2).max(axis=1)
+    np.testing.assert_allclose(page.document["error"]["largest"], largest, rtol=1e-4)
 
 
 def test_pictures_and_films(toy_network, joints, tmp_path):
@@ -102,12 +128,11 @@ def test_a_film_of_every_second_frame_has_the_same_speed(toy_network, joints, tm
         assert film.info["duration"] == pytest.approx(2000 / 30, abs=10)
 
 
-def test_truth_and_masks_that_do_not_fit_are_named(toy_network, toy_store, joints, tmp_path):
+def test_truth_that_does_not_fit_is_named(toy_network, toy_store, joints, tmp_path):
     p = predict(toy_network, joints)
     clip = toy_store.clip("base-test-0")
     for argument, options in (
         ("truth", {"truth": clip}),
-        ("free", {"free": np.ones(3, bool)}),
         ("every", {"every": 0}),
     ):
         with pytest.raises(ssdr.InputError) as caught:

@@ -13,7 +13,8 @@ pytest.importorskip("zarr")
 
 import ssdr
 from garmentnet.scenes.body import Body, default_body
-from garmentnet.scenes.garments import Dress, cut_dress, garment_from_mesh, mirror_permutation
+from garmentnet.scenes.cut import Cut, cut_garment
+from garmentnet.scenes.garments import garment_from_mesh, mirror_permutation
 from ssdr.errors import InputError
 
 BODY = default_body()
@@ -50,7 +51,7 @@ def winding(points: np.ndarray, faces: np.ndarray, at: np.ndarray) -> np.ndarray
 
 @pytest.mark.parametrize("vertices", [300, 1900, 6000])
 def test_dress_is_a_clean_mesh(vertices: int) -> None:
-    dress = cut_dress(BODY, Dress(vertices=vertices))
+    dress = cut_garment(BODY, Cut(vertices=vertices))
     assert abs(dress.n_vertices - vertices) < 0.06 * vertices
     corner = dress.rest.astype(float)[dress.faces]
     assert angles(corner).min() > 30
@@ -67,7 +68,7 @@ def test_dress_is_a_clean_mesh(vertices: int) -> None:
 
 
 def test_mirror_is_exact() -> None:
-    dress = cut_dress(BODY)
+    dress = cut_garment(BODY)
     assert dress.mirror is not None
     np.testing.assert_array_equal(dress.rest[dress.mirror] * [-1, 1, 1], dress.rest)
     turned = np.sort(np.sort(dress.mirror[dress.faces], axis=1).view("i4,i4,i4"), axis=0)
@@ -81,7 +82,7 @@ def test_mirror_is_exact() -> None:
 
 
 def test_no_mirror_where_there_is_none() -> None:
-    dress = cut_dress(BODY, Dress(vertices=300))
+    dress = cut_garment(BODY, Cut(vertices=300))
     bent = dress.rest.copy()
     bent[3, 1] += 0.01
     assert mirror_permutation(bent, dress.faces) is None
@@ -89,7 +90,7 @@ def test_no_mirror_where_there_is_none() -> None:
 
 
 def test_no_skin_through_the_cloth_at_rest() -> None:
-    dress = cut_dress(BODY)
+    dress = cut_garment(BODY)
     rig = BODY.skinning
     inside = winding(rig.rest, rig.faces, dress.rest.astype(float)) > 0.5
     # A few of the uppermost vertices lie beneath the arm pits, where the arm begins.
@@ -98,14 +99,14 @@ def test_no_skin_through_the_cloth_at_rest() -> None:
 
 
 def test_pleats_and_flare() -> None:
-    plain = cut_dress(BODY, Dress(pleats=0, pleat_depth=0.0))
+    plain = cut_garment(BODY, Cut(pleats=0, pleat_depth=0.0))
     hem = plain.rest[plain.rest[:, 1] < plain.rest[:, 1].min() + 1e-6]
-    waist_height, height = Dress().waist * BODY.height(), BODY.height()
+    waist_height, height = Cut().waist * BODY.height(), BODY.height()
     ring = plain.rest[np.abs(plain.rest[:, 1] - waist_height) < 1e-4]
     grown = np.ptp(hem[:, 0]) / 2 - np.ptp(ring[:, 0]) / 2
-    drop = (Dress().waist - Dress().hem) * height
-    assert grown == pytest.approx(Dress().flare * drop, rel=0.01)
-    pleated = cut_dress(BODY)
+    drop = (Cut().waist - Cut().hem) * height
+    assert grown == pytest.approx(Cut().flare * drop, rel=0.01)
+    pleated = cut_garment(BODY)
     hem = pleated.rest[pleated.rest[:, 1] < pleated.rest[:, 1].min() + 1e-6]
     centre = np.array([0, 0, (hem[:, 2].max() + hem[:, 2].min()) / 2])
     radius = np.linalg.norm(hem - centre * [1, 0, 1] - [0, hem[0, 1], 0], axis=1)
@@ -131,13 +132,13 @@ def test_pleats_and_flare() -> None:
 )
 def test_dress_refuses(change: dict[str, Any]) -> None:
     with pytest.raises(InputError):
-        Dress(**change)
+        Cut(**change)
 
 
 def test_garment_from_a_file(tmp_path: Path) -> None:
-    dress = cut_dress(BODY, Dress(vertices=300))
+    dress = cut_garment(BODY, Cut(vertices=300))
     ssdr.save(ssdr.MeshSequence(dress.rest[None], dress.faces), tmp_path / "d.npz")
-    level = Dress().waist * BODY.height() - 1e-6
+    level = Cut().waist * BODY.height() - 1e-6
     read = garment_from_mesh(BODY, tmp_path / "d.npz", pinned_above=level)
     np.testing.assert_array_equal(read.rest, dress.rest)
     np.testing.assert_array_equal(read.pinned, dress.pinned)
@@ -160,6 +161,6 @@ def test_bodies_of_other_builds_can_be_dressed() -> None:
     )
     tree = BODY.skeleton
     other = Body(rig, type(tree)(tree.names, tree.parents, tree.rest * [1.2, 1.05, 1.15]))
-    dress = cut_dress(other, Dress(vertices=500))
+    dress = cut_garment(other, Cut(vertices=500))
     skirt = dress.rest[~dress.pinned].astype(float)
     assert (winding(wide, rig.faces, skirt) < 0.5).all()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +11,10 @@ import pytest
 pytest.importorskip("zarr")
 
 from garmentnet.data.parameters import SimulationParameters
+from garmentnet.scenes.cut import Cut
 from garmentnet.scenes.dataset import recorded_motions
-from garmentnet.scenes.garments import Dress
 from garmentnet.scenes.scene import DataSet
-from garmentnet.scenes.scene_file import load_data_set, presets
+from garmentnet.scenes.scene_file import load_data_set
 from ssdr.errors import FormatError
 
 SCENE = """
@@ -39,7 +40,7 @@ def load(tmp_path: Path, text: str) -> DataSet:
 def test_a_scene(tmp_path: Path) -> None:
     data_set = load(tmp_path, SCENE)
     (scene,) = data_set.scenes()
-    assert data_set.garment == Dress(vertices=300)
+    assert data_set.garment == Cut(vertices=300)
     assert scene.parameters.parameters == SimulationParameters(bending=1.0)
     assert scene.name == "base-dance-0004"
     assert scene.seed == 7
@@ -49,9 +50,8 @@ def test_a_scene(tmp_path: Path) -> None:
 
 
 def test_presets_hold_what_is_promised() -> None:
-    assert presets() == ("large", "medium", "small", "tiny")
     small = load_data_set("small")
-    assert isinstance(small.garment, Dress)
+    assert isinstance(small.garment, Cut)
     assert 2000 <= small.garment.vertices <= 3000
     assert len(small.motions) >= 30
     assert sum(m.frames for m in small.motions) >= 9000
@@ -115,6 +115,55 @@ def test_medium_holds_what_is_promised() -> None:
     moved = [s for s in medium.scenes() if s.perturbation]
     assert len(moved) == 30
     assert all(s.parameters == medium.base for s in moved)
+
+
+@pytest.mark.parametrize(
+    "name", ["dress", "dress_fine", "gown", "a_line", "t_shirt", "trousers", "skirt"]
+)
+def test_garments_share_their_motions(name: str) -> None:
+    data_set, medium = load_data_set(name), load_data_set("medium")
+    assert data_set.name == name
+    assert data_set.motions == load_data_set("dress").motions
+    assert set(data_set.motions) < set(medium.motions)
+    assert sum(m.frames for m in data_set.motions if m.split == "train") >= 40_000
+    tests = [m for m in medium.motions if m.split == "test" and m.name.startswith("dance")]
+    assert [m for m in data_set.motions if m.split == "test"] == tests
+    assert data_set.base == medium.base
+
+
+def test_parameter_sets_share_their_motions() -> None:
+    found = load_data_set("parameters")
+    assert [s.split for s in found.sets] == ["train"] * 7 + ["test"] * 2
+    assert all(motions == found.motions for motions in found.set_motions)
+    learnt = np.array(
+        [s.parameters.normalised() for s in (found.base, *found.sets) if s.split == "train"]
+    )
+    np.testing.assert_allclose(learnt.min(axis=0), -1, atol=1e-9)
+    np.testing.assert_allclose(learnt.max(axis=0), 1, atol=1e-9)
+    unseen = [s.parameters for s in found.sets if s.split == "test"]
+    medium = load_data_set("medium")
+    assert unseen == [s.parameters for s in medium.sets if s.split == "test"]
+
+
+def test_live_is_large_and_a_part_of_parameters() -> None:
+    live, large, whole = (load_data_set(n) for n in ("live", "large", "parameters"))
+    assert set(live.motions) < set(large.motions)
+    assert [m for m in large.motions if m not in live.motions] == [
+        m for m in large.motions if m.name.startswith("small")
+    ]
+    assert live.sets == whole.sets
+    assert all(set(some) < set(whole.motions) for some in live.set_motions)
+
+
+def test_a_file_like_a_preset(tmp_path: Path) -> None:
+    found = load(tmp_path, 'like = "trousers"\n[garment]\nhem = 0.2\n')
+    trousers = load_data_set("trousers")
+    assert isinstance(trousers.garment, Cut)
+    assert found.name == "scene"
+    assert found.garment == dataclasses.replace(trousers.garment, hem=0.2)
+    assert dataclasses.replace(found, name="trousers", garment=trousers.garment) == trousers
+    with pytest.raises(FormatError, match="like"):
+        load(tmp_path, 'like = "kilt"')
 
 
 def test_large_is_medium_and_more() -> None:
@@ -198,5 +247,5 @@ def test_bad_files_say_where(tmp_path: Path, old: str, new: str, word: str) -> N
 
 
 def test_missing_files_name_the_presets() -> None:
-    with pytest.raises(FormatError, match="large, medium, small, tiny"):
+    with pytest.raises(FormatError, match="large, live, medium, parameters"):
         load_data_set("huge")

@@ -13,8 +13,8 @@ from garmentnet.data.motion import Motion
 from garmentnet.data.parameters import SimulationParameters
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.cloth import Cloth, Solver
+from garmentnet.scenes.cut import Cut, cut_garment
 from garmentnet.scenes.dance.choreography import dance
-from garmentnet.scenes.garments import Dress, cut_dress
 from garmentnet.scenes.quality import Gate, judge, outside
 from garmentnet.scenes.simulator import perturbation_field, simulate
 from helpers.cloth_scenes import still
@@ -22,7 +22,7 @@ from ssdr.errors import InputError
 from ssdr.skinning import skin
 
 BODY = default_body()
-DRESS = cut_dress(BODY, Dress(vertices=400))
+DRESS = cut_garment(BODY, Cut(vertices=400))
 QUICK = Solver(substeps=20, approach=3, settle=4)
 CLOTH = Cloth(BODY, DRESS, QUICK)
 BASE = SimulationParameters()

@@ -2,6 +2,8 @@
 
 # ruff: noqa: E402
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,26 +12,38 @@ torch = pytest.importorskip("torch")
 
 from garmentnet.configs.config import override
 from garmentnet.networks.losses import mesh_laplacian
+from garmentnet.networks.skinning import remove_frame
+from garmentnet.training import low_frequency
 from garmentnet.training.batches import batches, load_tracks
 from garmentnet.training.high_frequency import HighFrequencyObjective
 from garmentnet.training.low_frequency import LowFrequencyObjective
+from garmentnet.training.targets import LowTargets
 
 _EXACT = ["low.dropout=0.0", "train.precision=single"]
+_NAME = "base-train-0"
+
+
+def _low(network, bones):
+    targets = LowTargets(bones, network.features, [_NAME])
+    return LowFrequencyObjective(network, targets, load_tracks(network, bones, [_NAME]), [])
 
 
 def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatch):
     """The loss that never sees a vertex, and its gradient, against the paper's sum over them."""
     network = toy_network.networks[0]
     monkeypatch.setattr(network, "config", override(network.config, _EXACT))
-    task = LowFrequencyObjective(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
+    task = _low(network, toy_bones)
     batch = next(batches(task.tracks, 1, 20, None))
+    monkeypatch.setattr(low_frequency, "_EVERY", 1)
     loss, _ = task.loss(batch, None, np.random.default_rng(0))
     torch.autograd.backward(loss)
     got = [p.grad.clone() for p in network.low.parameters()]
 
     network.low.zero_grad()
     z, _ = network.low(batch.inputs())
-    truth = task.tracks[0].target("low", slice(0, 20))
+    (track,) = task.tracks
+    low = toy_bones.clip(_NAME).split(slice(0, 20))[0]
+    truth = torch.from_numpy(remove_frame(track.frame[:20], low)).float()
     gap = (network.mesh(z[batch.mask]) - truth)[:, network.free]
     # What the body carries is exact in the prediction, so its part of the Laplacian cancels.
     whole = torch.zeros_like(truth)
@@ -39,10 +53,25 @@ def test_low_loss_against_vertices(toy_store, toy_bones, toy_network, monkeypatc
     bent = (dense @ whole)[:, network.free]
     plain = sum(x.square().sum(-1).mean(-1).sqrt().mean() for x in (gap, bent))
     torch.autograd.backward(plain)
-    assert abs((loss - plain).item()) < 1e-5 * plain.item()
+    # Targets are in half precision.
+    assert abs((loss - plain).item()) < 1e-3 * plain.item()
     for a, p in zip(got, network.low.parameters(), strict=True):
-        assert float((a - p.grad).norm()) < 1e-3 * float(p.grad.norm())
+        assert float((a - p.grad).norm()) < 1e-2 * float(p.grad.norm())
     network.low.zero_grad()
+
+
+def test_a_window_of_one_frame(toy_bones, toy_network, monkeypatch):
+    """The last window of a lane; the loss looks at every third frame, and at one at least."""
+    network = toy_network.networks[0]
+    monkeypatch.setattr(network, "config", override(network.config, _EXACT))
+    task = _low(network, toy_bones)
+    (track,) = task.tracks
+    short = dataclasses.replace(
+        track, inputs=track.inputs[:1], frame=track.frame[:1], extra=track.extra[:1]
+    )
+    batch = next(batches([short], 2, 20, None))
+    for seed in range(4):
+        assert float(task.loss(batch, None, np.random.default_rng(seed))[0].detach()) > 0
 
 
 def test_collision_of_the_low_part_pushes_outward(toy_store, toy_bones, toy_network, monkeypatch):
@@ -51,7 +80,7 @@ def test_collision_of_the_low_part_pushes_outward(toy_store, toy_bones, toy_netw
     def loss(weight):
         changed = override(network.config, ["low.dropout=0.0", f"low.collision={weight}"])
         monkeypatch.setattr(network, "config", changed)
-        task = LowFrequencyObjective(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
+        task = _low(network, toy_bones)
         # A body that is as large as the dress swallows it.
         task.body.skinning.matrix.mul_(4.0)
         batch = next(batches(task.tracks, 1, 20, None))
@@ -69,7 +98,7 @@ def test_collision_of_the_low_part_pushes_outward(toy_store, toy_bones, toy_netw
 @torch.no_grad()
 def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_network):
     network = toy_network.networks[0]
-    tracks = load_tracks(network, toy_bones, ["base-train-0"])
+    tracks = load_tracks(network, toy_bones, [_NAME])
     task = HighFrequencyObjective(network, tracks, tracks)
     before = task.validate()
     (track,) = tracks
@@ -77,7 +106,7 @@ def test_the_high_module_is_judged_by_its_own_error(toy_store, toy_bones, toy_ne
         network.high_inputs(track.inputs[None], task.tracks[0].extra[None]),
         task._low(task.tracks[0].extra[None], track.joints()[None]),
     )
-    gap = (high[0] - track.target("high"))[:, network.free]
+    gap = (high[0] - track.detail())[:, network.free]
     assert abs(before - float(gap.square().sum(-1).mean().sqrt())) < 1e-6
     # Another low part does not change what is asked of the detail.
     code = network.low.code
@@ -95,7 +124,7 @@ def test_half_precision_has_the_same_gradient(toy_bones, toy_network, monkeypatc
     for precision in ("single", "bfloat16"):
         changed = override(network.config, [*_EXACT, f"train.precision={precision}"])
         monkeypatch.setattr(network, "config", changed)
-        task = LowFrequencyObjective(network, load_tracks(network, toy_bones, ["base-train-0"]), [])
+        task = _low(network, toy_bones)
         batch = next(batches(task.tracks, 1, 20, None))
         loss, state = task.loss(batch, None, np.random.default_rng(0))
         assert loss.dtype == state.dtype == torch.float32

@@ -10,7 +10,7 @@ import pytest
 import ssdr
 from helpers.command import start
 
-COMMANDS = ("decompose", "smallest", "info", "compare", "convert", "render")
+COMMANDS = ("decompose", "smallest", "info", "check", "compare", "convert", "render")
 
 
 def test_help_version_and_usage(run, refused):
@@ -31,7 +31,7 @@ def test_options_stand_in_panels(run, command):
     assert code == 0
     titles = re.findall(r"[-─] (\w+) [-─]", out)
     assert titles == ["Arguments", "Options", "Model", "Rig", "Run", "Files"]
-    assert len(set(re.findall(r"^\W+(--[\w-]+)", out, re.MULTILINE)) - {"--help"}) <= 26
+    assert len(set(re.findall(r"^\W+(--[\w-]+)", out, re.MULTILINE)) - {"--help"}) <= 24
 
 
 def test_exit_codes_and_json_of_errors(run, refused, tmp_path, monkeypatch):
@@ -57,6 +57,18 @@ def test_exit_codes_and_json_of_errors(run, refused, tmp_path, monkeypatch):
     assert "unexpected ZeroDivisionError: oh" in refused("info", bad, code=1)
     fall(KeyboardInterrupt())
     assert refused("info", bad, code=130) == "ssdr: interrupted\n"
+
+
+def test_log_and_threads_are_options_of_the_program(run, refused, clip, monkeypatch):
+    counts = []
+    monkeypatch.setattr("ssdr.cli.app.set_threads", counts.append)
+    assert run("info", clip)[2] == ""
+    weld = ("info", clip, "--read", "weld=true")
+    assert "INFO ssdr.io.load_save: " in run("-v", "--threads", 3, *weld)[2]
+    assert counts == [3]
+    assert run(*weld)[2] == ""
+    assert "-v" in refused("info", clip, "-v")
+    assert "weld: expected" in refused("info", clip, "--read", "weld=yes")
 
 
 def test_a_sample_is_given_by_name(done, refused):

@@ -10,6 +10,7 @@ from PIL import Image
 
 import ssdr
 from helpers.gltf_asset import make_asset
+from helpers.page import Held
 from helpers.rig_model import largest_distance, tube
 from ssdr import Clip, MeshSequence
 
@@ -44,7 +45,7 @@ def files(tmp_path):
 
 def test_several_files_are_clips_of_one_model(done, files, tmp_path):
     out, picture = tmp_path / "horse.glb", tmp_path / "sheet.png"
-    document = done("decompose", *files, "-o", out, *FAST, "--picture", picture, "--fps", 60)
+    document = done("decompose", *files, "-o", out, *FAST, "-o", picture, "--read", "fps=60")
     assert document["input"] == [str(f) for f in files]
     assert document["frames"] == 19
     ranges = [(c["name"], c["start"], c["stop"]) for c in document["clips"]]
@@ -114,14 +115,17 @@ def test_vertices_are_welded_where_they_coincide_in_every_clip(done, tmp_path):
     for names, count in (("a", 3), ("ab", 4)):
         paths = [tmp_path / f"{name}.npz" for name in names]
         out = tmp_path / f"model_{names}.npz"
-        done("decompose", *paths, "-o", out, "--weld", "-b", 1, "-e", "fast")
+        done("decompose", *paths, "-o", out, "--read", "weld=true", "-b", 1, "-e", "fast")
         assert ssdr.load_skinning(out).n_vertices == count
 
 
 def test_one_frame_has_no_motion(refused, wave, tmp_path):
     ssdr.save(wave, tmp_path / "frame_%02d.obj")
     err = refused("decompose", tmp_path / "frame_00.obj", "-o", tmp_path / "a.npz", *FAST)
-    assert "no motion: did you mean a pattern?" in err
+    assert "(no motion: did you mean frame_*.obj?)" in err
+    ssdr.save(tube(frames=1), tmp_path / "statue.glb")
+    err = refused("decompose", tmp_path / "statue.glb", "-o", tmp_path / "a.npz", *FAST)
+    assert "statue.glb (no motion)" in err
 
 
 @pytest.mark.parametrize("command", ["info", "convert", "render", "decompose", "compare"])
@@ -133,7 +137,7 @@ def test_a_mistyped_option_of_the_format_is_refused(refused, rigged, tmp_path, c
         "compare": (rigged,),
     }.get(command, ())
     err = refused(command, rigged, *rest, "--read", "anim=1")
-    assert "--read: expected one of animation, fps, max_bytes, meshes, scale, weld" in err
+    assert "--read: expected one of fps, joints_alone, max_bytes, meshes, scale, units, up, " in err
     assert "got anim" in err
     assert not list(tmp_path.glob("o.*"))
 
@@ -147,9 +151,9 @@ def test_options_go_to_the_files_that_know_them(run, done, refused, rigged, file
     for name, expected in (("B", 0), ("npy", 0), ("A", 2), ("obj", 2), ("C", 2)):
         assert run(*line, "--read", f"{name}:{faces}")[0] == expected, name
     # Both are glTF: the letter says which.
-    same, b = ("compare", rigged, rigged), ("--read", "B:animation=1")
-    done(*same, "--read", "A:animation=1", *b)
-    assert "as many clips of A as of B" in refused(*same, *b)
+    same, b = ("compare", rigged, rigged), ("--read", "B:scale=0.5")
+    assert done(*same, "--read", "A:scale=0.5", *b)["rmse"] == 0
+    assert done(*same, *b)["rmse"] > 0.01
 
 
 def test_info_lists_the_clips_of_a_file(run, done, refused, rigged, files):
@@ -208,7 +212,14 @@ def test_compare_walks_through_the_clips(run, done, refused, rigged, clip, tmp_p
     assert "all clips: 19 frames" in out
     assert done("compare", rigged, other, "--clip", "walk")["rmse"] < 1e-6
     ssdr.save(model.select("jump", "walk"), tmp_path / "c.npz")
-    assert done("compare", rigged, tmp_path / "c.npz")["rmse"] < 1e-6
+    page = tmp_path / "page.html"
+    assert done("compare", rigged, tmp_path / "c.npz", "-o", page)["rmse"] < 1e-6
+    held = Held(page.read_text(encoding="utf-8"))
+    assert held.document["error"]["max"] < 1e-5
+    assert [c["name"] for c in held.document["clips"]] == ["walk", "jump"]
+    done("compare", rigged, other, "--clip", "jump", "-o", page, "-f")
+    held = Held(page.read_text(encoding="utf-8"))
+    assert held.document["error"]["mean"] == pytest.approx([0.5] * 10, rel=1e-5)
     renamed = [CLIPS[0], dataclasses.replace(CLIPS[1], name="run")]
     ssdr.save(dataclasses.replace(model, clips=renamed), tmp_path / "d.npz")
     assert "the clips of A, jump too" in refused("compare", rigged, tmp_path / "d.npz")
@@ -247,7 +258,8 @@ def test_skinned_inputs_take_the_frame_rate_that_is_asked_for(done, refused, tmp
     out = tmp_path / "slower.glb"
     # A file with times lasts as long as before; frames alone follow each other more slowly.
     counts = [9, 10] if suffix == "npz" else [5, 2]
-    for document in (done("convert", source, out, "--fps", 12), done("info", source, "--fps", 12)):
+    slower = "--read", "fps=12"
+    for document in (done("convert", source, out, *slower), done("info", source, *slower)):
         rates = [(c["fps"], c["frames"]) for c in document["clips"]]
         assert rates == [(12.0, counts[0]), (12.0, counts[1])]
     back = ssdr.load_skinning(out)
@@ -258,7 +270,7 @@ def test_skinned_inputs_take_the_frame_rate_that_is_asked_for(done, refused, tmp
     film = tmp_path / "film.gif"
     line = ("render", source, "-o", film, "--width", 64)
     assert "of one frame rate" in refused(*line)
-    done(*line, "--fps", 12)
+    done(*line, *slower)
     with Image.open(film) as picture:
         assert picture.n_frames <= sum(counts)
 
@@ -266,4 +278,4 @@ def test_skinned_inputs_take_the_frame_rate_that_is_asked_for(done, refused, tmp
 @pytest.mark.parametrize("rate", [0, -3, "nan", "inf"])
 def test_a_frame_rate_that_is_none_is_refused(refused, rigged, tmp_path, rate):
     for command in (("info", rigged), ("convert", rigged, tmp_path / "o.npz")):
-        assert "fps: expected a positive number" in refused(*command, "--fps", rate)
+        assert "fps: expected a positive number" in refused(*command, "--read", f"fps={rate}")

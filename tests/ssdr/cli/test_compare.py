@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import ssdr
+from helpers.command import model_of
+from helpers.page import Held
 
 QUICK = ("--no-sted", "--no-hausdorff")
 
@@ -28,7 +30,42 @@ def test_a_welded_model_is_spread_back(done, refused, seam, tmp_path):
     for pair in (("a.npz", "b.npz"), ("b.npz", "a.npz")):
         assert done("compare", *(tmp_path / p for p in pair))["rmse"] == 0
     ssdr.save(ssdr.MeshSequence(seam.vertices[:, :7]), tmp_path / "c.npz")
-    assert "--weld" in refused("compare", tmp_path / "a.npz", tmp_path / "c.npz")
+    assert "--read weld=true" in refused("compare", tmp_path / "a.npz", tmp_path / "c.npz")
+
+
+def test_a_page_shows_what_is_compared(done, run, refused, clip, wave, tmp_path):
+    moved = dataclasses.replace(wave, vertices=wave.vertices + np.float32([0, 0, 0.5]))
+    ssdr.save(moved, tmp_path / "b.npz")
+    ssdr.save(model_of(wave), tmp_path / "m.npz")
+    for b, bones in (("b.npz", None), ("m.npz", 2)):
+        page = tmp_path / f"{b}.html"
+        found = done("compare", clip, tmp_path / b, *QUICK, "-o", page)
+        assert found["output"] == str(page)
+        held = Held(page.read_text(encoding="utf-8"))
+        rig, error = held.document["rig"], held.document["error"]
+        assert bones == (rig and len(rig["names"]))
+        assert error["max"] == pytest.approx(found["max"], rel=1e-4)
+        assert (error["frame"], held.document["title"]) == (
+            found["max_frame"],
+            f"{b} beside clip.npz",
+        )
+        np.testing.assert_allclose(held.input(), wave.vertices, atol=1e-4)
+    _, out, _ = run("compare", clip, tmp_path / "b.npz", *QUICK, "-o", page, "-f")
+    assert f"page  {page}" in out
+    same = ("compare", clip, tmp_path / "b.npz", *QUICK, "-o")
+    assert "which exists" in refused(*same, page)
+    assert "ending in .html" in refused(*same, tmp_path / "page.png")
+
+
+def test_the_page_of_a_welded_model_beside_what_it_was_welded_from(done, seam, tmp_path):
+    welded, _ = seam.weld()
+    ssdr.save(seam, tmp_path / "a.npz")
+    ssdr.save(model_of(welded), tmp_path / "m.npz")
+    page = tmp_path / "page.html"
+    found = done("compare", tmp_path / "a.npz", tmp_path / "m.npz", *QUICK, "-o", page)
+    held = Held(page.read_text(encoding="utf-8"))
+    assert held.document["vertices"] == welded.n_vertices < seam.n_vertices
+    assert held.document["error"]["max"] == pytest.approx(found["max"], rel=1e-4)
 
 
 @pytest.fixture

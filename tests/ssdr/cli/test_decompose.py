@@ -17,15 +17,19 @@ def test_outputs_and_json(faked, done, clip, wave, tmp_path):
     picture = tmp_path / "sheet.png"
     document = done(
         "decompose", clip, *(f for o in outputs for f in ("-o", o)), "--bones", 3, "-k", 2,
-        "--picture", picture, "--checkpoint", tmp_path / "c.npz", "--time-limit", 9, "--seed", 5,
+        "-o", picture, "--checkpoint", tmp_path / "c.npz", "--time-limit", 9, "--seed", 5,
         "--effort", "fast", "--smoothness", 0.1,
     )  # fmt: skip
     assert (document["bones"], document["influences"], document["rmse"]) == (3, 2, 0.25)
     assert document["E"] == pytest.approx(250 / np.sqrt(3))
     assert document["rmse_percent"] == pytest.approx(25 / wave.diagonal())
+    # the fake keeps the rest pose: the largest error is the longest way from the first frame
+    way = np.linalg.norm(wave.vertices - wave.vertices[0], axis=2).max()
+    assert document["max_error"] == pytest.approx(way)
+    assert document["max_error_percent"] == pytest.approx(100 * way / wave.diagonal())
     assert document["stop_reason"] == "converged"
     assert document["total_seconds"] >= document["load_seconds"] + document["save_seconds"]
-    assert [o["path"] for o in document["outputs"]] == [str(o) for o in outputs]
+    assert [o["path"] for o in document["outputs"]] == [str(o) for o in [*outputs, picture]]
     assert all(o["bytes"] == Path(o["path"]).stat().st_size for o in document["outputs"])
     assert fake_decompose.options == {
         "effort": "fast",
@@ -36,6 +40,7 @@ def test_outputs_and_json(faked, done, clip, wave, tmp_path):
         "time_limit": 9.0,
         "smoothness": 0.1,
         "checkpoint": tmp_path / "c.npz",
+        "storage": "float32",
     }
     assert ssdr.load_skinning(outputs[0]).n_bones == 3
     with Image.open(picture) as image:
@@ -45,16 +50,51 @@ def test_outputs_and_json(faked, done, clip, wave, tmp_path):
 def test_the_table_tells_error_and_files_and_quiet_tells_nothing(faked, run, clip, tmp_path):
     code, out, err = run("decompose", clip, "-o", tmp_path / "a.npz", "-b", 2)
     assert (code, err) == (0, "")
-    for text in ("RMSE", "% of the diagonal", "E ", "the search converged", "a.npz", "2 bones"):
+    for text in (
+        "RMSE",
+        "largest ",
+        "% of the diagonal",
+        "E ",
+        "the search converged",
+        "a.npz",
+        "2 bones",
+    ):
         assert text in out
     quiet = ("decompose", clip, "-o", tmp_path / "b.npz", "-b", 2, "--quiet")
     assert run(*quiet) == (0, "", "")
 
 
+def test_several_numbers_of_bones_are_levels_of_detail(done, refused, clip, tmp_path):
+    out = tmp_path / "a.glb"
+    document = done("decompose", clip, "-o", out, "--bones", "4,2", "-e", "fast", "-k", "3,uint8")
+    assert (document["bones"], document["influences"]) == (4, 3)
+    assert document["levels"].startswith("4 bones: RMSE ")
+    assert "; 2 bones: RMSE " in document["levels"]
+    assert document["storage"] == "float32"  # rounded by the writer, not solved for
+    assert b'"MSFT_lod"' in out.read_bytes()
+    line = ("decompose", clip, "-b", "4,2", "-o")
+    assert "--output: expected glTF" in refused(*line, tmp_path / "a.npz")
+    assert "--smoothness: expected none" in refused(*line, tmp_path / "b.glb", "--smoothness", 1)
+
+
+@pytest.mark.parametrize(
+    ("flag", "words"),
+    [
+        ("--bones", ("0", "-3", "2,4", "4,4", "4,", "4,0", "4.5", "many", "")),
+        ("--influences", ("0", "-1", "4,", "uint8", "4,int8", "4,uint8,2", "4.0", "")),
+    ],
+)
+def test_numbers_that_are_refused(refused, never, clip, tmp_path, flag, words):
+    for word in words:
+        err = refused("decompose", clip, "-o", tmp_path / "a.glb", "-b", 2, flag, word)
+        assert flag in err
+        assert f"got {word!r}" in err
+
+
 def test_weld_travels_to_the_model(faked, done, seam, tmp_path):
     ssdr.save(seam, tmp_path / "seam.npz")
     out = tmp_path / "a.npz"
-    done("decompose", tmp_path / "seam.npz", "-o", out, "-b", 1, "--weld")
+    done("decompose", tmp_path / "seam.npz", "-o", out, "-b", 1, "--read", "weld=true")
     model = ssdr.load_skinning(out)
     assert model.n_vertices == 15
     assert len(model.vertex_map) == seam.n_vertices

@@ -26,7 +26,7 @@ def test_info_counts_what_is_there(run, done, tmp_path):
     assert d["diagonal"] == pytest.approx(np.sqrt(75))
     assert d["memory"] == 2 * 6 * 3 * 8
     out = run("info", tmp_path / "a.npz")[1]
-    assert "--weld" in out
+    assert "--read weld=true" in out
     assert "1 degenerate" in out
 
 
@@ -67,7 +67,7 @@ def test_info_of_a_skinning_counts_seams(run, done, seam, tmp_path):
     assert report.before > report.after
     d = done("info", tmp_path / "m.npz")
     assert d["seams"] == report.before - report.after
-    assert "--weld merges them" in run("info", tmp_path / "m.npz")[1]
+    assert "--read weld=true merges them" in run("info", tmp_path / "m.npz")[1]
     # Vertices at one place that bones pull apart are no seam.
     rest = model.rest
     same = [np.flatnonzero((rest == point).all(axis=1)) for point in rest]

@@ -19,7 +19,7 @@ SIGNALS = [n for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)]
 def test_a_signal_saves_the_best_model_to_the_outputs(name, clip, tmp_path):
     outputs = tmp_path / "a.npz", tmp_path / "b.glb"
     line = ("decompose", clip, "-o", outputs[0], "-o", outputs[1], "--bones", 2, "--json")
-    process = start([*faked(100_000), *line, "--picture", tmp_path / "a.png"])
+    process = start([*faked(100_000), *line, "-o", tmp_path / "a.png"])
     wait_for(process, "solving")
     process.send_signal(getattr(signal, name))
     out, err = process.communicate(timeout=60)

@@ -109,7 +109,7 @@ def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path, wave)
 
 
 def test_what_a_killed_process_left_goes_after_an_hour(tmp_path, wave):
-    names = [".a.12-0123abcd.npz", ".a.13-0123abcd.npz", ".b.12-0123abcd.npz", ".a.notes.npz"]
+    names = [".ssdr-0123abcd.npz", ".ssdr-4567cdef.npz", ".notes.npz"]
     for name in names:
         (tmp_path / name).write_bytes(b"")
         os.utime(tmp_path / name, (0, 0))

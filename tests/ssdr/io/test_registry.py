@@ -77,7 +77,7 @@ def test_a_missing_package_says_what_to_install(tmp_path, wave, monkeypatch):
     [
         ("a.glb", "influences", "an integer"),
         ("a_%d.obj", "start", "an integer"),
-        ("a.usda", "meters_per_unit", "a number"),
+        ("a.usda", "units", "metres in a unit"),
         ("a.pc2", "unweld", "true or false"),
     ],
 )

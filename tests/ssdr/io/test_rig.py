@@ -13,7 +13,8 @@ from helpers.rig_model import tube
 from helpers.rig_tree import PARENTS, creature, flat
 from ssdr.clips import unique_names
 from ssdr.hierarchy.transforms import joint_gaps
-from ssdr.io.rig import build_rig, frame_rate, quantise, weight_values
+from ssdr.io.rig import build_rig, frame_rate, off_frames
+from ssdr.quantisation import quantise, weight_values
 
 
 @settings(deadline=None, max_examples=40)
@@ -56,11 +57,17 @@ def test_quaternions_do_not_flip():
 
 def test_frame_rate():
     ticks = np.arange(50)
-    assert frame_rate([(ticks / 24).astype(np.float32).astype(float)]) == 24
-    assert frame_rate([ticks * 1001 / 30000]) == pytest.approx(30000 / 1001)
-    assert frame_rate([np.array([0, 0.5, 2.0]), np.array([0, 1.25])]) == 24
-    assert frame_rate([np.array([0.0, 0.2, 1.4])]) == 25
-    assert frame_rate([np.zeros(1)]) is None
+    assert frame_rate((ticks / 24).astype(np.float32).astype(float)) == 24
+    assert frame_rate(ticks * 1001 / 30000) == pytest.approx(30000 / 1001)
+    assert frame_rate(np.array([0, 0.5, 1.25, 2.0])) == 24
+    assert frame_rate(np.array([0.0, 0.2, 1.4])) == 25
+    assert frame_rate(np.zeros(1)) is None
+    # one odd gap among keys a frame apart: a rate that hits every key would be five times theirs
+    fox = np.r_[np.arange(17), 20.8 + np.arange(8)] / 24
+    assert frame_rate(fox) == 24
+    assert off_frames(fox, 24) == 8
+    # no such rate where keys follow each other at two
+    assert frame_rate(np.unique(np.r_[np.arange(25) / 24, np.arange(31) / 30])) == 120
     assert unique_names(["a", "a", "", "a_1", "a"]) == ("a", "a_1", "bone", "a_1_1", "a_2")
 
 

@@ -44,7 +44,7 @@ def test_compare_has_them_all():
     plain = json.loads(json.dumps(result.as_dict()))
     full = json.loads(json.dumps(result.as_dict(arrays=True)))
     for part, name in ((d, ""), (h, "hausdorff"), (s, "sted")):
-        found = getattr(result, name) if name else result.distances
+        found = getattr(result, name) if name else result
         for key, value in vars(part).items():
             table = full[name] if name else full
             np.testing.assert_array_equal(getattr(found, key), value)

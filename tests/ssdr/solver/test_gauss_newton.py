@@ -104,7 +104,7 @@ def _near_exact(frames: int) -> tuple:
     made = trees.skeleton(6, frames, seed=4)
     data = gather([ssdr.MeshSequence(made.frames)], bones=6)
     rest, transforms = data.from_world(made.rest, made.transforms)
-    points, _ = data.from_world(made.points, None)
+    points = data.points_from_world(made.points, "joint_positions")
     model = Model.with_weights(transforms.copy(), rest, made.indices, made.weights, 2)
     points = points + 0.03 * np.random.default_rng(0).normal(size=points.shape)
     model.tree = Tree(made.parents, points, rigid=False)

@@ -11,7 +11,6 @@ import pytest
 import ssdr
 from helpers.blender_scene import needs_blender, run_blender
 from helpers.rig_model import largest_distance, tube
-from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge
 
 
@@ -19,7 +18,7 @@ def imported(path, fps=24.0):
     """World vertices with y up, as Blender's own importer sees the file."""
     job = {"action": "read", "path": str(path), "fps": fps, "resample": False, "max_bytes": 1 << 30}
     arrays = bridge.run(job)
-    return turn_up(arrays["vertices"], "z", "y"), arrays
+    return arrays["vertices"][..., [0, 2, 1]] * [1, 1, -1], arrays
 
 
 def assert_twins(ours, theirs):

@@ -102,6 +102,7 @@ def test_clips_of_a_tree_of_different_rates(tmp_path):
     assert max(differences(model, back).values()) < 1e-6
 
 
+@pytest.mark.filterwarnings("ignore:.*lie between its frames:ssdr.SsdrWarning")
 @pytest.mark.parametrize("name", ["Fox.glb", "Llama.gltf"])
 def test_animals_are_read_and_written_again(tmp_path, data_dir, name):
     model = ssdr.load_skinning(data_dir / "gltf" / name)

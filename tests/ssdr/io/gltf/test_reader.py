@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 
@@ -14,6 +15,7 @@ import ssdr
 from helpers.glb import opened, packed
 from helpers.gltf_asset import Made, make_asset
 from helpers.rig_model import tube
+from helpers.rig_tree import creature
 
 
 def rebuild(source, target, change):
@@ -148,14 +150,14 @@ def test_clips_are_chosen_by_name_or_number(tmp_path):
         document["animations"].append(second)
 
     path = rebuild(tmp_path / "a.glb", tmp_path / "b.glb", two)
-    assert ssdr.load(path, animation=1).clip == "still"
-    still, moving = ssdr.load(path, animation="still"), ssdr.load(path, animation="tube")
+    assert ssdr.load(path, clip=1).clip == "still"
+    still, moving = ssdr.load(path, clip="still"), ssdr.load(path, clip="tube")
     assert (
         np.ptp(still.vertices[:, -1], axis=0).max() < np.ptp(moving.vertices[:, -1], axis=0).max()
     )
     for wrong in ("nothing", 2, -1):
-        with pytest.raises(ssdr.InputError, match="animation"):
-            ssdr.load(path, animation=wrong)
+        with pytest.raises(ssdr.InputError, match="clip"):
+            ssdr.load(path, clip=wrong)
 
 
 def _put(section, index, **fields):
@@ -327,3 +329,53 @@ def test_mislabelled(tmp_path):
             (tmp_path / name).write_bytes(content)
             with pytest.raises(ssdr.FormatError, match=name):
                 ssdr.load(tmp_path / name)
+
+
+def test_a_skeleton_without_a_mesh_has_a_vertex_at_each_joint(tmp_path):
+    model = creature()
+    ssdr.save(model, tmp_path / "a.glb")
+
+    def strip(document, _):
+        for node in document["nodes"]:
+            node.pop("mesh", None)
+            node.pop("skin", None)
+        for part in ("meshes", "skins", "materials"):
+            document.pop(part, None)
+
+    path = rebuild(tmp_path / "a.glb", tmp_path / "b.glb", strip)
+    bare = ssdr.load_skinning(path, joints_alone=True)
+    order = [bare.names().index(name) for name in model.names()]
+    np.testing.assert_allclose(bare.transforms[:, order], model.transforms, atol=1e-5)
+    np.testing.assert_allclose(bare.rest[order], model.joint_positions, atol=1e-6)
+    assert (bare.n_vertices, len(bare.faces), bare.clips) == (model.n_bones, 0, model.clips)
+    above = [bare.names()[p] if p >= 0 else "" for p in bare.parents[order]]
+    assert above == [model.names()[p] if p >= 0 else "" for p in model.parents]
+    with pytest.raises(ssdr.FormatError, match="holds no mesh"):
+        ssdr.load_skinning(path)
+    whole = ssdr.load_skinning(tmp_path / "a.glb", joints_alone=True)
+    assert whole.n_vertices == model.n_vertices  # a mesh that is there is read
+
+
+def test_keys_with_one_odd_gap_are_sampled_at_their_own_rate(tmp_path):
+    """Not five times as often, which would make the clip the greater part of a fit."""
+    model = tube(frames=25)
+    ssdr.save(dataclasses.replace(model, fps=24), tmp_path / "run.gltf")
+    document = json.loads((tmp_path / "run.gltf").read_text())
+    (animation,) = document["animations"]
+    del animation["extras"]
+    times = (np.r_[np.arange(17), 20.8 + np.arange(8)] / 24).astype(np.float32)
+    item = document["accessors"][animation["samplers"][0]["input"]]
+    view = document["bufferViews"][item["bufferView"]]
+    blob = bytearray((tmp_path / "run.bin").read_bytes())
+    blob[view["byteOffset"] : view["byteOffset"] + times.nbytes] = times.tobytes()
+    item["max"] = [float(times[-1])]
+    (tmp_path / "run.bin").write_bytes(blob)
+    (tmp_path / "run.gltf").write_text(json.dumps(document))
+    said = "8 keys of the clip .* lie between its frames, which are 24 a second"
+    with pytest.warns(ssdr.SsdrWarning, match=said):
+        found = ssdr.load(tmp_path / "run.gltf")
+    assert (found.fps, len(found)) == (24, 29)
+    truth = model.skin()
+    np.testing.assert_allclose(found.vertices[:17], truth[:17], atol=1e-5)
+    np.testing.assert_allclose(found.vertices[-1], truth[-1], atol=1e-5)  # its end is not cut off
+    assert len(ssdr.load(tmp_path / "run.gltf", fps=120)) == 140

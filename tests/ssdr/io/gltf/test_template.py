@@ -151,8 +151,6 @@ def test_a_template_of_another_mesh_is_refused(tmp_path):
     turned = dataclasses.replace(model, faces=model.faces[::-1], surface=None)
     with pytest.raises(ssdr.InputError, match="triangles"):
         ssdr.save(turned, tmp_path / "out.glb", template=source, meshes=OURS)
-    with pytest.raises(ssdr.InputError, match="up"):
-        ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS, up="z")
 
 
 def test_a_mirrored_node_leaves_its_mirror(tmp_path):
@@ -183,3 +181,46 @@ def test_an_unknown_extension_keeps_all_that_it_may_refer_to(tmp_path):
     assert new.items("nodes")[3]["name"] == "PropNode"
     before = Document(source).accessor(9, "VEC3", "x")
     np.testing.assert_array_equal(new.accessor(9, "VEC3", "x"), before)
+
+
+def test_a_skinned_mesh_stands_at_the_top_of_its_scene(tmp_path):
+    """Below another node, the validator warns that the node's transform does nothing."""
+    source = make_asset(tmp_path / "all.gltf")
+    model = model_for(ssdr.load(source, meshes=OURS))
+    ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS)
+    new = Document(tmp_path / "out.glb")
+    skinned = [k for k, node in enumerate(new.items("nodes")) if "skin" in node]
+    assert len(skinned) == 2
+    assert set(skinned) <= set(new.items("scenes")[0]["nodes"])
+    for k in skinned:
+        assert not new.items("nodes")[k].keys() & {"translation", "rotation", "scale", "matrix"}
+
+
+def test_a_clip_that_nothing_else_keeps_up_with_begins_at_zero(tmp_path):
+    """As it does in a file without a template."""
+    source = make_asset(tmp_path / "all.gltf")
+    document = json.loads(source.read_text())
+    model = model_for(ssdr.load(source, meshes=OURS))
+    report = ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS)
+    assert "the clip Dance begins at 0.25 s, as its other tracks do" in report.note
+    (dance,) = [one for one in document["animations"] if one["name"] == "Dance"]
+    ours = {k for k, n in enumerate(document["nodes"]) if n["name"] in ("BodyNode", "CoatNode")}
+    dance["channels"] = [c for c in dance["channels"] if c["target"]["node"] in ours]
+    source.write_text(json.dumps(document))
+    report = ssdr.save(model, tmp_path / "out.glb", template=source, meshes=OURS)
+    assert "begins" not in report.note
+    new = Document(tmp_path / "out.glb")
+    (dance,) = [one for one in new.items("animations") if one["name"] == "Dance"]
+    starts = [new.accessor(s["input"], "SCALAR", "times")[0] for s in dance["samplers"]]
+    assert set(starts) == {0}
+    again = ssdr.load(tmp_path / "out.glb", meshes=OURS).vertices
+    assert np.abs(again - model.skin()).max() < 1e-5
+
+
+def test_a_clip_left_out_on_purpose_is_no_loss(tmp_path):
+    source = make_asset(tmp_path / "all.gltf")
+    model = dataclasses.replace(model_for(ssdr.load(source)), name="all")
+    names = {"Spin": None}
+    out = tmp_path / "out.glb"
+    assert ssdr.save(model, out, template=source, clip_names=names, strict=True).lost == ()
+    assert [clip.name for clip in ssdr.list_clips(out)] == ["Dance"]

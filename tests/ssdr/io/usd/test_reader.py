@@ -8,6 +8,7 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 import ssdr
 from helpers.rig_model import baked_by_usd, largest_distance, tube
+from helpers.rig_tree import creature
 
 pytest.importorskip("pxr.UsdSkel", reason="usd-core is not installed")
 
@@ -158,3 +159,37 @@ def test_truncated_and_mislabelled(tmp_path):
     (tmp_path / "zip.usdc").write_bytes(b"PK\x03\x04" * 50)
     with pytest.raises(ssdr.FormatError, match="zip"):
         ssdr.load(tmp_path / "zip.usdc")
+
+
+def test_a_skeleton_without_a_mesh_has_a_vertex_at_each_joint(tmp_path):
+    model = creature()
+    ssdr.save(model, tmp_path / "a.usda", name="tube")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    stage.RemovePrim("/tube/Mesh")
+    stage.GetRootLayer().Export(str(tmp_path / "b.usda"))
+    bare = ssdr.load_skinning(tmp_path / "b.usda", joints_alone=True)
+    # USD accepts no dots in names, and lists parents first.
+    order = [bare.names().index(name) for name in model.names()]
+    np.testing.assert_allclose(bare.transforms[:, order], model.transforms, atol=1e-5)
+    np.testing.assert_allclose(bare.rest[order], model.joint_positions, atol=1e-6)
+    assert (bare.n_vertices, len(bare.faces)) == (model.n_bones, 0)
+    with pytest.raises(ssdr.FormatError, match="no visible mesh"):
+        ssdr.load_skinning(tmp_path / "b.usda")
+
+
+def test_meshes_are_chosen_by_name(tmp_path):
+    path = tmp_path / "a.usda"
+    stage = Usd.Stage.CreateNew(str(path))
+    for k, name in enumerate(("/skirt/SkirtShape", "/body/Shape")):
+        mesh = UsdGeom.Mesh.Define(stage, name)
+        mesh.CreatePointsAttr(Vt.Vec3fArray([(k, 0, 0), (k, 1, 0), (k, 0, 1)]))
+        mesh.CreateFaceVertexCountsAttr([3])
+        mesh.CreateFaceVertexIndicesAttr([0, 1, 2])
+    stage.GetRootLayer().Save()
+    del stage, mesh
+    assert ssdr.load(path).n_vertices == 6
+    for name in ("skirt", "SkirtShape", ["SkirtShape"]):
+        assert ssdr.load(path, meshes=name).vertices[0, :, 0].tolist() == [0, 0, 0]
+    assert ssdr.load_skinning(path, meshes="body").rest[:, 0].tolist() == [1, 1, 1]
+    with pytest.raises(ssdr.InputError, match=r"meshes: .*SkirtShape.*'trousers'"):
+        ssdr.load(path, meshes="trousers")

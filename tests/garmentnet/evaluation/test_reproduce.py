@@ -1,0 +1,88 @@
+"""The paper's tables on a toy store: every row is there, and nothing is trained twice."""
+
+import json
+
+import pytest
+
+pytest.importorskip("torch")
+
+from garmentnet.evaluation import reproduce
+from garmentnet.evaluation.published import BASELINES
+from garmentnet.evaluation.reporting import RECORDED
+from garmentnet.evaluation.reproduce import Reproduction
+from ssdr.errors import InputError
+
+SETTINGS = (
+    "bones.motions=*",
+    "bones.length=0.03",
+    "bones.influences=4",
+    "bones.effort=fast",
+    "bones.frames=100",
+    "features.joints=[]",
+    "low.hidden=16",
+    "high.hidden=16",
+    "train.epochs=2",
+    "train.high_epochs=2",
+    "train.threads=1",
+    "train.tensorboard=false",
+)
+
+
+@pytest.fixture
+def run(toy_store, tmp_path, monkeypatch):
+    for name in ("large", "parameters"):
+        (tmp_path / f"{name}.clips").symlink_to(toy_store.path, target_is_directory=True)
+    monkeypatch.setattr(reproduce, "_DRESSES", ("large",))
+    monkeypatch.setattr(reproduce, "_TIGHT", ("large",))
+    monkeypatch.setattr(reproduce, "_EQUAL", "data.frames=200")
+    monkeypatch.setattr(reproduce, "_SIZES", (60, 120))
+    monkeypatch.setattr(reproduce, "_BONES", (2, 10))
+    monkeypatch.setattr(reproduce, "_TESTED", "")
+    return Reproduction(tmp_path, tmp_path / "out", settings=(*SETTINGS, "bones.count=8"))
+
+
+def test_table_2_has_every_method(run, monkeypatch):
+    text = run.table("table2")
+    for name in ("rooted", "faithful", "Chen 2021", "no local stream", "bones themselves"):
+        assert text.count(f"| {name} ") == 3, name
+    assert all(f"| {v.name}" in text for v in BASELINES)
+    hours = json.loads((run.folder / "hours.json").read_text("utf-8"))
+    assert "large/tailornet" in hours
+    monkeypatch.setattr(reproduce, "train", None)  # nothing is trained again
+    (run.folder / "table2.md").unlink()
+    assert run.table("table2") == text
+
+
+def test_curve_and_bones(run):
+    assert "RMSE ~ frames^" in run.table("curve")
+    run.settings = SETTINGS
+    rows = [line.split("|") for line in run.table("bones").splitlines()[2:]]
+    errors = [float(r[4]) for r in rows]
+    assert errors[1] < errors[0]  # more bones, nearer
+
+
+def test_an_unknown_table(run):
+    with pytest.raises(InputError, match=r"only.*curve.*table9"):
+        run.table("table9")
+
+
+def test_every_recording_is_left_out(run, toy_store, toy_run, monkeypatch):
+    (run.data / "dress.clips").symlink_to(toy_store.path, target_is_directory=True)
+    monkeypatch.setattr(reproduce, "group_of", lambda clip: RECORDED)
+    monkeypatch.setattr(reproduce, "_TUNED", ("train.high_epochs=0",))
+    # Widths of the network that stands for the one that ships.
+    run.settings += ("low.hidden=64", "train.epochs=1", "train.high_epochs=1")
+    load = reproduce.load_checkpoint
+    shipped = toy_run / "checkpoint.safetensors"
+    monkeypatch.setattr(
+        reproduce, "load_checkpoint", lambda p: load(shipped if p == "dress" else p)
+    )
+    head, _, *rows = run.table("capture").splitlines()
+    # "test-0" and "test-1" are of one recording, as are "dance_00" and "dance_01".
+    assert head.replace("|", " ").split()[-4:] == ["tes", "trai", "validatio", "mean"]
+    assert [r.split("|")[1].split()[0] for r in rows] == ["the", "rooted", "Santesteban", "mean"]
+    for row in rows:
+        *each, mean = (float(x) for x in row.split("|")[2:6])
+        assert mean == pytest.approx(sum(each) / 3, abs=0.1)
+    learned = json.loads((run.folder / "dress" / "rooted-tes" / "run.json").read_text("utf-8"))
+    assert not any("test" in name for name in learned["clips"])

@@ -1,0 +1,235 @@
+"""The runtime beside the networks in torch, whose numbers it must have."""
+
+# ruff: noqa: E402
+
+import subprocess
+import sys
+import tracemalloc
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from garmentnet.data.parameters import SimulationParameters as P
+from garmentnet.networks.checkpoint import Checkpoint, save_checkpoint
+from garmentnet.networks.ensemble import Kernel
+from garmentnet.networks.tensor_files import load_tensors, save_tensors
+from garmentnet.runtime import load_live
+from helpers import live_garment as made
+from ssdr.errors import FormatError, InputError
+
+CLOSE = 1e-5  # metres; a tenth of what is promised
+
+
+def live(network, folder):
+    trained_on = None if network.condition else P()
+    path = folder / "one.safetensors"
+    return load_live(save_checkpoint(Checkpoint((network,), (trained_on,), None), path))
+
+
+def play(garment, joints, parameters=None):
+    state, frames = None, []
+    for pose in joints:
+        state, vertices = garment.step(state, pose, parameters)
+        frames.append(vertices)
+    return np.stack(frames)
+
+
+def test_it_needs_no_torch():
+    code = "import sys, garmentnet.runtime; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"bound": False},
+        {"detail": False},
+        {"condition": True},
+        {"high": {"source": "body"}, "condition": True},
+        {"features": {"rotation": "vector", "translation": True, "velocities": False}},
+        {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
+        {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
+    ],
+    ids=str,
+)
+def test_numbers_are_those_of_torch(change, tmp_path):
+    network = made.network(**change)
+    joints = made.motion(2.0, seed=3)
+    joints[..., 3] += [40.0, 0.0, -25.0]  # far from the origin
+    theta = P(bending=1.3, density=0.15) if network.condition else None
+    expected = network.predict(joints, parameters=theta and theta.normalised())
+    got = play(live(network, tmp_path), joints, theta)
+    assert np.abs(got - expected).max() < CLOSE
+    assert np.ptp(got[..., 1].mean(axis=1)) > 0.01  # it moves
+
+
+def test_no_drift_and_constant_memory_over_10000_frames(tmp_path):
+    network = made.network(vertices=40)
+    garment = live(network, tmp_path)
+    joints = made.motion(10_000 / made.FPS, seed=4)
+    expected = network.predict(joints)
+    state, worst = None, 0.0
+    for f, pose in enumerate(joints):
+        if f == 100:
+            tracemalloc.start()
+            before = tracemalloc.get_traced_memory()[0]
+        state, vertices = garment.step(state, pose)
+        worst = max(worst, float(np.abs(vertices - expected[f]).max()))
+    more = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert worst < CLOSE
+    assert more < 50_000
+
+
+def test_a_garment_of_real_size_whose_parameters_change(tmp_path):
+    size = {"low": {"hidden": 600}, "high": {"hidden": 256, "rank": 64}}
+    network = made.network(vertices=12_273, bones=80, condition=True, **size)
+    garment, states = live(network, tmp_path), (None, None)
+    for f, pose in enumerate(made.motion(0.5, seed=5)):
+        theta = P(bending=0.2 + 0.1 * f)
+        state, got = garment.step(states[0], pose, theta)
+        other, expected = network.step(states[1], pose, parameters=theta.normalised())
+        states = state, other
+        assert np.abs(got - expected).max() < CLOSE
+
+
+@pytest.fixture(scope="module")
+def pivots():
+    """Two pivots, 0.1 m apart, under a narrow kernel."""
+    networks = tuple(made.network(seed=s) for s in (1, 2))
+    torch.manual_seed(0)
+    return Checkpoint(networks, (P(bending=0.2), P(bending=2.0)), Kernel(sigma=0.3))
+
+
+def test_pivots_are_mixed_as_in_torch(pivots, tmp_path):
+    garment = load_live(save_checkpoint(pivots, tmp_path / "pivots.safetensors"))
+    joints = made.motion(1.0, seed=6)
+    for bending in (0.2, 0.6, 1.5):
+        theta = P(bending=bending)
+        weights = pivots.ensemble.weights(theta.normalised())
+        np.testing.assert_allclose(garment.mixture(theta.normalised()), weights, atol=1e-12)
+        # Detail is mixed in the surface's frame and turns with the mixed bones; in torch each
+        # pivot's turns with its own.
+        parts, free = [n.run(joints)[0] for n in pivots.networks], pivots.networks[0].free
+        moved = sum(float(w) * p.transforms for w, p in zip(weights, parts, strict=True))
+        local = sum(
+            float(w) * n.turns(p.transforms).mT @ p.high[:, free, :, None]
+            for w, n, p in zip(weights, pivots.networks, parts, strict=True)
+        )
+        turned = pivots.networks[0].turns(moved) @ local
+        expected = pivots.networks[0].lbs(moved)[:, free] + turned[..., 0]
+        gap = play(garment, joints, theta)[:, free] - parts[0].to_world(expected)
+        assert np.abs(gap).max() < CLOSE
+        gap = play(garment, joints, theta) - pivots.predict(joints, theta)
+        assert np.sqrt((gap**2).sum(-1).mean()) < 5e-3
+    smooth = tuple(made.network(seed=s, detail=False) for s in (1, 2))
+    low = Checkpoint(smooth, pivots.parameters, pivots.kernel)
+    garment = load_live(save_checkpoint(low, tmp_path / "low.safetensors"))
+    gap = np.abs(play(garment, joints, theta) - low.predict(joints, theta))
+    assert gap.max() < CLOSE
+    alike = Checkpoint((pivots.networks[0],) * 2, pivots.parameters, pivots.kernel)
+    garment = load_live(save_checkpoint(alike, tmp_path / "alike.safetensors"))
+    expected = pivots.networks[0].predict(joints)
+    assert np.abs(play(garment, joints, P()) - expected).max() < CLOSE
+
+
+def test_pivots_without_weight_are_not_run(pivots, tmp_path):
+    with torch.no_grad():
+        narrow = Kernel(sigma=0.01)
+        narrow.load_state_dict(pivots.kernel.state_dict())
+    lone = Checkpoint(pivots.networks, pivots.parameters, narrow)
+    garment = load_live(save_checkpoint(lone, tmp_path / "lone.safetensors"))
+    joints = made.motion(0.3)
+    state, _ = garment.step(None, joints[0], P(bending=0.2))
+    assert not state.hidden[1][0].any()
+    assert state.hidden[0][0].any()
+    expected = pivots.networks[0].predict(joints)
+    assert np.abs(play(garment, joints, P(bending=0.2)) - expected).max() < CLOSE
+
+
+def test_poses_that_are_none(tmp_path):
+    garment = live(made.network(condition=True), tmp_path)
+    pose = made.motion(0.1)[0]
+    with pytest.raises(InputError, match=r"pose: expected shape \(6, 3, 4\)"):
+        garment.step(None, pose[:5], P())
+    broken = pose.copy()
+    broken[2, 0, 3] = np.nan
+    with pytest.raises(InputError, match="joint 2"):
+        garment.step(None, broken, P())
+    with pytest.raises(InputError, match=r"rigid transforms.*joint 0"):
+        garment.step(None, pose * [[[2, 2, 2, 1]]], P())
+    with pytest.raises(InputError, match="rigid transforms"):
+        garment.step(None, pose * [[[-1, 1, 1, 1]]], P())
+    with pytest.raises(InputError, match="parameters"):
+        garment.step(None, pose)
+
+
+def test_files_that_are_not_run(tmp_path):
+    one = save_checkpoint(Checkpoint((made.network(),), (P(),), None), tmp_path / "one.safetensors")
+    with pytest.raises(InputError, match="a file"):
+        load_live(tmp_path / "none.safetensors")
+    (tmp_path / "cut.safetensors").write_bytes(one.read_bytes()[:5000])
+    with pytest.raises(FormatError):
+        load_live(tmp_path / "cut.safetensors")
+    tensors, documents = load_tensors(one, ("checkpoint",))
+    for key in ("network.0.low.gru.weight_hh_l0", "network.0.high.basis", "skeleton.parents"):
+        cut = tensors | {key: tensors[key][:-1]}
+        bad = save_tensors(tmp_path / "bad.safetensors", cut, documents)
+        with pytest.raises(FormatError):
+            load_live(bad)
+    other = made.network(low={"rotation": "euler"}, detail=False)
+    with pytest.raises(FormatError, match="sixd"):
+        live(other, tmp_path)
+
+
+def test_parameters_that_are_none_and_far_ones(tmp_path):
+    garment, pose = live(made.network(condition=True), tmp_path), made.motion(0.1)[0]
+    for other in ((0.5, 0.2, 1.0), [0.5, 0.2, 1.0], "soft"):
+        with pytest.raises(InputError, match="parameters: expected SimulationParameters"):
+            garment.step(None, pose, other)
+    for value in (0.0, -1.0, np.nan, np.inf, None):
+        with pytest.raises(InputError, match="bending"):
+            P(bending=value)
+    # Beyond what was learned: no promise, but no number that is none.
+    for far in (P(bending=1e-9), P(density=1e9), P(1e300, 1e-300, 1e300)):
+        state, vertices = garment.step(None, pose, far)
+        for _ in range(100):
+            state, vertices = garment.step(state, pose, far)
+        assert np.isfinite(vertices).all()
+        assert np.abs(vertices).max() < 10
+
+
+def test_poses_of_no_numbers_and_states_of_another(tmp_path):
+    garment, pose = live(made.network(), tmp_path), made.motion(0.1)[0]
+    for bad in ("pose", None, [[1, 2], [3]], object()):
+        with pytest.raises(InputError, match="pose"):
+            garment.step(None, bad)
+    (tmp_path / "wide").mkdir()
+    other = live(made.network(low={"hidden": 32}), tmp_path / "wide")
+    state, _ = other.step(None, pose)
+    with pytest.raises(InputError, match="state: expected one of this garment"):
+        garment.step(state, pose)
+
+
+def test_damaged_files_say_so(tmp_path):
+    """Cut anywhere, or with bytes that are others: refused in words, or a garment all the same."""
+    one = save_checkpoint(Checkpoint((made.network(),), (P(),), None), tmp_path / "one.safetensors")
+    rng, whole, bad = np.random.default_rng(0), one.read_bytes(), tmp_path / "bad.safetensors"
+    refused = 0
+    for k in range(60):
+        data = bytearray(whole)
+        if k < 20:
+            data = data[: int(rng.integers(len(data)))]
+        else:
+            # Most of what can break lies in front: sizes, names and the document.
+            for at in rng.integers(12_000 if k < 50 else len(data), size=3):
+                data[at] = rng.integers(256)
+        bad.write_bytes(data)
+        try:
+            load_live(bad).step(None, made.motion(0.1)[0])
+        except (FormatError, InputError):
+            refused += 1
+    assert refused >= 20

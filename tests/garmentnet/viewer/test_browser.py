@@ -1,0 +1,199 @@
+"""The page of a garment in a browser without a screen: its numbers are those of the runtime."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from garmentnet.data.parameters import SimulationParameters as P
+from garmentnet.runtime import Player, load_live
+from garmentnet.viewer import Take, write_page
+from helpers import live_garment as made
+from helpers.browser import Browser, chromium
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(chromium() is None, reason="no Chromium to open a page with"),
+]
+CLOSE = 1e-4  # metres
+
+
+def played(garment, joints, parameters=None):
+    player = Player(garment, 1 / garment.subject.fps)
+    return np.stack([player(pose, parameters) for pose in joints])
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Browser(tmp_path_factory.mktemp("browser")) as tab:
+        yield tab
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    """Write a page and open it in a pause; nothing may go wrong, nothing else be asked for."""
+
+    def call(garment, takes, **options):
+        write_page(garment, takes, tmp_path / "page.html", **options)
+        browser.open(tmp_path / "page.html")
+        browser.value("garmentnet.ready.then(() => garmentnet.set({ playing: false }))")
+        return browser
+
+    yield call
+    assert browser.complaints() == []
+    assert len(browser.requests()) == 1  # the page itself
+
+
+def vertices(browser, garment, frame=None, which=0):
+    if frame is not None:
+        browser.value(f"garmentnet.seek({frame}).then(() => 0)")
+    out = np.reshape(browser.value(f"Array.from(garmentnet.read({which}))"), (-1, 4))
+    return out[: garment.subject.garment.n_vertices, :3]
+
+
+def settle(browser):
+    browser.value(
+        "new Promise(r => { const t = setInterval(() => "
+        "garmentnet.settled() && (clearInterval(t), r(0)), 20); })"
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"bound": False, "detail": False},
+        {"condition": True, "high": {"source": "body"}},
+        {"condition": True, "features": {"rotation": "vector", "translation": True}},
+        {"features": {"heading_free": False, "frame": "root", "root_motion": False}},
+        {"features": {"frame": "world", "joints": ("shin_l", "spine"), "clamp": 0.0}},
+    ],
+    ids=str,
+)
+def test_vertices_are_those_of_the_runtime(opened, tmp_path, change):
+    garment, joints = made.live(tmp_path, **change), made.motion(10.1, seed=3)
+    joints[..., 3] += [4.0, 0.0, -2.5]
+    theta = P(bending=1.3, density=0.15) if garment.reads_parameters else None
+    expected = played(garment, joints, theta)
+    browser = opened(garment, [Take("other", joints[:20]), Take("one", joints)], parameters=theta)
+    browser.value("garmentnet.set({ clip: 1 })")
+    for frame in (0, 1, 300, 45):  # back again, too
+        off = vertices(browser, garment, 20 + frame) - expected[frame]
+        assert np.abs(off).max() < CLOSE
+    assert np.ptp(expected[:, :, 1].mean(axis=1)) > 0.01  # it moves
+
+
+def test_a_pause_stands_still_and_a_sleeping_tab_does_not_jump(opened, tmp_path):
+    garment, joints = made.live(tmp_path), made.motion(4.0, seed=2)
+    browser = opened(garment, [Take("one", joints)])
+    before = vertices(browser, garment, 40)
+    time.sleep(0.3)
+    assert np.array_equal(vertices(browser, garment), before)
+    browser.value("garmentnet.set({ playing: true })")
+    sleep = "const end = performance.now() + 1500; while (performance.now() < end);"
+    frame = browser.value(f"{sleep} garmentnet.state.frame")
+    soon = "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(() => r(0))))"
+    browser.value(soon)
+    browser.value("garmentnet.set({ playing: false })")
+    browser.value(soon)
+    now = browser.value("garmentnet.state.frame")
+    assert (now - frame) % len(joints) < 30  # it would be 45 and more
+    expected = played(garment, joints)[now]
+    assert np.abs(vertices(browser, garment) - expected).max() < CLOSE
+    assert np.abs(vertices(browser, garment, 40) - before).max() < 1e-6
+
+
+def test_parameters_have_sliders_where_they_are_read(opened, tmp_path):
+    joints = made.motion(1.0, seed=2)
+    browser = opened(made.live(tmp_path), [Take("one", joints)])
+    assert browser.value("document.getElementById('parameters').hidden")
+    garment = made.live(tmp_path, condition=True)
+    browser = opened(garment, [Take("one", joints)], parameters=P(bending=1.1))
+    box = "document.querySelectorAll('#parameters input')"
+    assert browser.value(f"[...{box}].map(x => Number(x.value))") == [1.1, 0.2, 1.0]
+    for bending in (0.2, 2.0):
+        browser.value(
+            f"{box}[0].value = {bending}; {box}[0].dispatchEvent(new Event('input'));"
+            "garmentnet.set({ frame: 0 })"
+        )
+        got = vertices(browser, garment, 29)
+        assert np.abs(got - played(garment, joints, P(bending=bending))[29]).max() < CLOSE
+
+
+def test_a_limb_turned_by_hand_takes_the_garment_along(opened, tmp_path):
+    garment, joints = made.live(tmp_path), np.tile(np.eye(3, 4), (5, 6, 1, 1))
+    browser = opened(garment, [Take("still", joints)])
+    before = vertices(browser, garment, 4)
+    browser.value("garmentnet.set({ bone: 2 })")
+    slide = "document.querySelectorAll('#turn-sliders input')[0]"
+    browser.value(f"{slide}.value = -40; {slide}.dispatchEvent(new Event('input'))")
+    settle(browser)
+    after = vertices(browser, garment)
+    # The pose is held for as long as the page goes on: the runtime comes to the same rest.
+    pose = joints.copy()
+    turn = np.radians(-40)
+    c, s = np.cos(turn), np.sin(turn)
+    r = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    head = garment.subject.skeleton.rest[2]
+    pose[:, 2:4, :, :3], pose[:, 2:4, :, 3] = r, head - r @ head
+    expected = played(garment, np.concatenate([joints, pose.repeat(18, axis=0)]))[-1]
+    assert np.abs(after - expected).max() < 2e-3
+    assert np.abs(after - before).max() > 0.01
+    time.sleep(0.2)
+    assert np.array_equal(vertices(browser, garment), after)
+    browser.key("Escape")
+    settle(browser)
+    assert np.abs(vertices(browser, garment, 3) - before).max() < 0.05
+
+
+def test_the_truth_beside_the_prediction(opened, tmp_path):
+    garment, joints = made.live(tmp_path), made.motion(2.0, seed=2)
+    truth = played(garment, joints) + np.linspace(0, 0.1, 60, dtype=np.float32)[:, None, None]
+    browser = opened(garment, [Take("one", joints, truth), Take("two", joints)])
+    shown = "!document.querySelector('[data-truth]').hidden"
+    assert browser.value(shown)
+    for key in "3e":
+        browser.key(key)
+        assert np.abs(vertices(browser, garment, 50, which=1) - truth[50]).max() < 2e-4
+    errors = browser.value("JSON.parse(document.getElementById('document').textContent).error.mean")
+    np.testing.assert_allclose(errors[:60], 1e3 * np.sqrt(3) * np.linspace(0, 0.1, 60), atol=0.02)
+    browser.value("garmentnet.set({ turns: new Map([[1, [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]]]) })")
+    assert browser.value("garmentnet.state.view") == "result"  # another pose has no truth
+    browser.value("garmentnet.set({ clip: 1 })")
+    assert not browser.value(shown)
+
+
+def test_hostile_names_do_nothing(opened, tmp_path):
+    joints = made.motion(0.5)
+    names = [f"<img src=x onerror=alert({k})></script><!--" for k in range(3)] + ["🦴" * 5000, ""]
+    title = "<b>&amp;</title>"
+    browser = opened(made.live(tmp_path), [Take(name, joints) for name in names], title=title)
+    assert browser.value("document.querySelectorAll('img, b').length") == 0
+    assert browser.value("document.title") == title
+    assert browser.value("document.querySelector('#clip option').textContent") == names[0]
+    for key in "jnf j":
+        browser.key(key)
+
+
+def test_an_arm_of_the_dress_is_clicked_and_dragged(opened):
+    garment = load_live("dress")
+    joints = np.tile(np.eye(3, 4), (3, garment.subject.skeleton.n_joints, 1, 1))
+    browser = opened(garment, [Take("still", joints)])
+    before = vertices(browser, garment, 2)
+    arm, thigh = (garment.subject.skeleton.index(n) for n in ("arm_l", "thigh_l"))
+    (x, y), hip = (browser.value(f"garmentnet.place({b})")[:2] for b in (arm, thigh))
+    hand = browser.value(f"garmentnet.place({arm + 1})")
+    browser.click((x + hand[0]) / 2, (y + hand[1]) / 2)
+    assert browser.value("garmentnet.state.bone") == arm
+    view = browser.value("[garmentnet.camera.azimuth, garmentnet.camera.distance]")
+    browser.drag((x, y), (x + 20, y + 20), (x + 30, y + 60))
+    assert browser.value("garmentnet.state.turns.size") == 1
+    assert browser.value("[garmentnet.camera.azimuth, garmentnet.camera.distance]") == view
+    settle(browser)
+    assert 0.002 < np.abs(vertices(browser, garment) - before).max() < 1.0
+    browser.key("Escape")
+    browser.key("Escape")
+    browser.click(*hip)  # the dress has no joint to be turned
+    assert browser.value("[garmentnet.state.bone, garmentnet.state.turns.size]") == [-1, 0]

@@ -1,0 +1,57 @@
+"""Morph targets that are written play back, here and by a reader of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from pygltflib import GLTF2
+
+import ssdr
+from helpers.rig_model import largest_distance, tube
+from ssdr.io.gltf.shapes import Shapes
+
+
+def shapes(model, count=3):
+    rng = np.random.default_rng(0)
+    moved = 0.05 * rng.normal(size=(count, model.n_vertices, 3))
+    return Shapes(moved, rng.random((model.n_frames, count)))
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_skin_of_the_displaced_rest_pose(tmp_path, suffix):
+    model = tube()
+    added = shapes(model)
+    path = tmp_path / f"a.{suffix}"
+    ssdr.save(model, path, shapes=added)
+    expected = []
+    for f in range(model.n_frames):
+        rest = model.rest + np.einsum("k,kvc->vc", added.amounts[f], added.displacements)
+        moved = dataclasses.replace(model, rest=rest, transforms=model.transforms[f : f + 1])
+        expected.append(moved.skin()[0])
+    assert largest_distance(ssdr.load(path).vertices, np.stack(expected)) < 1e-5
+    peer = GLTF2().load(str(path))
+    mesh = peer.meshes[0]
+    assert mesh.weights == pytest.approx(added.amounts.mean(axis=0), abs=1e-6)
+    for primitive in mesh.primitives:
+        assert len(primitive.targets) == 3
+        target = peer.accessors[primitive.targets[0]["POSITION"]]
+        assert target.count == peer.accessors[primitive.attributes.POSITION].count
+        np.testing.assert_allclose(target.max, added.displacements[0].max(axis=0), atol=1e-6)
+    (channel,) = [c for c in peer.animations[0].channels if c.target.path == "weights"]
+    output = peer.animations[0].samplers[channel.sampler].output
+    assert peer.accessors[output].count == 3 * model.n_frames
+
+
+def test_shapes_that_do_not_fit(tmp_path):
+    model, path = tube(), tmp_path / "a.glb"
+    added = shapes(model)
+    with pytest.raises(ssdr.InputError, match="amounts: expected 3 columns, got 2"):
+        Shapes(added.displacements, added.amounts[:, :2])
+    with pytest.raises(ssdr.InputError, match=r"shapes: expected .* frames"):
+        ssdr.save(model, path, shapes=Shapes(added.displacements, added.amounts[1:]))
+    ssdr.save(model, path)
+    with pytest.raises(ssdr.InputError, match="none beside a template"):
+        ssdr.save(model, tmp_path / "b.glb", template=path, shapes=added)
+    assert not (tmp_path / "b.glb").exists()
