@@ -12,7 +12,7 @@ PYTEST ?=
 # A Python that runs from elsewhere must not shadow the environment.
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help setup demo test lint format docs wheel release bench bench-full clean
+.PHONY: help setup demo test lint format docs wheel blender release bench bench-full clean
 
 help:
 	@echo 'make demo    decompose the sample that ships with the package: out/'
@@ -21,6 +21,7 @@ help:
 	@echo 'make docs    check the links and run the snippets of README and docs, build out/docs'
 	@echo 'make wheel   build dist/ and try ssdr in a new environment without a compiler'
 	@echo 'make release the same, and garmentnet beside it (PYTHONS="python3.12 ..." tries more of them)'
+	@echo 'make blender build the Blender extension with the tool of Blender itself: dist/'
 	@echo 'make bench   ssdr beside Dem Bones and others in ten minutes: out/bench-short/'
 	@echo 'make bench-full  all of it, hours: the tables and charts of docs/benchmarks.md'
 	@echo 'make clean   remove what the others made'
@@ -57,6 +58,9 @@ $(VENV)/.docs: $(READY)
 
 wheel: $(READY)
 	@GARMENTNET=0 .ci/release.sh
+
+blender: $(READY)
+	@$(BIN)/python .ci/extension.py dist
 
 release: $(READY)
 	@.ci/release.sh

@@ -7,8 +7,14 @@ or while it is read.
 
 from __future__ import annotations
 
+import contextlib
+import html
+import importlib.util
 import re
+import shutil
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +24,7 @@ sys.path.insert(0, str(ROOT))
 from sphinx.domains.python import PyObject  # noqa: E402
 
 import ssdr  # noqa: E402
+from docs import snippets  # noqa: E402
 
 project = "ssdr"
 author = "The ssdr developers"
@@ -80,5 +87,50 @@ def fit_to_restructuredtext(
         lines[k] = "".join(pieces)
 
 
+# Where the page stands that ``garmentnet view`` writes; without what that needs there is none.
+DRESS = "<!-- live: dress -->"
+_HAS_GARMENTNET = all(importlib.util.find_spec(name) for name in ("safetensors", "typer"))
+
+
+def live_page(page: str, title: str) -> str:
+    return (
+        f'<iframe class="live" src="{page}" title="{html.escape(title)}" loading="lazy"></iframe>\n'
+        f'<p class="live"><a href="{page}" target="_blank">This page alone</a></p>\n'
+    )
+
+
+def show_live_page(app: Any, name: str, source: list[str]) -> None:
+    """On the site a live page takes the place of its picture or comment."""
+
+    def frame(still: re.Match[str]) -> str:
+        return live_page(f"{still['name']}.html", still["title"])
+
+    if name.startswith("docs/gallery/"):
+        source[0] = snippets.STILL.sub(frame, source[0], count=1)
+    elif _HAS_GARMENTNET:
+        source[0] = source[0].replace(DRESS, live_page("dress.html", "A dress that dances"))
+
+
+def write_live_pages(app: Any, error: Exception | None) -> None:
+    """The live pages are what the commands of the gallery write: these are run."""
+    if error or app.builder.name != "html" or not app.config.live_pages:
+        return
+    for page in snippets.GALLERY:
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            snippets.prepare(page, Path(folder))
+            for _ in snippets.run(page):
+                pass
+            still = snippets.STILL.search(page.read_text(encoding="utf-8"))
+            assert still is not None, page
+            shutil.copy(f"{still['name']}.html", Path(app.outdir, "docs", "gallery"))
+    if _HAS_GARMENTNET:
+        command = [sys.executable, "-m", "garmentnet.cli", "view", "dress", "-o"]
+        target = str(Path(app.outdir, "docs", "dress.html"))
+        subprocess.run([*command, target], cwd=ROOT, check=True)
+
+
 def setup(app: Any) -> None:
+    app.add_config_value("live_pages", True, "", bool)
     app.connect("autodoc-process-docstring", fit_to_restructuredtext)
+    app.connect("source-read", show_live_page)
+    app.connect("build-finished", write_live_pages)

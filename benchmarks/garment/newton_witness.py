@@ -24,16 +24,19 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+
 from benchmarks import common
-from benchmarks.garment.parameters import ENDS, Measures
+from garmentnet.configs.config import FeatureOptions
 from garmentnet.data.motion import Motion, interpolate, lead_in
 from garmentnet.data.parameters import SimulationParameters
+from garmentnet.networks.features import PoseFeatures
 from garmentnet.scenes.body import default_body
 from garmentnet.scenes.cloth import Cloth
+from garmentnet.scenes.cut import Cut, cut_garment
 from garmentnet.scenes.dance.choreography import dance
-from garmentnet.scenes.garments import Dress, cut_dress
 from garmentnet.scenes.quality import judge, outside
 from garmentnet.scenes.simulator import perturbation_field
+from ssdr.laplacian import LaplacianSmoother
 from ssdr.skinning import skin
 
 BASE = SimulationParameters()
@@ -43,6 +46,34 @@ SUBSTEPS, STRETCH, STRETCH_DAMPING = 40, 3e3, 1e-5
 BENDING_DAMPING, DRAG, FRICTION, DISTANCE = 2e-2, 3.0, 0.1, 0.01
 EDGE = 0.0276  # m; the mean edge for which newton's bending stiffness is stated
 BOX = 1e3  # m; newton takes the collider's bounding box from the first pose
+
+LENGTH = 0.02  # m, of the split
+ENDS = {
+    "bending": (0.2, 2.0, "soft", "stiff"),
+    "density": (0.1, 0.3, "light", "heavy"),
+    "time_scale": (0.7, 1.3, "slow", "fast"),
+}
+
+
+class Measures:
+    """Depth of creases and distance from rest, over the vertices that are not pinned."""
+
+    def __init__(self, garment: Any, skeleton: Any, joints: np.ndarray, fps: float) -> None:
+        self.smoother = LaplacianSmoother(garment.rest, garment.faces, LENGTH)
+        self.free = ~garment.pinned
+        options = FeatureOptions(heading_free=True, translation=False, frame="heading")
+        _, self.frame, _ = PoseFeatures(skeleton, options, fps)(joints)
+        still = np.tile(np.eye(3, 4), (1, joints.shape[1], 1, 1))
+        self.rest = np.asarray(garment.rest, float) - skeleton.positions(still)[0, 0]
+
+    def __call__(self, vertices: np.ndarray) -> dict[str, float]:
+        high = vertices - np.asarray(self.smoother.smooth(vertices))
+        local = (vertices - self.frame[:, None, :, 3]) @ self.frame[..., :3]
+        gap = (local - self.rest)[:, self.free]
+        return {
+            "creases_mm": 1e3 * float(np.sqrt((high[:, self.free] ** 2).sum(-1).mean())),
+            "from_rest_mm": 1e3 * float(np.sqrt((gap**2).sum(-1).mean())),
+        }
 
 
 class NewtonCloth:
@@ -162,7 +193,7 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     body = default_body()
-    garment = cut_dress(body, Dress(vertices=2100))
+    garment = cut_garment(body, Cut(vertices=2100))
     ours = Cloth(body, garment)
     approach, settle = ours.solver.approach, ours.solver.settle
     theirs = NewtonCloth(body, garment, approach, settle)

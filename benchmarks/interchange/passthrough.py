@@ -116,6 +116,7 @@ def played(folder: Path, job: common.Row) -> Any:
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     words = urllib.parse.quote(json.dumps(job))
+    Handler.done.clear()
     with tempfile.TemporaryDirectory() as profile:
         browser = subprocess.Popen(
             [

@@ -35,7 +35,6 @@ from helpers.rig_model import tube
 from helpers.rig_tree import creature, tree_of
 from ssdr.errors import MissingDependencyError
 from ssdr.hierarchy.transforms import to_local
-from ssdr.io.axes import turn_up
 from ssdr.io.blender import bridge
 
 FORMATS: dict[str, tuple[str, Row]] = {
@@ -115,14 +114,23 @@ def three_folder() -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "node_modules").is_dir():
         subprocess.run(["npm", "install", "--silent", "--prefix", folder, "three"], check=True)
-    shutil.copy(Path(__file__).with_name("three.mjs"), folder)
+    for name in ("three.mjs", "shown.mjs"):
+        shutil.copy(Path(__file__).with_name(name), folder)
     return folder
 
 
 def in_three(path: Path, model: ssdr.Skinning) -> Seen:
-    wanted = {c.name: {"fps": c.fps, "frames": c.n_frames} for c in model.clips}
-    words = ["node", three_folder() / "three.mjs", path, json.dumps(wanted)]
-    answer = json.loads(subprocess.run(words, check=True, capture_output=True).stdout)
+    words = ["node", three_folder() / "three.mjs", path, json.dumps(wanted(model))]
+    return told(json.loads(subprocess.run(words, check=True, capture_output=True).stdout), model)
+
+
+def wanted(model: ssdr.Skinning) -> Row:
+    """Clips of a model, as the other programs' scripts want them."""
+    return {c.name: {"fps": c.fps, "frames": c.n_frames} for c in model.clips}
+
+
+def told(answer: Row, model: ssdr.Skinning) -> Seen:
+    """What such a script says."""
     n_bones = len(answer["bones"])
     points, local, off = {}, {}, 0.0
     for clip in model.clips:
@@ -131,7 +139,7 @@ def in_three(path: Path, model: ssdr.Skinning) -> Seen:
         matrices = np.array(seen["locals"]).reshape(clip.n_frames, n_bones, 4, 4)
         local[clip.name] = np.swapaxes(matrices, -1, -2)[..., :3, :]
         off = max(off, abs(seen["duration"] - (clip.n_frames - 1) / clip.fps))
-    index = np.array(answer["index"], dtype=int)
+    index = np.array(answer["index"], dtype=int) if answer["index"] else None
     return Seen(points, index, off, dict(answer["bones"]), np.array(answer["joints"]), local)
 
 
@@ -173,20 +181,20 @@ def in_blender(path: Path, model: ssdr.Skinning) -> Seen:
 
     Of USD, whose importer renames bones and shows the first clip alone, only the vertices.
     """
-    seen, turn = Seen({}), turn_up(np.eye(3), "z", "y").T
+    seen, turn = Seen({}), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from z up to y up
     for clip in model.clips[:1] if path.suffix == ".usdc" else model.clips:
         job: Row = {"path": str(path.resolve()), "fps": clip.fps, "resample": False}
         job["max_bytes"] = 16 << 30
         take = clip.name if len(model.clips) > 1 else None
         shown = bridge.run({**job, "action": "read", "take": take})
-        seen.points[clip.name] = turn_up(shown["vertices"], "z", "y")
+        seen.points[clip.name] = shown["vertices"] @ turn.T
         seen.index = shown.get("vertex")
         if path.suffix == ".usdc" or not has_tree(model):
             continue
         arrays = bridge.run({**job, "action": "read skinning"})
         names, parents = json.loads(str(arrays["bones"])), arrays["parents"]
         seen.tree = {n: names[p] if p >= 0 else None for n, p in zip(names, parents, strict=True)}
-        seen.joints = turn_up(arrays["joint_positions"], "z", "y")
+        seen.joints = arrays["joint_positions"] @ turn.T
         m = arrays["transforms"]
         m = np.concatenate([turn @ m[..., :3] @ turn.T, turn @ m[..., 3:]], axis=-1)
         takes = json.loads(str(arrays["names"])) or [clip.name]

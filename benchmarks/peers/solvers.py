@@ -117,7 +117,7 @@ def run_2012(job: Row, frames: np.ndarray, faces: np.ndarray, pace: Pace) -> Row
 
     def start() -> None:
         data = gather([ssdr.MeshSequence(frames, faces)], bones=bones)
-        inner, _ = data.from_world(rest, None)
+        inner = data.points_from_world(rest, "rest")
         rng = np.random.default_rng(job["seed"])
         held[:] = data, start_model(data, inner, bones, min(job["influences"], bones), rng)
         vertex_step(*held, locked=locked)

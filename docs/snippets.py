@@ -1,0 +1,98 @@
+"""The blocks of a page, run from top to bottom as a reader would run them."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+import ssdr
+from docs.gallery import made
+
+__all__ = ["FENCE", "GALLERY", "STILL", "prepare", "run", "runs"]
+
+ROOT = Path(__file__).resolve().parents[1]
+GALLERY = sorted((ROOT / "docs" / "gallery").glob("*.md"))
+FENCE = re.compile(r"^```(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# The picture that stands for the live page ``name``.html, which the commands of its page write.
+STILL = re.compile(r"!\[(?P<title>[^\]]*)\]\(\.\./images/gallery_(?P<name>\w+)\.webp\)")
+_NEEDS = "# needs: "
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Language and text of each fenced block of a page."""
+    return FENCE.findall(page.read_text(encoding="utf-8"))
+
+
+def runs(page: Path) -> bool:
+    """Whether anything on a page runs."""
+    return any(
+        (language == "python" and not text.startswith(_NEEDS))
+        or (language == "sh" and re.search(r"^ssdr ", text, re.MULTILINE))
+        for language, text in blocks(page)
+    )
+
+
+def prepare(page: Path, folder: Path) -> None:
+    """Write the files that a page works on."""
+    if page in GALLERY:
+        made.write(folder)
+        return
+    sample = ssdr.samples.load("dancer_small")
+    ssdr.save(sample, folder / "dance.npz")
+    np.save(folder / "dance.npy", sample.vertices)
+    np.save(folder / "faces.npy", sample.faces)
+    (folder / "clips").mkdir()
+    for k, part in enumerate((slice(0, 12), slice(12, 24))):
+        np.save(folder / f"clips/{k}.npy", sample.vertices[part])
+
+
+def run(page: Path) -> Iterator[tuple[str, str]]:
+    """Run a page in the working directory; each text block, and what was printed before it.
+
+    Python blocks share their names, from top to bottom; of ``sh`` blocks the lines run that call
+    ``ssdr``.
+    """
+    names: dict[str, object] = {"__name__": "__main__"}
+    printed = ""
+    try:
+        for language, text in blocks(page):
+            if language == "python" and not text.startswith(_NEEDS):
+                out = io.StringIO()
+                with warnings.catch_warnings(), contextlib.redirect_stdout(out):
+                    warnings.simplefilter("error")
+                    exec(compile(text, page.name, "exec"), names)
+                printed = out.getvalue()
+            elif language == "text":
+                yield text, printed
+            elif language == "sh":
+                printed = "".join(map(_command, text.replace("\\\n", " ").splitlines()))
+    finally:
+        ssdr.set_threads(None)
+
+
+def _command(line: str) -> str:
+    """What a line prints that calls ``ssdr``; others are not run."""
+    words = shlex.split(line, comments=True)
+    if words[:1] != ["ssdr"]:
+        return ""
+    done = subprocess.run(
+        [sys.executable, "-m", *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )
+    if done.returncode:
+        raise RuntimeError(f"{line}\n{done.stdout}\n{done.stderr}")
+    return done.stdout
