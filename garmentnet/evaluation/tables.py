@@ -10,7 +10,7 @@ from typing import Any
 from .scores import PARTS, VERTICES, Scores
 from .statistics import Interval, paired_ratio
 
-__all__ = ["class_table", "interval_table", "intervals", "markdown", "score_table"]
+__all__ = ["class_table", "interval_cell", "interval_table", "intervals", "markdown", "score_table"]
 
 # Of the figures of a score; RMSE is pooled in squares.
 _POWERS = {"rmse": 2.0, "hausdorff": 1.0, "sted": 1.0}
@@ -103,7 +103,9 @@ def interval_table(document: dict[str, Any], vertices: str) -> str:
     lines = []
     for name, found in document["methods"].items():
         cells = found[vertices]["overall"].items()
-        lines.append([name, *(_cell(value, 2 if k == "error" else 3) for k, value in cells)])
+        lines.append(
+            [name, *(interval_cell(value, 2 if k == "error" else 3) for k, value in cells)]
+        )
     return markdown([f"overall, {vertices} vertices", *head], lines)
 
 
@@ -112,6 +114,7 @@ def _plain(found: Interval | None) -> list[float | None]:
     return [x if math.isfinite(x) else None for x in found] if found else [None] * 3
 
 
-def _cell(found: list[float | None], digits: int) -> str:
+def interval_cell(found: list[float | None], digits: int) -> str:
+    """A value and its interval, as ``0.97 [0.95, 0.99]``; "-" for what is None."""
     value, low, high = ("-" if x is None else f"{x:.{digits}f}" for x in found)
     return value if low == "-" else f"{value} [{low}, {high}]"

@@ -2,14 +2,17 @@
 
 import json
 
+import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 
+from garmentnet.data.virtual_bones import parameter_roles
 from garmentnet.evaluation import reproduce
 from garmentnet.evaluation.published import BASELINES
 from garmentnet.evaluation.reporting import RECORDED
 from garmentnet.evaluation.reproduce import Reproduction
+from garmentnet.networks.checkpoint import load_checkpoint
 from ssdr.errors import InputError
 
 SETTINGS = (
@@ -59,6 +62,24 @@ def test_curve_and_bones(run):
     rows = [line.split("|") for line in run.table("bones").splitlines()[2:]]
     errors = [float(r[4]) for r in rows]
     assert errors[1] < errors[0]  # more bones, nearer
+
+
+def test_table_4_scores_every_rule_on_the_same_clips(run):
+    text = run.table("table4")
+    record = json.loads((run.folder / "parameters" / "table4.json").read_text("utf-8"))
+    names = ["pivots, RBF", "pivots, inverse distance", "pivots, nearest", "large network"]
+    assert [r["name"] for r in record["rows"]] == names
+    assert all(text.count(f"| {name} ") == 3 for name in names)
+    # The nearest pivot's network alone, scored by the naive formula.
+    pivots = load_checkpoint(run.folder / "parameters" / "ensemble" / "ensemble.safetensors")
+    store = run.store("parameters")
+    unseen = [c for c in store.clips("test") if parameter_roles(store)[c.parameters] == "test"]
+    theta = unseen[0].parameters.normalised()
+    gap = [np.linalg.norm(p.normalised() - theta) for p in pivots.parameters]
+    network = pivots.networks[int(np.argmin(gap))]
+    squares = [np.square(network.predict(c.joints) - c.sequence.vertices).sum(-1) for c in unseen]
+    twin = 1e3 * np.sqrt(np.concatenate(squares).mean())
+    assert record["rows"][2]["all"]["overall"]["rmse"] == pytest.approx(twin, rel=1e-3)
 
 
 def test_an_unknown_table(run):
