@@ -93,6 +93,7 @@ class Format:
     write_sequence: str | None = None
     read_skinning: str | None = None
     write_skinning: str | None = None
+    compact_size: str | None = None
     list_clips: str | None = None
     copy: str | None = None
     left_out: str | None = None
@@ -117,7 +118,12 @@ _NUMBERED = _format("numbered meshes", meshes__numbered="read")
 _CACHE = "read write_sequence"
 _SKIN = "write_skinning"
 _GLTF = _format(
-    "glTF 2.0", None, METRES_Y_UP, gltf__reader=_READS, gltf__writer=_SKIN, gltf__passing=_PASSES
+    "glTF 2.0",
+    None,
+    METRES_Y_UP,
+    gltf__reader=_READS,
+    gltf__writer="write_skinning compact_size",
+    gltf__passing=_PASSES,
 )
 _USD = _format(
     "Universal Scene Description",

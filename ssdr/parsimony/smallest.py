@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from ..drivers.hand_back import finished
 from ..drivers.problem import Problem, check_problem
 from ..errors import InputError, check_choice
 from ..quantisation import WeightStorage
+from ..io.load_save import compact_size
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
@@ -45,6 +48,7 @@ def smallest(
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rng: int | np.random.Generator = 0,
+    file: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
     checkpoint: str | Path | None = None,
     callback: Callback | None = None,
@@ -135,7 +139,7 @@ def smallest(
     n = sequences[0].n_vertices
     most = min(n, _MOST_BONES) if bones is None else bones
     most = check_whole(most, "bones", 1, n, " (the number of vertices)")
-    del arguments["tolerance"], arguments["measure"]
+    del arguments["tolerance"], arguments["measure"], arguments["file"]
     arguments["bones"] = None if isinstance(start, Skinning) else most
     problem = check_problem(**arguments)
     check_choice(measure, "measure", Measure)
@@ -145,7 +149,24 @@ def smallest(
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)
-    return finished(problem, lambda: Driver(sought, length, measure).solve())
+    written = None if file is None else _writer(file, sequences[0], bone_model)
+    return finished(problem, lambda: Driver(sought, length, measure, written).solve())
+
+
+def _writer(
+    file: Any, mesh: MeshSequence, bone_model: BoneModel
+) -> Callable[[Skinning], tuple[int, Skinning]]:
+    """Function that writes a skinning with the options `file`, after a try with one still bone."""
+    if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
+        raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
+    if bone_model == "affine":
+        raise InputError("bone_model", "'rigid' or 'similarity' beside a file", repr(bone_model))
+    written = functools.partial(compact_size, **file)
+    n = mesh.n_vertices
+    bone = np.eye(3, 4)[None, None]
+    kept = {name: getattr(mesh, name) for name in ("faces", "surface", "name", "space")}
+    written(Skinning(mesh.frames(0), np.zeros((n, 1), int), np.ones((n, 1)), bone, **kept))
+    return written
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:
