@@ -82,7 +82,8 @@ class Format:
     have, whose unknown parts they may choose; None if they cannot state any. Each field after it is
     named after a function, and holds the name of the module with that function, or None. If a
     format has `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If
-    it has `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
+    it has `compact_size`, that counts the bytes of a compact file before there is one. If it has
+    `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
     `template`, and `template_problem` returns the reason why a file cannot be a template.
     """
 

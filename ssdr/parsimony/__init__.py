@@ -5,4 +5,14 @@ from __future__ import annotations
 from .rate_distortion import Curve, curve
 from .report import Attempt, FileSize, Parsimony, Pruning, Size, Smallest, size
 
-__all__ = ["Attempt", "Curve", "FileSize", "Parsimony", "Pruning", "Size", "Smallest", "curve", "size"]
+__all__ = [
+    "Attempt",
+    "Curve",
+    "FileSize",
+    "Parsimony",
+    "Pruning",
+    "Size",
+    "Smallest",
+    "curve",
+    "size",
+]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from .ladder import Ladder, Stopped
 from .pruning import Pruner
 from .rank import rank_bound, rank_of, reduced
 from .report import Measure, Parsimony, Pruning, Smallest
-from .solved_frames import SolvedFrames
+from .solved_frames import SolvedFrames, Written
 
 __all__ = ["Driver"]
 
@@ -40,9 +39,8 @@ class Driver:
     tolerance : float
         In the mesh's units.
     measure : {"rmse", "max"}
-    written : callable, optional
-        Bytes of the file of a skinning, and the skinning that a reader decodes from it; the file
-        is to hold the tolerance, too.
+    written : Written, optional
+        For a file that is to hold the tolerance, too.
     """
 
     def __init__(
@@ -50,7 +48,7 @@ class Driver:
         problem: Problem,
         tolerance: float,
         measure: Measure,
-        written: Callable[[Skinning], tuple[int, Skinning]] | None = None,
+        written: Written | None = None,
     ) -> None:
         self.problem, self.asked, self.clock = problem, tolerance, Clock()
         self.progress = ProgressReport(problem.callback, self.clock, problem.time_limit)
@@ -171,6 +169,7 @@ class Driver:
             search.least = held
 
     def _kept_error(self, skinning: Skinning) -> float:
+        """Error of a skinning or, if it holds the tolerance, the larger of its and its file's."""
         error = self.frames.error_of_all(skinning)
         return self.frames.kept(skinning, error, self.tolerance)[1]
 
@@ -245,7 +244,6 @@ class Driver:
                 head += f", the motion's rank asks for at least {self.least} bones"
         kind = {"rmse": "RMSE", "max": "largest error"}[self.frames.measure]
         most = self.problem.influences
-        reached = f"{skinning.n_bones} bones of at most {most} influences reach a {kind} of"
-        if self.frames.written is not None:
-            reached = reached.replace("reach", "reach in the file")
+        where = "reach a" if self.frames.written is None else "reach in the file a"
+        reached = f"{skinning.n_bones} bones of at most {most} influences {where} {kind} of"
         return f"{head}: {reached} {text(error)}"

@@ -144,8 +144,9 @@ class FileSize:
     bytes : int
         Bytes of the whole file, with its triangles and textures.
     error : float
-        Distance of the vertices in the file from the input in all frames, in the mesh's units, by
-        the measure of the tolerance; inf if the file cannot be as fine as its own tolerance asks.
+        Error of the vertices in the file, measured on all frames of the input, in the mesh's units,
+        by the measure of the tolerance.  It is inf, and there are no bytes, if the weights of the
+        file are too coarse for its own tolerance.
 
     Examples
     --------
@@ -182,7 +183,7 @@ class Parsimony:
     attempts : tuple of Attempt
         All attempts, in order.
     file : FileSize or None
-        Of the compact file whose bytes were to be few; None if no file was asked for.
+        Size of the compact file for which the model was chosen; None if none was described.
 
     Examples
     --------

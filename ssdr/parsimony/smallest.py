@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,15 @@ from ..drivers.efforts import Effort
 from ..drivers.hand_back import finished
 from ..drivers.problem import Problem, check_problem
 from ..errors import InputError, check_choice
-from ..quantisation import WeightStorage
 from ..io.load_save import compact_size
+from ..quantisation import WeightStorage
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
 from ..skinning import Skinning
 from ..start import Skeleton, Start
 from .driver import Driver
 from .report import Measure, Smallest
+from .solved_frames import Written
 
 __all__ = ["smallest"]
 
@@ -56,8 +57,8 @@ def smallest(
     """Find the smallest model of an animated mesh that holds a tolerance.
 
     The result has the fewest bones found that hold the tolerance.  Then influences and keyframes
-    are dropped as far as the tolerance allows, which saves bytes.  The kind of model is that of
-    :func:`decompose`.
+    are dropped as far as the tolerance allows, which saves bytes: those of a file, if one is
+    described.  The kind of model is that of :func:`decompose`.
 
     Parameters
     ----------
@@ -94,6 +95,11 @@ def smallest(
         Positive; guides the solver as in :func:`decompose`.
     rng : int or numpy.random.Generator
         The same seed gives the same bits, whatever the number of threads.
+    file : mapping, optional
+        Options with which :func:`save` will write a compact ``.glb``, such as ``{"compression":
+        "meshopt", "weights": "uint8", "tolerance": "0.5%"}``.  The tolerance then holds in that
+        file, too, and of the models that pruning tries the one with the smallest file is chosen:
+        each is written to a temporary file, and measured as a reader decodes it.
     time_limit : float, optional
         Most seconds for this call, without compilation.  When they are over, the smallest model so
         far that holds the tolerance is returned without pruning, or else the model of least error.
@@ -114,6 +120,8 @@ def smallest(
     ------
     InputError
         If an argument is not usable, before anything is computed.
+    MissingDependencyError
+        If `file` needs a package that is not installed, before anything is computed.
     Cancelled
         If the callback stopped the search before there was a model.
 
@@ -153,10 +161,8 @@ def smallest(
     return finished(problem, lambda: Driver(sought, length, measure, written).solve())
 
 
-def _writer(
-    file: Any, mesh: MeshSequence, bone_model: BoneModel
-) -> Callable[[Skinning], tuple[int, Skinning]]:
-    """Function that writes a skinning with the options `file`, after a try with one still bone."""
+def _writer(file: Any, mesh: MeshSequence, bone_model: BoneModel) -> Written:
+    """Function that counts bytes of a file with the options `file`, tried with one still bone."""
     if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
         raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
     if bone_model == "affine":

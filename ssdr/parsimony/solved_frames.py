@@ -29,7 +29,10 @@ from ..solver.model import Model
 from ..solver.rounding import rounded_models
 from .report import FileSize, Measure, Size, size
 
-__all__ = ["SolvedFrames"]
+__all__ = ["SolvedFrames", "Written"]
+
+# Returns the bytes of the file of a skinning, and the skinning that a reader decodes from it.
+Written = Callable[[Skinning], tuple[int, Skinning]]
 
 
 class SolvedFrames:
@@ -42,8 +45,8 @@ class SolvedFrames:
         Error that the tolerance of the search bounds.
     clock : Clock
         For the progress of the first pass over streamed frames.
-    written : callable, optional
-        Bytes of the file of a skinning, and the skinning that a reader decodes from it.
+    written : Written, optional
+        For the file of a skinning.
 
     Attributes
     ----------
@@ -61,7 +64,7 @@ class SolvedFrames:
         problem: Problem,
         measure: Measure,
         clock: Clock,
-        written: Callable[[Skinning], tuple[int, Skinning]] | None = None,
+        written: Written | None = None,
     ) -> None:
         self.problem, self.measure, self.written = problem, measure, written
         self.sequences, given = problem.sequences, problem.given
@@ -107,10 +110,7 @@ class SolvedFrames:
         return FileSize(size, self.error_of_all(decoded))
 
     def kept(self, skinning: Skinning, error: float, tolerance: float) -> tuple[int, float]:
-        """Bytes of a skinning and its `error`, or those of its file, if there is one.
-
-        What misses the tolerance by itself is not written.
-        """
+        """Bytes of a skinning and its `error` or, if it holds the tolerance, those of its file."""
         file = self.file(skinning) if error <= tolerance else None
         if file is None:
             return self.size(skinning).total, error
