@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -157,21 +156,25 @@ def smallest(
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)
-    written = None if file is None else _writer(file, sequences[0], bone_model)
+    written = None if file is None else _written(file, problem)
     return finished(problem, lambda: Driver(sought, length, measure, written).solve())
 
 
-def _writer(file: Any, mesh: MeshSequence, bone_model: BoneModel) -> Written:
-    """Function that counts bytes of a file with the options `file`, tried with one still bone."""
+def _written(file: Any, problem: Problem) -> Written:
+    """Function that counts the bytes of a file with the options `file`, tried with still bones."""
     if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
         raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
-    if bone_model == "affine":
-        raise InputError("bone_model", "'rigid' or 'similarity' beside a file", repr(bone_model))
-    written = functools.partial(compact_size, **file)
-    n = mesh.n_vertices
-    bone = np.eye(3, 4)[None, None]
+    if problem.locked.bone_model == "affine":
+        raise InputError("bone_model", "'rigid' or 'similarity' beside a file", "'affine'")
+
+    def written(skinning: Skinning) -> tuple[int, Skinning]:
+        return compact_size(skinning, **file)
+
+    mesh, shape = problem.sequences[0], (problem.n_vertices, problem.influences)
+    bones, weights = np.broadcast_to(np.arange(shape[1]), shape), np.full(shape, 1 / shape[1])
     kept = {name: getattr(mesh, name) for name in ("faces", "surface", "name", "space")}
-    written(Skinning(mesh.frames(0), np.zeros((n, 1), int), np.ones((n, 1)), bone, **kept))
+    still = np.tile(np.eye(3, 4), (1, shape[1], 1, 1))
+    written(Skinning(mesh.frames(0), bones, weights, still, **kept))
     return written
 
 

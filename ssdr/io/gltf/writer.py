@@ -151,7 +151,7 @@ def compact_size(
         rest=rig.rest.astype(np.float64),
         indices=rig.indices,
         weights=weight_values(rig.weights),
-        transforms=rig.matrices(np.arange(rig.n_frames)),
+        transforms=rig.matrices(np.arange(rig.n_frames, dtype=np.float64)),
         parents=None,
         joint_positions=None,
         keyframes=None,
