@@ -41,6 +41,7 @@ _ROWS = {
 }
 _PARSIMONY = {
     "tolerance": "{measure} {error:.4g} of {tolerance:.4g}, held: {held}",
+    "file": "{file[bytes]:,} bytes, all it holds; {measure} {file[error]:.4g} of {tolerance:.4g}",
     "size": "{bytes:,} bytes in an engine: rest pose {size[rest]:,}, weights {size[weights]:,}, "
     "joints {size[joints]:,}, keys {size[keys]:,}; files hold more, such as triangles",
 }
@@ -93,6 +94,8 @@ def fit(
     shots, start, settings = _read(options, output)
     _place(own, shots[0].space)
     own.setdefault("start", start)
+    if command == "smallest":
+        own["file"] = _compact_file(settings, shots[0].name)
     loaded = time.perf_counter()
     with stop_on_signals() as stop:
         result = _solve(solve, options, shots, stop, own)
@@ -152,6 +155,14 @@ def _read(options: FitOptions, output: Output) -> tuple[Shots, Any, dict[Path, d
         )
         try_format(path, settings[path], options, shots[0], clips)
     return shots, start, settings
+
+
+def _compact_file(settings: dict[Path, dict[str, Any]], name: str) -> dict[str, Any] | None:
+    """Options of the first output that is a compressed ``.glb``; None if there is none."""
+    for path, given in settings.items():
+        if path.suffix.lower() == ".glb" and given.get("compression", "none") != "none":
+            return {"name": name or path.stem, **given}
+    return None
 
 
 def _start(text: str | None, space: Space) -> Any:
@@ -271,7 +282,8 @@ def _print(
     if parsimony is not None:
         found = dataclasses.asdict(parsimony) | {"bytes": parsimony.size.total}
         document["parsimony"] = found
-        rows += in_words(found, _PARSIMONY)
+        shown = {k: text for k, text in _PARSIMONY.items() if found.get(k, True)}
+        rows += in_words(found, shown)
         rows += [(p["what"], _PRUNING.format_map(p)) for p in found["prunings"]]
     rows.append(("ended", _ENDINGS.get(result.stop_reason, result.stop_reason)))
     rows += [("wrote", saved_line(report, diagonal)) for report in reports]

@@ -25,7 +25,7 @@ from .registry import (
     is_many,
     refuse_device,
 )
-from .spaces import ready_to_write, scaled, with_space
+from .spaces import in_space, ready_to_write, scaled, with_space
 
 if TYPE_CHECKING:
     from ..skinning import Skinning
@@ -314,6 +314,20 @@ def save(
         warnings.warn(f"{target}: not kept: {', '.join(report.lost)}", SsdrWarning, stacklevel=2)
     notes = [note for note in (said, report.note, joined) if note]
     return dataclasses.replace(report, note="; ".join(notes))
+
+
+def compact_size(
+    skinning: Skinning, *, units: float | None = None, up: Up | None = None, **options: Any
+) -> tuple[int, Skinning]:
+    """Bytes of the compact ``.glb`` of a skinning, and the skinning that a reader decodes from it.
+
+    `units`, `up` and `options` are those of :func:`save`; what is decoded is in the space of
+    `skinning`, without a hierarchy.
+    """
+    given = with_space(skinning, skinning.space.but(Space(units, up)))
+    ready = ready_to_write(given, "glTF", FORMATS[".glb"].space)[0]
+    size, decoded = call(FORMATS[".glb"], "compact_size", ready, **options)
+    return size, in_space(decoded, given.space)
 
 
 def copy(

@@ -82,7 +82,8 @@ class Format:
     have, whose unknown parts they may choose; None if they cannot state any. Each field after it is
     named after a function, and holds the name of the module with that function, or None. If a
     format has `list_clips`, a file can hold several clips, and `read` takes the option `clip`. If
-    it has `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
+    it has `compact_size`, that counts the bytes of a compact file before there is one. If it has
+    `copy`, files can be copied whole and can be templates: `write_skinning` takes the option
     `template`, and `template_problem` returns the reason why a file cannot be a template.
     """
 
@@ -93,6 +94,7 @@ class Format:
     write_sequence: str | None = None
     read_skinning: str | None = None
     write_skinning: str | None = None
+    compact_size: str | None = None
     list_clips: str | None = None
     copy: str | None = None
     left_out: str | None = None
@@ -117,7 +119,12 @@ _NUMBERED = _format("numbered meshes", meshes__numbered="read")
 _CACHE = "read write_sequence"
 _SKIN = "write_skinning"
 _GLTF = _format(
-    "glTF 2.0", None, METRES_Y_UP, gltf__reader=_READS, gltf__writer=_SKIN, gltf__passing=_PASSES
+    "glTF 2.0",
+    None,
+    METRES_Y_UP,
+    gltf__reader=_READS,
+    gltf__writer="write_skinning compact_size",
+    gltf__passing=_PASSES,
 )
 _USD = _format(
     "Universal Scene Description",

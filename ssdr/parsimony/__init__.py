@@ -3,6 +3,16 @@
 from __future__ import annotations
 
 from .rate_distortion import Curve, curve
-from .report import Attempt, Parsimony, Pruning, Size, Smallest, size
+from .report import Attempt, FileSize, Parsimony, Pruning, Size, Smallest, size
 
-__all__ = ["Attempt", "Curve", "Parsimony", "Pruning", "Size", "Smallest", "curve", "size"]
+__all__ = [
+    "Attempt",
+    "Curve",
+    "FileSize",
+    "Parsimony",
+    "Pruning",
+    "Size",
+    "Smallest",
+    "curve",
+    "size",
+]

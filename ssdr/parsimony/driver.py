@@ -20,7 +20,7 @@ from .ladder import Ladder, Stopped
 from .pruning import Pruner
 from .rank import rank_bound, rank_of, reduced
 from .report import Measure, Parsimony, Pruning, Smallest
-from .solved_frames import SolvedFrames
+from .solved_frames import SolvedFrames, Written
 
 __all__ = ["Driver"]
 
@@ -39,12 +39,20 @@ class Driver:
     tolerance : float
         In the mesh's units.
     measure : {"rmse", "max"}
+    written : Written, optional
+        For a file that is to hold the tolerance, too.
     """
 
-    def __init__(self, problem: Problem, tolerance: float, measure: Measure) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        tolerance: float,
+        measure: Measure,
+        written: Written | None = None,
+    ) -> None:
         self.problem, self.asked, self.clock = problem, tolerance, Clock()
         self.progress = ProgressReport(problem.callback, self.clock, problem.time_limit)
-        self.frames = frames = SolvedFrames(problem, measure, self.clock)
+        self.frames = frames = SolvedFrames(problem, measure, self.clock, written)
         data = frames.data
         check_squarable(data.centre, "vertices")
         largest = max(float(np.abs(data.centre).max()), data.scale)
@@ -139,11 +147,11 @@ class Driver:
         """Find the fewest bones.
 
         If frames are streamed, the search solves representative ones, and if weights are stored in
-        integers, it knows no rounding.  It is then repeated with a stricter tolerance until the
-        rounded model holds the tolerance on all frames.
+        integers or the model in a file, it knows no rounding.  It is then repeated with a stricter
+        tolerance until the rounded model holds the tolerance on all frames.
         """
         ladder, frames, search = self.ladder, self.frames, self.search
-        exact = frames.scan is None and self.problem.storage == "float32"
+        exact = frames.scan is None and self.problem.storage == "float32" and not frames.written
         for _ in range(_RETRIES):
             search.run()
             held = ladder.fewest
@@ -154,11 +162,16 @@ class Driver:
             self.skinning = frames.skinning_of_all(model, passes=passes, on_progress=self._stops)
             if self.stopped is not None:
                 raise Stopped(self.stopped)
-            error = frames.error_of_all(self.skinning)
-            if exact or error <= self.tolerance:
+            error = self._kept_error(self.skinning)
+            if error <= self.tolerance or exact or error == math.inf:
                 return
             ladder.tolerance *= 0.99 * self.tolerance / error
             search.least = held
+
+    def _kept_error(self, skinning: Skinning) -> float:
+        """Error of a skinning or, if it holds the tolerance, the larger of its and its file's."""
+        error = self.frames.error_of_all(skinning)
+        return self.frames.kept(skinning, error, self.tolerance)[1]
 
     def _prune(self) -> None:
         """Drop influences and keyframes as far as the tolerance allows."""
@@ -169,7 +182,7 @@ class Driver:
         counts = [model.n_bones for model in ends]
         stored, errors = map(frames.bytes, ends), map(frames.error, ends)
         self.prunings.append(Pruning("bones", *counts, *stored, *errors))
-        if frames.error_of_all(self.skinning) > self.tolerance:
+        if self._kept_error(self.skinning) > self.tolerance:
             return
 
         def skinning(model: Model) -> Skinning:
@@ -184,7 +197,9 @@ class Driver:
     def _result(self, skinning: Skinning, reason: str) -> Smallest:
         frames, ladder, problem = self.frames, self.ladder, self.problem
         error, rmse = frames.error_of_all(skinning), frames.error_of_all(skinning, "rmse")
-        held = error <= self.tolerance
+        file = frames.file(skinning)
+        worst = error if file is None else max(error, file.error)
+        held = worst <= self.tolerance
         if not held and reason == "tolerance held":
             reason = "tolerance out of reach"
         last = Record(
@@ -196,7 +211,7 @@ class Driver:
             stop_reason=reason,
             history=(*ladder.records, last),
             offsets=problem.offsets,
-            warnings=() if held else (self._shortfall(skinning, error, reason),),
+            warnings=() if held else (self._shortfall(skinning, worst, reason),),
             parsimony=Parsimony(
                 tolerance=self.asked,
                 measure=frames.measure,
@@ -208,11 +223,14 @@ class Driver:
                 size=frames.size(skinning),
                 prunings=tuple(self.prunings),
                 attempts=tuple(ladder.attempts),
+                file=file,
             ),
         )
 
     def _shortfall(self, skinning: Skinning, error: float, reason: str) -> str:
         """Text of the warning that the tolerance is not held."""
+        if error == math.inf:
+            return f"stopped ({reason}): the weights of the file are too coarse for its tolerance"
         diagonal = max(s.diagonal() for s in self.problem.sequences)
 
         def text(value: float) -> str:
@@ -226,5 +244,6 @@ class Driver:
                 head += f", the motion's rank asks for at least {self.least} bones"
         kind = {"rmse": "RMSE", "max": "largest error"}[self.frames.measure]
         most = self.problem.influences
-        reached = f"{skinning.n_bones} bones of at most {most} influences reach a {kind} of"
+        where = "reach a" if self.frames.written is None else "reach in the file a"
+        reached = f"{skinning.n_bones} bones of at most {most} influences {where} {kind} of"
         return f"{head}: {reached} {text(error)}"

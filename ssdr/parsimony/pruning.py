@@ -98,19 +98,25 @@ class Nested:
 
 
 class Pruned(NamedTuple):
-    """A skinning with fewer influences, one that has fewer keys as well, and their errors."""
+    """A skinning with fewer influences, one that has fewer keys as well, and their errors.
+
+    `bytes` and `kept_error` are those of the second or, if it has a file, of that.
+    """
 
     fewer: Skinning
     keyed: Skinning
     error: float
     keyed_error: float
+    bytes: int
+    kept_error: float
 
 
 class Pruner:
     """Drops influences and keyframes of a model while its error stays within the tolerance.
 
     It searches for the largest λ at which the minimum of squared error + λ · bytes still meets the
-    tolerance, and returns the smallest model that it found.
+    tolerance, and returns the smallest model that it found: if a file is asked for, the one whose
+    file is the smallest.
 
     Parameters
     ----------
@@ -139,17 +145,18 @@ class Pruner:
         `skinning` is the model before pruning, for all frames.
         """
         before = self.frames.error_of_all(skinning)
-        best = Pruned(skinning, skinning, before, before)
+        kept = self.frames.kept(skinning, before, self.tolerance)
+        best = Pruned(skinning, skinning, before, before, *kept)
         price = self._guess(skinning)
         low = high = None
         streamed = self.frames.scan is not None
         for _ in range(_FEW_PRICES if streamed else _PRICES):
             trial = self._pruned(price)
-            if max(trial.error, trial.keyed_error) > self.tolerance:
+            if max(trial.error, trial.kept_error) > self.tolerance:
                 high = price
             else:
                 low = price
-                if self.frames.size(trial.keyed).total < self.frames.size(best.keyed).total:
+                if trial.bytes < best.bytes:
                     best = trial
                 if streamed:
                     break
@@ -198,10 +205,12 @@ class Pruner:
         fewer = self.skinning_of_all(model)
         error = self.frames.error_of_all(fewer)
         if error > self.tolerance:
-            return Pruned(fewer, fewer, error, error)
+            return Pruned(fewer, fewer, error, error, 0, error)
         tracks = Tracks(fewer, self.offsets)
         keyed = tracks.play(tracks.choose(price)[0])
-        return Pruned(fewer, keyed, error, self.frames.error_of_all(keyed))
+        keyed_error = self.frames.error_of_all(keyed)
+        kept = self.frames.kept(keyed, keyed_error, self.tolerance)
+        return Pruned(fewer, keyed, error, keyed_error, *kept)
 
     def _record(
         self,

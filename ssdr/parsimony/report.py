@@ -16,6 +16,7 @@ from ..skinning import Skinning
 
 __all__ = [
     "Attempt",
+    "FileSize",
     "Measure",
     "Parsimony",
     "Pruning",
@@ -135,6 +136,29 @@ class Pruning:
 
 
 @dataclasses.dataclass(frozen=True)
+class FileSize:
+    """Bytes of the compact file of a model, and the error of what the file holds.
+
+    Attributes
+    ----------
+    bytes : int
+        Bytes of the whole file, with its triangles and textures.
+    error : float
+        Error of the vertices in the file, measured on all frames of the input, in the mesh's units,
+        by the measure of the tolerance.  It is inf, and there are no bytes, if the weights of the
+        file are too coarse for its own tolerance.
+
+    Examples
+    --------
+    >>> ssdr.parsimony.FileSize(bytes=4000, error=0.25).bytes
+    4000
+    """
+
+    bytes: int
+    error: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Parsimony:
     """Size and error of the smallest model, and how it was found.
 
@@ -146,7 +170,7 @@ class Parsimony:
     error : float
         Error of the result, measured on all frames.
     held : bool
-        Whether the error is within the tolerance.
+        Whether the error is within the tolerance, and that of the `file`, if there is one, too.
     bones, influences : int
         Number of bones of the result, and largest number of influences at a vertex.
     least_bones : int
@@ -158,6 +182,8 @@ class Parsimony:
         last ones are missing.
     attempts : tuple of Attempt
         All attempts, in order.
+    file : FileSize or None
+        Size of the compact file for which the model was chosen; None if none was described.
 
     Examples
     --------
@@ -179,6 +205,7 @@ class Parsimony:
     size: Size
     prunings: tuple[Pruning, ...]
     attempts: tuple[Attempt, ...]
+    file: FileSize | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)

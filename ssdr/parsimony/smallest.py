@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ..drivers.efforts import Effort
 from ..drivers.hand_back import finished
 from ..drivers.problem import Problem, check_problem
 from ..errors import InputError, check_choice
+from ..io.load_save import compact_size
 from ..quantisation import WeightStorage
 from ..search.progress import Callback
 from ..sequence import MeshSequence, as_sequences
@@ -20,6 +22,7 @@ from ..skinning import Skinning
 from ..start import Skeleton, Start
 from .driver import Driver
 from .report import Measure, Smallest
+from .solved_frames import Written
 
 __all__ = ["smallest"]
 
@@ -45,6 +48,7 @@ def smallest(
     vertex_importance: Any = None,
     frame_importance: Any = None,
     rng: int | np.random.Generator = 0,
+    file: Mapping[str, Any] | None = None,
     time_limit: float | None = None,
     checkpoint: str | Path | None = None,
     callback: Callback | None = None,
@@ -52,8 +56,8 @@ def smallest(
     """Find the smallest model of an animated mesh that holds a tolerance.
 
     The result has the fewest bones found that hold the tolerance.  Then influences and keyframes
-    are dropped as far as the tolerance allows, which saves bytes.  The kind of model is that of
-    :func:`decompose`.
+    are dropped as far as the tolerance allows, which saves bytes: those of a file, if one is
+    described.  The kind of model is that of :func:`decompose`.
 
     Parameters
     ----------
@@ -90,6 +94,11 @@ def smallest(
         Positive; guides the solver as in :func:`decompose`.
     rng : int or numpy.random.Generator
         The same seed gives the same bits, whatever the number of threads.
+    file : mapping, optional
+        Options with which :func:`save` will write a compact ``.glb``, such as ``{"compression":
+        "meshopt", "weights": "uint8", "tolerance": "0.5%"}``.  The tolerance then holds in that
+        file, too, and of the models that pruning tries the one with the smallest file is chosen:
+        each is written to a temporary file, and measured as a reader decodes it.
     time_limit : float, optional
         Most seconds for this call, without compilation.  When they are over, the smallest model so
         far that holds the tolerance is returned without pruning, or else the model of least error.
@@ -110,6 +119,8 @@ def smallest(
     ------
     InputError
         If an argument is not usable, before anything is computed.
+    MissingDependencyError
+        If `file` needs a package that is not installed, before anything is computed.
     Cancelled
         If the callback stopped the search before there was a model.
 
@@ -135,7 +146,7 @@ def smallest(
     n = sequences[0].n_vertices
     most = min(n, _MOST_BONES) if bones is None else bones
     most = check_whole(most, "bones", 1, n, " (the number of vertices)")
-    del arguments["tolerance"], arguments["measure"]
+    del arguments["tolerance"], arguments["measure"], arguments["file"]
     arguments["bones"] = None if isinstance(start, Skinning) else most
     problem = check_problem(**arguments)
     check_choice(measure, "measure", Measure)
@@ -145,7 +156,26 @@ def smallest(
     # a joint that the motion does not determine need not lie near the skin: there is no penalty
     locked = dataclasses.replace(problem.locked, near_skin=False)
     sought = dataclasses.replace(problem, bones=most, locked=locked)
-    return finished(problem, lambda: Driver(sought, length, measure).solve())
+    written = None if file is None else _written(file, problem)
+    return finished(problem, lambda: Driver(sought, length, measure, written).solve())
+
+
+def _written(file: Any, problem: Problem) -> Written:
+    """Function that counts the bytes of a file with the options `file`, tried with still bones."""
+    if not isinstance(file, Mapping) or file.get("compression", "none") == "none":
+        raise InputError("file", "options of ssdr.save, among them a compression", repr(file))
+    if problem.locked.bone_model == "affine":
+        raise InputError("bone_model", "'rigid' or 'similarity' beside a file", "'affine'")
+
+    def written(skinning: Skinning) -> tuple[int, Skinning]:
+        return compact_size(skinning, **file)
+
+    mesh, shape = problem.sequences[0], (problem.n_vertices, problem.influences)
+    bones, weights = np.broadcast_to(np.arange(shape[1]), shape), np.full(shape, 1 / shape[1])
+    kept = {name: getattr(mesh, name) for name in ("faces", "surface", "name", "space")}
+    still = np.tile(np.eye(3, 4), (1, shape[1], 1, 1))
+    written(Skinning(mesh.frames(0), bones, weights, still, **kept))
+    return written
 
 
 def _check_beside_tolerance(problem: Problem, rig: Any, most: int) -> None:

@@ -19,6 +19,7 @@ from ..drivers.passes import ENTERING, GAIN, AllFrames
 from ..drivers.problem import Problem
 from ..drivers.scan import Scan, needs_streaming, subset
 from ..drivers.streamed import scan_of
+from ..errors import InputError
 from ..frames.error import largest_error, rmse
 from ..search.given import Given
 from ..search.progress import Clock
@@ -26,9 +27,12 @@ from ..sequence import MeshSequence
 from ..skinning import Skinning
 from ..solver.model import Model
 from ..solver.rounding import rounded_models
-from .report import Measure, Size, size
+from .report import FileSize, Measure, Size, size
 
-__all__ = ["SolvedFrames"]
+__all__ = ["SolvedFrames", "Written"]
+
+# Returns the bytes of the file of a skinning, and the skinning that a reader decodes from it.
+Written = Callable[[Skinning], tuple[int, Skinning]]
 
 
 class SolvedFrames:
@@ -41,6 +45,8 @@ class SolvedFrames:
         Error that the tolerance of the search bounds.
     clock : Clock
         For the progress of the first pass over streamed frames.
+    written : Written, optional
+        For the file of a skinning.
 
     Attributes
     ----------
@@ -53,8 +59,14 @@ class SolvedFrames:
         None if all frames are in memory.
     """
 
-    def __init__(self, problem: Problem, measure: Measure, clock: Clock) -> None:
-        self.problem, self.measure = problem, measure
+    def __init__(
+        self,
+        problem: Problem,
+        measure: Measure,
+        clock: Clock,
+        written: Written | None = None,
+    ) -> None:
+        self.problem, self.measure, self.written = problem, measure, written
         self.sequences, given = problem.sequences, problem.given
         importance = problem.frame_importance
         self.scan: Scan | None = None
@@ -84,6 +96,25 @@ class SolvedFrames:
         parts = (s.rest, s.indices, s.weights, s.transforms)
         measure = measure or self.measure
         return _error(measure, self.problem.sequences, *parts, executor=self.problem.executor)
+
+    def file(self, skinning: Skinning) -> FileSize | None:
+        """Bytes of the file of a skinning, and its error on all frames; None without a file."""
+        if self.written is None:
+            return None
+        try:
+            size, decoded = self.written(skinning)
+        except InputError as error:
+            if error.argument != "tolerance":
+                raise
+            return FileSize(0, math.inf)
+        return FileSize(size, self.error_of_all(decoded))
+
+    def kept(self, skinning: Skinning, error: float, tolerance: float) -> tuple[int, float]:
+        """Bytes of a skinning and its `error` or, if it holds the tolerance, those of its file."""
+        file = self.file(skinning) if error <= tolerance else None
+        if file is None:
+            return self.size(skinning).total, error
+        return file.bytes, max(file.error, error)
 
     def skinning(self, model: Model) -> Skinning:
         """Convert a model to a skinning of the frames that the search solves."""

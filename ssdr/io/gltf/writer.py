@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from ...checks import parse_tolerance
 from ...errors import InputError, check_choice
 from ...hierarchy.bone_ends import limb_axes, limb_ends
 from ...hierarchy.transforms import rest_diagonal
-from ...quantisation import WeightStorage
+from ...quantisation import WeightStorage, weight_values
 from ...rigid import matrix_from_quaternion, quaternion_from_matrix, unflip_quaternions
 from ...skinning import Skinning
 from ...surface import Material, Surface
@@ -106,8 +107,68 @@ def write_skinning(
     Khronos, "glTF 2.0 specification", sections 3.7.3 (skins) and 3.11 (animations).
     """
     rounding: dict[str, Any] = {"influences": influences, "most": 8, "storage": weights}
+    title = name or skinning.name or path.stem
+    rig, builder = _rounded(skinning, compression, tolerance, levels, rounding)
+    if shapes is not None:
+        shapes.check(skinning)
+        if template is not None or levels or compression != "none":
+            raise InputError("shapes", "none beside a template, levels or a compression", "both")
+    if template is None:
+        rigs = [_level(rig, skinning, level, rounding) for level in levels]
+        _fill(builder, skinning, rig, title, rigs, shapes)
+        return _report(skinning, rig, path, builder)
+    if levels or compression != "none":
+        raise InputError("template", "None beside levels or a compression", str(template))
+    old = Template(Path(template), skinning, meshes, clip_names or {})
+    old.put(rig, title)
+    check_kept(old.builder.lost, strict)
+    return _report(skinning, rig, path, old.builder)
+
+
+def compact_size(
+    skinning: Skinning,
+    *,
+    influences: int | None = None,
+    weights: WeightStorage = "float32",
+    name: str | None = None,
+    compression: Compression = "meshopt",
+    tolerance: float | str | None = None,
+) -> tuple[int, Skinning]:
+    """Bytes of a ``.glb``, which is written and removed, and the skinning that its reader decodes.
+
+    Parameters
+    ----------
+    skinning, influences, weights, name, compression, tolerance
+        As for :func:`write_skinning`.
+    """
+    rounding: dict[str, Any] = {"influences": influences, "most": 8, "storage": weights}
+    rig, builder = _rounded(skinning, compression, tolerance, (), rounding)
+    _fill(builder, skinning, rig, name or skinning.name)
+    with tempfile.TemporaryDirectory(prefix="ssdr-") as folder:
+        size = builder.save(Path(folder) / "a.glb")
+    decoded = dataclasses.replace(
+        skinning,
+        rest=rig.rest.astype(np.float64),
+        indices=rig.indices,
+        weights=weight_values(rig.weights),
+        transforms=rig.matrices(np.arange(rig.n_frames, dtype=np.float64)),
+        parents=None,
+        joint_positions=None,
+        keyframes=None,
+    )
+    return size, decoded
+
+
+def _rounded(
+    skinning: Skinning,
+    compression: Compression,
+    tolerance: float | str | None,
+    levels: Sequence[Skinning],
+    rounding: dict[str, Any],
+) -> tuple[Rig, Builder]:
+    """Rig of a model, rounded as a compression asks for, and an empty document for it."""
     check_choice(compression, "compression", Compression)
-    title, builder = name or skinning.name or path.stem, Builder()
+    builder = Builder()
     if compression == "none":
         if tolerance is not None:
             raise InputError("tolerance", "None without a compression", tolerance)
@@ -119,19 +180,7 @@ def write_skinning(
         builder = Packed(grid, meshopt=compression == "meshopt")
     if rig.n_bones > 65535:
         raise InputError("thing", "at most 65535 bones", rig.n_bones)
-    if shapes is not None:
-        shapes.check(skinning)
-        if template is not None or levels or compression != "none":
-            raise InputError("shapes", "none beside a template, levels or a compression", "both")
-    if template is None:
-        rigs = [_level(rig, skinning, level, rounding) for level in levels]
-        return _save_rig(skinning, rig, path, title, builder, rigs, shapes)
-    if levels or compression != "none":
-        raise InputError("template", "None beside levels or a compression", str(template))
-    old = Template(Path(template), skinning, meshes, clip_names or {})
-    old.put(rig, title)
-    check_kept(old.builder.lost, strict)
-    return _report(skinning, rig, path, old.builder)
+    return rig, builder
 
 
 def write_along_bones(
@@ -161,7 +210,9 @@ def write_along_bones(
         rig = orient_joints(rig, limb_axes(rig.centers, rig.parents, ends))
         sizes = np.linalg.norm(ends - rig.centers, axis=1).tolist()
         lengths = dict(zip(rig.names, sizes, strict=True))
-    return _save_rig(skinning, rig, path, name or skinning.name or path.stem), lengths
+    builder = Builder()
+    _fill(builder, skinning, rig, name or skinning.name or path.stem)
+    return _report(skinning, rig, path, builder), lengths
 
 
 def orient_joints(rig: Rig, axes: NDArray[np.float64]) -> Rig:
@@ -196,17 +247,15 @@ def _level(rig: Rig, finest: Skinning, level: Skinning, rounding: dict[str, Any]
     return dataclasses.replace(rig, rest=alone.rest, indices=alone.indices, weights=alone.weights)
 
 
-def _save_rig(
+def _fill(
+    builder: Builder,
     model: Skinning,
     rig: Rig,
-    path: Path,
     title: str,
-    builder: Builder | None = None,
     coarser: Sequence[Rig] = (),
     shapes: Shapes | None = None,
-) -> SaveReport:
-    """Write a file that holds nothing but the model, and its coarser levels of detail."""
-    builder = builder or Builder()
+) -> None:
+    """Add all of a file that holds nothing but the model, and its coarser levels of detail."""
     json = builder.json
     json["meshes"], nodes = [], []
     for k, level in enumerate([rig, *coarser]):
@@ -233,7 +282,6 @@ def _save_rig(
             times = seconds(np.arange(clip.n_frames), clip.fps).astype(np.float32)
             stamps = builder.accessor(times, "SCALAR", bounds=True)
             shapes.add_channel(builder, animation, clip.frames, stamps)
-    return _report(model, rig, path, builder)
 
 
 def _mesh(

@@ -37,6 +37,20 @@ def test_smallest(run, done, source, tmp_path):
     assert "files hold more" in out
 
 
+def test_bytes_of_a_compact_file(run, done, source, tmp_path):
+    target, other = tmp_path / "out.glb", tmp_path / "out.npz"
+    line = ["smallest", source, "-o", other, "--effort", "fast", "--tolerance", "0.8%", "--force"]
+    compact = ["-o", target, "--write", "glb:compression=quantized", "--write", "glb:tolerance=1%"]
+    found = done(*line, *compact)["parsimony"]
+    assert found["file"]["bytes"] == len(target.read_bytes())
+    assert found["error"] < found["file"]["error"] <= found["tolerance"]
+    _, out, _ = run(*line, *compact)
+    assert f"{target.stat().st_size:,} bytes, all it holds" in out
+    assert done(*line)["parsimony"]["file"] is None
+    # another compression, or none, is not counted
+    assert done(*line, "-o", target)["parsimony"]["file"] is None
+
+
 @pytest.mark.parametrize(
     ("flags", "text"),
     [
