@@ -1,23 +1,19 @@
-"""What errors are seen against: the chaos floor, and how loosely the cloth hangs."""
+"""What errors are seen against: the chaos floor."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ..data.motion import CLASSES
 from ..data.virtual_bones import VirtualBones
-from .scores import Scores
 
-__all__ = ["by_looseness", "chaos_floor", "looseness"]
+__all__ = ["chaos_floor"]
 
 _MM = 1e3  # from metres to millimetres
-# Every so many frames the distance to the body is measured.
-_EVERY = 5
 
 
 def chaos_floor(
@@ -63,22 +59,3 @@ def chaos_floor(
         | {"frames": float(s[4])}
         for name, s in sums.items()
     }
-
-
-def looseness(bones: VirtualBones, names: Sequence[str]) -> NDArray[np.float64]:
-    """Mean distance of every vertex ``(V,)`` to the closest body vertex over clips, mm."""
-    distances: list[NDArray[np.float64]] = []
-    for name in names:
-        clip = bones.store.clip(name)
-        chosen = np.arange(0, clip.n_frames, _EVERY)
-        pairs = zip(clip.body(chosen), clip.sequence.frames(chosen), strict=True)
-        distances += [_MM * np.asarray(cKDTree(body).query(cloth)[0]) for body, cloth in pairs]
-    return np.asarray(np.mean(distances, axis=0))
-
-
-def by_looseness(
-    row: Scores, mean: NDArray[np.float64], *, bins: int = 4
-) -> list[tuple[float, float]]:
-    """Mean distance to the body and mean error, mm, of equally many vertices, closest first."""
-    parts = np.array_split(np.argsort(mean), bins)
-    return [(float(mean[p].mean()), float(row.per_vertex[p].mean())) for p in parts]

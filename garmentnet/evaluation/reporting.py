@@ -22,7 +22,7 @@ from ..io.files import write_file, writing
 from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips, with_mirrored
 from .baselines import BodySkinned, MeanShape, Ridge
-from .bounds import by_looseness, chaos_floor, looseness
+from .bounds import chaos_floor
 from .methods import BonesThemselves, Method, Network, PushedMethod
 from .pictures import draw_clip
 from .published import SANTESTEBAN
@@ -117,7 +117,6 @@ def report(
     others = [n for n in parts["unseen_motions"] if store.clip(n).split != "test"]
     if others:
         lines += ["", f"Of other splits than test: {', '.join(others)}"]
-    rows: list[Scores] = []
     for key, chosen in parts.items():
         if not chosen:
             continue
@@ -129,7 +128,6 @@ def report(
         if not seen:
             lines += _section(key.replace("_", " "), found, against, document)
             continue
-        rows = found
         groups: dict[str, list[str]] = {}
         for name in chosen:
             groups.setdefault(group_of(store.clip(name)), []).append(name)
@@ -137,8 +135,6 @@ def report(
             part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in found]
             lines += _section(f"unseen motions, {group}", part, against, document)
     lines += _chaos(bones, base, document)
-    if rows:
-        lines += _by_looseness(bones, parts["unseen_motions"], rows)
     for network, method in zip(networks, shown, strict=True):
         for name in parts["unseen_motions"][:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
@@ -274,15 +270,6 @@ def _chaos(bones: VirtualBones, base: SimulationParameters, document: dict[str, 
     lines = [[k, *(f"{v[x]:.2f}" for x in keys), f"{v['frames']:.0f}"] for k, v in found.items()]
     head = ["chaos floor, mm", "overall", "low", "overall, free", "low, free", "frames"]
     return ["", markdown(head, lines)] if lines else []
-
-
-def _by_looseness(bones: VirtualBones, names: Sequence[str], rows: Sequence[Scores]) -> list[str]:
-    mean = looseness(bones, names)
-    quarters = {r.name: by_looseness(r, mean) for r in rows}
-    head = ["mean error, mm, by distance to the body"]
-    head += [f"{distance:.0f} mm" for distance, _ in quarters[rows[0].name]]
-    lines = [[name, *(f"{e:.1f}" for _, e in found)] for name, found in quarters.items()]
-    return ["", markdown(head, lines)]
 
 
 def _base(model: Checkpoint, store: ClipStore) -> SimulationParameters:

@@ -81,8 +81,6 @@ class Scores:
         By class of motion.
     inside, inside_free : float
         Fraction of the vertices inside the body, over all frames; NaN if its mesh is not closed.
-    per_vertex : (V,) float64
-        Mean overall error, mm.
     clips : tuple of Scores
         The clips that were pooled.
     """
@@ -94,14 +92,11 @@ class Scores:
     per_class: dict[str, ClassError]
     inside: float
     inside_free: float
-    per_vertex: NDArray[np.float64]
     clips: tuple[Scores, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Numbers and dictionaries, for JSON; without the errors of single vertices."""
-        table = dataclasses.asdict(dataclasses.replace(self, clips=()))
-        del table["per_vertex"]
-        return table | {"clips": [c.as_dict() for c in self.clips]}
+        """Numbers and dictionaries, for JSON."""
+        return dataclasses.asdict(self)
 
 
 def evaluate(
@@ -178,7 +173,6 @@ def pool(name: str, clips: Sequence[Scores]) -> Scores:
         per_class,
         mean([c.inside for c in clips]),
         mean([c.inside_free for c in clips]),
-        np.average([c.per_vertex for c in clips], axis=0, weights=frames),
         tuple(clips),
     )
 
@@ -232,7 +226,6 @@ class _Scorer:
             per_class,
             float(inside.mean()),
             float(inside[:, self.free].mean()),
-            _MM * np.sqrt(square).mean(axis=0),
         )
 
     def _compare(self, truth: Array, other: Array) -> tuple[Score, Score]:

@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 
 import ssdr
 from garmentnet.collision.push_out import PushOut
-from garmentnet.evaluation.bounds import by_looseness, chaos_floor, looseness
+from garmentnet.evaluation.bounds import chaos_floor
 from garmentnet.evaluation.methods import BonesThemselves, Method, Network, PushedMethod
 from garmentnet.evaluation.scores import evaluate
 from garmentnet.evaluation.tables import score_table
@@ -65,7 +65,6 @@ def test_known_errors(toy_bones):
     assert np.isclose(off.all.overall.rmse, 7 * root3, rtol=1e-3)
     assert off.all.overall.hausdorff <= 7 * root3 + 1e-2
     assert off.all.overall.sted < 1e-3  # one translation changes no edge
-    assert np.allclose(off.per_vertex, 7 * root3, rtol=1e-3)
     assert set(off.per_class) == {"stand", "walk", "sway", "spin"}
     assert np.allclose([e.all for e in off.per_class.values()], 7 * root3, rtol=1e-3)
     assert "| truth " in score_table([truth, off])
@@ -116,19 +115,6 @@ def test_chaos_floor_of_known_noise(toy_bones):
     assert floor["all"]["low"] < floor["all"]["overall"]
     assert sum(v["frames"] for k, v in floor.items() if k != "all") == 90
     assert chaos_floor(toy_bones, []) == {}
-
-
-def test_looseness_against_a_loop(toy_bones, toy_store):
-    mean = looseness(toy_bones, [CLIP])
-    clip = toy_store.clip(CLIP)
-    gaps = []
-    for t in range(0, 90, 5):
-        body, cloth = clip.body([t])[0], clip.sequence.frames(t)
-        gaps.append(np.linalg.norm(cloth[:, None] - body, axis=-1).min(axis=1) * 1e3)
-    assert np.allclose(mean, np.mean(gaps, axis=0), rtol=1e-4)
-    (row,) = evaluate(toy_bones, [truth_method(toy_bones, low=1e-3)], [CLIP])
-    quarters = by_looseness(row, mean)
-    assert [d for d, _ in quarters] == sorted(d for d, _ in quarters)
 
 
 def test_cloth_in_the_body_is_counted(toy_bones, toy_store):
