@@ -60,7 +60,7 @@ class MeanShape(Method):
         frames = 0
         for clip, some in bones.store.sample(names, _MEAN_FRAMES):
             frame = self.features(clip.joints)[1][some]
-            low, detail = bones.clip(clip.name).split(some)
+            low, detail = bones.split(clip.name, some)
             total += ((low - frame[:, None, :, 3]) @ frame[..., :3]).sum(axis=0)
             high += (detail @ frame[..., :3]).sum(axis=0)
             frames += len(some)
@@ -120,7 +120,7 @@ class Ridge(Method):
     ----------
     bones : VirtualBones
     names, validation : sequence of str
-        Clips; mirrored ones too.
+        Clips.
     """
 
     name = "ridge"
@@ -154,9 +154,8 @@ class Ridge(Method):
                 best, self.matrix, self.penalty = error, matrix, float(penalty / len(z))
 
     def _pair(self, bones: VirtualBones, name: str) -> tuple[Any, Any]:
-        clip, fitted = bones.store.clip(name), bones.clip(name)
-        x, frame, _ = self.features(clip.joints)
-        local = transforms_in_frame(fitted.transforms, frame)
+        x, frame, _ = self.features(bones.store.clip(name).joints)
+        local = transforms_in_frame(bones.transforms(name), frame)
         return x, self.code.numbers(local).reshape(len(x), -1)
 
     def _design(self, x: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -325,6 +325,6 @@ class _Target:
         if self.part == "whole":
             mesh = remove_frame(frame, clip.sequence.frames(frames))
         else:
-            low, high = self.bones.clip(name).split(frames)
+            low, high = self.bones.split(name, frames)
             mesh = remove_frame(frame, low) if self.part == "low" else high @ frame[..., :3]
         return np.asarray(self.space.remove(mesh, joints, self.part), np.float32)

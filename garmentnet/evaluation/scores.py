@@ -200,8 +200,7 @@ class _Scorer:
     def score(self, method: Method, clip: Clip) -> Scores:
         """Predict a clip and compare the prediction with it."""
         low, high = method.split(clip, self.bones)
-        fitted = self.bones.clip(clip.name)
-        true_low, true_high = fitted.split()
+        true_low, true_high = self.bones.split(clip.name)
         truth, predicted = true_low + true_high, low + high
         pairs = {
             "low": (true_low, low),

@@ -129,9 +129,9 @@ def build_network(config: Config, bones: VirtualBones, names: Sequence[str]) -> 
     plain = [n for n in names if not n.endswith(MIRRORED)]
     low, frames = [], []
     for clip, some in bones.store.sample(plain, _STATISTICS):
-        low.append(bones.clip(clip.name).split(some)[0])
+        low.append(bones.split(clip.name, some)[0])
         frames.append(reader.features(clip.joints)[1][some])
-    transforms = bones.fit(np.concatenate(low), tolerance=1e-3)[0]
+    transforms = bones.fit(np.concatenate(low), tolerance=1e-3)
     network.low.code.fit(transforms_in_frame(transforms, np.concatenate(frames)))
     return network
 
