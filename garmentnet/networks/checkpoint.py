@@ -25,9 +25,9 @@ from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
 from .document import BOUND, FORMAT, MESH, VERSION, read_subject
-from .ensemble import Ensemble, Kernel
-from .features import Normaliser
-from .network import Motion, MotionNetwork
+from .ensemble import Kernel
+from .features import Normaliser, transforms_in_frame
+from .network import Motion, MotionNetwork, Predictor
 from .tensor_files import load_tensors, part_of, save_tensors
 
 __all__ = [
@@ -42,7 +42,7 @@ _MANY = 10_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Checkpoint:
+class Checkpoint(Predictor):
     """One network, or the pivots of an ensemble.
 
     Attributes
@@ -55,12 +55,27 @@ class Checkpoint:
         Of an ensemble.
     errors : mapping of str to float
         RMSE by what it is of, metres; what ``garmentnet models`` shows.
+
+    Raises
+    ------
+    InputError
+        If the networks differ in rest pose, skin weights or moving frame.
     """
 
     networks: tuple[MotionNetwork, ...]
     parameters: tuple[SimulationParameters | None, ...]
     kernel: Kernel | None
     errors: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        first = self.networks[0]
+        for other in self.networks[1:]:
+            a, b = first.subject.garment, other.subject.garment
+            same = all(
+                np.array_equal(getattr(a, k), getattr(b, k)) for k in ("rest", "indices", "weights")
+            )
+            if not same or first.config.features.frame != other.config.features.frame:
+                raise InputError("networks", "pivots of one rest pose, weights and frame", "others")
 
     @property
     def subject(self) -> Subject:
@@ -71,28 +86,26 @@ class Checkpoint:
         """Whether a prediction needs simulation parameters."""
         return self.kernel is not None or self.networks[0].config.data.condition
 
-    @property
-    def ensemble(self) -> Ensemble:
-        """The pivots as an ensemble.
-
-        Raises
-        ------
-        InputError
-            If the checkpoint is a single network.
-        """
-        if self.kernel is None:
-            raise InputError("checkpoint", "an ensemble", "a single network")
+    def weights(self, parameters: SimulationParameters) -> NDArray[np.float64]:
+        """Ψ̄ ``(K,)`` of an ensemble's pivots at some parameters; sums to 1."""
+        assert self.kernel is not None
         rows = np.stack([p.normalised() for p in self.parameters if p is not None])
-        return Ensemble(self.networks, rows, self.kernel)
+        return self.kernel.weights(rows, parameters.normalised())
 
-    def motions(
-        self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
-    ) -> list[Motion]:
-        """Predict a motion with the network or the ensemble.
+    @torch.no_grad()
+    def run(
+        self,
+        joints: Any,
+        state: Any = None,
+        *,
+        parameters: SimulationParameters | None = None,
+        detail: bool = True,
+        frames: Any = None,
+    ) -> tuple[Motion, Any]:
+        """As :meth:`MotionNetwork.run`; equation 3 of the paper for an ensemble.
 
         Parameters
         ----------
-        joints : (F, J, 3, 4) array
         parameters : SimulationParameters, optional
             For an ensemble and a network that reads them; other networks have parameters of
             their own.
@@ -102,20 +115,32 @@ class Checkpoint:
         InputError
             If the parameters are missing, or the joints do not fit the body.
         """
-        model = self.networks[0] if self.kernel is None else self.ensemble
         theta = None
         if self.reads_parameters:
             if parameters is None:
                 raise InputError("parameters", "bending, density and time scale", None)
             theta = parameters.normalised()
-        return model.motions(joints, parameters=theta, detail=detail)
-
-    def predict(
-        self, joints: Any, parameters: SimulationParameters | None = None, *, detail: bool = True
-    ) -> NDArray[np.float32]:
-        """World positions ``(F, V, 3)``, metres; arguments as :meth:`motions`."""
-        parts = self.motions(joints, parameters, detail=detail)
-        return np.concatenate([m.vertices() for m in parts])
+        first = self.networks[0]
+        if self.kernel is None or parameters is None:
+            return first.run(joints, state, parameters=theta, detail=detail, frames=frames)
+        states = list(state or (None,) * len(self.networks))
+        transforms: Any = 0.0
+        high: Any = 0.0
+        frame: Any = None
+        for k, w in enumerate(self.weights(parameters).tolist()):
+            if w == 0:  # not run; of the pivots at least one has some
+                continue
+            motion, states[k] = self.networks[k].run(
+                joints, states[k], detail=detail, frames=frames
+            )
+            frame = motion.frame
+            transforms = transforms + w * motion.transforms
+            high = None if high is None or motion.high is None else high + w * motion.high
+        chosen = np.asarray(joints) if frames is None else np.asarray(joints)[frames]
+        body = torch.from_numpy(transforms_in_frame(chosen, frame)).float().to(first.device)
+        # LBS is linear in the transforms, so Σ Ψ̄ LBS(M_i) = LBS(Σ Ψ̄ M_i) is skinned once.
+        low = first.carry(first.lbs(transforms), body)
+        return Motion(transforms, low, high, frame), tuple(states)
 
     def check_fits(self, store: ClipStore) -> None:
         """Raise InputError unless the store has this garment, body and frame rate."""
@@ -213,10 +238,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         elif len(networks) != 1:
             raise FormatError(f"{len(networks)} networks without a kernel")
         errors = {str(k): float(v) for k, v in d.get("errors", {}).items()}
-        checkpoint = Checkpoint(tuple(networks), tuple(parameters), kernel, errors)
-        if kernel is not None:
-            _ = checkpoint.ensemble
-        return checkpoint
+        return Checkpoint(tuple(networks), tuple(parameters), kernel, errors)
 
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:

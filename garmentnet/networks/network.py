@@ -73,7 +73,7 @@ class Motion:
 
 
 class Predictor:
-    """What a network and an ensemble share: whole motions and single frames from :meth:`run`."""
+    """What a network and a checkpoint share: whole motions and single frames from :meth:`run`."""
 
     def run(
         self,
@@ -88,7 +88,7 @@ class Predictor:
         raise NotImplementedError
 
     def motions(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+        self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
     ) -> list[Motion]:
         """The motion, or some of its frames, in parts of at most 128 frames."""
         joints, state, out = np.asarray(joints), None, []
@@ -102,10 +102,10 @@ class Predictor:
         return out
 
     def predict(
-        self, joints: Any, *, parameters: Any = None, detail: bool = True, frames: Any = None
+        self, joints: Any, parameters: Any = None, *, detail: bool = True, frames: Any = None
     ) -> NDArray[np.float32]:
         """World positions ``(F, V, 3)`` of a motion, or of some of its frames, ascending."""
-        parts = self.motions(joints, parameters=parameters, detail=detail, frames=frames)
+        parts = self.motions(joints, parameters, detail=detail, frames=frames)
         return np.concatenate([m.vertices() for m in parts])
 
     def step(
