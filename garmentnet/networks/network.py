@@ -162,9 +162,7 @@ class MotionNetwork(nn.Module, PoseReader, Predictor):
         self.low = LowFrequency(self.size, config.low.hidden, code)
         self.high: HighFrequency | DetailBasis | None = None
         bound = subject.bound
-        n = garment.n_vertices
-        # Vertices that the modules predict; the body carries the others.
-        self.free = np.arange(n) if bound is None else bound.free(n)
+        self.free = subject.free
         self.turns = SurfaceTurns(garment.indices, garment.weights, garment.n_bones, self.free)
         self.carried: TorchSkinning | None = None
         if bound is not None:

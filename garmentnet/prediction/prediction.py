@@ -203,27 +203,17 @@ def _skinning(
     bone_model: BoneModel,
     name: str,
 ) -> Skinning:
-    garment, bound = subject.garment, subject.bound
-    rest, bones, weights = garment.rest, garment.indices, garment.weights
-    names = [f"virtual_{b:02d}" for b in range(garment.n_bones)]
-    if bound is not None:
-        used = np.unique(bound.indices)
-        width = max(bones.shape[1], bound.indices.shape[1])
-        bones, weights, rest = (np.array(x) for x in (bones, weights, rest))
-        pad = ((0, 0), (0, width - bones.shape[1]))
-        bones, weights = np.pad(bones, pad), np.pad(weights, pad)
-        bones[bound.index] = weights[bound.index] = 0
-        columns = slice(0, bound.indices.shape[1])
-        bones[bound.index, columns] = garment.n_bones + np.searchsorted(used, bound.indices)
-        weights[bound.index, columns] = bound.weights
-        rest[bound.index] = bound.smooth
-        transforms = np.concatenate([transforms, joints[:, used]], axis=1)
-        names += [subject.skeleton.names[j] for j in used]
+    garment, count = subject.garment, subject.garment.n_bones
+    rest, bones, weights = subject.skin(smooth=True)
+    used = np.unique(bones[bones >= count]) - count
+    bones = np.where(bones < count, bones, count + np.searchsorted(used, bones - count))
+    names = [f"virtual_{b:02d}" for b in range(count)]
+    names += [subject.skeleton.names[j] for j in used]
     return Skinning(
         rest,
         bones,
         weights,
-        transforms,
+        np.concatenate([transforms, joints[:, used]], axis=1),
         faces=garment.faces,
         fps=subject.fps,
         bone_model=bone_model,

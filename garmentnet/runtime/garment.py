@@ -223,13 +223,9 @@ class LiveGarment:
 
 def _parts(subject: Subject, detailed: bool) -> list[tuple[NDArray[Any], ...]]:
     # What skin reads of the predicted vertices, and of those that the body carries.
-    g, bound, n = subject.garment, subject.bound, subject.garment.n_vertices
-    free = np.arange(n) if bound is None else bound.free(n)
-    parts = [_part(g.rest[free], g.indices[free], g.weights[free], free)]
-    if bound is not None:
-        rest, joints = bound.rest if detailed else bound.smooth, g.n_bones + bound.indices
-        parts.append(_part(rest, joints, bound.weights, bound.index))
-    return parts
+    rest, bones, weights = subject.skin(smooth=not detailed)
+    places = [subject.free] + ([] if subject.bound is None else [subject.bound.index])
+    return [_part(rest[k], bones[k], weights[k], k) for k in places]
 
 
 def _part(rest: Any, indices: Any, weights: Any, where: Any) -> tuple[NDArray[Any], ...]:

@@ -223,7 +223,7 @@ def read_pivot(
     if not record["high"]:
         return pivot
     o, body = config.high, config.high.source == "body"
-    n = subject.garment.n_vertices - (0 if subject.bound is None else len(subject.bound.index))
+    n = len(subject.free)
     high = recurrent("high", (len(mean) if body else 9 * b) + theta, o.hidden, o.rank)
     deviation = take("high.deviation", o.rank)
     # What the components are scaled by lies in the layer before them.

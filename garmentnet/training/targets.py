@@ -52,7 +52,7 @@ class LowTargets:
         self.bones, self.features = bones, features
         self._folder = f"low-{features.options.frame}"
         store, n = bones.store, bones.store.n_vertices
-        self.free = np.arange(n) if bones.bound is None else bones.bound.free(n)
+        self.free = bones.subject.free
         laplacian = mesh_laplacian(store.faces, n)
         self.laplacian = laplacian[self.free][:, self.free]
         found = kept(
