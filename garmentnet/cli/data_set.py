@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 import os
-import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import typer
 
+from ..data.clip import Clip
 from ..data.store import ClipStore
 from ..scenes import dataset
 from ..scenes.scene_file import load_data_set
-from .progress import progress_bar
+from .progress import aligned, progress_bar
 
-__all__ = ["quality_table", "run"]
+__all__ = ["quality_rows", "run"]
+
+_HEAD = (
+    *("set", "clips", "rejected", "frames"),
+    *("stretch p50", "p99", "max", "inside %", "worst frame %", "depth mm"),
+)
+# What a clip's quality holds, how it is summed up over clips, and its unit and digits.
+_FIGURES: tuple[tuple[str, Any, float, int], ...] = (
+    ("stretch_p50", np.median, 1, 3),
+    ("stretch_p99", max, 1, 3),
+    ("stretch_max", max, 1, 2),
+    ("inside_fraction", np.mean, 100, 3),
+    ("inside_worst_frame", max, 100, 2),
+    ("depth_max", max, 1e3, 1),
+)
 
 
 def run(
@@ -26,63 +41,37 @@ def run(
     workers: int | None = None,
 ) -> ClipStore:
     """Make a data set; what happens is shown on stderr."""
-    # A log has no width; 120 columns hold the whole table.
-    console = Console(stderr=True, width=None if sys.stderr.isatty() else 120)
     data_set = load_data_set(source)
     if motion is not None:
         data_set = data_set.with_motions(dataset.recorded_motions(motion, data_set))
     scenes = data_set.scenes()
     frames = sum(s.motion.frames for s in scenes)
-    console.print(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {output}")
+    typer.echo(f"{data_set.name}: {len(scenes)} clips, {frames} frames, to {output}", err=True)
     with progress_bar() as show:
         show("simulating", 0.0)
         store = dataset.make_data_set(data_set, output, workers=workers, progress=show)
-    console.print(quality_table(store))
+    typer.echo(f"{store.path.name}: {store.n_vertices} vertices", err=True)
+    typer.echo(aligned(quality_rows(store)), err=True)
     for clip in store.clips(accepted=False, perturbed=None):
-        console.print(f"rejected {clip.name}: {clip.quality['reason']}")
+        typer.echo(f"rejected {clip.name}: {clip.quality['reason']}", err=True)
     return store
 
 
-def quality_table(store: ClipStore) -> Table:
+def quality_rows(store: ClipStore) -> list[Sequence[str]]:
     """Quality of the clips, one row for each parameter set.
 
     Medians and means over its clips for ``stretch p50`` and ``inside %``, the worst clip otherwise.
     """
-    table = Table(title=f"{store.path.name}: {store.n_vertices} vertices")
-    for name in (
-        "set",
-        "clips",
-        "rejected",
-        "frames",
-        "stretch p50",
-        "p99",
-        "max",
-        "inside %",
-        "worst frame %",
-        "depth mm",
-    ):
-        table.add_column(name, justify="left" if name == "set" else "right")
-    groups: dict[str, list[dict[str, float]]] = {}
-    frames: dict[str, int] = {}
+    groups: dict[str, list[Clip]] = {}
     for clip in store.clips(accepted=None, perturbed=None):
-        name = str(clip.provenance.get("parameter_set", "?"))
-        groups.setdefault(name, []).append(clip.quality)
-        frames[name] = frames.get(name, 0) + clip.n_frames
-    for name, rows in groups.items():
-        good = [r for r in rows if r["accepted"]]
-        if not good:
-            table.add_row(name, str(len(rows)), str(len(rows)), str(frames[name]), *["-"] * 6)
-            continue
-        table.add_row(
-            name,
-            str(len(rows)),
-            str(len(rows) - len(good)),
-            str(frames[name]),
-            f"{np.median([r['stretch_p50'] for r in good]):.3f}",
-            f"{max(r['stretch_p99'] for r in good):.3f}",
-            f"{max(r['stretch_max'] for r in good):.2f}",
-            f"{100 * np.mean([r['inside_fraction'] for r in good]):.3f}",
-            f"{100 * max(r['inside_worst_frame'] for r in good):.2f}",
-            f"{1e3 * max(r['depth_max'] for r in good):.1f}",
+        groups.setdefault(str(clip.provenance.get("parameter_set", "?")), []).append(clip)
+    rows: list[Sequence[str]] = [_HEAD]
+    for name, clips in groups.items():
+        good = [c.quality for c in clips if c.accepted]
+        counts = len(clips), len(clips) - len(good), sum(c.n_frames for c in clips)
+        figures = (
+            f"{unit * over([q[key] for q in good]):.{digits}f}" if good else "-"
+            for key, over, unit, digits in _FIGURES
         )
-    return table
+        rows.append([name, *map(str, counts), *figures])
+    return rows

@@ -9,6 +9,8 @@ import typer
 
 from ssdr.errors import FormatError, InputError
 
+from .progress import aligned
+
 __all__ = ["models"]
 
 _HEAD = ("name", "vertices", "bones", "reads", "MB", "error")
@@ -29,9 +31,7 @@ def models(
         there = (p for p in sorted(folder.rglob("*.safetensors")) if ".state" not in p.suffixes)
         files |= {str(path): path for path in there}
     rows = [_HEAD, *((name, *_row(path)) for name, path in files.items())]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        typer.echo("  ".join(x.ljust(n) for x, n in zip(row, widths, strict=True)).rstrip())
+    typer.echo(aligned(rows))
 
 
 def _row(path: Path) -> tuple[str, ...]:
