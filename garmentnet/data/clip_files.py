@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError, InputError
 from ssdr.io.atomic import free_name, remove
 from ssdr.io.registry import check, reading
-
-from ..io.packages import require
+from ssdr.io.registry import import_optional as require
 
 __all__ = [
     "Frames",

@@ -42,8 +42,6 @@ class Prediction:
     joints : (F, J, 3, 4) array
     root : (F, 3) array
         Positions of the root joint, metres.
-    extrapolated : tuple of str
-        A sentence for every parameter outside the trained range.
     moved : float
         Fraction of the cloth's vertices that were moved out of the body or along with those that
         were, over all frames.
@@ -58,7 +56,6 @@ class Prediction:
     skinning: Skinning
     joints: NDArray[np.float64]
     root: NDArray[np.float64]
-    extrapolated: tuple[str, ...]
     moved: float = 0.0
     farthest: float = 0.0
 
@@ -119,17 +116,15 @@ def predict(
     if not several and None not in (parameters, trained_on) and parameters != trained_on:
         expected = f"those of this single network, {trained_on} (an ensemble takes any)"
         raise InputError("parameters", expected, parameters)
-    beyond: tuple[str, ...] = ()
     if several and parameters is not None:
         beyond = _beyond(checkpoint, parameters)
         if beyond:
-            text = "; ".join(beyond)
-            warnings.warn(f"extrapolated: {text}", SsdrWarning, stacklevel=2)
+            warnings.warn(f"extrapolated: {beyond}", SsdrWarning, stacklevel=2)
     motions = checkpoint.motions(joints, parameters, detail=detail)
     cloth = np.concatenate([part.vertices() for part in motions])
     transforms = np.concatenate([part.world_transforms() for part in motions])
     bones: BoneModel = "rigid" if checkpoint.kernel is None else "affine"
-    return _prediction(checkpoint.subject, cloth, transforms, joints, bones, push_out, name, beyond)
+    return _prediction(checkpoint.subject, cloth, transforms, joints, bones, push_out, name)
 
 
 def predict_live(
@@ -161,7 +156,7 @@ def predict_live(
         state, cloth[f] = garment.step(state, pose, parameters)
         transforms[f] = garment.transforms(state, pose)
     bones: BoneModel = "rigid" if garment.mixture is None else "affine"
-    return _prediction(subject, cloth, transforms, m, bones, push_out, name, ())
+    return _prediction(subject, cloth, transforms, m, bones, push_out, name)
 
 
 def _prediction(
@@ -172,7 +167,6 @@ def _prediction(
     bones: BoneModel,
     push_out: bool,
     name: str,
-    beyond: tuple[str, ...],
 ) -> Prediction:
     garment, rig, m = subject.garment, subject.body, np.asarray(joints, np.float64)
     moved, farthest = 0.0, 0.0
@@ -190,7 +184,6 @@ def _prediction(
         skinning=_skinning(subject, transforms, m, bones, name),
         joints=m,
         root=subject.skeleton.positions(m)[:, 0],
-        extrapolated=beyond,
         moved=moved,
         farthest=farthest,
     )
@@ -222,7 +215,7 @@ def _skinning(
     )
 
 
-def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[str, ...]:
+def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> str:
     # A network that reads parameters does not know its training sets.
     known = [dataclasses.asdict(p) for p in checkpoint.parameters if p is not None]
     messages = []
@@ -232,4 +225,4 @@ def _beyond(checkpoint: Checkpoint, parameters: SimulationParameters) -> tuple[s
         if not low * (1 - _ROUNDING) <= value <= high * (1 + _ROUNDING):
             range_ = "trained from" if known else "meant for"
             messages.append(f"{key} {value:g}, {range_} {low:g} to {high:g}")
-    return tuple(messages)
+    return "; ".join(messages)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ssdr.errors import InputError
+from ssdr.io.registry import import_optional as require
 
 from ..data.parameters import RANGES
 from ..io.files import write_file
-from ..io.packages import require
 from .garment import LiveGarment
 from .pivot import Recurrent
 

@@ -16,9 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from ssdr.errors import InputError
+from ssdr.io.registry import import_optional as require
 
 from ..configs.config import TrainOptions
-from ..io.packages import require
 from ..networks.tensor_files import load_tensors, part_of, save_tensors
 from .batches import Batch, Track, batches
 

@@ -13,7 +13,6 @@ from garmentnet.evaluation.methods import Network
 from garmentnet.evaluation.published import BASELINES, SANTESTEBAN, train_chen
 from garmentnet.evaluation.regression import (
     FrameMLP,
-    InFrame,
     Unposed,
     WindowMLP,
     train_regression,
@@ -94,11 +93,6 @@ def test_whole_or_in_parts(network):
     moved = (net(changed)[0] - whole).abs().amax((0, 2)) > 1e-6
     assert not moved[:9].any()
     assert bool(moved[10]) == (network is WindowMLP)
-
-
-def test_positions_of_the_moving_frame_are_themselves():
-    x = np.ones((2, 3, 3), np.float32)
-    assert np.array_equal(InFrame().add(InFrame().remove(x, x, "low"), x, "low"), x)
 
 
 def test_transformer_detail(toy_bones, toy_store, toy_network, toy_config, tmp_path):
