@@ -38,18 +38,15 @@ def _row(path: Path) -> tuple[str, ...]:
     from ssdr.io.registry import reading
 
     from ..io.tensors import load_arrays
-    from ..networks.document import read_subject
+    from ..networks.document import read_document
 
     size = f"{path.stat().st_size / 1e6:.1f}"
     try:
         arrays, documents = load_arrays(path, ("checkpoint",))
         with reading(path):
-            d, subject = read_subject(arrays, documents)
-            network = d["networks"][0]["config"]
-            reads = ["pose"] + ["parameters"] * (
-                d["kernel"] is not None or network["data"]["condition"]
-            )
-            errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.get("errors", {}).items()]
+            d, subject = read_document(arrays, documents)
+            reads = ["pose"] + ["parameters"] * d.reads_parameters
+            errors = [f"{k} {1e3 * v:.1f} mm" for k, v in d.errors.items()]
     except FormatError as error:
         return "", "", "", size, str(error).removeprefix(f"{path}: ")
     g = subject.garment

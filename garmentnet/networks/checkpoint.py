@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ssdr.errors import FormatError, InputError
-from ssdr.io.registry import check, reading
+from ssdr.io.registry import reading
 
-from ..configs.config import Config
 from ..data.parameters import SimulationParameters
 from ..data.store import ClipStore
 from ..data.subject import Subject, mesh_identity
-from .document import BOUND, FORMAT, MESH, VERSION, read_subject
+from .document import BOUND, MESH, Document, KernelRecord, NetworkRecord, read_document
 from .ensemble import Kernel
 from .features import Normaliser, transforms_in_frame
 from .network import Motion, MotionNetwork, Predictor
@@ -171,20 +170,14 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     if subject.bound is not None:
         arrays |= {f"bound.{k}": getattr(subject.bound, k) for k in BOUND}
     tensors: dict[str, Tensor] = {}
-    record: list[dict[str, Any]] = []
+    records: list[NetworkRecord] = []
     pairs = zip(checkpoint.networks, checkpoint.parameters, strict=True)
     for k, (network, trained_on) in enumerate(pairs):
         config = dataclasses.replace(
             network.config, data=dataclasses.replace(network.config.data, store="")
         )
-        record.append(
-            {
-                "config": config.as_dict(),
-                "parameters": None if trained_on is None else dataclasses.asdict(trained_on),
-                "high": network.high is not None,
-                "clamp": network.normaliser.clamp,
-            }
-        )
+        clamp = network.normaliser.clamp
+        records.append(NetworkRecord(config, trained_on, network.high is not None, clamp))
         for key, v in network.state_dict().items():
             small = half and v.is_floating_point() and v.numel() >= _MANY
             tensors[f"network.{k}.{key}"] = v.half() if small else v
@@ -193,20 +186,16 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path | str, *, half: bool = Fa
     if kernel is not None:
         tensors |= {f"kernel.{k}": v for k, v in kernel.state_dict().items()}
     tensors |= {k: torch.from_numpy(np.array(v)) for k, v in arrays.items()}
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        "fps": subject.fps,
-        "garment_id": subject.garment_id,
-        "body_id": subject.body_id,
-        "joint_names": list(subject.skeleton.names),
-        "networks": record,
-        "errors": dict(checkpoint.errors),
-        "kernel": None
-        if kernel is None
-        else {"sizes": kernel.sizes, "sigma": kernel.sigma, "shape": kernel.shape},
-    }
-    return save_tensors(Path(path), tensors, {"checkpoint": document})
+    document = Document(
+        fps=subject.fps,
+        garment_id=subject.garment_id,
+        body_id=subject.body_id,
+        joint_names=subject.skeleton.names,
+        networks=tuple(records),
+        kernel=None if kernel is None else KernelRecord(kernel.sizes, kernel.sigma, kernel.shape),
+        errors=dict(checkpoint.errors),
+    )
+    return save_tensors(Path(path), tensors, {"checkpoint": dataclasses.asdict(document)})
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:
@@ -220,25 +209,18 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     file = Path(path)
     tensors, documents = load_tensors(file, ("checkpoint",))
     with reading(file):
-        d, subject = read_subject({k: v.numpy() for k, v in tensors.items()}, documents)
-        networks, parameters = [], []
-        for k, record in enumerate(d["networks"]):
-            networks.append(_network(subject, record, part_of(tensors, f"network.{k}.")))
-            trained_on = record["parameters"]
-            parameters.append(None if trained_on is None else SimulationParameters(**trained_on))
+        d, subject = read_document({k: v.numpy() for k, v in tensors.items()}, documents)
+        networks = [
+            _network(subject, record, part_of(tensors, f"network.{k}."))
+            for k, record in enumerate(d.networks)
+        ]
         kernel = None
-        if d["kernel"] is not None:
-            check(all(p is not None for p in parameters), "pivots without parameters")
-            inputs, hidden, latent = (int(n) for n in d["kernel"]["sizes"])
-            shape, sigma = d["kernel"]["shape"], d["kernel"]["sigma"]
-            check(shape in ("gaussian", "exponential"), f"a kernel of shape {shape!r}")
+        if d.kernel is not None:
             with torch.device("meta"):
-                kernel = Kernel(inputs, hidden=hidden, latent=latent, sigma=sigma, shape=shape)
+                kernel = Kernel(*d.kernel.sizes, sigma=d.kernel.sigma, shape=d.kernel.shape)
             kernel.load_state_dict(part_of(tensors, "kernel."), assign=True)
-        elif len(networks) != 1:
-            raise FormatError(f"{len(networks)} networks without a kernel")
-        errors = {str(k): float(v) for k, v in d.get("errors", {}).items()}
-        return Checkpoint(tuple(networks), tuple(parameters), kernel, errors)
+        parameters = tuple(record.parameters for record in d.networks)
+        return Checkpoint(tuple(networks), parameters, kernel, d.errors)
 
 
 def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
@@ -267,15 +249,14 @@ def load_weights(network: MotionNetwork, start: Checkpoint, part: str) -> None:
     network.normaliser = source.normaliser
 
 
-def _network(subject: Subject, record: dict[str, Any], part: dict[str, Tensor]) -> MotionNetwork:
-    config = Config.of(record["config"], "configuration")
+def _network(subject: Subject, record: NetworkRecord, part: dict[str, Tensor]) -> MotionNetwork:
     mean, deviation = part.pop("features.mean").numpy(), part.pop("features.deviation").numpy()
     # Weights have no memory before their sizes are found to be those of the tensors: a hostile
     # configuration cannot fill it.
     with torch.device("meta"):
-        normaliser = Normaliser(mean, deviation, float(record["clamp"]))
-        network = MotionNetwork(config, subject, normaliser)
-        if record["high"]:
+        normaliser = Normaliser(mean, deviation, record.clamp)
+        network = MotionNetwork(record.config, subject, normaliser)
+        if record.high:
             network.add_high()
     if mean.shape != (network.features.size,) or deviation.shape != mean.shape:
         raise FormatError(f"statistics of {mean.shape} features, not {network.features.size}")

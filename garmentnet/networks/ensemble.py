@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -41,11 +41,11 @@ class Kernel(nn.Module):
     def __init__(
         self,
         inputs: int = 3,
-        *,
         hidden: int = 16,
         latent: int = 4,
+        *,
         sigma: float = 0.5,
-        shape: str = "gaussian",
+        shape: Literal["gaussian", "exponential"] = "gaussian",
     ) -> None:
         super().__init__()
         self.sigma, self.shape = float(sigma), shape

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from ssdr.errors import FormatError, InputError
 from ssdr.io.registry import check, reading
 
-from ..configs.config import Config, FeatureOptions
+from ..configs.config import FeatureOptions
 from ..data.parameters import SimulationParameters
 from ..data.skeleton import check_joints
 from ..data.subject import Subject
 from ..io.tensors import load_arrays
-from ..networks.document import read_subject
+from ..networks.document import read_document
 from .kernels import add_bones, all_rigid, moving_frame, place, pose_features, skin
 from .pivot import Mixture, Pivot, read_pivot
 
@@ -256,18 +256,12 @@ def load_live(path: Path | str) -> LiveGarment:
     file = Path(path)
     arrays, documents = load_arrays(file, ("checkpoint",))
     with reading(file):
-        d, subject = read_subject(arrays, documents)
-        configs = [Config.of(r["config"], "configuration") for r in d["networks"]]
-        if not configs or (len(configs) > 1) != (d["kernel"] is not None):
-            raise FormatError(f"{len(configs)} networks, kernel {d['kernel']}")
-        kinds = [(c.features, r["high"]) for c, r in zip(configs, d["networks"], strict=True)]
+        d, subject = read_document(arrays, documents)
+        kinds = [(r.config.features, r.high) for r in d.networks]
         check(all(kind == kinds[0] for kind in kinds), "pivots that differ in features or modules")
-        mixture = Mixture.read(arrays, d) if d["kernel"] is not None else None
-        pivots = tuple(
-            read_pivot(arrays, k, c, r, subject)
-            for k, (c, r) in enumerate(zip(configs, d["networks"], strict=True))
-        )
-        garment = LiveGarment(subject, configs[0].features, pivots, mixture)
+        mixture = Mixture.read(arrays, d)
+        pivots = tuple(read_pivot(arrays, k, r, subject) for k, r in enumerate(d.networks))
+        garment = LiveGarment(subject, kinds[0][0], pivots, mixture)
         for pivot in pivots:
             if len(pivot.mean) != garment.n_features:
                 raise FormatError(f"{len(pivot.mean)} features, not {garment.n_features}")

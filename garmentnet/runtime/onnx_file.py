@@ -55,7 +55,7 @@ def export_onnx(garment: LiveGarment, path: Path | str, *, bits: int = 32) -> Pa
     """
     if bits not in (32, 16, 8):
         raise InputError("bits", "32, 16 or 8", bits)
-    if len(garment.pivots) > 1:
+    if garment.mixture is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     if garment.features.rotation != "sixd":
         raise InputError("model", "features.rotation 'sixd'", garment.features.rotation)

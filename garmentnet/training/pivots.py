@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -205,7 +205,7 @@ def fit_kernel(
     validation: Sequence[Mixed] = (),
     *,
     sigma: float = 0.5,
-    shape: str = "gaussian",
+    shape: Literal["gaussian", "exponential"] = "gaussian",
     steps: int = 600,
     seed: int = 0,
 ) -> tuple[Kernel, float]:

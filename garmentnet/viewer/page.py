@@ -98,7 +98,7 @@ def write_page(
         If the garment is an ensemble, a motion is not one of its body or its truth does not fit,
         or the page would be larger even so.
     """
-    if len(garment.pivots) > 1:
+    if garment.mixture is not None:
         raise InputError("model", "one network, such as reads the parameters", "an ensemble")
     if not takes:
         raise InputError("takes", "one or more motions", "none")
