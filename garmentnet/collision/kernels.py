@@ -256,21 +256,6 @@ def _move_out(px, py, pz, margin, farthest, hint, scene, nodes, gaps):
 
 
 @kernel
-def gather_corners(vertices: Any, triangles: Any, corners: Any) -> None:
-    """Corners of the triangles of a scene.
-
-    vertices   (V, 3)  float64  in
-    triangles  (T, 3)  int32    in the tree's order, in
-    corners    (T, 9)  float64  out
-    """
-    for t in range(len(triangles)):
-        for k in range(3):
-            v = triangles[t, k]
-            for c in range(3):
-                corners[t, 3 * k + c] = vertices[v, c]
-
-
-@kernel
 def signed_distances(points: Any, scene: Any, limit: float, out: Any) -> None:
     """Signed distance of each point, negative inside; inf where it is outside beyond the limit.
 

@@ -24,7 +24,7 @@ from ssdr.errors import InputError, is_real
 from ssdr.kernels.closest import fit_boxes, tree_order
 from ssdr.parallel import chunk_bounds, run_chunks
 
-from .kernels import gather_corners, push_frame, signed_distances
+from .kernels import push_frame, signed_distances
 
 __all__ = ["INSIDE", "MARGIN", "PushOut", "PushedOut", "is_closed"]
 
@@ -239,8 +239,7 @@ class PushOut:
         """The posed body as the kernels need it."""
         boxes = np.empty((2 ** (self._depth + 1) - 1, 6))
         fit_boxes(body, self._triangles, self._depth, boxes)
-        corners = np.empty((len(self._triangles), 9))
-        gather_corners(body, self._triangles, corners)
+        corners = body.take(self._triangles, axis=0).reshape(-1, 9)
         return corners, self._depth, boxes
 
 

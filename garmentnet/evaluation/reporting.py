@@ -23,7 +23,7 @@ from ..networks.checkpoint import Checkpoint, load_checkpoint
 from ..training.run import choose_clips, with_mirrored
 from .baselines import BodySkinned, MeanShape, Ridge
 from .bounds import chaos_floor
-from .methods import BonesThemselves, Method, Network, PushedMethod
+from .methods import BonesThemselves, Method, Network
 from .pictures import draw_clip
 from .published import SANTESTEBAN
 from .regression import train_regression
@@ -48,7 +48,6 @@ def report(
     pictures: int = 1,
     clips: Sequence[str] = (),
     against: str | None = None,
-    push_out: bool = False,
     progress: Progress | None = None,
 ) -> str:
     """Score checkpoints on unseen motions and, if they read parameters, unseen parameters.
@@ -70,9 +69,6 @@ def report(
     against : str, optional
         Method whose errors the others' are divided by; the baseline of Santesteban et al. 2019 by
         default where it is scored, else the first checkpoint.
-    push_out : bool
-        Whether each checkpoint is scored a second time with its vertices moved out of the body,
-        and drawn so.
 
     Returns
     -------
@@ -95,17 +91,15 @@ def report(
     config, base = first.networks[0].config, _base(first, store)
     reading = [n for n in networks if n.checkpoint.reads_parameters]
     parts = _test_clips(store, base, bool(reading), clips)
-    shown: list[Method] = [PushedMethod(n, store) for n in networks] if push_out else [*networks]
     fitted = (MeanShape, BodySkinned, Ridge, SANTESTEBAN) if baselines else ()
     names = [m.name for m in (BonesThemselves, *networks, *fitted)]
-    names += [m.name for m in shown if m.name not in names]
     against = against or (SANTESTEBAN.name if baselines else networks[0].name)
     if against not in names:
         raise InputError("against", f"one of {', '.join(names)}", repr(against))
 
     bones = virtual_bones(store, config.bones, progress=progress)
     bound = BonesThemselves(bones)
-    methods: list[Method] = [bound, *networks, *(shown if push_out else [])]
+    methods: list[Method] = [bound, *networks]
     if baselines:
         methods += fit_baselines(bones, config, base, folder / "baselines", progress)
     document: dict[str, Any] = {
@@ -135,11 +129,11 @@ def report(
             part = [pool(r.name, [c for c in r.clips if c.name in members]) for r in found]
             lines += _section(f"unseen motions, {group}", part, against, document)
     lines += _chaos(bones, base, document)
-    for network, method in zip(networks, shown, strict=True):
+    for network in networks:
         for name in parts["unseen_motions"][:pictures]:
             clip, file = store.clip(name), folder / f"{network.name}-{name}.png"
             with writing(file):
-                draw_clip(clip, method.predict(clip), file)
+                draw_clip(clip, network.predict(clip), file)
     text = "\n".join(lines) + "\n"
     write_file(folder / "report.json", json.dumps(document).encode())
     write_file(folder / "report.md", text.encode())

@@ -83,12 +83,8 @@ class LiveGarment:
         mixture: Mixture | None = None,
     ) -> None:
         self.subject, self.features, self.pivots, self.mixture = subject, features, pivots, mixture
-        names, o = subject.skeleton.names, features
-        missing = [j for j in o.joints if j not in names]
-        if missing:
-            raise InputError("features.joints", f"joints of {', '.join(names)}", missing)
-        read = {names.index(j) for j in o.joints}
-        self.read = np.array(sorted({0, *read}) if read else range(len(names)), np.int64)
+        o = features
+        self.read = np.array(subject.skeleton.read(o.joints), np.int64)
         self._options = (
             o.rotation == "sixd", o.heading_free, o.translation, o.velocities, o.root_motion
         )  # fmt: skip

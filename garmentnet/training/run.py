@@ -7,6 +7,7 @@ of threads.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
@@ -265,7 +266,7 @@ def _high_objective(
 def _claim(folder: Path, config: Config, clips: Sequence[str]) -> None:
     # Settings that do not change the weights may differ from call to call.
     free = ("patience", "tensorboard", "device", "threads")
-    record = json.loads(json.dumps({"config": config.as_dict(), "clips": list(clips)}))
+    record = json.loads(json.dumps({"config": dataclasses.asdict(config), "clips": list(clips)}))
     record["config"]["data"].pop("store")
     for key in free:
         record["config"]["train"].pop(key)
